@@ -1,0 +1,30 @@
+PYTHON ?= python3
+BIN := .venv/bin
+SETUP := .venv/.ready
+
+.PHONY: run test lint bench clean
+.DELETE_ON_ERROR:
+
+run: $(SETUP)          ## the suspension study, start to report
+	$(BIN)/ccdtools run suspension $(ARGS)
+
+test: $(SETUP) lint    ## every check and test
+	$(BIN)/python -m pytest -m "not slow"
+
+lint: $(SETUP)
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+
+bench: $(SETUP)        ## side by side with peers
+	for f in benchmarks/bench_*.py; do $(BIN)/python $$f || exit 1; done
+
+$(SETUP): requirements/run.txt requirements/dev.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "ccdtools needs Python >= 3.11; make PYTHON=/path/to/python3.11")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements/dev.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@touch $@
+
+clean:
+	rm -rf .venv build *.egg-info runs
