@@ -1,0 +1,292 @@
+"""Roads and drivers: what the wheel feels along a drive, and seeded ones where none is recorded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import cumulative_trapezoid
+from scipy.signal import lfilter
+
+from ccdtools.exceptions import InputError
+
+__all__ = ["generate_road", "generate_speed", "road_disturbance"]
+
+Array: TypeAlias = NDArray[np.float64]
+Driver: TypeAlias = Literal["mild", "aggressive"]
+
+
+def road_disturbance(
+    distance: ArrayLike,
+    elevation: ArrayLike,
+    time: ArrayLike,
+    speed: ArrayLike,
+    *,
+    dt: float,
+    steps: int | None = None,
+) -> Array:
+    """Vertical velocity of the road under the wheel, ż₀ = dz₀/ds · v [m/s], one value per time step.
+
+    Each value is the mean of dz₀/ds · v over its step, (z₀(s(t_k + dt)) − z₀(s(t_k))) / dt: what a model that
+    holds its disturbance over a step must be fed. Their sum gives the elevation back exactly, and no edge
+    shorter than v dt is missed; values read at t_k alone would do neither. Road and speed are linear between
+    samples. The drive begins at `distance[0]` and `time[0]`.
+
+    Parameters
+    ----------
+    distance, elevation : (S,) arrays
+        Road [m]; the distance strictly increasing.
+    time, speed : (M,) arrays
+        Driver [s], strictly increasing, and [m/s], not negative.
+    dt : float
+        Time step [s].
+    steps : int, optional
+        Number of steps T; all that the speed covers if not given.
+
+    Returns
+    -------
+    (T,) array
+        ż₀ [m/s].
+
+    Raises
+    ------
+    InputError
+        If an input is not as described, or the speed or the road ends before the drive.
+    """
+    distance, elevation = _curve("distance", distance, "elevation", elevation)
+    time, speed = _curve("time", time, "speed", speed)
+    if (speed < 0).any():
+        row = int(np.argmax(speed < 0))
+        raise InputError(
+            f"speed: got {speed[row]:g} m/s at index {row}, expected speed >= 0; this road has no way back"
+        )
+    instants = _instants(time, _positive("dt", dt), steps)
+    travelled = distance[0] + _travelled(time, speed, instants)
+    if travelled[-1] > distance[-1] + 1e-9 * abs(travelled[-1]):
+        raise InputError(
+            f"road: got {distance[-1] - distance[0]:.6g} m, expected at least the"
+            f" {travelled[-1] - distance[0]:.6g} m of the drive of {len(instants) - 1} steps;"
+            " take a longer road, or fewer steps"
+        )
+    return np.diff(np.interp(travelled, distance, elevation)) / dt
+
+
+def _curve(x_name: str, x: ArrayLike, y_name: str, y: ArrayLike) -> tuple[Array, Array]:
+    """Two finite vectors of one length, the first strictly increasing."""
+    x, y = np.array(x, dtype=float), np.array(y, dtype=float)
+    if x.ndim != 1 or x.shape != y.shape or len(x) < 2:
+        raise InputError(
+            f"{x_name}, {y_name}: got shapes {x.shape} and {y.shape}, expected two vectors of one length >= 2"
+        )
+    for name, values in ((x_name, x), (y_name, y)):
+        if not np.isfinite(values).all():
+            row = int(np.argmin(np.isfinite(values)))
+            raise InputError(
+                f"{name}: got {values[row]} at index {row}, expected finite numbers; fill or remove it"
+            )
+    if (np.diff(x) <= 0).any():
+        row = int(np.argmax(np.diff(x) <= 0)) + 1
+        raise InputError(
+            f"{x_name}: got {x[row - 1]:g} then {x[row]:g} at index {row}, expected strictly increasing"
+            " values; sort them and remove duplicates"
+        )
+    return x, y
+
+
+def _instants(time: Array, dt: float, steps: int | None) -> Array:
+    """(T+1,) instants at which the steps begin and the last one ends [s]."""
+    duration = time[-1] - time[0]
+    available = math.floor(duration / dt * (1 + 1e-9))
+    if available < 1:
+        raise InputError(
+            f"time: got {duration:.6g} s, expected at least one step of {dt:g} s; take a longer speed record"
+        )
+    steps = available if steps is None else steps
+    if steps != int(steps) or steps < 1 or steps > available:
+        raise InputError(
+            f"steps: got {steps} of {dt:g} s, expected a whole number from 1 to {available}, as many as the"
+            f" {duration:.6g} s of speed cover; take a longer speed record, or fewer steps"
+        )
+    return np.minimum(time[0] + dt * np.arange(int(steps) + 1), time[-1])
+
+
+def _travelled(time: Array, speed: Array, instants: Array) -> Array:
+    """Distance covered at the instants [m]; exact, because the speed is linear between the knots."""
+    knots = np.union1d(time, instants)
+    covered = cumulative_trapezoid(np.interp(knots, time, speed), knots, initial=0.0)
+    return covered[np.searchsorted(knots, instants)]
+
+
+# ── a road ──
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One kind of obstacle: how long and how high it may be, and its profile between 0 and 1.
+
+    `profile(x, length)` is the share of the height at the distance x [m] into an obstacle of that length [m].
+    """
+
+    length: tuple[float, float]  # [m]
+    height: tuple[float, float]  # [m]
+    profile: Callable[[Array, float], Array]
+    signs: tuple[int, ...] = (1,)
+
+
+def _plateau(x: Array, length: float, edge: float) -> Array:
+    """Up over `edge`, flat, down over `edge`."""
+    return np.clip(np.minimum(x, length - x) / edge, 0.0, 1.0)
+
+
+def _sinusoid(x: Array, length: float) -> Array:
+    return 0.5 - 0.5 * np.cos(2 * np.pi * x / length)
+
+
+JUMP_EDGE = 0.4  # [m] over which a jump rises: steep, but a slope
+
+FEATURES = {
+    "jump": Feature((2.0, 10.0), (0.05, 0.13), lambda x, length: _plateau(x, length, JUMP_EDGE), (-1, 1)),
+    "bump": Feature((3.0, 8.0), (0.03, 0.12), _sinusoid),
+    "dent": Feature((0.8, 2.5), (0.03, 0.08), _sinusoid, (-1,)),
+    "ramp": Feature((20.0, 60.0), (0.1, 0.5), lambda x, length: _plateau(x, length, length / 3), (-1, 1)),
+}
+GAP = (5.0, 45.0)  # [m] of plain road between two obstacles
+
+# ISO 8608: displacement spectrum G(n) = G(n₀) (n/n₀)⁻², n in cycles per metre; the middle of class C.
+ROUGHNESS = 256e-6  # [m³]
+REFERENCE_FREQUENCY = 0.1  # n₀ [1/m]
+CUTOFF_FREQUENCY = 0.01  # [1/m]; flat below, so that the elevation stays bounded
+
+
+def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0.05) -> tuple[Array, Array]:
+    """A road of jumps, sinusoidal bumps, dents and ramps, one after the other, on filtered noise.
+
+    Parameters
+    ----------
+    length : float
+        Length the road covers at least [m].
+    rng : Generator
+        Source of the randomness; the same state gives the same road.
+    spacing : float
+        Distance between samples [m].
+
+    Returns
+    -------
+    distance, elevation : (S,) arrays
+        Both in [m], from (0, 0). Every slope is finite: a jump rises over 0.4 m.
+
+    Raises
+    ------
+    InputError
+        If `length` or `spacing` is not a finite number > 0.
+
+    References
+    ----------
+    ISO 8608:2016, section 5 and annex C (spectrum and classes of road roughness; here −2 as its exponent).
+    """
+    intervals = math.ceil(_positive("length", length) / _positive("spacing", spacing) - 1e-9)
+    distance = spacing * np.arange(intervals + 1, dtype=np.float64)
+    return distance, _rough(intervals + 1, spacing, rng) + _obstacles(distance, rng)
+
+
+def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
+    """Noise of first order, dz = −α z ds + σ dW: its spectrum is 2σ² / (α² + (2πn)²)."""
+    alpha = 2 * np.pi * CUTOFF_FREQUENCY
+    sigma = 2 * np.pi * REFERENCE_FREQUENCY * math.sqrt(ROUGHNESS / 2)
+    decay = math.exp(-alpha * spacing)
+    gain = sigma * math.sqrt((1 - decay**2) / (2 * alpha))
+    noise = gain * rng.standard_normal(samples)
+    noise[0] = 0.0
+    return lfilter([1.0], [1.0, -decay], noise)
+
+
+def _obstacles(distance: Array, rng: np.random.Generator) -> Array:
+    """Obstacles of random kind and size with plain road between them; the last may be cut by the end."""
+    elevation = np.zeros_like(distance)
+    kinds = tuple(FEATURES.values())
+    begin = rng.uniform(*GAP)
+    while begin < distance[-1]:  # GAP[0] > 0 bounds the number of turns
+        kind = kinds[rng.integers(len(kinds))]
+        length, height = rng.uniform(*kind.length), rng.choice(kind.signs) * rng.uniform(*kind.height)
+        here = slice(*np.searchsorted(distance, (begin, begin + length)))
+        elevation[here] += height * kind.profile(distance[here] - begin, length)
+        begin += length + rng.uniform(*GAP)
+    return elevation
+
+
+# ── a driver ──
+
+
+@dataclass(frozen=True)
+class Style:
+    """How somebody drives."""
+
+    speeds: tuple[float, float]  # range of the speeds aimed at [m/s]
+    hold: tuple[float, float]  # how long one is aimed at [s]
+    acceleration: float  # largest, in either direction [m/s²]
+
+
+STYLES: dict[str, Style] = {
+    "mild": Style(speeds=(8.0, 22.0), hold=(20.0, 60.0), acceleration=0.5),
+    "aggressive": Style(speeds=(18.0, 36.0), hold=(6.0, 20.0), acceleration=3.0),
+}
+
+
+def generate_speed(
+    duration: float, *, rng: np.random.Generator, driver: Driver = "mild", dt: float = 0.05
+) -> tuple[Array, Array]:
+    """The speed of a driver who aims at one speed after another and accelerates within a limit.
+
+    Parameters
+    ----------
+    duration : float
+        Time the drive covers at least [s].
+    rng : Generator
+        Source of the randomness; the same state gives the same drive.
+    driver : "mild" or "aggressive"
+        The aggressive one is faster, changes more often and brakes harder.
+    dt : float
+        Time between samples [s].
+
+    Returns
+    -------
+    time, speed : (S,) arrays
+        In [s], from 0, and [m/s]. The drive begins at the first speed aimed at.
+
+    Raises
+    ------
+    InputError
+        If `driver` is unknown, or `duration` or `dt` is not a finite number > 0.
+    """
+    if driver not in STYLES:
+        raise InputError(f"driver: got {driver!r}, expected one of {', '.join(map(repr, get_args(Driver)))}")
+    style = STYLES[driver]
+    intervals = math.ceil(_positive("duration", duration) / _positive("dt", dt) - 1e-9)
+    time = dt * np.arange(intervals + 1, dtype=np.float64)
+    knots, aims = _plan(time[-1], style, rng)
+    return time, np.interp(time, knots, aims)
+
+
+def _plan(duration: float, style: Style, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Instants and speeds between which the speed is linear: hold, change, hold, …"""
+    speed = rng.uniform(*style.speeds)
+    knots, aims = [0.0], [speed]
+    while knots[-1] < duration:  # style.hold[0] > 0 bounds the number of turns
+        knots.append(knots[-1] + rng.uniform(*style.hold))
+        aims.append(speed)
+        change = rng.uniform(*style.speeds) - speed
+        rate = style.acceleration * rng.uniform(0.3, 1.0)
+        speed += change
+        knots.append(knots[-1] + abs(change) / rate)
+        aims.append(speed)
+    return np.array(knots), np.array(aims)
+
+
+def _positive(name: str, value: float) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise InputError(f"{name}: got {value}, expected a finite number > 0")
+    return value
