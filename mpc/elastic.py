@@ -1,0 +1,71 @@
+"""The least relaxation of state constraints that makes an infeasible problem feasible."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from .checks import Array
+from .dense_qp import DenseQP
+from .parametric_qp import ParametricQP
+
+_SHARE = 1e-6  # weight of the control cost beside the squared violation
+_FAR = 1e4  # farther than this, in units of the set, only the direction counts
+_MARGIN = 1e-8  # the relaxed bounds leave this much room, in units of the bounds
+
+
+def least_violation(problem: ParametricQP, units: Array, q: Array, b: Array) -> Array | None:
+    """Right-hand side relaxed by the least squares of the largest violation per step.
+
+    Only rows of state and terminal constraints are relaxed; input, rate and slack rows are kept (Kerrigan and
+    Maciejowski, *Soft constraints and exact penalty functions in MPC*, 2000, in two stages instead of one penalty).
+
+    Parameters
+    ----------
+    problem : ParametricQP
+        The infeasible problem.
+    units : (m,) array
+        Unit in which each row is compared with the others.
+    q, b : (nz,) and (m,) array
+        The QP at the parameter of interest.
+
+    Returns
+    -------
+    (m,) array or None
+        The relaxed right-hand side; None when the hard rows conflict among themselves.
+    """
+    soft = np.array([label.kind in ("state", "terminal") for label in problem.labels], dtype=bool)
+    if not soft.any():
+        return None
+    steps = np.array([label.step for label in problem.labels])
+    last = int(steps[soft].max())
+    columns = np.zeros((problem.m, last))
+    columns[soft, steps[soft] - 1] = -units[soft]
+    share = _SHARE / _typical_cost(problem)
+    elastic = DenseQP(block_diag(share * problem.H, np.eye(last)), np.hstack([problem.G, columns]))
+    result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b)
+    if result.infeasible or not np.isfinite(result.z).all():
+        return None
+    slack = np.maximum(-columns @ result.z[problem.nz :], 0.0)
+    relaxed: Array = np.where(slack > 2 * _MARGIN * units, b + slack + _MARGIN * units, b + soft * _MARGIN * units)
+    # what the first stage left violated by rounding is granted too
+    left = problem.G @ result.z[: problem.nz] - relaxed
+    return relaxed + np.where(soft, np.maximum(left, 0.0), 0.0)
+
+
+def _typical_cost(problem: ParametricQP) -> float:
+    """Cost of inputs at their bounds, where there are bounds."""
+    size = 1 / np.sqrt(np.diag(problem.H))
+    for i in (i for i, label in enumerate(problem.labels) if label.kind in ("input", "slack")):
+        for j in np.flatnonzero(problem.G[i]):
+            size[j] = max(size[j], abs(problem.w[i] / problem.G[i, j]))
+    return float(size**2 @ np.diag(problem.H))
+
+
+def nearest_point(v: Array, H: Array, h: Array) -> Array:
+    """Point of {u : Hu <= h} nearest to v, or to v shrunk when v is very far away; v itself for the whole space."""
+    if not len(h):
+        return v
+    far = _FAR * max(float(np.abs(h).max()), np.finfo(float).tiny) / np.linalg.norm(H, axis=1).min()
+    shrunk = v * min(1.0, far / max(float(np.abs(v).max()), np.finfo(float).tiny))
+    return DenseQP(np.eye(len(v)), H).solve(-shrunk, h).z

@@ -1,0 +1,27 @@
+"""The exceptions of `mpc`: misuse is raised, a numerical outcome is a status."""
+
+
+class MPCError(Exception):
+    """Base of every exception raised by `mpc`."""
+
+
+class InvalidDataError(MPCError, ValueError):
+    """An argument has the wrong shape, a NaN, or a value outside its range."""
+
+
+class NotConvexError(MPCError, ValueError):
+    """A weight or the condensed Hessian is not (semi)definite as required."""
+
+
+class NotStabilisableError(MPCError, ValueError):
+    """The pair (A, B) cannot be stabilised, or only by absurd gains.
+
+    Attributes
+    ----------
+    eigenvalue : complex or None
+        The unstable eigenvalue of A that the input does not reach, where it is known.
+    """
+
+    def __init__(self, message: str, eigenvalue: complex | None = None):
+        super().__init__(message)
+        self.eigenvalue = eigenvalue

@@ -1,0 +1,296 @@
+"""Linear model predictive control as one convex QP per step."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .checks import Array, as_array, as_halfspaces, as_horizon, as_pair, as_weight
+from .condensing import condense, state_units
+from .dense_qp import DenseQP, QPResult
+from .elastic import least_violation, nearest_point
+from .exceptions import InvalidDataError
+from .lqr import lqr
+from .parametric_qp import ParametricQP
+from .plan import Plan, Residuals, Status
+
+_OVERFLOW = 1e100  # data beyond this are answered by the saturated regulator
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LinearMPC:
+    """Model predictive controller of x⁺ = Ax + Bu (+ Ew), a callable u = controller(x).
+
+    Minimises Σ_{k<N} x_k'Qx_k + u_k'Ru_k + x_N'Px_N subject to x_k in X (k = 1 … N), u_k in U (k = 0 … N-1) and
+    x_N in the terminal set (Borrelli, Bemporad and Morari, *Predictive Control*, 2017, eq. 12.6).
+
+    Parameters
+    ----------
+    A : (nx, nx) array, or a discrete-time `control.StateSpace` (then B is None)
+        State matrix [-].
+    B : (nx, nu) array
+        Input matrix [-].
+    Q, R : (nx, nx) and (nu, nu) array, or their diagonals
+        Weights, symmetric positive semidefinite; R may be singular while the condensed Hessian is definite.
+    horizon : int
+        N [steps].
+    P : (nx, nx) array, optional
+        Terminal weight; by default the solution of the Riccati equation.
+    X, U : Polytope, optional
+        State set (imposed at k = 1 … N) and input set (k = 0 … N-1), in the units of x and u.
+    terminal_set : Polytope, optional
+        Set for x_N, beside X.
+    E : (nx, nw) array, optional
+        Disturbance matrix, for disturbances known ahead.
+    rate_limit : float or (nu,) array, optional
+        Largest |u_k - u_{k-1}| per step, in the units of u; `solve` then needs `u_prev`.
+    soft : (linear, quadratic), optional
+        Makes state and terminal constraints soft: each step costs linear * s + quadratic * s², where s is the largest
+        violation of that step relative to the bound.
+    blocks : tuple of int, optional
+        Move blocking: lengths of the blocks over which the input is held, summing to N.
+
+    Raises
+    ------
+    InvalidDataError, NotConvexError, NotStabilisableError
+        Bad shapes or values; an indefinite weight or Hessian; no stabilising terminal weight.
+
+    Examples
+    --------
+    >>> controller = LinearMPC(A, B, Q=Q, R=R, horizon=20, X=X, U=U)
+    >>> u = controller(x)
+    """
+
+    A: Any
+    B: Any = None
+    Q: ArrayLike = field(kw_only=True)
+    R: ArrayLike = field(kw_only=True)
+    horizon: int = field(kw_only=True)
+    P: Any = field(default=None, kw_only=True)
+    X: Any = field(default=None, kw_only=True)
+    U: Any = field(default=None, kw_only=True)
+    terminal_set: Any = field(default=None, kw_only=True)
+    E: Any = field(default=None, kw_only=True)
+    rate_limit: Any = field(default=None, kw_only=True)
+    soft: tuple[float, float] | None = field(default=None, kw_only=True)
+    blocks: tuple[int, ...] | None = field(default=None, kw_only=True)
+    state_rows: tuple[Array, Array] = field(init=False)
+    input_rows: tuple[Array, Array] = field(init=False)
+    terminal_rows: tuple[Array, Array] = field(init=False)
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        A, B = as_pair(self.A, self.B)
+        nx, nu = B.shape
+        set_(self, "A", A)
+        set_(self, "B", B)
+        set_(self, "Q", as_weight("Q", self.Q, nx))
+        set_(self, "R", as_weight("R", self.R, nu))
+        set_(self, "horizon", as_horizon(self.horizon))
+        set_(self, "state_rows", as_halfspaces("X", self.X, nx))
+        set_(self, "input_rows", as_halfspaces("U", self.U, nu))
+        set_(self, "terminal_rows", as_halfspaces("terminal_set", self.terminal_set, nx))
+        if self.E is not None:
+            set_(self, "E", as_array("E", self.E, (nx, None)))
+        if self.rate_limit is not None:
+            set_(self, "rate_limit", _positive("rate_limit", np.broadcast_to(self.rate_limit, (nu,)), nu))
+        if self.soft is not None:
+            set_(self, "soft", tuple(_positive("soft", self.soft, 2)))
+        if self.blocks is not None:
+            set_(self, "blocks", _as_blocks(self.blocks, self.horizon))
+        if self.P is None:
+            gain, P = lqr(A, B, Q=self.Q, R=self.R)
+            set_(self, "_lqr_gain", gain)
+            set_(self, "P", P)
+        else:
+            set_(self, "P", as_weight("P", self.P, nx))
+        self._problems[()]  # builds the QP: fails here, not in the loop
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return int(self.B.shape[0])
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return int(self.B.shape[1])
+
+    @cached_property
+    def gain(self) -> Array:
+        """Gain K (nu, nx) of the unconstrained regulator u = -K x, see `lqr`."""
+        known = getattr(self, "_lqr_gain", None)
+        return known if known is not None else lqr(self.A, self.B, Q=self.Q, R=self.R)[0]
+
+    def build(self, *parameters: str) -> ParametricQP:
+        """The QP with the state and the named quantities left open, to inspect or to hand to another solver.
+
+        Parameters
+        ----------
+        parameters : str
+            Any of "u_prev" (always present with a rate limit), "x_ref", "u_ref", "w".
+        """
+        return condense(self, parameters)
+
+    def with_model(self, A: ArrayLike, B: ArrayLike, E: ArrayLike | None = None, *, P: Any = None) -> LinearMPC:
+        """The same controller for another design of the plant; the default P is computed anew."""
+        return replace(self, A=A, B=B, E=self.E if E is None else E, P=P)
+
+    def solve(
+        self, x: ArrayLike, *, u_prev: ArrayLike | None = None, x_ref: ArrayLike | None = None,
+        u_ref: ArrayLike | None = None, w: ArrayLike | None = None,
+    ) -> Plan:  # fmt: skip
+        """Optimal plan from the state x.
+
+        Parameters
+        ----------
+        x : (nx,) array
+            State, in the units of the plant.
+        u_prev : (nu,) array
+            Input applied one step ago; needed with a rate limit only.
+        x_ref : (nx,) or (N + 1, nx) array, optional
+            State reference.
+        u_ref : (nu,) or (N, nu) array, optional
+            The input that belongs to it.
+        w : (nw,) or (N, nw) array, optional
+            Disturbance known ahead; a single row is held over the horizon.
+
+        Returns
+        -------
+        Plan
+            Always finite. Its status says whether state constraints had to be relaxed.
+
+        Raises
+        ------
+        InvalidDataError
+            Wrong shape, NaN, or an argument the controller was not built for.
+        """
+        start = time.perf_counter()
+        x = as_array("x", x, (self.nx,))
+        given = self._signals(u_prev=u_prev, x_ref=x_ref, u_ref=u_ref, w=w)
+        return self._solve(x, given, start)
+
+    def solve_many(self, X: ArrayLike, **signals: ArrayLike) -> list[Plan]:
+        """One plan per row of X (n, nx), in order, each warm-started from the one before it."""
+        given = self._signals(**signals)
+        return [self._solve(x, given, time.perf_counter()) for x in as_array("X", X, (None, self.nx))]
+
+    def __call__(self, x: ArrayLike, **signals: ArrayLike) -> Array:
+        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu); finite for every finite x."""
+        x = np.asarray(x, dtype=np.float64)
+        if x.ndim == 2:
+            return np.array([plan.inputs[0] for plan in self.solve_many(x, **signals)]).reshape(len(x), self.nu)
+        return np.array(self.solve(x, **signals).inputs[0])
+
+    def _signals(self, **signals: ArrayLike | None) -> dict[str, Array]:
+        """Check the optional arguments of `solve` and spread single rows over the horizon."""
+        N, nw = self.horizon, 0 if self.E is None else self.E.shape[1]
+        shapes = {"u_prev": (1, self.nu), "x_ref": (N + 1, self.nx), "u_ref": (N, self.nu), "w": (N, nw)}
+        given: dict[str, Array] = {}
+        for name, value in signals.items():
+            if value is None:
+                continue
+            if name not in shapes:
+                raise InvalidDataError(f"unknown signal {name!r}, expected some of {sorted(shapes)}.")
+            if name == "w" and nw == 0:
+                raise InvalidDataError("w was given, but the controller has no disturbance matrix E.")
+            rows, n = shapes[name]
+            array = np.asarray(value, dtype=np.float64)
+            given[name] = as_array(name, np.tile(array, (rows, 1)) if array.ndim == 1 else array, (rows, n)).ravel()
+        if (self.rate_limit is not None) != ("u_prev" in given):
+            got, cure = ("not given", "pass") if self.rate_limit is not None else ("given", "leave out")
+            raise InvalidDataError(f"u_prev was {got}: {cure} it, it belongs to a controller with a rate_limit.")
+        return given
+
+    @cached_property
+    def _problems(self) -> _Problems:
+        return _Problems(self)
+
+    def _solve(self, x: Array, given: dict[str, Array], start: float) -> Plan:
+        problem, solver = self._problems[tuple(sorted(given))]
+        theta = np.concatenate([x if name == "x" else given[name] for name, _ in problem.parameters])
+        with np.errstate(over="ignore", invalid="ignore"):
+            q, b = problem.at(theta)
+            if not max(np.abs(q).max(), np.abs(b).max(initial=0.0)) < _OVERFLOW:
+                return self._last_resort(x, start)
+            result = solver.solve(q, b)
+            status, violation = Status.SOLVED, 0.0
+            if result.infeasible:
+                relaxed = least_violation(problem, state_units(self, problem.labels), q, b)
+                if relaxed is None:
+                    return self._last_resort(x, start)
+                violation = float(np.max(relaxed - b, initial=0.0))
+                result = solver.solve(q, relaxed)
+                status = Status.SOFTENED if violation > 0 else Status.SOLVED
+            if result.residuals.worst > 1e-6 or result.infeasible:
+                status = Status.INACCURATE
+            inputs = problem.inputs(result.z, theta)
+            if not np.isfinite(inputs).all():
+                return self._last_resort(x, start)
+            cost = problem.cost(result.z, theta)
+        return self._plan(x, inputs, given, cost, status, violation, result, start)
+
+    def _plan(
+        self, x: Array, inputs: Array, given: dict[str, Array], cost: float, status: Status, violation: float,
+        result: QPResult, start: float,
+    ) -> Plan:  # fmt: skip
+        states = np.empty((self.horizon + 1, self.nx))
+        states[0] = x
+        push = given["w"].reshape(self.horizon, -1) @ self.E.T if "w" in given else np.zeros((self.horizon, self.nx))
+        for k, u in enumerate(inputs):
+            states[k + 1] = self.A @ states[k] + self.B @ u + push[k]
+        return Plan(
+            inputs, states, cost, status, result.residuals, violation, time.perf_counter() - start, result.solver
+        )
+
+
+    def _last_resort(self, x: Array, start: float) -> Plan:
+        """The saturated regulator, when even the input constraints conflict or the numbers overflow."""
+        inputs, states = np.zeros((self.horizon, self.nu)), np.empty((self.horizon + 1, self.nx))
+        states[0] = x
+        for k in range(self.horizon):
+            inputs[k] = nearest_point(_finite(-self.gain @ states[k]), *self.input_rows)
+            states[k + 1] = _finite(self.A @ states[k] + self.B @ inputs[k])
+        H, h = self.state_rows
+        violation = float(np.max(_finite(states[1:] @ H.T) - h, initial=0.0))
+        unknown = Residuals(np.inf, np.inf, np.inf, np.inf)
+        return Plan(
+            inputs, states, np.inf, Status.INFEASIBLE, unknown, violation, time.perf_counter() - start, "LQR"
+        )
+
+
+def _finite(v: Array) -> Array:
+    largest = float(np.finfo(float).max) / 4
+    return np.nan_to_num(v, nan=0.0, posinf=largest, neginf=-largest)
+
+
+def _positive(name: str, value: ArrayLike, n: int) -> Array:
+    array = as_array(name, value, (n,))
+    if (array <= 0).any():
+        raise InvalidDataError(f"{name} must be positive, got {array}.")
+    return array
+
+
+def _as_blocks(blocks: tuple[int, ...], horizon: int) -> tuple[int, ...]:
+    lengths = tuple(int(n) for n in blocks)
+    if not lengths or min(lengths) < 1 or sum(lengths) != horizon:
+        raise InvalidDataError(f"blocks are {blocks}, expected lengths >= 1 that sum to the horizon {horizon}.")
+    return lengths
+
+
+class _Problems(dict[tuple[str, ...], tuple[ParametricQP, DenseQP]]):
+    """QP and solver for each combination of signals, built when first asked for."""
+
+    def __init__(self, mpc: LinearMPC):
+        super().__init__()
+        self._mpc = mpc
+
+    def __missing__(self, parameters: tuple[str, ...]) -> tuple[ParametricQP, DenseQP]:
+        problem = condense(self._mpc, parameters)
+        self[parameters] = problem, DenseQP(problem.H, problem.G)
+        return self[parameters]

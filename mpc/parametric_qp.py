@@ -1,0 +1,132 @@
+"""The optimisation problem of an MPC step as an object that can be inspected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .checks import Array, as_array
+from .exceptions import InvalidDataError
+
+
+class Constraint(NamedTuple):
+    """Where a row of the QP comes from.
+
+    kind : "state", "input", "rate", "terminal" or "slack"; step : k; row : row of the user's set.
+    """
+
+    kind: str
+    step: int
+    row: int
+
+    def __str__(self) -> str:
+        return f"{self.kind} constraint {self.row} at step {self.step}"
+
+
+@dataclass(frozen=True, eq=False)
+class ParametricQP:
+    """Minimise ½ z'Hz + (Fθ + f)'z + ½ θ'Yθ + y'θ + c subject to Gz <= w + Sθ.
+
+    Attributes
+    ----------
+    H : (nz, nz) array
+        Hessian, symmetric positive definite.
+    F, f : (nz, nt) and (nz,) array
+        Linear cost, affine in the parameter θ.
+    Y, y, c : (nt, nt), (nt,) array and float
+        The part of the cost that does not depend on z.
+    G, w, S : (m, nz), (m,) and (m, nt) array
+        Constraints.
+    Lz, Lt, l : (N nu, nz), (N nu, nt) and (N nu,) array
+        Stacked inputs u_0 … u_{N-1} = Lz z + Lt θ + l.
+    nu : int
+        Number of inputs.
+    parameters : tuple of (name, size)
+        Layout of θ; the first is always the state, ("x", nx).
+    labels : tuple of Constraint
+        Origin of each row of G.
+    """
+
+    H: Array
+    F: Array
+    f: Array
+    Y: Array
+    y: Array
+    c: float
+    G: Array
+    w: Array
+    S: Array
+    Lz: Array
+    Lt: Array
+    l: Array
+    nu: int
+    parameters: tuple[tuple[str, int], ...]
+    labels: tuple[Constraint, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("H", "F", "f", "Y", "y", "G", "w", "S", "Lz", "Lt", "l"):
+            array = np.array(getattr(self, name), dtype=np.float64, order="C")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def nz(self) -> int:
+        """Number of decision variables."""
+        return len(self.H)
+
+    @property
+    def nt(self) -> int:
+        """Number of parameters."""
+        return self.F.shape[1]
+
+    @property
+    def m(self) -> int:
+        """Number of constraints."""
+        return len(self.w)
+
+    def theta(self, **values: ArrayLike) -> Array:
+        """Stack named parameters into θ, in the order of `parameters`."""
+        if set(values) != {name for name, _ in self.parameters}:
+            raise InvalidDataError(f"got parameters {sorted(values)}, expected {sorted(dict(self.parameters))}.")
+        return np.concatenate([as_array(name, np.ravel(values[name]), (size,)) for name, size in self.parameters])
+
+    def at(self, theta: Array) -> tuple[Array, Array]:
+        """Linear cost q and right-hand side b of the QP at θ."""
+        return self.F @ theta + self.f, self.S @ theta + self.w
+
+    def cost(self, z: Array, theta: Array) -> float:
+        """Value of the objective."""
+        q = self.F @ theta + self.f
+        return float(0.5 * z @ self.H @ z + q @ z + 0.5 * theta @ self.Y @ theta + self.y @ theta + self.c)
+
+    def inputs(self, z: Array, theta: Array) -> Array:
+        """Input sequence (N, nu) that belongs to z."""
+        return (self.Lz @ z + self.Lt @ theta + self.l).reshape(-1, self.nu)
+
+    def fix(self, **values: ArrayLike) -> ParametricQP:
+        """Return the problem with some parameters set to numbers, for instance a constant reference."""
+        sizes = dict(self.parameters)
+        unknown = set(values) - set(sizes)
+        if unknown:
+            raise InvalidDataError(f"cannot fix {sorted(unknown)}: the parameters are {list(sizes)}.")
+        T, t, column = np.zeros((self.nt, 0)), np.zeros(self.nt), 0
+        for name, size in self.parameters:
+            rows = slice(column, column + size)
+            if name in values:
+                t[rows] = as_array(name, np.ravel(values[name]), (size,))
+            else:
+                T = np.hstack([T, np.eye(self.nt)[:, rows]])
+            column += size
+        left = tuple(p for p in self.parameters if p[0] not in values)
+        return replace(self._substitute(T, t), parameters=left)
+
+    def _substitute(self, T: Array, t: Array) -> ParametricQP:
+        """Replace θ by T θ' + t."""
+        return replace(
+            self, F=self.F @ T, f=self.f + self.F @ t, S=self.S @ T, w=self.w + self.S @ t, Lt=self.Lt @ T,
+            l=self.l + self.Lt @ t, Y=T.T @ self.Y @ T, y=T.T @ (self.y + self.Y @ t),
+            c=self.c + float(self.y @ t + 0.5 * t @ self.Y @ t),
+        )  # fmt: skip

@@ -1,0 +1,84 @@
+"""What an MPC solve returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from .checks import Array
+
+
+class Status(Enum):
+    """Outcome of a solve; the value is the advice."""
+
+    SOLVED = "Solved: the optimality conditions hold to the tolerance."
+    SOFTENED = "Infeasible: state constraints were relaxed by the least amount. Ask `explain(x)` which ones conflict."
+    INFEASIBLE = "Infeasible even without state constraints. Check that U and the rate limits are compatible."
+    INACCURATE = "No solver met the tolerance; the best iterate is returned. Rescale the data or shorten the horizon."
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return self.value
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Relative optimality residuals, computed independently of the solver on scaled data [-]."""
+
+    stationarity: float
+    primal: float
+    dual: float
+    complementarity: float
+
+    @property
+    def worst(self) -> float:
+        """Largest of the four; NaN counts as infinite."""
+        values = (self.stationarity, self.primal, self.dual, self.complementarity)
+        return float(max(v if np.isfinite(v) else np.inf for v in values))
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Optimal inputs and the states they lead to.
+
+    Attributes
+    ----------
+    inputs : (N, nu) array
+        u_0 … u_{N-1}, in the units of the plant.
+    states : (N + 1, nx) array
+        x_0 … x_N predicted with the model.
+    cost : float
+        Σ x'Qx + u'Ru plus the terminal cost.
+    status : Status
+    residuals : Residuals
+        Optimality residuals; for a softened plan those of the relaxed problem.
+    violation : float
+        Largest violation of a state constraint a'x <= b, in units of b; 0 when solved.
+    solve_time : float
+        Wall time [s].
+    solver : str
+        The solver that produced the result.
+    """
+
+    inputs: Array
+    states: Array
+    cost: float
+    status: Status
+    residuals: Residuals
+    violation: float
+    solve_time: float
+    solver: str
+
+    @property
+    def feasible(self) -> bool:
+        """True when every constraint holds."""
+        return self.status is Status.SOLVED
+
+    def __repr__(self) -> str:
+        return (
+            f"Plan(N={len(self.inputs)}, cost={self.cost:.6g}, status={self.status.name}, "
+            f"kkt={self.residuals.worst:.1e}, time={1e3 * self.solve_time:.3f} ms, solver={self.solver})"
+        )

@@ -1,0 +1,80 @@
+"""The regulator: agreement with python-control, and every way a pair can be unusable."""
+
+import control
+import numpy as np
+import pytest
+from plants import double_integrator, suspension
+
+from mpc import InvalidDataError, NotConvexError, NotStabilisableError, lqr
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_agrees_with_dlqr(seed):
+    rng = np.random.default_rng(seed)
+    A, B = rng.normal(size=(4, 4)), rng.normal(size=(4, 2))
+    K, P = lqr(A, B, Q=np.eye(4), R=0.1 * np.eye(2))
+    K_ref, P_ref, _ = control.dlqr(A, B, np.eye(4), 0.1 * np.eye(2))
+    np.testing.assert_allclose(K, K_ref, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(P, P_ref, rtol=1e-7, atol=1e-9)
+
+
+def test_units_do_not_matter():
+    A, B, _ = suspension()
+    Q, R = np.diag([10.0, 1.0, 50.0, 5.0]), np.array([[1e-6]])
+    K, _ = lqr(A, B, Q=Q, R=R)
+    sx, su = np.array([1e6, 1e-6, 1e3, 1.0]), 1e5
+    K_scaled, _ = lqr(A * sx[:, None] / sx, B * sx[:, None] / su, Q=Q / np.outer(sx, sx), R=R / su**2)
+    np.testing.assert_allclose(K_scaled * sx / su, K, rtol=1e-6)
+
+
+def test_takes_a_state_space():
+    A, B = double_integrator()
+    K, _ = lqr(control.ss(A, B, np.eye(2), 0, 1.0), Q=np.eye(2), R=[[1.0]])
+    np.testing.assert_allclose(K, lqr(A, B, Q=np.eye(2), R=[[1.0]])[0])
+
+
+def test_singular_R_is_legal():
+    A, B = double_integrator()
+    K, _ = lqr(A, B, Q=np.eye(2), R=[[0.0]])
+    assert np.abs(np.linalg.eigvals(A - B @ K)).max() < 1
+
+
+@pytest.mark.parametrize("b", [0.0, 1e-9])
+def test_unstabilisable_and_nearly_unstabilisable_pairs_are_refused(b):
+    message = r"cannot be stabilised: the input reaches the mode at eigenvalue 1\.1"
+    with pytest.raises(NotStabilisableError, match=message) as caught:
+        lqr(np.diag([1.1, 0.5]), [[b], [1.0]], Q=np.eye(2), R=[[1.0]])
+    assert caught.value.eigenvalue == pytest.approx(1.1)
+
+
+def test_a_mode_on_the_unit_circle_without_cost_is_refused():
+    with pytest.raises(NotStabilisableError, match="Riccati"):
+        lqr([[1.0]], [[1.0]], Q=[[0.0]], R=[[1.0]])
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"A": [[1.0, np.nan], [0.0, 1.0]]}, InvalidDataError, r"A is not finite at index \(0, 1\)"),
+        ({"A": np.ones((2, 3))}, InvalidDataError, r"A has shape \(2, 3\), expected a square"),
+        ({"A": "x"}, InvalidDataError, "A must be an array of real numbers"),
+        ({"B": np.ones((3, 1))}, InvalidDataError, r"B has shape \(3, 1\), expected \(2, any\)"),
+        ({"B": np.ones((2, 0))}, InvalidDataError, "at least one input"),
+        ({"B": None}, InvalidDataError, "B is missing"),
+        ({"Q": np.eye(3)}, InvalidDataError, r"Q has shape \(3, 3\), expected \(2, 2\)"),
+        ({"Q": [[1.0, 2.0], [0.0, 1.0]]}, NotConvexError, "Q is not symmetric"),
+        ({"Q": np.diag([1.0, -1.0])}, NotConvexError, "Q has a negative direction"),
+        ({"R": [[-1.0]]}, NotConvexError, "R has a negative direction"),
+    ],
+)
+def test_bad_input_is_named(change, error, message):
+    A, B = double_integrator()
+    data = {"A": A, "B": B, "Q": np.eye(2), "R": np.eye(1)} | change
+    with pytest.raises(error, match=message):
+        lqr(data["A"], data["B"], Q=data["Q"], R=data["R"])
+
+
+def test_a_continuous_state_space_is_refused():
+    A, B = double_integrator()
+    with pytest.raises(InvalidDataError, match="expected a discrete-time system"):
+        lqr(control.ss(A, B, np.eye(2), 0), Q=np.eye(2), R=[[1.0]])
