@@ -1,0 +1,66 @@
+"""The states from which some admissible input reaches a set in one step, by Fourier–Motzkin elimination.
+
+References
+----------
+Blanchini, Miani (2015), Set-Theoretic Methods in Control, 2nd ed., section 5.1 and algorithm 5.1.
+"""
+
+from __future__ import annotations
+
+import daqp
+import numpy as np
+
+Array = np.ndarray
+_ZERO = 1e-12  # coefficients below this part of the largest one of their row are zero
+
+
+def predecessor_rows(F: Array, g: Array, A: Array, B: Array, H: Array, h: Array,
+                     disturbances: Array | None = None) -> tuple[Array, Array]:
+    """Return rows (R, r) of {x : some u with H [x; u] <= h has F (A x + B u + w) <= g for all w}.
+
+    Parameters
+    ----------
+    F, g : (m, n) and (m,) arrays
+        The target set.
+    A, B : (n, n) and (n, nu) arrays
+        Dynamics.
+    H, h : (q, n + nu) and (q,) arrays
+        Constraints on state and input together.
+    disturbances : (k, n) array, optional
+        Vertices of E W.
+
+    Notes
+    -----
+    Assumes coordinates of order one (scale by the bounding boxes first). Redundant rows are removed between
+    the inputs, not after the last one.
+    """
+    nu = B.shape[1]
+    reach = 0.0 if disturbances is None else (F @ disturbances.T).max(axis=1)
+    R = np.vstack([np.hstack([F @ A, F @ B]), H])
+    r = np.concatenate([g - reach, h])
+    for k in range(nu - 1, -1, -1):
+        R, r = eliminate_last(R, r)
+        if k:
+            R, r = _strongly_irredundant(R, r)
+    return R, r
+
+
+def eliminate_last(R: Array, r: Array) -> tuple[Array, Array]:
+    """Return the rows of the projection of {R z <= r} that drops the last coordinate."""
+    last = R[:, -1]
+    size = np.abs(R).max(axis=1)
+    rest = np.column_stack([R[:, :-1], r])
+    up, down = last > _ZERO * size, last < -_ZERO * size
+    high, low = rest[up] / last[up, None], rest[down] / -last[down, None]
+    pairs = (high[:, None, :] + low[None, :, :]).reshape(-1, rest.shape[1])
+    rows = np.vstack([rest[~(up | down)], pairs])
+    return rows[:, :-1], rows[:, -1]
+
+
+def _strongly_irredundant(R: Array, r: Array) -> tuple[Array, Array]:
+    norms = np.linalg.norm(R, axis=1)
+    regular = norms > 1e-13
+    rows = np.ascontiguousarray(R[regular] / norms[regular, None])
+    values = np.ascontiguousarray(r[regular] / norms[regular])
+    kept = np.asarray(daqp.minrep(rows, values)) == 0
+    return np.vstack([rows[kept], R[~regular]]), np.append(values[kept], r[~regular])

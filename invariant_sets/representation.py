@@ -1,0 +1,210 @@
+"""From inequalities to geometry and back: affine hull, interior point, vertices, minimal rows.
+
+Every set is first written as {centre + basis y : F y <= g} with 0 well inside, in coordinates scaled to its own
+bounding box. All tolerances below are relative to that box, so a set of size 1e-6 and one of 1e6 are treated alike.
+
+References
+----------
+Fukuda (2004), Frequently asked questions in polyhedral computation: dual points, redundancy by LP.
+Barber, Dobkin, Huhdanpaa (1996), The Quickhull algorithm for convex hulls, ACM TOMS 22(4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+
+from .linear_programs import inscribed_ball, minimise
+
+Array = np.ndarray
+FLAT = 1e-9  # a set thinner than this part of its bounding box is flat; one missing by more is empty
+SAME = 1e-9  # vertices and rows closer than this are one
+
+
+@dataclass(frozen=True)
+class Body:
+    """{centre + basis y : F y <= g}: full-dimensional in y, 0 in its interior, extents of order one.
+
+    Attributes
+    ----------
+    centre : (n,) array
+        An interior point relative to the affine hull.
+    basis : (n, k) array
+        Columns span the affine hull; they carry the scale.
+    F, g : (m, k) and (m,) arrays
+        Rows of unit norm, g > 0.
+    bounded : bool
+        Whether the set is bounded.
+    """
+
+    centre: Array
+    basis: Array
+    F: Array
+    g: Array
+    bounded: bool
+
+
+def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
+    """Return the `Body` of {A x <= b, A_eq x = b_eq}, or None if the set is empty."""
+    n = A.shape[1]
+    centre, basis = np.zeros(n), np.eye(n)
+    if len(b_eq):
+        reduced = _solve_equalities(A_eq, b_eq)
+        if reduced is None:
+            return None
+        centre, basis = reduced
+    while True:
+        F, g = unit_rows(A @ basis, b - A @ centre)
+        if F is None:
+            return None
+        k = basis.shape[1]
+        if k == 0 or len(g) == 0:
+            return Body(centre, basis, F, g, bounded=k == 0)
+        rough = _rough_scale(F, g)
+        radius, y = inscribed_ball(*_unit(F * rough, g), cap=1.0)
+        if radius < -FLAT:
+            return None
+        lower, upper = _extents(F * rough, g, slack=max(-radius, 0.0))
+        finite = np.isfinite(lower) & np.isfinite(upper)
+        lower, upper = np.where(finite, lower, y - 1.0), np.where(finite, upper, y + 1.0)
+        middle, half = (lower + upper) / 2, np.maximum((upper - lower) / 2, 1e-12)
+        centre, basis = centre + basis @ (rough * middle), basis * (rough * half)
+        F, g = unit_rows(A @ basis, b - A @ centre, always=True)
+        radius, y = inscribed_ball(F, g, cap=1.0)
+        thin = finite & (upper - lower <= FLAT * max(1.0, np.abs(middle).max()))
+        if radius > FLAT and not thin.any():
+            centre = centre + basis @ y
+            return Body(centre, basis, F, g - F @ y, bool(finite.all()))
+        flat = _implicit_equalities(F, g, y, max(radius, 0.0), thin)
+        centre = centre + basis @ y
+        basis = basis @ _null_space(F[flat] if flat.any() else np.eye(k)[thin])
+
+
+def _solve_equalities(A_eq: Array, b_eq: Array) -> tuple[Array, Array] | None:
+    norms = np.linalg.norm(A_eq, axis=1)
+    scale = np.where(norms > 0, norms, 1.0)
+    rows, values = A_eq / scale[:, None], b_eq / scale
+    centre = np.linalg.lstsq(rows, values, rcond=1e-12)[0]
+    if np.abs(rows @ centre - values).max() > FLAT * max(1.0, np.abs(values).max()):
+        return None
+    return centre, _null_space(rows)
+
+
+def _null_space(rows: Array) -> Array:
+    """Return an orthonormal basis (n, k) of {x : rows x = 0}."""
+    _, s, vt = np.linalg.svd(rows, full_matrices=True)
+    rank = int((s > 1e-8 * max(s.max(initial=0.0), 1e-300)).sum())
+    return vt[rank:].T
+
+
+def unit_rows(A: Array, b: Array, *, always: bool = False):
+    """Return the rows scaled to unit norm without zero rows; (None, b) if a zero row says 0 <= negative."""
+    norms = np.linalg.norm(A, axis=1)
+    reference = norms.max(initial=0.0)
+    zero = norms <= 1e-13 * reference if reference > 0 else np.ones(len(b), bool)
+    if zero.any():
+        if not always and (b[zero] < -FLAT * np.maximum(1.0, np.abs(b).max())).any():
+            return None, b
+        A, b, norms = A[~zero], b[~zero], norms[~zero]
+    return A / norms[:, None], b / norms
+
+
+def _unit(F: Array, g: Array) -> tuple[Array, Array]:
+    norms = np.linalg.norm(F, axis=1)
+    return F / norms[:, None], g / norms
+
+
+def _rough_scale(F: Array, g: Array) -> Array:
+    """Return one length per coordinate, read off the rows without solving anything."""
+    size = np.abs(g).max()
+    if size == 0.0:
+        return np.ones(F.shape[1])
+    steep = np.abs(F) > 0.5
+    reach = np.where(steep, np.abs(g)[:, None] / np.where(steep, np.abs(F), 1.0), 0.0)
+    lengths = reach.max(axis=0)
+    return np.where(lengths > 0.0, lengths, size)
+
+
+def _extents(F: Array, g: Array, slack: float) -> tuple[Array, Array]:
+    """Return the lower and upper coordinate bounds of {F y <= g + slack}, infinite where there is none."""
+    norms = np.linalg.norm(F, axis=1)
+    rows, values = F / norms[:, None], g / norms + 1.01 * slack
+    eye = np.eye(F.shape[1])
+    lower = np.array([minimise(row, rows, values)[0] for row in eye])
+    upper = np.array([-minimise(-row, rows, values)[0] for row in eye])
+    return lower, upper
+
+
+def _implicit_equalities(F: Array, g: Array, y: Array, radius: float, thin: Array) -> Array:
+    """Return the rows that hold with equality on the whole of a flat set."""
+    near = np.flatnonzero(g - F @ y <= 10 * FLAT + 2 * radius)
+    relaxed = g + 2 * FLAT
+    flat = np.zeros(len(g), bool)
+    for i in near:
+        flat[i] = g[i] - minimise(F[i], F, relaxed)[0] <= 20 * FLAT
+    return flat
+
+
+def facets_and_vertices(F: Array, g: Array) -> tuple[Array, Array]:
+    """Return the irredundant row indices and the vertices (k, n) of the bounded {F y <= g}, g > 0.
+
+    The hull of the dual points F/g has the irredundant rows as its vertices, and one facet per primal vertex.
+    """
+    n = F.shape[1]
+    if n == 1:
+        ends = g / F[:, 0]
+        upper = np.where(F[:, 0] > 0, ends, np.inf)
+        lower = np.where(F[:, 0] < 0, ends, -np.inf)
+        rows = np.array([np.argmin(upper), np.argmax(lower)])
+        return rows, np.array([[upper[rows[0]]], [lower[rows[1]]]])
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(F / g[:, None])
+    equations = hull.equations
+    return hull.vertices, merge_points(-equations[:, :-1] / equations[:, -1:])
+
+
+def merge_points(points: Array, tol: float = SAME) -> Array:
+    """Return the points without those closer than `tol` (largest coordinate difference) to an earlier one."""
+    if len(points) > 1500:
+        from scipy.spatial import cKDTree
+
+        pairs = cKDTree(points).query_pairs(tol, p=np.inf, output_type="ndarray")
+        keep = np.ones(len(points), bool)
+        keep[pairs[:, 1]] = False
+        return points[keep]
+    close = np.abs(points[:, None] - points[None]).max(axis=2) <= tol
+    return points[close.argmax(axis=1) == np.arange(len(points))]
+
+
+def irredundant_rows(F: Array, g: Array, tol: float = SAME) -> Array:
+    """Return the indices of the rows that {F y <= g} needs (unit rows, 0 inside).
+
+    `daqp.minrep` removes the strongly redundant rows; then one LP per row removes duplicates and rows that only
+    touch: a row goes if the others alone already keep aᵀy <= b + tol.
+    """
+    kept = np.flatnonzero(np.asarray(daqp.minrep(np.ascontiguousarray(F), np.ascontiguousarray(g))) == 0)
+    signature = np.column_stack([F[kept], g[kept]])
+    close = np.abs(signature[:, None] - signature[None]).max(axis=2) <= tol
+    needed = [int(i) for i in kept[close.argmax(axis=1) == np.arange(len(kept))]]
+    for i in list(needed):
+        if len(needed) == 1:
+            break
+        others = [j for j in needed if j != i]
+        rows, values = np.vstack([F[others], F[i]]), np.append(g[others], g[i] + 1.0)
+        if -minimise(-F[i], rows, values)[0] <= g[i] + tol:
+            needed = others
+    return np.array(needed, dtype=int)
+
+
+def hull_rows(points: Array) -> tuple[Array, Array]:
+    """Return facets (F, g) with unit rows of the convex hull of full-dimensional points (k, n)."""
+    if points.shape[1] == 1:
+        return np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()])
+    from scipy.spatial import ConvexHull
+
+    equations = ConvexHull(points).equations
+    equations = merge_points(equations, tol=1e-11)
+    return np.ascontiguousarray(equations[:, :-1]), -equations[:, -1]

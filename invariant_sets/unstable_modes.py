@@ -1,0 +1,116 @@
+"""Bounds on the unstable modes: where the state must be if a bounded input is to keep it bounded for ever."""
+
+from __future__ import annotations
+
+import numpy as np
+
+Array = np.ndarray
+MARGIN = 1e-6  # an eigenvalue counts as unstable if |λ| > 1 + MARGIN
+_MAX_TERMS = 100_000
+
+
+def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) -> tuple[Array, Array]:
+    """Return directions D (k, n) and values h (k,) with D x <= h wherever x can stay bounded for ever.
+
+    With z = L x, L A = Λ L on the left invariant subspace of |λ| > 1, a bounded trajectory satisfies
+    −z₀ = Σ_{j≥1} Λ^{-j} L (B u_{j-1} + E w_{j-1}). Against every w this needs
+    dᵀz₀ <= Σ_{j≥1} max_u (−dᵀΛ^{-j}L B u) − max_w (dᵀΛ^{-j}L E w), for any direction d.
+
+    Parameters
+    ----------
+    A : (n, n) array
+        State matrix.
+    inputs : (m, n) array
+        The vertices of B U, one a row.
+    disturbances : (q, n) array, optional
+        The vertices of E W, one a row.
+
+    Returns
+    -------
+    D, h : (k, n) and (k,) arrays
+        Both signs of every direction: the left eigenvectors of real unstable eigenvalues, the columns of their
+        invariant subspace for complex pairs and Jordan blocks. Each value is an upper bound: the tail
+        of the series is added. k = 0 if nothing is unstable.
+
+    Notes
+    -----
+    Assumes bounded U and W, and an X bounded along D. For one real λ > 1 and |u| <= 1 the bound is
+    |vᵀx| <= |vᵀB|/(λ − 1) with v a *left* eigenvector.
+
+    References
+    ----------
+    Hu, Lin (2001), Control Systems with Actuator Saturation, chapter 2: asymptotically null controllable region.
+    """
+    values, left = np.linalg.eig(A.T)
+    radius = np.abs(values)
+    unstable = radius > 1.0 + MARGIN
+    if not unstable.any():
+        return np.zeros((0, len(A))), np.zeros(0)
+    real = np.abs(values.imag) <= 1e-12 * radius
+    simple = np.array([np.sum(np.abs(values - value) <= 1e-6 * abs(value)) == 1 for value in values])
+    rows, bounds = [], []
+    for i in np.flatnonzero(unstable & real & simple):
+        direction = left[:, i].real
+        rows.append(direction)
+        bounds.append(_mode_bound(values[i].real, direction, inputs, disturbances))
+    if (unstable & ~(real & simple)).any():
+        for row, bound in _subspace_bounds(A, inputs, disturbances):
+            rows.append(row)
+            bounds.append(bound)
+    D, pairs = np.array(rows), np.array(bounds)
+    return np.vstack([D, -D]), np.concatenate([pairs[:, 0], pairs[:, 1]])
+
+
+def _mode_bound(value: float, v: Array, inputs: Array, disturbances: Array | None) -> tuple[float, float]:
+    """Return the largest vᵀx and −vᵀx for one real eigenvalue, in closed form."""
+    u = inputs @ v
+    w = np.zeros(1) if disturbances is None else disturbances @ v
+    gain = np.array([-u.min() - w.max(), u.max() + w.min()])  # one step back along +v and −v for λ > 0
+    if value > 0:
+        up, down = gain / (value - 1.0)
+        return float(up), float(down)
+    # λ < 0: λ^{-j} alternates in sign, so the two sides alternate too
+    size = -value
+    flipped = gain[::-1]
+    up, down = (flipped * size + gain) / (size**2 - 1.0)
+    return float(up), float(down)
+
+
+def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
+    """Yield rows and their two bounds for a basis of the whole left unstable subspace, by summing the series."""
+    from scipy.linalg import schur
+
+    def outside(*parts: float) -> bool:
+        return np.hypot(*parts) > 1.0 + MARGIN if len(parts) == 2 else abs(parts[0]) > 1.0 + MARGIN
+
+    T, Z, k = schur(A.T, output="real", sort=outside)
+    L, inverse = Z[:, :k].T, np.linalg.inv(T[:k, :k].T)  # L A = Λ L with Λ = T₁₁ᵀ
+    reach = max(np.abs(inputs).max(), 0.0 if disturbances is None else np.abs(disturbances).max())
+    terms: list[Array] = []
+    block = inverse.copy()
+    while len(terms) < _MAX_TERMS and np.linalg.norm(block) * reach > 1e-17 * max(reach, 1e-300):
+        terms.append(block)
+        block = block @ inverse
+    tail = _tail(block, inverse, reach * np.sqrt(A.shape[0]))
+    G = np.array(terms) @ L  # (terms, k, n)
+    for i in range(k):
+        back = G[:, i]
+        u = back @ inputs.T
+        w = np.zeros((len(back), 1)) if disturbances is None else back @ disturbances.T
+        up = (-u.min(axis=1) - w.max(axis=1)).sum() + tail
+        down = (u.max(axis=1) + w.min(axis=1)).sum() + tail
+        yield L[i], (float(up), float(down))
+
+
+def _tail(block: Array, inverse: Array, reach: float) -> float:
+    """Return an upper bound of the dropped terms Σ ‖Λ^{-j}‖ · reach, from a power whose norm is below one half."""
+    step, power = 1, inverse
+    while np.linalg.norm(power) > 0.5 and step < 2**40:
+        power, step = power @ power, 2 * step
+    partial, total, count = block, 0.0, 0
+    while count < min(step, 2000):
+        total += float(np.linalg.norm(partial))
+        partial, count = partial @ inverse, count + 1
+    if count < step:
+        total *= step / count
+    return 2.0 * total * reach

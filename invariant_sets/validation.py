@@ -1,0 +1,103 @@
+"""Checks at the public door: shapes, numbers, finiteness. Everything behind it trusts its arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .exceptions import InputError
+
+Array = np.ndarray
+
+
+def as_floats(value: Any, name: str) -> Array:
+    """Return `value` as a new float64 array, or raise `InputError`."""
+    try:
+        raw = np.asarray(value)
+        if raw.dtype.kind in "biufO":
+            return np.array(raw, dtype=np.float64, order="C")
+    except (TypeError, ValueError):
+        pass
+    raise InputError(f"{name} must be an array of real numbers, got {type(value).__name__} {_brief(value)}.")
+
+
+def as_matrix(value: Any, name: str, *, rows: int | None = None, columns: int | None = None,
+              finite: bool = True) -> Array:
+    """Return `value` as a two-dimensional float64 copy of the required shape."""
+    array = as_floats(value, name)
+    if array.ndim != 2 or rows not in (None, array.shape[0]) or columns not in (None, array.shape[1]):
+        expected = f"({'m' if rows is None else rows}, {'n' if columns is None else columns})"
+        raise InputError(f"{name} has shape {array.shape}, expected {expected}.")
+    if finite:
+        check_finite(array, name)
+    return array
+
+
+def as_vector(value: Any, name: str, *, size: int | None = None, finite: bool = True) -> Array:
+    """Return `value` as a one-dimensional float64 copy of the required size."""
+    array = as_floats(value, name)
+    if array.ndim == 0:
+        array = array.reshape(1)
+    if array.ndim != 1 or size not in (None, array.shape[0]):
+        raise InputError(f"{name} has shape {array.shape}, expected ({'n' if size is None else size},).")
+    if finite:
+        check_finite(array, name)
+    return array
+
+
+def as_batch(value: Any, name: str, columns: int, *, finite: bool = True) -> tuple[Array, bool]:
+    """Return `value` as a (k, columns) copy, and whether it was a single (columns,) point."""
+    array = as_floats(value, name)
+    single = array.ndim <= 1
+    if single:
+        array = array.reshape(1, -1)
+    if array.ndim != 2 or array.shape[1] != columns:
+        raise InputError(f"{name} has shape {np.shape(value)}, expected ({columns},) or (k, {columns}).")
+    if finite:
+        check_finite(array, name)
+    return array, single
+
+
+def check_finite(array: Array, name: str) -> None:
+    """Raise `InputError` where `array` holds NaN or infinity."""
+    if not np.isfinite(array).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InputError(f"{name} must be finite, got {array[index]} at index {index}.")
+
+
+def check_tolerance(tol: Any, name: str = "tol") -> float:
+    """Return `tol` as a float, or raise `InputError` if it is negative or no number."""
+    try:
+        value = float(tol)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be a number >= 0, got {_brief(tol)}.") from None
+    if not 0.0 <= value < np.inf:
+        raise InputError(f"{name} must be a finite number >= 0, got {value}.")
+    return value
+
+
+def check_count(value: Any, name: str, minimum: int = 0) -> int:
+    """Return `value` as an int, or raise `InputError` if it is below `minimum` or no integer."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
+        raise InputError(f"{name} must be an integer >= {minimum}, got {_brief(value)}.")
+    return int(value)
+
+
+def check_rng(rng: Any) -> np.random.Generator:
+    """Return `rng` if it is a `numpy.random.Generator`, else raise `InputError`."""
+    if not isinstance(rng, np.random.Generator):
+        raise InputError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}; "
+                         "make one with numpy.random.default_rng(seed).")
+    return rng
+
+
+def frozen(array: Array) -> Array:
+    """Return `array` after making it read-only."""
+    array.setflags(write=False)
+    return array
+
+
+def _brief(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

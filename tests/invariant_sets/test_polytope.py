@@ -1,0 +1,95 @@
+"""`Polytope`: construction, questions, degenerate sets."""
+
+import numpy as np
+import pytest
+
+from invariant_sets import Polytope
+
+
+def random_polytope(rng, n, rows=None):
+    A = rng.normal(size=(rows or 4 * n, n))
+    return Polytope(np.vstack([A, np.eye(n), -np.eye(n)]),
+                    np.r_[rng.uniform(0.3, 1, len(A)) * np.linalg.norm(A, axis=1), np.ones(2 * n)])
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 6])
+def test_vertices_reconstruct_the_set(n, rng):
+    P = random_polytope(rng, n)
+    Q = Polytope.from_vertices(P.vertices)
+    assert P.contains(Q.vertices, tol=1e-8).all()
+    assert Q.contains(P.vertices, tol=1e-8).all()
+    assert Q.volume == pytest.approx(P.volume, rel=1e-8)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 6])
+def test_minimal_keeps_the_set_and_every_remaining_row_is_needed(n, rng):
+    P = random_polytope(rng, n)
+    P = Polytope(np.vstack([P.A, 3 * P.A]), np.r_[P.b, 3 * P.b])
+    Q = P.minimal()
+    assert Q.volume == pytest.approx(P.volume, rel=1e-8)
+    for i in range(len(Q.b)):
+        rest = np.arange(len(Q.b)) != i
+        without = Polytope(np.vstack([Q.A[rest], Q.A[i]]), np.r_[Q.b[rest], Q.b[i] + 1])
+        assert without.support(Q.A[i]) > Q.b[i] + 1e-10
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_volume_scales_with_the_units(scale):
+    P = Polytope.from_vertices(scale * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]))
+    assert P.volume == pytest.approx(scale**3 / 6, rel=1e-12)
+    assert len(P.minimal().b) == 4
+
+
+def test_needle_keeps_its_dimension_and_volume():
+    P = Polytope.from_bounds([0, 0, -1e6], [1e-6, 1.0, 1e6])
+    assert P.affine_dim == 3
+    assert P.volume == pytest.approx(2.0, rel=1e-12)
+    assert len(P.vertices) == 8
+
+
+def test_equalities_hidden_in_inequalities_are_found():
+    P = Polytope([[1, 0], [-1, 0], [0, 1], [0, -1]], [1, -1, 2, 0])
+    assert (P.affine_dim, P.volume, P.is_empty) == (1, 0.0, False)
+    np.testing.assert_allclose(P.vertices[np.argsort(P.vertices[:, 1])], [[1, 0], [1, 2]], atol=1e-12)
+    assert len(P.minimal().b_eq) == 1
+
+
+def test_point_segment_and_triangle_in_space_are_flat():
+    for V, dim in (([[1, 2, 3]], 0), ([[0, 0, 0], [1, 2, 3]], 1), ([[0, 0, 1], [1, 0, 1], [0, 1, 1]], 2)):
+        P = Polytope.from_vertices(V)
+        assert P.affine_dim == dim
+        assert P.contains(V).all()
+        assert len(P.vertices) == len(V)
+
+
+def test_empty_and_unbounded_sets_say_so():
+    empty = Polytope.from_bounds([1, 0], [0, 1])
+    assert empty.is_empty
+    assert empty.vertices.shape == (0, 2)
+    assert empty.volume == 0.0
+    half = Polytope([[1.0, 0.0]], [1.0])
+    assert not half.is_bounded
+    np.testing.assert_allclose(half.bounding_box(), ([-np.inf, -np.inf], [1, np.inf]), rtol=1e-12)
+
+
+def test_contains_is_batched_and_never_accepts_nan():
+    P = Polytope.from_bounds([0, 0], [1, 1])
+    np.testing.assert_array_equal(P.contains([[0.5, 0.5], [1.5, 0.5], [np.nan, 0.5]]), [True, False, False])
+    assert P.contains([1.0, 1.0]) is True
+
+
+def test_samples_lie_inside_and_fill_the_set(rng):
+    P = Polytope.from_vertices([[0, 0], [1, 0], [0, 1]])
+    S = P.sample(4000, rng=rng)
+    assert P.contains(S).all()
+    np.testing.assert_allclose(S.mean(axis=0), [1 / 3, 1 / 3], atol=0.02)
+    assert (S.sum(axis=1) < 0.5).mean() == pytest.approx(0.25, abs=0.03)
+
+
+def test_arrays_are_copied_in_and_read_only():
+    A, b = np.eye(2), np.ones(2)
+    P = Polytope(A, b)
+    A[0, 0] = 7
+    assert P.A[0, 0] == 1
+    with pytest.raises(ValueError, match="read-only"):
+        P.A[0, 0] = 2
