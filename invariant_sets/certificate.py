@@ -9,6 +9,7 @@ from .linear_programs import minimise
 from .polytope import Polytope
 
 Array = np.ndarray
+_DOUBTFUL = 1e-12
 
 
 def control_violation(A: Array, B: Array, C: Polytope, U: Polytope, E: Array | None = None,
@@ -56,10 +57,14 @@ def control_violation(A: Array, B: Array, C: Polytope, U: Polytope, E: Array | N
     for k in range(len(V)):
         right = np.concatenate([room[k], h])
         v, _, flag, _ = daqp.solve(None, cost, rows, right, primal_tol=1e-11)
-        if flag != 1:
+        leaves = _leaves(v[:nu], slope, room[k], H, h) if flag == 1 else np.inf
+        if leaves > _DOUBTFUL:  # DAQP ends its proximal iterations early now and then: ask the checked solver
             v = minimise(cost, rows, right)[1]
-        u = np.array(v[:nu])
-        excess = (H @ u - h).max()
-        leaves = (slope @ u - room[k]).max()
-        worst = max(worst, leaves, excess if excess > 1e-9 else -np.inf)
+            leaves = min(leaves, np.inf if v is None else _leaves(v[:nu], slope, room[k], H, h))
+        worst = max(worst, leaves)
     return float(worst), len(V)
+
+
+def _leaves(v: Array, slope: Array, room: Array, H: Array, h: Array) -> float:
+    """Return the violation of the witness v, infinite if v itself is not in U."""
+    return float((slope @ v - room).max()) if (H @ v - h).max(initial=0.0) <= 1e-9 else np.inf
