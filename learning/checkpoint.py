@@ -1,0 +1,52 @@
+"""Networks on disk: safetensors with a JSON header, never pickle."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from learning.exceptions import CheckpointError
+from learning.networks import ActorCritic
+from learning.quantile import QuantileNetwork
+
+FORMAT = "ccdtools-1"
+_KINDS = {"ActorCritic": ActorCritic, "QuantileNetwork": QuantileNetwork}
+
+
+def save(path: str | Path, network: ActorCritic | QuantileNetwork, extra: dict[str, Any] | None = None) -> None:
+    """Write a network and JSON-able `extra` values to one safetensors file."""
+    header = {"format": FORMAT, "kind": type(network).__name__, "shape": network.shape(), "extra": extra or {}}
+    tensors = {name: value.detach().contiguous() for name, value in network.state_dict().items()}
+    save_file(tensors, str(path), metadata={"ccdtools": json.dumps(header)})
+
+
+def load(path: str | Path) -> tuple[Any, dict[str, Any]]:
+    """The network of a file, and its `extra` values.
+
+    Raises
+    ------
+    CheckpointError
+        If the file is missing, unreadable, or not one of ours.
+    """
+    path = Path(path)
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError) as error:
+        raise CheckpointError(f"{path}: got {error}, expected a file written by ccdtools.") from None
+    header = json.loads(metadata.get("ccdtools", "{}"))
+    if header.get("format") != FORMAT or header.get("kind") not in _KINDS:
+        raise CheckpointError(
+            f"{path}: got format {header.get('format')!r} of {header.get('kind')!r}, expected {FORMAT!r}."
+        )
+    network = _KINDS[header["kind"]].from_shape(header["shape"])
+    try:
+        network.load_state_dict(tensors)
+    except RuntimeError:
+        raise CheckpointError(f"{path}: got tensors that do not fit the header, expected an intact file.") from None
+    return network.eval(), header["extra"]

@@ -1,0 +1,173 @@
+"""Actor, critic and the pair of them, with their normalisation inside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor, nn
+
+from learning.exceptions import DataError
+
+LEAK = 0.01  # slope of the clip outside its range while cloning, so that a saturated output can still come back
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Shape of the networks.
+
+    Attributes
+    ----------
+    hidden : tuple of int
+        Neurons per hidden layer, tanh after each.
+    skip : bool
+        Adds a linear map from input to output, so that a linear law costs the hidden layers nothing.
+    initial_std : float
+        Standard deviation of the exploration, in units of half the action range.
+    std_network : bool
+        Exploration from a network of its own (zero weights, constant bias at first) in place of one free number
+        per action.
+    """
+
+    hidden: tuple[int, ...] = (64, 64)
+    skip: bool = True
+    initial_std: float = 0.1
+    std_network: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hidden", tuple(int(h) for h in self.hidden))
+        if not self.hidden or min(self.hidden) < 1:
+            raise DataError(f"hidden: got {self.hidden}, expected at least one layer of at least one neuron.")
+        if not self.initial_std > 0:
+            raise DataError(f"initial_std: got {self.initial_std}, expected a positive number.")
+
+
+class FeedForward(nn.Module):
+    """Fully connected tanh network (..., n_in) → (..., n_out) with an optional linear skip."""
+
+    def __init__(self, n_in: int, n_out: int, hidden: Sequence[int], *, skip: bool) -> None:
+        super().__init__()
+        sizes = [n_in, *hidden]
+        layers: list[nn.Module] = []
+        for a, b in zip(sizes[:-1], sizes[1:]):
+            layers += [nn.Linear(a, b), nn.Tanh()]
+        self.body = nn.Sequential(*layers)
+        self.head = nn.Linear(sizes[-1], n_out)
+        self.skip = nn.Linear(n_in, n_out, bias=False) if skip else None
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Outputs (..., n_out)."""
+        out = self.head(self.body(inputs))
+        return out if self.skip is None else out + self.skip(inputs)
+
+
+class ActorCritic(nn.Module):
+    """A Gaussian policy over a latent action, and a value function, on raw observations.
+
+    The latent action is 1 at the upper action bound and −1 at the lower one. It is clipped only on its way to
+    the plant: probabilities belong to the unclipped latent, so that no density is lost at the bounds.
+
+    Parameters
+    ----------
+    observation_lower, observation_upper : (n_obs,) array_like
+        Range of the observations, mapped to [−1, 1] inside.
+    action_lower, action_upper : (nu,) array_like
+        Action bounds, finite, in the units of the plant.
+    config : NetworkConfig
+    seed : int
+        For the initial weights.
+    """
+
+    observation_offset: Tensor
+    observation_scale: Tensor
+    action_offset: Tensor
+    action_scale: Tensor
+    value_offset: Tensor
+    value_scale: Tensor
+
+    def __init__(
+        self,
+        observation_lower: ArrayLike,
+        observation_upper: ArrayLike,
+        action_lower: ArrayLike,
+        action_upper: ArrayLike,
+        *,
+        config: NetworkConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.config = config or NetworkConfig()
+        for name, low, high in (
+            ("observation", observation_lower, observation_upper),
+            ("action", action_lower, action_upper),
+        ):
+            low, high = (np.asarray(b, dtype=float).reshape(-1) for b in (low, high))
+            if low.shape != high.shape or not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
+                raise DataError(f"{name} bounds: got {low} and {high}, expected finite lower < upper.")
+            self.register_buffer(f"{name}_offset", torch.tensor((low + high) / 2, dtype=torch.float32))
+            self.register_buffer(f"{name}_scale", torch.tensor((high - low) / 2, dtype=torch.float32))
+        self.register_buffer("value_offset", torch.zeros(()))
+        self.register_buffer("value_scale", torch.ones(()))
+        n_obs, n_act = len(self.observation_offset), len(self.action_offset)
+        c = self.config
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            self.mean_network = FeedForward(n_obs, n_act, c.hidden, skip=c.skip)
+            self.value_network = FeedForward(n_obs, 1, c.hidden, skip=c.skip)
+            self.std_network = FeedForward(n_obs, n_act, c.hidden, skip=False) if c.std_network else None
+        self.log_std = nn.Parameter(torch.full((n_act,), float(np.log(c.initial_std))))
+        if self.std_network is not None:
+            self.log_std.requires_grad_(False)
+            nn.init.zeros_(self.std_network.head.weight)
+            nn.init.constant_(self.std_network.head.bias, float(np.log(c.initial_std)))
+
+    def normalise(self, observations: Tensor) -> Tensor:
+        """Observations mapped to about [−1, 1]."""
+        return (observations - self.observation_offset) / self.observation_scale
+
+    def latent(self, observations: Tensor) -> Tensor:
+        """Mean latent actions (..., nu), not clipped."""
+        return self.mean_network(self.normalise(observations))
+
+    def std(self, observations: Tensor) -> Tensor:
+        """Standard deviation of the latent actions, broadcastable to (..., nu)."""
+        if self.std_network is None:
+            return self.log_std.exp()
+        return self.std_network(self.normalise(observations)).clamp(-7.0, 1.0).exp()
+
+    def action(self, latent: Tensor, *, leak: float = 0.0) -> Tensor:
+        """Actions in the units of the plant: the latent clipped to [−1, 1] and scaled."""
+        clipped = latent.clamp(-1.0, 1.0)
+        if leak:
+            clipped = clipped + leak * (latent - clipped)
+        return self.action_offset + self.action_scale * clipped
+
+    def value(self, observations: Tensor) -> Tensor:
+        """Values (...,) in the units of the return."""
+        return self.value_offset + self.value_scale * self.value_network(self.normalise(observations)).squeeze(-1)
+
+    def distribution(self, observations: Tensor) -> torch.distributions.Normal:
+        """The policy as a distribution over latent actions."""
+        mean = self.latent(observations)
+        return torch.distributions.Normal(mean, self.std(observations).expand_as(mean))
+
+    def actor_parameters(self) -> list[nn.Parameter]:
+        """Weights of the mean and of the exploration."""
+        own = [*self.mean_network.parameters(), self.log_std]
+        own += list(self.std_network.parameters()) if self.std_network is not None else []
+        return [parameter for parameter in own if parameter.requires_grad]
+
+    def shape(self) -> dict:
+        """All that `from_shape` needs to build the same network again."""
+        lower, upper = self.observation_offset - self.observation_scale, self.observation_offset + self.observation_scale
+        low, high = self.action_offset - self.action_scale, self.action_offset + self.action_scale
+        bounds = [b.tolist() for b in (lower, upper, low, high)]
+        return {"bounds": bounds, "config": asdict(self.config)}
+
+    @classmethod
+    def from_shape(cls, shape: dict) -> ActorCritic:
+        """An untrained network of a given `shape()`."""
+        return cls(*shape["bounds"], config=NetworkConfig(**shape["config"]))

@@ -1,0 +1,220 @@
+"""Quantile regression with a network whose levels cannot cross.
+
+References
+----------
+Koenker and Bassett, "Regression quantiles", Econometrica 46(1), 1978 (the pinball loss);
+Romano, Patterson and Candès, "Conformalized quantile regression", NeurIPS 2019 (the calibration).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor, nn
+from tqdm.auto import trange
+
+from learning.exceptions import DataError
+from learning.networks import FeedForward
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class QuantileConfig:
+    """Shape and schedule of the fit.
+
+    Attributes
+    ----------
+    levels : tuple of float
+        Odd in number, increasing, the median in the middle.
+    hidden : tuple of int
+        Neurons per hidden layer.
+    steps, batch : int
+        Gradient steps and samples per step.
+    learning_rate : float
+        Adam's first rate; it falls to zero along a cosine.
+    calibration : float
+        Last fraction of every training stretch, kept from the fit for the calibration of the outer levels.
+    """
+
+    levels: tuple[float, ...] = (0.1, 0.5, 0.9)
+    hidden: tuple[int, ...] = (64, 64)
+    steps: int = 3000
+    batch: int = 512
+    learning_rate: float = 3e-3
+    calibration: float = 0.2
+
+    def __post_init__(self) -> None:
+        levels = np.asarray(self.levels, dtype=float)
+        middle = len(levels) // 2
+        if len(levels) % 2 == 0 or not (np.diff(levels) > 0).all() or not 0 < levels[0] <= levels[-1] < 1:
+            raise DataError(f"levels: got {self.levels}, expected an odd number of increasing levels in (0, 1).")
+        if levels[middle] != 0.5:
+            raise DataError(f"levels: got {levels[middle]} in the middle, expected the median 0.5.")
+
+
+class QuantileNetwork(nn.Module):
+    """Quantiles (..., levels, m) of m outputs given inputs (..., d); increasing in the level by construction.
+
+    The median is one head, the gaps between neighbouring levels are positive. Inputs are clipped to the range
+    of the training data: outside it the discrepancy is constant, not extrapolated.
+    """
+
+    input_offset: Tensor
+    input_scale: Tensor
+    input_lower: Tensor
+    input_upper: Tensor
+    output_offset: Tensor
+    output_scale: Tensor
+    calibration: Tensor
+
+    def __init__(self, inputs: int, outputs: int, levels: Sequence[float], hidden: Sequence[int], *, seed: int = 0):
+        super().__init__()
+        self.levels, self.hidden = tuple(levels), tuple(hidden)
+        self.outputs = outputs
+        self.register_buffer("input_offset", torch.zeros(inputs))
+        self.register_buffer("input_scale", torch.ones(inputs))
+        self.register_buffer("input_lower", torch.full((inputs,), -torch.inf))
+        self.register_buffer("input_upper", torch.full((inputs,), torch.inf))
+        self.register_buffer("output_offset", torch.zeros(outputs))
+        self.register_buffer("output_scale", torch.ones(outputs))
+        self.register_buffer("calibration", torch.ones(len(self.levels), outputs))
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            self.median_network = FeedForward(inputs, outputs, hidden, skip=True)
+            self.gap_network = FeedForward(inputs, outputs * (len(self.levels) - 1), hidden, skip=False)
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Quantiles (..., levels, m), lowest level first, in the units of the targets."""
+        clipped = torch.maximum(torch.minimum(inputs, self.input_upper), self.input_lower)
+        z = (clipped - self.input_offset) / self.input_scale
+        median = self.median_network(z).unsqueeze(-2)
+        gaps = nn.functional.softplus(self.gap_network(z)).unflatten(-1, (len(self.levels) - 1, self.outputs))
+        middle = len(self.levels) // 2
+        below = -gaps[..., :middle, :].flip(-2).cumsum(-2).flip(-2)
+        above = gaps[..., middle:, :].cumsum(-2)
+        spread = torch.cat([below, torch.zeros_like(median), above], dim=-2)
+        return self.output_offset + self.output_scale * (median + self.calibration * spread)
+
+    def predict(self, inputs: ArrayLike) -> Array:
+        """`forward` for arrays, in float64."""
+        with torch.no_grad():
+            return self(torch.tensor(np.asarray(inputs), dtype=torch.float32)).double().numpy()
+
+    def shape(self) -> dict:
+        """All that `from_shape` needs to build the same network again."""
+        return {
+            "inputs": len(self.input_offset), "outputs": self.outputs,
+            "levels": list(self.levels), "hidden": list(self.hidden),
+        }  # fmt: skip
+
+    @classmethod
+    def from_shape(cls, shape: dict) -> QuantileNetwork:
+        """An untrained network of a given `shape()`."""
+        return cls(**shape)
+
+
+def pinball(targets, quantiles, levels: Sequence[float]):
+    """Mean pinball loss per output (m,) of quantiles (n, levels, m) against targets (n, m); arrays or tensors."""
+    error = targets[:, None, :] - quantiles
+    q = np.asarray(levels, dtype=float)[None, :, None]
+    if isinstance(error, Tensor):
+        tau = torch.tensor(q, dtype=error.dtype)
+        return torch.maximum(tau * error, (tau - 1) * error).mean(dim=(0, 1))
+    return np.maximum(q * error, (q - 1) * error).mean(axis=(0, 1))
+
+
+def fit_quantiles(
+    inputs: ArrayLike,
+    targets: ArrayLike,
+    *,
+    stretches: Sequence[int] | None = None,
+    rng: np.random.Generator,
+    config: QuantileConfig | None = None,
+    progress: bool = False,
+) -> QuantileNetwork:
+    """A network that predicts the conditional quantiles of `targets` given `inputs`.
+
+    Parameters
+    ----------
+    inputs : (n, d) array_like
+        In time order.
+    targets : (n, m) array_like
+    stretches : sequence of int, optional
+        Lengths of the contiguous stretches that make up the n samples; one stretch by default. The last part
+        of each is kept from the fit and calibrates the outer levels: a time series is never split at random.
+    rng : numpy.random.Generator
+    config : QuantileConfig, optional
+
+    Raises
+    ------
+    DataError
+        On mismatched, too few (under 20) or non-finite samples.
+    """
+    config = config or QuantileConfig()
+    x, y = np.asarray(inputs, dtype=float), np.asarray(targets, dtype=float)
+    if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
+        raise DataError(f"inputs, targets: got shapes {x.shape} and {y.shape}, expected (n, d), (n, m), n ≥ 20.")
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise DataError("inputs, targets: got values that are not finite, expected finite samples.")
+    lengths = [len(x)] if stretches is None else list(stretches)
+    if sum(lengths) != len(x):
+        raise DataError(f"stretches: got lengths that sum to {sum(lengths)}, expected {len(x)}.")
+    held = _last_parts(lengths, config.calibration)
+    network = QuantileNetwork(
+        x.shape[1], y.shape[1], config.levels, config.hidden, seed=int(rng.integers(2**31))
+    )
+    _set_scales(network, x, y)
+    _descend(network, x[~held], y[~held], config, rng, progress)
+    _calibrate(network, x[held], y[held])
+    return network.eval()
+
+
+def _last_parts(lengths: Sequence[int], fraction: float) -> NDArray[np.bool_]:
+    parts = [np.arange(n) >= n - round(fraction * n) for n in lengths]
+    return np.concatenate(parts)
+
+
+def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:
+    for name, value in (
+        ("input_offset", x.mean(axis=0)),
+        ("input_scale", np.maximum(x.std(axis=0), 1e-12)),
+        ("input_lower", x.min(axis=0)),
+        ("input_upper", x.max(axis=0)),
+        ("output_offset", y.mean(axis=0)),
+        ("output_scale", np.maximum(y.std(axis=0), 1e-12)),
+    ):
+        getattr(network, name).copy_(torch.tensor(value, dtype=torch.float32))
+
+
+def _descend(network, x: Array, y: Array, config: QuantileConfig, rng: np.random.Generator, progress: bool) -> None:
+    X, Y = (torch.tensor(a, dtype=torch.float32) for a in (x, y))
+    optimiser = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)
+    for _ in trange(config.steps, desc="quantiles", disable=not progress, leave=False):
+        i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
+        loss = (pinball(Y[i], network(X[i]), config.levels) / network.output_scale).sum()
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        schedule.step()
+
+
+def _calibrate(network: QuantileNetwork, x: Array, y: Array) -> None:
+    """Stretch each outer level about the median until its coverage on unseen samples is nominal."""
+    if len(x) < 20:
+        return
+    quantiles = network.predict(x)
+    middle = len(network.levels) // 2
+    for k, level in enumerate(network.levels):
+        if k == middle:
+            continue
+        gap = quantiles[:, k] - quantiles[:, middle]
+        ratio = (y - quantiles[:, middle]) / np.where(gap == 0, np.finfo(float).eps, gap)
+        factor = np.quantile(ratio, level if k > middle else 1 - level, axis=0)
+        network.calibration[k] = torch.tensor(np.clip(factor, 0.05, 20.0), dtype=torch.float32)

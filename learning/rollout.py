@@ -1,0 +1,69 @@
+"""Rollouts of a stochastic policy in a batched environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from learning.networks import ActorCritic
+
+
+class VectorEnv(Protocol):
+    """Environments that step together; a finished one restarts by itself.
+
+    Observations are (n, n_obs), actions (n, nu) in the units of the plant.
+    """
+
+    def reset(self) -> Tensor:
+        """Fresh observations."""
+        ...
+
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """(observation to act on next, successor before any restart, reward, terminated, truncated)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """Experience, time first.
+
+    Attributes
+    ----------
+    observations : (T, n, n_obs) tensor
+    successors : (T, n, n_obs) tensor
+        What each step led to, before any restart.
+    latents : (T, n, nu) tensor
+        Unclipped latent actions, as sampled.
+    log_probs : (T, n) tensor
+        Of the latents under the policy that sampled them.
+    rewards : (T, n) tensor
+    terminated, truncated : (T, n) bool tensors
+        A terminal state has no future; a truncated one has, and is bootstrapped.
+    """
+
+    observations: Tensor
+    successors: Tensor
+    latents: Tensor
+    log_probs: Tensor
+    rewards: Tensor
+    terminated: Tensor
+    truncated: Tensor
+
+
+@torch.no_grad()
+def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.Generator) -> Rollout:
+    """`steps` steps of the sampled policy in every environment, starting from a reset."""
+    columns: list[tuple[Tensor, ...]] = []
+    observation = env.reset()
+    for _ in range(steps):
+        distribution = agent.distribution(observation)
+        noise = torch.randn(distribution.mean.shape, generator=generator)
+        latent = distribution.mean + distribution.stddev * noise
+        log_prob = distribution.log_prob(latent).sum(-1)
+        following, successor, reward, terminated, truncated = env.step(agent.action(latent))
+        columns.append((observation, successor, latent, log_prob, reward, terminated, truncated))
+        observation = following
+    return Rollout(*(torch.stack(column) for column in zip(*columns)))

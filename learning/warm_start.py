@@ -1,0 +1,115 @@
+"""Behaviour cloning: a policy and its value from an expert's data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from tqdm.auto import trange
+
+from learning.exceptions import DataError
+from learning.networks import LEAK, ActorCritic, NetworkConfig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CloningConfig:
+    """How long and how fast to clone.
+
+    Attributes
+    ----------
+    steps : int
+        Gradient steps.
+    batch : int
+        Samples per step.
+    learning_rate : float
+        Adam's first rate; it falls to zero along a cosine.
+    """
+
+    steps: int = 3000
+    batch: int = 1024
+    learning_rate: float = 4e-3
+
+
+def fit_actor_critic(
+    inputs: ArrayLike,
+    actions: ArrayLike,
+    values: ArrayLike,
+    *,
+    action_bounds: tuple[ArrayLike, ArrayLike],
+    input_bounds: tuple[ArrayLike, ArrayLike] | None = None,
+    rng: np.random.Generator,
+    network: NetworkConfig | None = None,
+    config: CloningConfig | None = None,
+    progress: bool = False,
+) -> ActorCritic:
+    """An actor and a critic fitted to an expert, in its own units.
+
+    Parameters
+    ----------
+    inputs : (n, n_obs) array_like
+        Observations.
+    actions : (n, nu) array_like
+        The expert's actions, within `action_bounds`.
+    values : (n,) array_like
+        Discounted returns of the expert (negative for costs); NaN where unknown.
+    action_bounds : (lower, upper), each (nu,)
+    input_bounds : (lower, upper), each (n_obs,), optional
+        Range for the normalisation; that of the data by default.
+    rng : numpy.random.Generator
+    network, config : optional
+        Shapes and rates.
+
+    Returns
+    -------
+    ActorCritic
+
+    Raises
+    ------
+    DataError
+        On empty, mismatched or non-finite data.
+    """
+    config = config or CloningConfig()
+    x, u, v = _checked(inputs, actions, values)
+    lower, upper = input_bounds if input_bounds is not None else _range(x)
+    agent = ActorCritic(lower, upper, *action_bounds, config=network, seed=int(rng.integers(2**31)))
+    known = np.isfinite(v)
+    if known.any():
+        agent.value_offset.fill_(float(np.median(v[known])))
+        agent.value_scale.fill_(float(max(np.std(v[known]), 1e-9)))
+    X, U, V = (torch.tensor(a, dtype=torch.float32) for a in (x, u, np.nan_to_num(v)))
+    K = torch.tensor(known)
+    parameters = [*agent.mean_network.parameters(), *agent.value_network.parameters()]
+    optimiser = torch.optim.Adam(parameters, lr=config.learning_rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)
+    for _ in trange(config.steps, desc="cloning", disable=not progress, leave=False):
+        i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
+        error = (agent.action(agent.latent(X[i]), leak=LEAK) - U[i]) / agent.action_scale
+        value_error = (agent.value(X[i]) - V[i])[K[i]] / agent.value_scale
+        value_loss = torch.nn.functional.smooth_l1_loss(value_error, torch.zeros_like(value_error), reduction="sum")
+        loss = error.square().sum(-1).mean() + value_loss / len(i)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+    return agent
+
+
+def _checked(inputs: ArrayLike, actions: ArrayLike, values: ArrayLike) -> tuple[Array, Array, Array]:
+    x, u, v = np.asarray(inputs, float), np.asarray(actions, float), np.asarray(values, float).reshape(-1)
+    if x.ndim != 2 or u.ndim != 2 or not len(x) == len(u) == len(v) or len(x) == 0:
+        raise DataError(
+            f"inputs, actions, values: got shapes {x.shape}, {u.shape}, {v.shape}, expected (n, n_obs), (n, nu), (n,)."
+        )
+    if not (np.isfinite(x).all() and np.isfinite(u).all()):
+        raise DataError("inputs, actions: got values that are not finite, expected finite samples.")
+    return x, u, v
+
+
+def _range(x: Array) -> tuple[Array, Array]:
+    lower, upper = x.min(axis=0), x.max(axis=0)
+    flat = upper - lower < 1e-12
+    return np.where(flat, lower - 1, lower), np.where(flat, upper + 1, upper)
