@@ -63,7 +63,11 @@ def as_halfspaces(name: str, value: Any, n: int) -> tuple[Array, Array]:
     if not (hasattr(value, "A") and hasattr(value, "b")):
         raise InvalidDataError(f"{name} must be a Polytope with .A and .b, or None; got {type(value).__name__}.")
     H = as_array(f"{name}.A", value.A, (None, n))
-    return H, as_array(f"{name}.b", value.b, (H.shape[0],))
+    h = as_array(f"{name}.b", value.b, (H.shape[0],))
+    if len(getattr(value, "b_eq", ())):  # an equality is two inequalities
+        Heq, heq = as_array(f"{name}.A_eq", value.A_eq, (None, n)), as_array(f"{name}.b_eq", value.b_eq, (None,))
+        H, h = np.vstack([H, Heq, -Heq]), np.concatenate([h, heq, -heq])
+    return H, h
 
 
 def as_pair(A: Any, B: ArrayLike | None) -> tuple[Array, Array]:

@@ -1,0 +1,183 @@
+"""Solves a parametric QP for every parameter at once: a partition into polytopes with an affine law on each."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from .checks import Array, as_halfspaces
+from .exceptions import InvalidDataError
+from .least_distance import LeastDistance, least_distance
+from .parametric_qp import ParametricQP
+
+_CHUNK = 500  # regions between two looks at the clock
+_SEEDS = 8  # parameters from which the exploration starts
+
+
+class MPQPStatus(Enum):
+    """How the exploration ended; the value is the advice."""
+
+    COMPLETE = "Complete: every region behind every facet was explored."
+    INFEASIBLE = "No parameter of the set is feasible. Ask `LinearMPC.explain` which constraints conflict."
+    REGION_LIMIT = "Stopped at `max_regions`: the partition has holes. Raise the limit, shorten N or block moves."
+    TIME_LIMIT = "Stopped at `time_limit`: the partition has holes. Raise the limit, shorten N or block moves."
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return self.value
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Partition:
+    """Solution of a multiparametric QP.
+
+    Attributes
+    ----------
+    problem : ParametricQP
+        What was solved.
+    status : MPQPStatus
+        Whether the whole parameter set was explored.
+    active_sets : tuple of tuple of int
+        Rows of `problem.G` that are active in each region.
+    H, h : (n_halfspaces, nt) and (n_halfspaces,) array
+        Facets of all regions, unit normals in scaled parameters, original units: Hθ <= h.
+    offsets : (n_regions + 1,) int array
+        Region r owns the rows offsets[r] : offsets[r + 1].
+    law : (n_regions, nz, nt + 1) array
+        Minimiser z = law[r] [θ; 1].
+    solve_time : float
+        Wall time [s].
+    """
+
+    problem: ParametricQP
+    status: MPQPStatus
+    active_sets: tuple[tuple[int, ...], ...]
+    H: Array
+    h: Array
+    offsets: np.ndarray[Any, np.dtype[np.int64]]
+    law: Array
+    solve_time: float
+
+    def __len__(self) -> int:
+        return len(self.active_sets)
+
+    def __repr__(self) -> str:
+        return f"Partition({len(self)} regions, {self.status.name}, {1e3 * self.solve_time:.1f} ms)"
+
+    def multipliers(self, region: int) -> Array:
+        """Multiplier law (m, nt + 1) of one region: λ = law [θ; 1], zero for inactive rows."""
+        problem, act = self.problem, list(self.active_sets[region])
+        law = np.zeros((problem.m, problem.nt + 1))
+        if act:
+            G = problem.G[act]
+            right = np.hstack([problem.S[act], problem.w[act, None]])
+            right = right + G @ np.linalg.solve(problem.H, np.hstack([problem.F, problem.f[:, None]]))
+            law[act] = -np.linalg.solve(G @ np.linalg.solve(problem.H, G.T), right)
+        return law
+
+
+def solve_mpqp(
+    problem: ParametricQP, theta_set: Any, *, compiled: bool = True, max_regions: int = 100_000,
+    time_limit: float = np.inf,
+) -> Partition:  # fmt: skip
+    """Partition of `theta_set` into critical regions of the QP, each with its affine minimiser.
+
+    Explores the graph whose nodes are optimal active sets and whose edges change one constraint, from facet to facet;
+    where the rows of a neighbour are dependent one constraint is exchanged, where hyperplanes coincide every
+    combination is tried, and where the algebra finds no neighbour the QP is solved just across the facet.
+
+    Parameters
+    ----------
+    problem : ParametricQP
+        Strictly convex; see `LinearMPC.build`.
+    theta_set : Polytope
+        Bounded set of parameters of full dimension, in the order of `problem.parameters`.
+    compiled : bool
+        False runs a slow, independent implementation in NumPy, for checking.
+    max_regions : int
+        Limit on the number of regions.
+    time_limit : float
+        Limit on the wall time [s].
+
+    Returns
+    -------
+    Partition
+        Its status says whether it is complete.
+
+    Raises
+    ------
+    InvalidDataError
+        `theta_set` has the wrong dimension, is empty, flat or unbounded.
+
+    References
+    ----------
+    Arnström and Axehill, *A high-performant multi-parametric quadratic programming solver*, IEEE CDC 2024 (connected
+    graph of optimal active sets); Tøndel, Johansen and Bemporad, Automatica 39(3), 2003 (neighbours across a facet).
+    Facets are found by Clarkson's redundancy removal. Assumes H positive definite.
+    """
+    start = time.perf_counter()
+    TA, Tb = as_halfspaces("theta_set", theta_set, problem.nt)
+    data = least_distance(problem, TA, Tb)
+    if max_regions < 1 or not time_limit > 0:
+        raise InvalidDataError(f"max_regions and time_limit must be positive, got {max_regions} and {time_limit}.")
+    if compiled:
+        found = _explore(data, max_regions, start + time_limit)
+    else:
+        from .mpqp_reference import explore_all
+
+        found = explore_all(data, max_regions, start + time_limit)
+    status, active_sets, rows, offsets = found
+    H, h = data.unscale_rows(rows)
+    law = data.law(active_sets)
+    originals = tuple(tuple(int(i) for i in data.origin[list(act)]) for act in active_sets)
+    return Partition(problem, status, originals, H, h, offsets, law, time.perf_counter() - start)
+
+
+Found = tuple[MPQPStatus, list[tuple[int, ...]], Array, np.ndarray[Any, np.dtype[np.int64]]]
+
+
+def _explore(data: LeastDistance, max_regions: int, deadline: float) -> Found:
+    from . import kernels
+
+    m, n = data.D.shape[0], data.D.shape[1] - 1
+    capacity = 1024
+    masks = np.zeros((capacity, max(1, (m + 63) // 64)), dtype=np.uint64)
+    kinds, queue = np.zeros(capacity, dtype=np.int8), np.zeros(capacity, dtype=np.int64)
+    table = np.full(4 * capacity, -1, dtype=np.int64)
+    offsets, rows = np.zeros(capacity + 1, dtype=np.int64), np.empty((16 * capacity, n + 1))
+    counts = np.zeros(4, dtype=np.int64)
+    fixed = (data.gram, data.M, data.D, data.TA, data.Tb)
+    targets = np.random.default_rng(0).uniform(-1, 1, size=(_SEEDS, n))
+    targets[0] = 0.0
+    hits = kernels.seed(data.J, data.Jb, data.gram, *fixed[1:], targets, masks, kinds, table, queue, counts)
+    status = MPQPStatus.COMPLETE if hits else MPQPStatus.INFEASIBLE
+    while counts[2] < counts[1]:
+        budget = min(_CHUNK, max_regions - int(counts[2]))
+        code = kernels.explore(*fixed, masks, kinds, table, queue, counts, offsets, rows, budget)
+        if code == kernels.GROW:
+            masks, kinds, queue, offsets, rows = (_doubled(a) for a in (masks, kinds, queue, offsets, rows))
+            table = np.full(4 * len(masks), -1, dtype=np.int64)
+            kernels.rehash(masks, table, counts[0])
+        if counts[2] < counts[1] and counts[2] >= max_regions:
+            status = MPQPStatus.REGION_LIMIT
+            break
+        if counts[2] < counts[1] and time.perf_counter() > deadline:
+            status = MPQPStatus.TIME_LIMIT
+            break
+    done = int(counts[2])
+    return status, _members(masks[queue[:done]], m), rows[: counts[3]].copy(), offsets[: done + 1].copy()
+
+
+def _doubled(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    return np.concatenate([array, np.zeros_like(array)])
+
+
+def _members(masks: np.ndarray[Any, np.dtype[np.uint64]], m: int) -> list[tuple[int, ...]]:
+    """Active sets as tuples, from bit masks."""
+    bits = np.unpackbits(np.ascontiguousarray(masks).view(np.uint8), axis=1, bitorder="little")[:, :m]
+    return [tuple(int(i) for i in np.flatnonzero(row)) for row in bits]
