@@ -13,6 +13,10 @@ class NotConvexError(MPCError, ValueError):
     """A weight or the condensed Hessian is not (semi)definite as required."""
 
 
+class InfeasibleError(MPCError):
+    """No parameter of the set is feasible, so there is no explicit law."""
+
+
 class NotStabilisableError(MPCError, ValueError):
     """The pair (A, B) cannot be stabilised, or only by absurd gains.
 

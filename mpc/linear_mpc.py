@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,9 @@ from .exceptions import InvalidDataError
 from .lqr import lqr
 from .parametric_qp import ParametricQP
 from .plan import Plan, Residuals, Status
+
+if TYPE_CHECKING:
+    from .explicit import ExplicitMPC
 
 _OVERFLOW = 1e100  # data beyond this are answered by the saturated regulator
 
@@ -186,6 +189,48 @@ class LinearMPC:
         if x.ndim == 2:
             return np.array([plan.inputs[0] for plan in self.solve_many(x, **signals)]).reshape(len(x), self.nu)
         return np.array(self.solve(x, **signals).inputs[0])
+
+    def explicit(
+        self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,
+        time_limit: float = np.inf,
+    ) -> ExplicitMPC:  # fmt: skip
+        """The same law as a function of the state, computed for every state in advance.
+
+        Parameters
+        ----------
+        theta_set : Polytope, optional
+            States (and other open parameters, in the order of `build(*parameters).parameters`) of interest; X by
+            default, or X × U when a rate limit makes the last input a parameter.
+        parameters : tuple of str
+            Further quantities to leave open, see `build`.
+        max_regions, time_limit : int and float
+            Limits, see `solve_mpqp`.
+
+        Raises
+        ------
+        InfeasibleError
+            No parameter of the set is feasible.
+        """
+        from .explicit import ExplicitMPC
+        from .mpqp import solve_mpqp
+
+        problem = self.build(*parameters)
+        if theta_set is None:
+            theta_set = self._default_parameters(problem)
+        partition = solve_mpqp(problem, theta_set, max_regions=max_regions, time_limit=time_limit)
+        return ExplicitMPC.from_partition(partition, self.input_rows)
+
+    def _default_parameters(self, problem: ParametricQP) -> Any:
+        names = [name for name, _ in problem.parameters]
+        if self.X is None or set(names) - {"x", "u_prev"} or ("u_prev" in names and self.U is None):
+            raise InvalidDataError(f"theta_set is missing: pass a bounded Polytope of the parameters {names}.")
+        if names == ["x"]:
+            return self.X
+        from invariant_sets import Polytope
+
+        (HX, hX), (HU, hU) = self.state_rows, self.input_rows
+        rows = np.block([[HX, np.zeros((len(HX), self.nu))], [np.zeros((len(HU), self.nx)), HU]])
+        return Polytope(rows, np.concatenate([hX, hU]))
 
     def _signals(self, **signals: ArrayLike | None) -> dict[str, Array]:
         """Check the optional arguments of `solve` and spread single rows over the horizon."""

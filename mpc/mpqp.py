@@ -45,11 +45,13 @@ class Partition:
     active_sets : tuple of tuple of int
         Rows of `problem.G` that are active in each region.
     H, h : (n_halfspaces, nt) and (n_halfspaces,) array
-        Facets of all regions, unit normals in scaled parameters, original units: Hθ <= h.
+        Facets of all regions, Hθ <= h in the units of θ.
     offsets : (n_regions + 1,) int array
         Region r owns the rows offsets[r] : offsets[r + 1].
     law : (n_regions, nz, nt + 1) array
         Minimiser z = law[r] [θ; 1].
+    centre, half : (nt,) arrays
+        Scaling θ = centre + half * t that takes the parameter set into [-1, 1]; H * half has unit rows.
     solve_time : float
         Wall time [s].
     """
@@ -61,7 +63,14 @@ class Partition:
     h: Array
     offsets: np.ndarray[Any, np.dtype[np.int64]]
     law: Array
+    centre: Array
+    half: Array
     solve_time: float
+
+    @property
+    def scaled_rows(self) -> Array:
+        """Facets [H, h] in the scaled parameter t, unit normals: (n_halfspaces, nt + 1)."""
+        return np.ascontiguousarray(np.hstack([self.H * self.half, (self.h - self.H @ self.centre)[:, None]]))
 
     def __len__(self) -> int:
         return len(self.active_sets)
@@ -135,7 +144,9 @@ def solve_mpqp(
     H, h = data.unscale_rows(rows)
     law = data.law(active_sets)
     originals = tuple(tuple(int(i) for i in data.origin[list(act)]) for act in active_sets)
-    return Partition(problem, status, originals, H, h, offsets, law, time.perf_counter() - start)
+    return Partition(
+        problem, status, originals, H, h, offsets, law, data.centre, data.half, time.perf_counter() - start
+    )
 
 
 Found = tuple[MPQPStatus, list[tuple[int, ...]], Array, np.ndarray[Any, np.dtype[np.int64]]]

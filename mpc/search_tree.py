@@ -1,0 +1,105 @@
+"""Point location: a binary tree of hyperplanes that ends in the regions a parameter can lie in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .checks import Array
+from .mpqp import Partition
+
+Ints = np.ndarray[Any, np.dtype[np.int64]]
+_INSIDE = 1e-7  # a parameter this far outside, scaled to [-1, 1], still counts as inside
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SearchTree:
+    """Binary search tree over a partition, in scaled parameters t.
+
+    Attributes
+    ----------
+    planes : (n_planes, nt + 1) array
+        Hyperplanes a't = b as rows [a, b].
+    nodes : (n_nodes, 3) int array
+        Inner node: hyperplane, child where a't <= b, child where a't > b. Leaf: -1 and its slice of `leaf_regions`.
+    leaf_regions : int array
+        Regions of the leaves; those of one leaf share their law wherever hyperplanes can tell regions apart.
+    """
+
+    planes: Array
+    nodes: Ints
+    leaf_regions: Ints
+
+    @property
+    def depth(self) -> int:
+        """Largest number of hyperplanes evaluated."""
+        level = np.zeros(len(self.nodes), dtype=np.int64)
+        for node, (plane, below, above) in enumerate(self.nodes):  # children come after their parent
+            if plane >= 0:
+                level[[below, above]] = level[node] + 1
+        return int(level.max(initial=0))
+
+    def __repr__(self) -> str:
+        return f"SearchTree({len(self.nodes)} nodes, depth {self.depth}, {len(self.planes)} hyperplanes)"
+
+
+def build_tree(partition: Partition, laws: Ints) -> SearchTree:
+    """Search tree in which every leaf holds regions of one law.
+
+    Parameters
+    ----------
+    partition : Partition
+        At least one region.
+    laws : (n_regions,) int array
+        Number of each region's law; regions of the same law need not be told apart.
+
+    References
+    ----------
+    Tøndel, Johansen and Bemporad, *Evaluation of piecewise affine control via binary search tree*, Automatica 39(5),
+    2003. Sides are intersected instead of recomputed at every node: never wrong, at times one level deeper.
+    """
+    from . import search_kernels as kernels
+
+    rows = partition.scaled_rows
+    planes = _distinct_planes(rows)
+    centres = kernels.centres_of(rows, partition.offsets)
+    side = kernels.sides(rows, partition.offsets, centres, planes, 1e-9)
+    splitting = np.flatnonzero(((side == 1).any(axis=1)) & ((side == 2).any(axis=1)))
+    nodes, leaf = kernels.grow(np.ascontiguousarray(side[splitting]), laws, 64 * len(partition) + 1)
+    used = np.unique(nodes[nodes[:, 0] >= 0, 0])
+    renumber = np.full(len(splitting) + 1, -1, dtype=np.int64)
+    renumber[used] = np.arange(len(used))
+    nodes[:, 0] = renumber[nodes[:, 0]]
+    return SearchTree(np.ascontiguousarray(planes[splitting[used]]), nodes, leaf)
+
+
+def _distinct_planes(rows: Array) -> Array:
+    """Rows up to sign, each once."""
+    leading = np.argmax(np.abs(rows[:, :-1]) > 1e-6, axis=1)
+    signed = rows * np.sign(rows[np.arange(len(rows)), leading])[:, None]
+    _, first = np.unique(np.round(signed, 8) + 0.0, axis=0, return_index=True)
+    return np.ascontiguousarray(signed[np.sort(first)])
+
+
+def locate(tree: SearchTree, partition: Partition, points: Array) -> tuple[Ints, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """Region of every scaled point (n, nt) and whether the point lies outside the partition.
+
+    An outside point gets the region it violates least.
+    """
+    from . import search_kernels as kernels
+
+    rows = partition.scaled_rows
+    region, distance = np.empty(len(points), dtype=np.int64), np.empty(len(points))
+    kernels.locate(
+        points, tree.planes, tree.nodes, tree.leaf_regions, rows, partition.offsets, _INSIDE, region, distance
+    )
+    lost = np.flatnonzero(distance > _INSIDE)
+    if len(lost):  # the leaf of an outside point need not hold the nearest region
+        everywhere = np.array([[-1, 0, len(partition)]], dtype=np.int64)
+        found, gap = np.empty(len(lost), dtype=np.int64), np.empty(len(lost))
+        every = np.arange(len(partition), dtype=np.int64)
+        kernels.locate(points[lost], tree.planes, everywhere, every, rows, partition.offsets, _INSIDE, found, gap)
+        region[lost], distance[lost] = found, gap
+    return region, distance > _INSIDE
