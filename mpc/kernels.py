@@ -113,15 +113,20 @@ def _factor(A, work, k, start, L):
 
 @njit(cache=True)
 def gram_factor(gram, act, k, L):
-    """Cholesky factor of gram[act, act]; False when the active rows are dependent."""
+    """Cholesky factor of gram[act, act]; False when the active rows are dependent.
+
+    Rounding enters a pivot magnified by the smallest pivot before it, so the threshold grows with that.
+    """
+    smallest = 1.0
     for a in range(k):
         for e in range(a + 1):
             s = gram[act[a], act[e]]
             for q in range(e):
                 s -= L[a, q] * L[e, q]
             if a == e:
-                if s < PIVOT:
+                if s < max(PIVOT, 1e-15 / smallest):
                     return False
+                smallest = min(smallest, s)
                 L[a, a] = np.sqrt(s)
             else:
                 L[a, e] = s / L[e, e]
@@ -158,14 +163,14 @@ def multipliers(gram, D, act, k, L):
 
 
 @njit(cache=True)
-def region_rows(gram, D, TA, Tb, act, k, A, b):
+def region_rows(gram, D, TA, Tb, rank, act, k, A, b):
     """Unit half-spaces of the critical region of an active set, row i for constraint i, then the parameter set.
 
     Returns FULL when there is something to look at, FLAT when a constant row is violated, DEPENDENT.
     """
     m, n = len(D), D.shape[1] - 1
     L = np.empty((k, k))
-    if not gram_factor(gram, act, k, L):
+    if k > rank or not gram_factor(gram, act, k, L):
         return DEPENDENT
     law = multipliers(gram, D, act, k, L)
     position = np.full(m, -1)
@@ -336,7 +341,7 @@ def find(masks, table, mask):
 
 
 @njit(cache=True)
-def consider(gram, D, TA, Tb, mask, masks, kinds, table, queue, counts):
+def consider(gram, M, D, TA, Tb, mask, masks, kinds, table, queue, counts):
     """Kind of an active set: looked up, or found out and, when FULL, queued."""
     slot = find(masks, table, mask)
     if table[slot] >= 0:
@@ -345,7 +350,7 @@ def consider(gram, D, TA, Tb, mask, masks, kinds, table, queue, counts):
     act = np.empty(m, np.int64)
     k = from_mask(mask, act)
     A, b, centre = np.empty((m + len(Tb), n)), np.empty(m + len(Tb)), np.empty(n)
-    kind = region_rows(gram, D, TA, Tb, act, k, A, b)
+    kind = region_rows(gram, D, TA, Tb, M.shape[1], act, k, A, b)
     if kind == FULL and interior_point(A, b, centre) == 0.0:
         kind = FLAT
     index = counts[0]
@@ -423,7 +428,7 @@ def explore(gram, M, D, TA, Tb, masks, kinds, table, queue, counts, offsets, row
         budget -= 1
         mask[:] = masks[queue[counts[2]]]
         k = from_mask(mask, act)
-        region_rows(gram, D, TA, Tb, act, k, A, b)
+        region_rows(gram, D, TA, Tb, M.shape[1], act, k, A, b)
         interior_point(A, b, centre)
         count = irredundant(A, b, centre, facets)
         if counts[3] + count > len(rows) or counts[0] + count * (k + 20) > min(len(masks), len(table) // 2):
@@ -454,20 +459,20 @@ def explore(gram, M, D, TA, Tb, masks, kinds, table, queue, counts, offsets, row
                 for s in range(shared):
                     if combination >> s & 1:
                         flipped[twins[s] >> 6] ^= one << np.uint64(twins[s] & 63)
-                kind = consider(gram, D, TA, Tb, flipped, masks, kinds, table, queue, counts)
+                kind = consider(gram, M, D, TA, Tb, flipped, masks, kinds, table, queue, counts)
                 found = found or kind == FULL
                 if kind == DEPENDENT and shared == 1:
-                    found = exchange(gram, D, TA, Tb, act, k, facet, mask, masks, kinds, table, queue, counts) or found
+                    found = exchange(gram, M, D, TA, Tb, act, k, facet, mask, masks, kinds, table, queue, counts) or found
             if not found and across(A, b, facets, count, facet, theta):
                 kt = optimal_set(M, D, theta, trial)
                 if kt >= 0:
                     to_mask(trial, kt, flipped)
-                    consider(gram, D, TA, Tb, flipped, masks, kinds, table, queue, counts)
+                    consider(gram, M, D, TA, Tb, flipped, masks, kinds, table, queue, counts)
     return DONE
 
 
 @njit(cache=True)
-def exchange(gram, D, TA, Tb, act, k, entering, mask, masks, kinds, table, queue, counts):
+def exchange(gram, M, D, TA, Tb, act, k, entering, mask, masks, kinds, table, queue, counts):
     """Replace a member of a dependent active set by the entering row: one with a positive coefficient has to leave."""
     L, coefficient = np.empty((k, k)), np.empty(k)
     gram_factor(gram, act, k, L)
@@ -482,7 +487,7 @@ def exchange(gram, D, TA, Tb, act, k, entering, mask, masks, kinds, table, queue
             swapped[:] = mask
             swapped[entering >> 6] ^= one << np.uint64(entering & 63)
             swapped[act[a] >> 6] ^= one << np.uint64(act[a] & 63)
-            kind = consider(gram, D, TA, Tb, swapped, masks, kinds, table, queue, counts)
+            kind = consider(gram, M, D, TA, Tb, swapped, masks, kinds, table, queue, counts)
             found = found or kind == FULL
     return found
 
@@ -511,7 +516,7 @@ def seed(J, h, gram, M, D, TA, Tb, targets, masks, kinds, table, queue, counts):
                 k = optimal_set(M, D, joint[:n], act)
                 if k >= 0:
                     to_mask(act, k, mask)
-                    consider(gram, D, TA, Tb, mask, masks, kinds, table, queue, counts)
+                    consider(gram, M, D, TA, Tb, mask, masks, kinds, table, queue, counts)
                 break
             margin *= 0.1
         if hits == 0:

@@ -50,71 +50,98 @@ def centres_of(rows, offsets):
 
 
 @njit(cache=True)
-def grow(side, laws, limit):
-    """Binary search tree over hyperplanes (Tøndel, Johansen and Bemporad, Automatica 39(5), 2003).
+def _best_plane(side, members):
+    """Hyperplane that leaves the fewest regions on its fuller side, then the fewest cut; -1 when none helps."""
+    size = len(members)
+    best, score, total = -1, size, 2 * size + 1
+    for p in range(len(side)):
+        low, high = 0, 0
+        for r in members:
+            low += side[p, r] & 1
+            high += side[p, r] >> 1
+            if max(low, high) > score:
+                break
+        worse = max(low, high)
+        if worse < score or (worse == score and worse < size and low + high < total):
+            best, score, total = p, worse, low + high
+    return best
 
-    Every inner node takes the hyperplane that leaves the fewest regions on its fuller side. Returns `nodes` (k, 3):
-    hyperplane, child below, child above; a leaf has hyperplane -1 and its regions in leaf_regions[second : third].
+
+@njit(cache=True)
+def _reachable(members, rows, offsets, centres, path, depth, tol):
+    """The members that meet the polytope of a node, given by the `depth` half-spaces on the path to it."""
+    n = centres.shape[1]
+    largest = 0
+    for r in members:
+        largest = max(largest, offsets[r + 1] - offsets[r])
+    A, b = np.empty((largest + depth, n)), np.empty(largest + depth)
+    A[:depth], b[:depth] = path[:depth, :n], path[:depth, n] - tol
+    theta, work, lam = np.empty(n), np.empty(n + 1, np.int64), np.empty(n + 1)
+    kept, count = np.empty(len(members), np.int64), 0
+    for r in members:
+        m = offsets[r + 1] - offsets[r]
+        A[depth : depth + m] = rows[offsets[r] : offsets[r + 1], :n]
+        b[depth : depth + m] = rows[offsets[r] : offsets[r + 1], n]
+        if project(A, b, depth + m, centres[r], 1e-13, theta, work, lam) >= 0:
+            kept[count] = r
+            count += 1
+    return kept[:count]
+
+
+@njit(cache=True)
+def grow(side, laws, planes, rows, offsets, centres, limit):
+    """Binary search tree over hyperplanes (Tøndel, Johansen and Bemporad, Automatica 39(5), 2003), built depth first.
+
+    Returns `nodes` (k, 3): hyperplane, child below, child above; a leaf has hyperplane -1 and its regions in
+    leaf_regions[second : third].
     """
-    planes, count = side.shape
-    nodes = np.empty((limit, 3), np.int64)
-    stack_node = np.empty(limit, np.int64)
-    stack_start = np.empty(limit, np.int64)
-    pool = np.empty(64 * count + 64, np.int64)  # region lists of the nodes still to be split
-    leaf = np.empty(64 * count + 64, np.int64)
-    leaf_end, pool_end, used, depth = 0, count, 1, 1
-    for r in range(count):
-        pool[r] = r
-    stack_node[0], stack_start[0] = 0, 0
-    below, above = np.empty(count, np.int64), np.empty(count, np.int64)
-    while depth > 0:
-        depth -= 1
-        node, start = stack_node[depth], stack_start[depth]
-        size = pool_end - start
-        members = pool[start:pool_end].copy()
-        pool_end = start
+    count, n = side.shape[1], centres.shape[1]
+    nodes, parent = np.empty((limit, 3), np.int64), np.full(limit, -1)
+    stack, top, used = np.zeros(limit, np.int64), 1, 1
+    path = np.empty((limit, n + 1))
+    starts, ends = np.zeros(limit, np.int64), np.zeros(limit, np.int64)  # region lists of the nodes, in `pool`
+    pool, filled = np.arange(count), count
+    ends[0] = count
+    leaf, leaf_end = np.empty(count, np.int64), 0
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        members = pool[starts[node] : ends[node]].copy()
+        filled = starts[node]  # depth first: what lies behind in the pool belongs to finished nodes
+        depth, child = 0, node
+        while parent[child] >= 0:
+            up = parent[child]
+            sign = 1.0 if nodes[up, 1] == child else -1.0
+            for j in range(n + 1):
+                path[depth, j] = sign * planes[nodes[up, 0], j]
+            depth, child = depth + 1, up
+        if depth > 1:
+            members = _reachable(members, rows, offsets, centres, path, depth, 1e-9)
+        size = len(members)
         single = True
         for a in range(1, size):
             single = single and laws[members[a]] == laws[members[0]]
-        best, score, spread = -1, size, 2 * size + 1
-        if not single:
-            for p in range(planes):
-                low, high = 0, 0
-                for a in range(size):
-                    s = side[p, members[a]]
-                    low += s & 1
-                    high += s >> 1
-                    if low >= score + 1 or high >= score + 1:
-                        break
-                worse = max(low, high)
-                if worse < score or (worse == score and worse < size and low + high < spread):
-                    best, score, spread = p, worse, low + high
-        if best < 0 or used + 2 > limit:
+        best = -1 if single or used + 2 > limit else _best_plane(side, members)
+        if best < 0:
             if leaf_end + size > len(leaf):
                 leaf = np.concatenate((leaf, np.empty(len(leaf) + size, np.int64)))
             leaf[leaf_end : leaf_end + size] = members
             nodes[node, 0], nodes[node, 1], nodes[node, 2] = -1, leaf_end, leaf_end + size
             leaf_end += size
             continue
-        low, high = 0, 0
-        for a in range(size):
-            if side[best, members[a]] & 1:
-                below[low] = members[a]
-                low += 1
-            if side[best, members[a]] & 2:
-                above[high] = members[a]
-                high += 1
+        if filled + 2 * size > len(pool):
+            pool = np.concatenate((pool, np.empty(len(pool) + 2 * size, np.int64)))
         nodes[node, 0], nodes[node, 1], nodes[node, 2] = best, used, used + 1
-        if pool_end + low + high > len(pool):
-            pool = np.concatenate((pool, np.empty(len(pool) + low + high, np.int64)))
-        # depth first: the list of the child on top of the stack is at the end of the pool
-        stack_node[depth], stack_start[depth] = used, pool_end
-        pool[pool_end : pool_end + low] = below[:low]
-        pool_end += low
-        stack_node[depth + 1], stack_start[depth + 1] = used + 1, pool_end
-        pool[pool_end : pool_end + high] = above[:high]
-        pool_end += high
-        depth += 2
+        for bit in range(2):
+            starts[used + bit] = filled
+            for r in members:
+                if side[best, r] >> bit & 1:
+                    pool[filled] = r
+                    filled += 1
+            ends[used + bit] = filled
+            parent[used + bit] = node
+            stack[top] = used + bit
+            top += 1
         used += 2
     return nodes[:used].copy(), leaf[:leaf_end].copy()
 

@@ -58,7 +58,7 @@ def build_tree(partition: Partition, laws: Ints) -> SearchTree:
     References
     ----------
     Tøndel, Johansen and Bemporad, *Evaluation of piecewise affine control via binary search tree*, Automatica 39(5),
-    2003. Sides are intersected instead of recomputed at every node: never wrong, at times one level deeper.
+    2003. Hyperplanes are chosen by the sides of whole regions; a child keeps the regions that meet its polytope.
     """
     from . import search_kernels as kernels
 
@@ -67,12 +67,13 @@ def build_tree(partition: Partition, laws: Ints) -> SearchTree:
     centres = kernels.centres_of(rows, partition.offsets)
     side = kernels.sides(rows, partition.offsets, centres, planes, 1e-9)
     splitting = np.flatnonzero(((side == 1).any(axis=1)) & ((side == 2).any(axis=1)))
-    nodes, leaf = kernels.grow(np.ascontiguousarray(side[splitting]), laws, 64 * len(partition) + 1)
+    side, planes = np.ascontiguousarray(side[splitting]), np.ascontiguousarray(planes[splitting])
+    nodes, leaf = kernels.grow(side, laws, planes, rows, partition.offsets, centres, 256 * len(partition) + 1)
     used = np.unique(nodes[nodes[:, 0] >= 0, 0])
     renumber = np.full(len(splitting) + 1, -1, dtype=np.int64)
     renumber[used] = np.arange(len(used))
     nodes[:, 0] = renumber[nodes[:, 0]]
-    return SearchTree(np.ascontiguousarray(planes[splitting[used]]), nodes, leaf)
+    return SearchTree(np.ascontiguousarray(planes[used]), nodes, leaf)
 
 
 def _distinct_planes(rows: Array) -> Array:
