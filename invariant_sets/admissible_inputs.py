@@ -7,13 +7,15 @@ from typing import Any
 import daqp
 import numpy as np
 
+from .certificate import relative_rows
 from .exceptions import EmptySetError, InputError, UnboundedError
 from .linear_programs import minimise
 from .polytope import Polytope
+from .system_checks import checked_system
 from .validation import as_batch, as_vector, frozen
 
 Array = np.ndarray
-_TOLERANCE = 1e-9  # of the width of S: a smaller violation counts as admissible
+_TOLERANCE = 1e-9  # of the extent of S: a smaller violation counts as admissible
 _LARGE = 1e150  # beyond this the arithmetic is clipped, so that a diverged state cannot raise
 
 
@@ -44,8 +46,8 @@ class AdmissibleInputs:
 
     Notes
     -----
-    Violations are scaled: a row of S is divided by the width of S along its normal, so that 1 means "once the
-    width of the set away", whatever the units.
+    Violations are scaled: a row of S is divided by its range over the bounding box of S, so that 1 means "once the
+    size of the set away", whatever the units.
 
     References
     ----------
@@ -54,39 +56,29 @@ class AdmissibleInputs:
     """
 
     def __init__(self, A: Any, B: Any, S: Polytope, U: Polytope, *, E: Any = None, W: Polytope | None = None) -> None:
-        from .control_invariant import checked_system
-
-        system = checked_system(A, B, S, U, E, W, state_set="S")
+        A, B, E = checked_system(A, B, S, U, E, W, state_set="S")
         if U.is_empty:
             raise EmptySetError("U is empty; no input can be admissible.")
         if not U.is_bounded:
             raise UnboundedError("U is unbounded, expected a bounded input set.")
-        self._A, self._B, self.S, self.U = frozen(system.A), frozen(system.B), S, U
-        lower, upper = U.bounding_box()
-        self._middle = (lower + upper) / 2
-        self._half = (upper - lower) / 2
-        self._size = np.where(upper > lower, (upper - lower) / 2, 1.0)
-        F, g = _inequalities(S)
-        width = _widths(S, F)
-        F, g = F / width[:, None], g / width
-        if system.E is not None and W is not None:
-            g = g - (F @ system.E @ W.vertices.T).max(axis=1)
-        self._next, self._slope = -F @ system.A, F @ system.B * self._size
-        self._room = g - F @ system.B @ self._middle
-        H, h = _inequalities(U)
-        h = h - H @ self._middle
-        H = H * self._size
-        norms = np.linalg.norm(H, axis=1)
-        proper = norms > 0
-        self._H, self._h = H[proper] / norms[proper, None], h[proper] / norms[proper]
+        body = U._body
+        assert body is not None
+        self._A, self._B, self.S, self.U = frozen(A), frozen(B), S, U
+        self._middle, self._size = body.centre, body.basis  # u = middle + size v
+        self._back = np.linalg.pinv(body.basis)
+        F, g = relative_rows(S)
+        if E is not None and W is not None:
+            g = g - (F @ E @ W.vertices.T).max(axis=1)
+        self._next, self._slope, self._room = -F @ A, F @ B @ self._size, g - F @ B @ self._middle
+        self._H, self._h = body.F, body.g
         self._rows = np.ascontiguousarray(np.vstack([self._slope, self._H]))
 
     def at(self, x: Any) -> Polytope:
         """Return the admissible inputs at one state x (nx,) as a `Polytope`, possibly empty."""
         x = as_vector(x, "x", size=self._A.shape[0])
-        rows = self._rows / self._size
-        right = np.append(self._rooms(x[None])[0], self._h) + rows @ self._middle
-        return Polytope(rows, right)
+        rooms = self._rooms(x[None])[0]
+        rows = self._slope @ self._back
+        return self.U.intersection(Polytope(rows, rooms + rows @ self._middle))
 
     def project(self, x: Any, u_proposed: Any) -> tuple[Array, Any]:
         """Return the admissible input nearest to a proposed one, and whether there is any.
@@ -117,12 +109,12 @@ class AdmissibleInputs:
         if len(states) != len(proposed):
             raise InputError(f"u_proposed has {len(proposed)} rows, expected {len(states)} as in x.")
         with np.errstate(over="ignore"):
-            wanted = np.clip((proposed - self._middle) / self._size, -_LARGE, _LARGE)
+            wanted = np.clip((proposed - self._middle) @ self._back.T, -_LARGE, _LARGE)
         rooms = self._rooms(states)
-        v, admissible = self._intervals(rooms, wanted) if nu == 1 else self._programs(rooms, wanted)
+        v, admissible = self._intervals(rooms, wanted) if self._slope.shape[1] == 1 else self._programs(rooms, wanted)
         for k in np.flatnonzero(~admissible):
             v[k] = self._least_violation(rooms[k], wanted[k])
-        u = self._middle + self._size * v
+        u = self._middle + v @ self._size.T
         return (u[0], bool(admissible[0])) if single else (u, admissible)
 
     def _rooms(self, states: Array) -> Array:
@@ -134,8 +126,8 @@ class AdmissibleInputs:
     def _intervals(self, rooms: Array, wanted: Array) -> tuple[Array, Array]:
         slope = self._slope[:, 0]
         up, down = slope > 1e-14, slope < -1e-14
-        high = float(self._half[0] / self._size[0])
-        low = -high
+        low = float((self._h / self._H[:, 0])[self._H[:, 0] < 0].max())
+        high = float((self._h / self._H[:, 0])[self._H[:, 0] > 0].min())
         lower = (rooms[:, down] / slope[down]).max(axis=1, initial=low)
         upper = (rooms[:, up] / slope[up]).min(axis=1, initial=high)
         # at the nearest input, is every row met to the tolerance?
@@ -178,18 +170,3 @@ class AdmissibleInputs:
         allowed = room - shift + (value + 1e-9) * spread
         nearest = self._nearest(allowed, wanted)
         return best[:nu] if nearest is None else nearest
-
-
-def _inequalities(P: Polytope) -> tuple[Array, Array]:
-    """Return all rows of P as inequalities."""
-    return np.vstack([P.A, P.A_eq, -P.A_eq]), np.concatenate([P.b, P.b_eq, -P.b_eq])
-
-
-def _widths(S: Polytope, F: Array) -> Array:
-    """Return the width of S along each row; the norm of the row where the set is flat, empty or unbounded."""
-    norms = np.linalg.norm(F, axis=1)
-    fallback = np.where(norms > 0, norms, 1.0)
-    if S.is_empty or not len(F):
-        return fallback
-    width = S.support(F) + S.support(-F)
-    return np.where(np.isfinite(width) & (width > 1e-12 * fallback), width, fallback)

@@ -7,54 +7,57 @@ import numpy as np
 
 from .linear_programs import minimise
 from .polytope import Polytope
+from .predecessor import predecessor_rows
+from .representation import unit_rows
 
 Array = np.ndarray
 _DOUBTFUL = 1e-12
 
 
-def control_violation(A: Array, B: Array, C: Polytope, U: Polytope, E: Array | None = None,
-                      W: Polytope | None = None) -> tuple[float, int]:
-    """Return by how much the worst vertex of C leaves it under the best input, and the number of vertices.
+def control_violation(A: Array, B: Array, C: Polytope, U: Polytope,
+                      disturbances: Array | None = None) -> tuple[float, int]:
+    """Return by how much the worst vertex of C leaves it under the best input, and the number of programs.
 
     Parameters
     ----------
-    A, B, E : arrays
-        Dynamics x⁺ = A x + B u + E w.
-    C, U, W : Polytope
-        Bounded sets.
+    A, B : arrays
+        Dynamics x⁺ = A x + B u + w.
+    C, U : Polytope
+        State and input sets, not empty.
+    disturbances : (k, nx) array, optional
+        Vertices of E W.
 
     Returns
     -------
     violation : float
-        max over vertices x of min over u in U of max over facets i and vertices w of
-        (fᵢᵀ(A x + B u + E w) − gᵢ) / (width of C along fᵢ). By convexity it bounds the violation on all of C.
+        max over vertices x of min over u in U of max over facets i and disturbances w of
+        (fᵢᵀ(A x + B u + w) − gᵢ) / (range of fᵢ over the bounding box of C). By convexity it bounds the
+        violation on all of C. Unbounded sets are checked at the facets of their predecessor set instead.
     points : int
-        Number of vertices checked.
+        Number of vertices (or facets) checked.
 
     Notes
     -----
     The linear program only proposes u; the violation is then recomputed from u by a matrix product, so a solver
     error can make the result too large, never too small.
     """
-    V, u_vertices = C.vertices, U.vertices
-    heights = V @ C.A.T
-    width = heights.max(axis=0) - heights.min(axis=0)
-    width = np.where(width > 0, width, 1.0)
-    F, g = C.A / width[:, None], C.b / width
-    if E is not None and W is not None:
-        g = g - (F @ E @ W.vertices.T).max(axis=1)
-    lower, upper = u_vertices.min(axis=0), u_vertices.max(axis=0)
-    middle, half = (lower + upper) / 2, np.where(upper > lower, (upper - lower) / 2, 1.0)
-    slope, room = F @ B * half, g - V @ (F @ A).T - F @ B @ middle
-    H, h = U.A * half, U.b - U.A @ middle
-    size = np.linalg.norm(H, axis=1)
-    H, h = H / size[:, None], h / size
-    nu = B.shape[1]
+    if not C.is_bounded:
+        return _facet_violation(A, B, C, U, disturbances)
+    F, g = relative_rows(C)
+    if disturbances is not None:
+        g = g - (F @ disturbances.T).max(axis=1)
+    body = U._body
+    assert body is not None
+    slope, room = F @ B @ body.basis, g - C.vertices @ (F @ A).T - F @ B @ body.centre
+    H, h = body.F, body.g
+    nu = H.shape[1]
+    if nu == 0:
+        return float((-room).max()), len(room)
     rows = np.ascontiguousarray(np.block([[slope, -np.ones((len(F), 1))], [H, np.zeros((len(H), 1))]]))
     cost = np.zeros(nu + 1)
     cost[nu] = 1.0
     worst = -np.inf
-    for k in range(len(V)):
+    for k in range(len(room)):
         right = np.concatenate([room[k], h])
         v, _, flag, _ = daqp.solve(None, cost, rows, right, primal_tol=1e-11)
         leaves = _leaves(v[:nu], slope, room[k], H, h) if flag == 1 else np.inf
@@ -62,9 +65,34 @@ def control_violation(A: Array, B: Array, C: Polytope, U: Polytope, E: Array | N
             v = minimise(cost, rows, right)[1]
             leaves = min(leaves, np.inf if v is None else _leaves(v[:nu], slope, room[k], H, h))
         worst = max(worst, leaves)
-    return float(worst), len(V)
+    return float(worst), len(room)
+
+
+def relative_rows(C: Polytope) -> tuple[Array, Array]:
+    """Return all rows of C as inequalities, divided by their range over its bounding box."""
+    scale, scale_eq = C._row_scales
+    F = np.vstack([C.A / scale[:, None], C.A_eq / scale_eq[:, None], -C.A_eq / scale_eq[:, None]])
+    return F, np.concatenate([C.b / scale, C.b_eq / scale_eq, -C.b_eq / scale_eq])
 
 
 def _leaves(v: Array, slope: Array, room: Array, H: Array, h: Array) -> float:
     """Return the violation of the witness v, infinite if v itself is not in U."""
     return float((slope @ v - room).max()) if (H @ v - h).max(initial=0.0) <= 1e-9 else np.inf
+
+
+def _facet_violation(A: Array, B: Array, C: Polytope, U: Polytope, disturbances: Array | None) -> tuple[float, int]:
+    """Return by how much C leaves its own predecessor set, by one LP a facet."""
+    if not len(C.b) and not len(C.b_eq):
+        return -np.inf, 0
+    F, g = relative_rows(C)
+    body = U._body
+    assert body is not None
+    H = np.hstack([np.zeros((len(body.g), len(A))), body.F])
+    R, r = predecessor_rows(F, g - F @ B @ body.centre, A, B @ body.basis, H, body.g, disturbances)
+    R, r = unit_rows(R, r)
+    if R is None:
+        return np.inf, 0
+    if not len(r):
+        return -np.inf, 0
+    scale = np.abs(R) @ (2 * np.linalg.norm(C._body.basis, axis=1))  # type: ignore[union-attr]
+    return float(((C._supports(R) - r) / scale).max()), len(r)

@@ -10,13 +10,14 @@ import numpy as np
 
 from . import representation as rep
 from .exceptions import EmptySetError, InputError, UnboundedError
+from .operations import SetOperations, same_space
 from .validation import as_batch, as_matrix, as_vector, check_count, check_finite, check_rng, check_tolerance, frozen
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Polytope:
+class Polytope(SetOperations):
     """{x : A x <= b, A_eq x = b_eq}. It is never changed; vertices and the like are computed once, on demand.
 
     Parameters
@@ -185,20 +186,80 @@ class Polytope:
         bool, or (k,) array of bools
         """
         tol = check_tolerance(tol)
-        points, single = as_batch(x, "x", self.dim, finite=False)
-        inside = self._inside(points, tol)
+        points, single = as_batch(x, "x", self.dim, finite=False, copy=False)
+        scale, scale_eq = self._row_scales
+        with np.errstate(invalid="ignore"):
+            inside = _rows_hold(points, self.A, self.b + tol * scale)
+            if len(self.b_eq):
+                inside &= (np.abs(points @ self.A_eq.T - self.b_eq) <= tol * scale_eq).all(axis=1)
         return bool(inside[0]) if single else inside
 
-    def _inside(self, points: Array, tol: float) -> Array:
-        inside = np.ones(len(points), bool)
-        if len(self.b):
-            with np.errstate(invalid="ignore"):
-                inside = _rows_hold(points, self.A, self.b + tol * np.maximum(1.0, np.abs(self.b)))
-        if len(self.b_eq):
-            with np.errstate(invalid="ignore"):
-                gap = np.abs(points @ self.A_eq.T - self.b_eq)
-            inside &= (gap <= tol * np.maximum(1.0, np.abs(self.b_eq))).all(axis=1)
-        return inside
+    @cached_property
+    def _row_scales(self) -> tuple[Array, Array]:
+        """What a relative tolerance means for each inequality and equality: its range over the bounding box."""
+        if "vertices" in self.__dict__ and len(self.vertices):
+            extent = np.ptp(self.vertices, axis=0)
+        elif self._body is not None:
+            extent = 2 * np.linalg.norm(self._body.basis, axis=1)
+        else:
+            extent = np.zeros(self.dim)
+        extent = np.where(extent > 0, extent, extent.max() if extent.any() else 1.0)
+        return np.abs(self.A) @ extent, np.abs(self.A_eq) @ extent
+
+    def is_subset(self, other: Polytope, tol: float = 1e-9) -> bool:
+        """Return whether P ⊆ Q. The empty set is a subset of every set.
+
+        Parameters
+        ----------
+        other : Polytope
+            Q, of the same dimension.
+        tol : float
+            Positive accepts points that leave Q by up to tol times the width of the sets.
+        """
+        other, tol = same_space(self, other), check_tolerance(tol)
+        if self._body is None:
+            return True
+        if other._body is None:
+            return False
+        slack = [tol * np.maximum(mine, theirs) for mine, theirs in
+                 zip(self._scales_along(other), other._row_scales)]
+        return bool((self._supports(other.A) <= other.b + slack[0]).all()
+                    and (self._supports(other.A_eq) <= other.b_eq + slack[1]).all()
+                    and (self._supports(-other.A_eq) <= -other.b_eq + slack[1]).all())
+
+    def _scales_along(self, other: Polytope) -> tuple[Array, Array]:
+        extent = 2 * np.linalg.norm(self._body.basis, axis=1)  # type: ignore[union-attr]
+        return np.abs(other.A) @ extent, np.abs(other.A_eq) @ extent
+
+    def equals(self, other: Polytope, tol: float = 1e-9) -> bool:
+        """Return whether P and Q are the same set of points, to `tol` of their width; rows may differ."""
+        return self.is_subset(other, tol) and same_space(self, other).is_subset(self, tol)
+
+    def chebyshev_ball(self) -> tuple[Array, float]:
+        """Return centre (n,) and radius of a largest ball inside; 0 if flat, inf if none is largest.
+
+        The ball is Euclidean in the units of x. Raises `EmptySetError`.
+
+        References
+        ----------
+        Boyd, Vandenberghe (2004), Convex Optimization, section 8.5.1.
+        """
+        body = self._body
+        if body is None:
+            raise EmptySetError("chebyshev_ball needs a point, but the set is empty.")
+        if body.basis.shape[1] < self.dim:
+            return body.centre.copy(), 0.0
+        if not len(body.g):
+            return body.centre.copy(), np.inf
+        norms = np.linalg.norm(body.F @ np.linalg.inv(body.basis), axis=1)  # of the rows in the units of x
+        unit = (body.g / norms).min()
+        rows = np.vstack([np.column_stack([body.F, unit * norms]), np.append(np.zeros(self.dim), -1.0)])
+        size = np.linalg.norm(rows, axis=1)
+        cost = np.append(np.zeros(self.dim), -1.0)
+        value, y = rep.minimise(cost, rows / size[:, None], np.append(body.g, 0.0) / size)
+        if y is None:
+            return body.centre.copy(), np.inf
+        return body.centre + body.basis @ y[:-1], -value * unit
 
     def bounding_box(self) -> tuple[Array, Array]:
         """Return the smallest box (lower, upper), each (n,), infinite where unbounded. Raises `EmptySetError`."""
@@ -255,8 +316,7 @@ class Polytope:
             return Polytope(F / norms[:, None], (body.g[kept] + F @ body.centre) / norms)
         kept = rep.irredundant_rows(body.F, body.g) if len(body.g) else np.zeros(0, int)
         F = body.F[kept] @ np.linalg.pinv(body.basis)
-        _, _, vt = np.linalg.svd(body.basis.T, full_matrices=True)
-        M = vt[body.basis.shape[1]:]
+        M = rep.normals(body.basis)
         return Polytope(F, body.g[kept] + F @ body.centre, M, M @ body.centre)
 
     def sample(self, n: int, *, rng: np.random.Generator) -> Array:
@@ -301,10 +361,36 @@ class Polytope:
         equalities = f", {len(self.b_eq)} equalities" if len(self.b_eq) else ""
         return f"Polytope(dim={self.dim}, {len(self.b)} inequalities{equalities})"
 
+    def _repr_html_(self) -> str:
+        facts: dict[str, Any] = {"dimension": self.dim, "inequalities": len(self.b), "equalities": len(self.b_eq),
+                 "empty": self.is_empty, "bounded": self.is_bounded, "dimension of its affine hull": self.affine_dim}
+        if not self.is_empty:
+            lower, upper = self.bounding_box()
+            for i in range(self.dim):
+                facts[f"x<sub>{i}</sub>"] = f"[{lower[i]:.6g}, {upper[i]:.6g}]"
+        rows = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in facts.items())
+        return f"<table><caption>Polytope</caption>{rows}</table>"
 
-def _rows_hold(points: Array, A: Array, b: Array, chunk: int = 1 << 14) -> Array:
+    def plot(self, ax: Any = None, **style: Any) -> Any:
+        """Draw the set, or its projection on the first three coordinates, and return the artist.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw; a new one if left out.
+        **style
+            Passed to the matplotlib artist, for example color, alpha, label.
+        """
+        from .plotting import plot_polytope
+
+        return plot_polytope(self, ax=ax, **style)
+
+
+def _rows_hold(points: Array, A: Array, b: Array, chunk: int = 1 << 13) -> Array:
     """Return A x <= b for every point, in chunks that stay in the cache."""
-    inside = np.empty(len(points), bool)
-    for start in range(0, len(points), chunk):
-        inside[start:start + chunk] = (points[start:start + chunk] @ A.T <= b).all(axis=1)
+    inside = np.ones(len(points), bool)
+    limit = b[:, None]
+    for start in range(0, len(points) if len(b) else 0, chunk):
+        part = slice(start, start + chunk)
+        np.less_equal(A @ points[part].T, limit).all(axis=0, out=inside[part])
     return inside

@@ -1,4 +1,4 @@
-"""The states from which some admissible input reaches a set in one step, by Fourier–Motzkin elimination.
+"""Fourier–Motzkin elimination, and with it the states from which some input reaches a set in one step.
 
 References
 ----------
@@ -38,9 +38,14 @@ def predecessor_rows(F: Array, g: Array, A: Array, B: Array, H: Array, h: Array,
     reach = 0.0 if disturbances is None else (F @ disturbances.T).max(axis=1)
     R = np.vstack([np.hstack([F @ A, F @ B]), H])
     r = np.concatenate([g - reach, h])
-    for k in range(nu - 1, -1, -1):
+    return project_rows(R, r, R.shape[1] - nu)
+
+
+def project_rows(R: Array, r: Array, keep: int) -> tuple[Array, Array]:
+    """Return rows of the projection of {R z <= r} on its first `keep` coordinates."""
+    for k in range(R.shape[1] - 1, keep - 1, -1):
         R, r = eliminate_last(R, r)
-        if k:
+        if k > keep:
             R, r = _strongly_irredundant(R, r)
     return R, r
 
@@ -48,7 +53,7 @@ def predecessor_rows(F: Array, g: Array, A: Array, B: Array, H: Array, h: Array,
 def eliminate_last(R: Array, r: Array) -> tuple[Array, Array]:
     """Return the rows of the projection of {R z <= r} that drops the last coordinate."""
     last = R[:, -1]
-    size = np.abs(R).max(axis=1)
+    size = np.abs(R).max(axis=1, initial=0.0)
     rest = np.column_stack([R[:, :-1], r])
     up, down = last > _ZERO * size, last < -_ZERO * size
     high, low = rest[up] / last[up, None], rest[down] / -last[down, None]
@@ -62,5 +67,5 @@ def _strongly_irredundant(R: Array, r: Array) -> tuple[Array, Array]:
     regular = norms > 1e-13
     rows = np.ascontiguousarray(R[regular] / norms[regular, None])
     values = np.ascontiguousarray(r[regular] / norms[regular])
-    kept = np.asarray(daqp.minrep(rows, values)) == 0
+    kept = np.asarray(daqp.minrep(rows, values)) == 0 if len(values) else np.zeros(0, bool)
     return np.vstack([rows[kept], R[~regular]]), np.append(values[kept], r[~regular])

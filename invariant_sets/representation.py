@@ -79,7 +79,7 @@ def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
             return Body(centre, basis, F, g - F @ y, bool(finite.all()))
         flat = _implicit_equalities(F, g, y, max(radius, 0.0), thin)
         centre = centre + basis @ y
-        basis = basis @ _null_space(F[flat] if flat.any() else np.eye(k)[thin])
+        basis = basis @ null_space(F[flat] if flat.any() else np.eye(k)[thin])
 
 
 def _solve_equalities(A_eq: Array, b_eq: Array) -> tuple[Array, Array] | None:
@@ -89,14 +89,20 @@ def _solve_equalities(A_eq: Array, b_eq: Array) -> tuple[Array, Array] | None:
     centre = np.linalg.lstsq(rows, values, rcond=1e-12)[0]
     if np.abs(rows @ centre - values).max() > FLAT * max(1.0, np.abs(values).max()):
         return None
-    return centre, _null_space(rows)
+    return centre, null_space(rows)
 
 
-def _null_space(rows: Array) -> Array:
+def null_space(rows: Array) -> Array:
     """Return an orthonormal basis (n, k) of {x : rows x = 0}."""
     _, s, vt = np.linalg.svd(rows, full_matrices=True)
     rank = int((s > 1e-8 * max(s.max(initial=0.0), 1e-300)).sum())
     return vt[rank:].T
+
+
+def normals(basis: Array) -> Array:
+    """Return orthonormal rows (n − k, n) that are orthogonal to the k columns of a basis."""
+    left, _, _ = np.linalg.svd(basis / np.linalg.norm(basis, axis=0), full_matrices=True)
+    return left[:, basis.shape[1]:].T
 
 
 def unit_rows(A: Array, b: Array, *, always: bool = False):

@@ -9,8 +9,8 @@ MARGIN = 1e-6  # an eigenvalue counts as unstable if |λ| > 1 + MARGIN
 _MAX_TERMS = 100_000
 
 
-def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) -> tuple[Array, Array]:
-    """Return directions D (k, n) and values h (k,) with D x <= h wherever x can stay bounded for ever.
+def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) -> tuple[Array, Array, Array]:
+    """Return directions D (k, n), values h (k,) and groups (k,) with D x <= h wherever x can stay bounded for ever.
 
     With z = L x, L A = Λ L on the left invariant subspace of |λ| > 1, a bounded trajectory satisfies
     −z₀ = Σ_{j≥1} Λ^{-j} L (B u_{j-1} + E w_{j-1}). Against every w this needs
@@ -27,10 +27,11 @@ def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) 
 
     Returns
     -------
-    D, h : (k, n) and (k,) arrays
+    D, h, group : (k, n), (k,) and (k,) arrays
         Both signs of every direction: the left eigenvectors of real unstable eigenvalues, the columns of their
         invariant subspace for complex pairs and Jordan blocks. Each value is an upper bound: the tail
-        of the series is added. k = 0 if nothing is unstable.
+        of the series is added. k = 0 if nothing is unstable. A row holds only if the set is bounded along all rows
+        of its group.
 
     Notes
     -----
@@ -45,20 +46,22 @@ def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) 
     radius = np.abs(values)
     unstable = radius > 1.0 + MARGIN
     if not unstable.any():
-        return np.zeros((0, len(A))), np.zeros(0)
+        return np.zeros((0, len(A))), np.zeros(0), np.zeros(0, int)
     real = np.abs(values.imag) <= 1e-12 * radius
     simple = np.array([np.sum(np.abs(values - value) <= 1e-6 * abs(value)) == 1 for value in values])
-    rows, bounds = [], []
+    rows, bounds, groups = [], [], []
     for i in np.flatnonzero(unstable & real & simple):
         direction = left[:, i].real
         rows.append(direction)
         bounds.append(_mode_bound(values[i].real, direction, inputs, disturbances))
+        groups.append(int(i))
     if (unstable & ~(real & simple)).any():
         for row, bound in _subspace_bounds(A, inputs, disturbances):
             rows.append(row)
             bounds.append(bound)
+            groups.append(-1)
     D, pairs = np.array(rows), np.array(bounds)
-    return np.vstack([D, -D]), np.concatenate([pairs[:, 0], pairs[:, 1]])
+    return np.vstack([D, -D]), np.concatenate([pairs[:, 0], pairs[:, 1]]), np.array(groups + groups)
 
 
 def _mode_bound(value: float, v: Array, inputs: Array, disturbances: Array | None) -> tuple[float, float]:

@@ -46,9 +46,11 @@ def as_vector(value: Any, name: str, *, size: int | None = None, finite: bool = 
     return array
 
 
-def as_batch(value: Any, name: str, columns: int, *, finite: bool = True) -> tuple[Array, bool]:
-    """Return `value` as a (k, columns) copy, and whether it was a single (columns,) point."""
-    array = as_floats(value, name)
+def as_batch(value: Any, name: str, columns: int, *, finite: bool = True,
+             copy: bool = True) -> tuple[Array, bool]:
+    """Return `value` as a (k, columns) array, and whether it was a single (columns,) point."""
+    plain = isinstance(value, np.ndarray) and value.dtype == np.float64 and not copy
+    array = value if plain else as_floats(value, name)
     single = array.ndim <= 1
     if single:
         array = array.reshape(1, -1)

@@ -43,7 +43,7 @@ def test_projection_is_the_nearest_admissible_input(one_input, rng):
 
 def test_without_an_admissible_input_the_scaled_violation_is_least(one_input, rng):
     A, B, C, inputs = one_input
-    width = C.support(C.A) + C.support(-C.A)
+    width = np.abs(C.A) @ np.ptp(C.vertices, axis=0)
     for x in rng.uniform(-30, 30, (40, 2)):
         u, admissible = inputs.project(x, [0.3])
 

@@ -1,0 +1,132 @@
+"""The recursion Ω ← Pre(Ω) ∩ Ω on arrays: how it cuts, how it stops, how it notices that a set is flat or empty."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from . import representation as rep
+from .linear_programs import inscribed_ball, maximise_rows
+
+Array = np.ndarray
+Rows = tuple[Array, Array]
+CUT = 1e-12  # a row that cuts less off a set of order one is noise
+
+
+class Shape(Enum):
+    """What is left of the set."""
+
+    SOLID = "full-dimensional"
+    FLAT = "of lower dimension"
+    EMPTY = "empty"
+
+
+@dataclass(frozen=True)
+class Region:
+    """{F y <= g}, with its vertices V where bounded.
+
+    Attributes
+    ----------
+    F, g : (m, n) and (m,) arrays
+        Rows of unit norm.
+    V : (k, n) array or None
+        Vertices; None if unbounded.
+    shape : Shape
+        If not SOLID, V is not kept up to date.
+    """
+
+    F: Array
+    g: Array
+    V: Array | None
+    shape: Shape = Shape.SOLID
+
+    def reach(self, rows: Array) -> Array:
+        """Return the support of the region along each row, (k,)."""
+        if self.V is not None:
+            return (rows @ self.V.T).max(axis=1)
+        return maximise_rows(rows, self.F, self.g) if len(self.g) else np.full(len(rows), np.inf)
+
+    def cut(self, R: Array, r: Array) -> Region:
+        """Return the region intersected with {R y <= r} (unit rows)."""
+        F, g = np.vstack([self.F, R]), np.append(self.g, r)
+        middle = np.zeros(F.shape[1])
+        if self.V is None or g.min() < 0.01:
+            radius, middle = inscribed_ball(F, g, cap=1.0)
+            if radius <= rep.FLAT:
+                return Region(F, g, None, Shape.EMPTY if radius < -rep.FLAT else Shape.FLAT)
+        room = g - F @ middle
+        if self.V is None:
+            kept = rep.irredundant_rows(F, room)
+            return Region(F[kept], g[kept], None)
+        kept, V = rep.facets_and_vertices(F, room)
+        return Region(F[kept], g[kept], V + middle)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a recursion ended.
+
+    Attributes
+    ----------
+    region : Region
+        The last set.
+    iterations : int
+        Steps taken.
+    converged : bool
+        Whether no row cuts more than the tolerance any more.
+    cut : float
+        Largest relative cut of the last step.
+    """
+
+    region: Region
+    iterations: int
+    converged: bool
+    cut: float
+
+
+def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: float, limit: int) -> Outcome:
+    """Return the end of Ω ← predecessor(Ω) ∩ Ω from `region`.
+
+    Parameters
+    ----------
+    region : Region
+        Where to start: a superset of the answer, or of the part of it that is wanted.
+    predecessor : callable
+        (F, g) → rows (R, r) of the predecessor set, not necessarily of unit norm.
+    stop : float
+        It has converged when no row cuts more than this part of its right-hand side.
+    limit : int
+        Cap of the number of steps.
+    """
+    cut = np.inf
+    for iteration in range(1, limit + 1):
+        R, r = rep.unit_rows(*predecessor(region.F, region.g))
+        if R is None:
+            return Outcome(Region(region.F, region.g, None, Shape.EMPTY), iteration, True, 0.0)
+        if region.V is None and len(r):
+            R, r = _worth_testing(region, R, r)
+        reach = region.reach(R)
+        cutting = reach > r + CUT
+        if not cutting.any():
+            return Outcome(region, iteration, True, 0.0)
+        cut = float(((reach - r)[cutting] / np.maximum(np.abs(r[cutting]), 1e-3)).max())
+        region = region.cut(R[cutting], r[cutting])
+        if region.shape is not Shape.SOLID:
+            return Outcome(region, iteration, False, cut)
+        if cut <= stop:
+            return Outcome(region, iteration, True, cut)
+    return Outcome(region, limit, False, cut)
+
+
+def _worth_testing(region: Region, R: Array, r: Array) -> Rows:
+    """Drop the new rows that `daqp.minrep` finds redundant, before one LP is spent on each."""
+    F, g = np.vstack([region.F, R]), np.append(region.g, r)
+    radius, middle = inscribed_ball(F, g, cap=1.0)
+    if radius <= rep.FLAT:
+        return R, r
+    kept = rep.irredundant_rows(F, g - F @ middle)
+    new = kept[kept >= len(region.g)] - len(region.g)
+    return R[new], r[new]
