@@ -48,15 +48,15 @@ class DenseQP:
         self._m = len(G)
         self._model: daqp.Model | None = None
 
-    def solve(self, q: Array, b: Array) -> QPResult:
-        """Solve for one linear cost and right-hand side."""
+    def solve(self, q: Array, b: Array, *, doubt: bool = False) -> QPResult:
+        """Solve for one linear cost and right-hand side; `doubt` has a verdict of infeasibility confirmed."""
         qs, bs = np.ascontiguousarray(q * self._d), np.ascontiguousarray(b[self._rows] * self._r)
         unreachable = bool((b[self._empty] < -1e-9 * max(1.0, float(np.abs(b).max(initial=0.0)))).any())
         z, y, flag = self._daqp(qs, bs)
         residuals = self._residuals(z, y, qs, bs)
         solver = "DAQP"
         infeasible = unreachable or flag == -1
-        if not infeasible and not residuals.worst <= TOLERANCE:
+        if (doubt and infeasible) or (not infeasible and not residuals.worst <= TOLERANCE):
             z2, y2, infeasible = self._clarabel(qs, bs)
             second = self._residuals(z2, y2, qs, bs)
             if second.worst < residuals.worst:

@@ -14,7 +14,7 @@ _FAR = 1e4  # farther than this, in units of the set, only the direction counts
 _MARGIN = 1e-8  # the relaxed bounds leave this much room, in units of the bounds
 
 
-def least_violation(problem: ParametricQP, units: Array, q: Array, b: Array) -> Array | None:
+def least_violation(problem: ParametricQP, units: Array, q: Array, b: Array) -> tuple[Array, Array] | None:
     """Right-hand side relaxed by the least squares of the largest violation per step.
 
     Only rows of state and terminal constraints are relaxed; input, rate and slack rows are kept (Kerrigan and
@@ -31,8 +31,10 @@ def least_violation(problem: ParametricQP, units: Array, q: Array, b: Array) -> 
 
     Returns
     -------
-    (m,) array or None
-        The relaxed right-hand side; None when the hard rows conflict among themselves.
+    relaxed : (m,) array
+        The relaxed right-hand side.
+    z : (nz,) array
+        A point that satisfies it. Instead of both None when the hard rows conflict among themselves.
     """
     soft = np.array([label.kind in ("state", "terminal") for label in problem.labels], dtype=bool)
     if not soft.any():
@@ -43,14 +45,14 @@ def least_violation(problem: ParametricQP, units: Array, q: Array, b: Array) -> 
     columns[soft, steps[soft] - 1] = -units[soft]
     share = _SHARE / _typical_cost(problem)
     elastic = DenseQP(block_diag(share * problem.H, np.eye(last)), np.hstack([problem.G, columns]))
-    result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b)
+    result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b, doubt=True)
     if result.infeasible or not np.isfinite(result.z).all():
         return None
     slack = np.maximum(-columns @ result.z[problem.nz :], 0.0)
     relaxed: Array = np.where(slack > 2 * _MARGIN * units, b + slack + _MARGIN * units, b + soft * _MARGIN * units)
     # what the first stage left violated by rounding is granted too
-    left = problem.G @ result.z[: problem.nz] - relaxed
-    return relaxed + np.where(soft, np.maximum(left, 0.0), 0.0)
+    z = result.z[: problem.nz]
+    return relaxed + np.where(soft, np.maximum(problem.G @ z - relaxed, 0.0), 0.0), z
 
 
 def _typical_cost(problem: ParametricQP) -> float:

@@ -21,6 +21,7 @@ from .plan import Plan, Residuals, Status
 
 if TYPE_CHECKING:
     from .explicit import ExplicitMPC
+    from .infeasibility import Explanation
 
 _OVERFLOW = 1e100  # data beyond this are answered by the saturated regulator
 
@@ -190,6 +191,28 @@ class LinearMPC:
             return np.array([plan.inputs[0] for plan in self.solve_many(x, **signals)]).reshape(len(x), self.nu)
         return np.array(self.solve(x, **signals).inputs[0])
 
+    def explain(self, x: ArrayLike, **signals: ArrayLike) -> Explanation:
+        """Why the problem is infeasible from x: what has to give, by how much, and what contradicts what.
+
+        Parameters
+        ----------
+        x : (nx,) array
+            State.
+        signals : arrays
+            As in `solve`.
+
+        Returns
+        -------
+        Explanation
+            Prints as one sentence; empty when the problem is feasible.
+        """
+        from .infeasibility import explain_infeasibility
+
+        x = as_array("x", x, (self.nx,))
+        given = self._signals(**signals)
+        problem, _ = self._problems[tuple(sorted(given))]
+        return explain_infeasibility(self, problem, self._theta(problem, x, given))
+
     def explicit(
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,
         time_limit: float = np.inf,
@@ -256,9 +279,13 @@ class LinearMPC:
     def _problems(self) -> _Problems:
         return _Problems(self)
 
+    @staticmethod
+    def _theta(problem: ParametricQP, x: Array, given: dict[str, Array]) -> Array:
+        return np.concatenate([x if name == "x" else given[name] for name, _ in problem.parameters])
+
     def _solve(self, x: Array, given: dict[str, Array], start: float) -> Plan:
         problem, solver = self._problems[tuple(sorted(given))]
-        theta = np.concatenate([x if name == "x" else given[name] for name, _ in problem.parameters])
+        theta = self._theta(problem, x, given)
         with np.errstate(over="ignore", invalid="ignore"):
             q, b = problem.at(theta)
             if not max(np.abs(q).max(), np.abs(b).max(initial=0.0)) < _OVERFLOW:
@@ -266,13 +293,22 @@ class LinearMPC:
             result = solver.solve(q, b)
             status, violation = Status.SOLVED, 0.0
             if result.infeasible:
-                relaxed = least_violation(problem, state_units(self, problem.labels), q, b)
-                if relaxed is None:
+                units = state_units(self, problem.labels)
+                found = least_violation(problem, units, q, b)
+                if found is None:
                     return self._last_resort(x, start)
-                violation = float(np.max(relaxed - b, initial=0.0))
-                result = solver.solve(q, relaxed)
-                status = Status.SOFTENED if violation > 0 else Status.SOLVED
-            if result.residuals.worst > 1e-6 or result.infeasible:
+                relaxed, elastic = found
+                for margin in (0.0, 1e-6, 1e-4, 1e-2):  # the least relaxation is feasible by a hair's breadth
+                    wider = relaxed + margin * units * (relaxed > b)
+                    result = solver.solve(q, wider, doubt=margin == 1e-2)
+                    if not result.infeasible:
+                        break
+                violation = float(np.max(wider - b, initial=0.0))
+                # nothing to relax: the first verdict was wrong
+                status = Status.SOFTENED if (wider - b > 1e-7 * units).any() else Status.SOLVED
+            if result.infeasible:
+                result = replace(result, z=elastic, infeasible=False)
+            if not result.residuals.worst <= 1e-6:
                 status = Status.INACCURATE
             inputs = problem.inputs(result.z, theta)
             if not np.isfinite(inputs).all():

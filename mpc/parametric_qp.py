@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -122,6 +123,14 @@ class ParametricQP:
             column += size
         left = tuple(p for p in self.parameters if p[0] not in values)
         return replace(self._substitute(T, t), parameters=left)
+
+    def without(self, rows: Iterable[int]) -> ParametricQP:
+        """Return the problem without some of its constraints."""
+        dropped = set(rows)
+        kept = [i for i in range(self.m) if i not in dropped]
+        return replace(
+            self, G=self.G[kept], w=self.w[kept], S=self.S[kept], labels=tuple(self.labels[i] for i in kept)
+        )
 
     def _substitute(self, T: Array, t: Array) -> ParametricQP:
         """Replace θ by T θ' + t."""

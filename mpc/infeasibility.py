@@ -1,0 +1,189 @@
+"""Why an MPC problem is infeasible: what has to give, by how much, and which constraints contradict each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linprog
+
+from .checks import Array
+from .condensing import state_units
+from .parametric_qp import Constraint, ParametricQP
+
+if TYPE_CHECKING:
+    from .linear_mpc import LinearMPC
+
+_ZERO = 1e-7  # violation, relative to the bound, that counts as none (feasibility tolerance of the LP solver)
+Rows = list[int]
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A constraint that has to give.
+
+    constraint : where it comes from; meaning : it in words; amount : by how much, in its own units; row : of the QP.
+    """
+
+    constraint: Constraint
+    meaning: str
+    amount: float
+    row: int
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why there is no admissible input sequence; prints as one sentence.
+
+    Attributes
+    ----------
+    violations : tuple of Violation
+        Constraints that have to give and by how much; without them the problem is feasible, and none can be spared.
+        Empty for a feasible problem.
+    conflict : tuple of Constraint
+        A minimal contradiction: these constraints cannot hold together, any of them left out they can.
+    conflict_rows : tuple of int
+        Their rows in the QP.
+    text : str
+        The sentence.
+    """
+
+    violations: tuple[Violation, ...]
+    conflict: tuple[Constraint, ...]
+    conflict_rows: tuple[int, ...]
+    text: str
+
+    @property
+    def feasible(self) -> bool:
+        """True when nothing has to give."""
+        return not self.violations
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def explain_infeasibility(mpc: LinearMPC, problem: ParametricQP, theta: Array) -> Explanation:
+    """Explanation of the QP at one parameter.
+
+    The least sum of relative violations (a linear program) says what has to give; it is thinned until every member is
+    needed. A minimal contradiction is found by a deletion filter on the support of a Farkas certificate.
+
+    Parameters
+    ----------
+    mpc : LinearMPC
+        Whose constraints are named.
+    problem : ParametricQP
+        Its QP.
+    theta : (nt,) array
+        Parameter.
+
+    References
+    ----------
+    Chinneck, *Feasibility and Infeasibility in Optimization*, Springer 2008, chapters 6 and 7.
+    """
+    units = state_units(mpc, problem.labels)
+    _, b = problem.at(theta)
+    scale = 1 / np.sqrt(np.diag(problem.H))
+    G, b = problem.G * scale / units[:, None], b / units
+    everything = list(range(problem.m))
+    if _least_maximum(G, b, everything)[0] <= _ZERO:
+        return Explanation((), (), (), "Feasible: nothing has to give.")
+    givable = [i for i in everything if problem.labels[i].kind in ("state", "terminal")]
+    fixed = [i for i in everything if i not in set(givable)]
+    if _least_maximum(G, b, fixed)[0] > _ZERO:  # inputs and rates contradict each other
+        givable = everything
+    amounts = _what_gives(G, b, givable)
+    violations = tuple(
+        Violation(problem.labels[i], describe(mpc, problem.labels[i]), float(amounts[i] * units[i]), i)
+        for i in sorted(amounts, key=lambda i: (problem.labels[i].step, i))
+    )
+    rows = tuple(_contradiction(G, b, everything))
+    conflict = tuple(problem.labels[i] for i in rows)
+    return Explanation(violations, conflict, rows, _sentence(mpc, violations, conflict))
+
+
+def _least_maximum(G: Array, b: Array, rows: Rows) -> tuple[float, Array]:
+    """Least t >= 0 with Gz <= b + t on the rows, and the multipliers that prove it."""
+    if not rows:
+        return 0.0, np.zeros(0)
+    n = G.shape[1]
+    matrix = np.hstack([G[rows], -np.ones((len(rows), 1))])
+    result = linprog(np.eye(n + 1)[n], A_ub=matrix, b_ub=b[rows], bounds=[(None, None)] * n + [(0, None)])
+    if result.status != 0:
+        return np.inf, np.zeros(len(rows))
+    return float(result.fun), -result.ineqlin.marginals
+
+
+def _what_gives(G: Array, b: Array, givable: Rows) -> dict[int, float]:
+    """Rows with their relative violations, thinned until none can be spared."""
+    amounts = _least_sum(G, b, givable)
+    chosen = sorted(amounts, key=lambda i: amounts[i])
+    for i in list(chosen):
+        fewer = [j for j in chosen if j != i]
+        if fewer and _least_maximum(G, b, [j for j in range(len(b)) if j not in set(fewer)])[0] <= _ZERO:
+            chosen = fewer
+    thinned = _least_sum(G, b, chosen)
+    return {i: thinned.get(i, 0.0) for i in chosen}
+
+
+def _least_sum(G: Array, b: Array, givable: Rows) -> dict[int, float]:
+    """Violations of least sum, among the rows that may give."""
+    m, n = G.shape
+    relax = np.zeros((m, len(givable)))
+    relax[givable, np.arange(len(givable))] = -1.0
+    cost = np.concatenate([np.zeros(n), np.ones(len(givable))])
+    bounds = [(None, None)] * n + [(0, None)] * len(givable)
+    result = linprog(cost, A_ub=np.hstack([G, relax]), b_ub=b, bounds=bounds)
+    if result.status != 0:
+        return {i: np.inf for i in givable}
+    return {i: float(s) for i, s in zip(givable, result.x[n:]) if s > _ZERO / 10}
+
+
+def _contradiction(G: Array, b: Array, rows: Rows) -> Rows:
+    """Minimal infeasible subset of the rows."""
+    _, proof = _least_maximum(G, b, rows)
+    support = [i for i, y in zip(rows, proof) if y > 1e-12]
+    current = support if _least_maximum(G, b, support)[0] > _ZERO else list(rows)
+    for i in list(current):
+        without = [j for j in current if j != i]
+        if _least_maximum(G, b, without)[0] > _ZERO:
+            current = without
+    return current
+
+
+def describe(mpc: LinearMPC, label: Constraint) -> str:
+    """The constraint in words, for instance "x[0] <= 5"."""
+    if label.kind == "rate":
+        j, sign = label.row % mpc.nu, label.row < mpc.nu
+        return f"Δu[{j}] {'<=' if sign else '>='} {mpc.rate_limit[j] if sign else -mpc.rate_limit[j]:.6g}"
+    if label.kind == "slack":
+        return f"slack {label.step} >= 0"
+    H, h = {"state": mpc.state_rows, "input": mpc.input_rows, "terminal": mpc.terminal_rows}[label.kind]
+    name = "u" if label.kind == "input" else "x"
+    used = np.flatnonzero(H[label.row])
+    if len(used) == 1:
+        a = H[label.row, used[0]]
+        return f"{name}[{used[0]}] {'<=' if a > 0 else '>='} {h[label.row] / a:.6g}"
+    return f"row {label.row} of the {label.kind} set"
+
+
+def _sentence(mpc: LinearMPC, violations: tuple[Violation, ...], conflict: tuple[Constraint, ...]) -> str:
+    gives = ", ".join(f"{v.meaning} by {v.amount:.3g} at step {v.constraint.step}" for v in violations)
+    steps: dict[str, list[int]] = {}
+    for label in conflict:
+        steps.setdefault(describe(mpc, label), []).append(label.step)
+    clash = " and ".join(f"{meaning} ({_ranges(at)})" for meaning, at in steps.items())
+    return f"Infeasible: the least relaxation is {gives}; cannot hold together: {clash}."
+
+
+def _ranges(steps: list[int]) -> str:
+    """Steps as "step 3" or "steps 0-4, 6"."""
+    runs: list[list[int]] = []
+    for k in sorted(steps):
+        if runs and k == runs[-1][1] + 1:
+            runs[-1][1] = k
+        else:
+            runs.append([k, k])
+    text = ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in runs)
+    return f"step{'s' if len(steps) > 1 else ''} {text}"

@@ -1,0 +1,50 @@
+"""Random plants and QPs, seeded, shared by the tests and the benchmark."""
+
+from __future__ import annotations
+
+import numpy as np
+from plants import box
+
+from mpc import LinearMPC
+from mpc.lqr import NotStabilisableError
+
+
+def random_plant(seed):
+    """1 or 2 inputs, 2 to 4 states, stable or unstable, N = 2 … 5."""
+    rng = np.random.default_rng(seed)
+    nx, nu, N = (int(rng.integers(low, high)) for low, high in ((2, 5), (1, 3), (2, 6)))
+    A = rng.normal(size=(nx, nx))
+    A *= rng.uniform(0.7, 1.15) / np.abs(np.linalg.eigvals(A)).max()
+    B = rng.normal(size=(nx, nu))
+    return LinearMPC(A, B, Q=np.eye(nx), R=0.1 * np.eye(nu), horizon=N, X=box(5 * np.ones(nx)), U=box(np.ones(nu)))
+
+
+def hard_controller(rng, kind):
+    """A random controller: "plain", "scaled" (units spread over 1e-6 … 1e6) or "degenerate" (nearly)."""
+    while True:
+        nx, nu, N = int(rng.integers(2, 7)), int(rng.integers(1, 4)), int(rng.integers(3, 21))
+        A = rng.normal(size=(nx, nx))
+        A *= rng.uniform(0.6, 1.3) / np.abs(np.linalg.eigvals(A)).max()
+        B, Q, R = rng.normal(size=(nx, nu)), np.eye(nx), np.eye(nu) * 10.0 ** rng.uniform(-3, 1)
+        sx, su, cost = np.ones(nx), np.ones(nu), 1.0
+        X, U = box(5 * np.ones(nx)), box(np.ones(nu))
+        if kind == "scaled":
+            sx, su, cost = 10.0 ** rng.uniform(-6, 6, nx), 10.0 ** rng.uniform(-6, 6, nu), 10.0 ** rng.uniform(-6, 6)
+        if kind == "degenerate":
+            R = R * 1e-9  # nearly singular
+            twin = X.A * (1 + 1e-9 * rng.normal(size=X.A.shape))  # every state row nearly twice
+            X.A, X.b = np.vstack([X.A, twin]), np.tile(X.b, 2)
+        X.A, U.A = X.A / sx, U.A / su
+        data = dict(Q=cost * Q / np.outer(sx, sx), R=cost * R / np.outer(su, su), horizon=N, X=X, U=U)
+        try:
+            return LinearMPC(A * sx[:, None] / sx, B * sx[:, None] / su, **data), sx
+        except NotStabilisableError:
+            continue
+
+
+def feasible_state(rng, controller, sx):
+    """A state of a feasible problem: the largest of a shrinking sequence, so many lie near the border."""
+    x = sx * rng.uniform(-5, 5, size=len(sx))
+    while not (plan := controller.solve(x)).feasible:
+        x = 0.7 * x
+    return x, plan
