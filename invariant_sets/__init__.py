@@ -5,7 +5,14 @@ from .control_invariant import maximal_control_invariant_set
 from .exceptions import InvariantSetsError
 from .parametric import ParametricSet
 from .polytope import Polytope
-from .results import InvariantSet, Status
+from .results import SetResult, Status
 
-__all__ = ["AdmissibleInputs", "InvariantSet", "InvariantSetsError", "ParametricSet", "Polytope", "Status",
-           "maximal_control_invariant_set"]
+__all__ = [
+           "AdmissibleInputs",
+           "InvariantSetsError",
+           "ParametricSet",
+           "Polytope",
+           "SetResult",
+           "Status",
+           "maximal_control_invariant_set",
+]

@@ -56,16 +56,16 @@ def control_violation(A: Array, B: Array, C: Polytope, U: Polytope,
     rows = np.ascontiguousarray(np.block([[slope, -np.ones((len(F), 1))], [H, np.zeros((len(H), 1))]]))
     cost = np.zeros(nu + 1)
     cost[nu] = 1.0
-    worst = -np.inf
+    witnesses = np.zeros((len(room), nu))
     for k in range(len(room)):
-        right = np.concatenate([room[k], h])
-        v, _, flag, _ = daqp.solve(None, cost, rows, right, primal_tol=1e-11)
-        leaves = _leaves(v[:nu], slope, room[k], H, h) if flag == 1 else np.inf
-        if leaves > _DOUBTFUL:  # DAQP ends its proximal iterations early now and then: ask the checked solver
-            v = minimise(cost, rows, right)[1]
-            leaves = min(leaves, np.inf if v is None else _leaves(v[:nu], slope, room[k], H, h))
-        worst = max(worst, leaves)
-    return float(worst), len(room)
+        v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=1e-11)
+        witnesses[k] = v[:nu] if flag == 1 else np.inf
+    leaves = _leaves(witnesses, slope, room, H, h)
+    for k in np.flatnonzero(leaves > _DOUBTFUL):  # DAQP may end its proximal iterations early: ask the checked solver
+        v = minimise(cost, rows, np.concatenate([room[k], h]))[1]
+        if v is not None:
+            leaves[k] = min(leaves[k], _leaves(v[None, :nu], slope, room[k:k + 1], H, h)[0])
+    return float(leaves.max()), len(room)
 
 
 def relative_rows(C: Polytope) -> tuple[Array, Array]:
@@ -75,9 +75,11 @@ def relative_rows(C: Polytope) -> tuple[Array, Array]:
     return F, np.concatenate([C.b / scale, C.b_eq / scale_eq, -C.b_eq / scale_eq])
 
 
-def _leaves(v: Array, slope: Array, room: Array, H: Array, h: Array) -> float:
-    """Return the violation of the witness v, infinite if v itself is not in U."""
-    return float((slope @ v - room).max()) if (H @ v - h).max(initial=0.0) <= 1e-9 else np.inf
+def _leaves(v: Array, slope: Array, room: Array, H: Array, h: Array) -> Array:
+    """Return the violation of each witness (k, nu), infinite if it is not in U itself."""
+    with np.errstate(invalid="ignore"):
+        inside = (v @ H.T - h <= 1e-9).all(axis=1)
+        return np.where(inside, (v @ slope.T - room).max(axis=1), np.inf)
 
 
 def _facet_violation(A: Array, B: Array, C: Polytope, U: Polytope, disturbances: Array | None) -> tuple[float, int]:

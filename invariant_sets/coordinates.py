@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import representation as rep
-from .linear_programs import inscribed_ball
+from .linear_programs import inscribed_ball, maximise_rows
 from .polytope import Polytope
 from .validation import frozen
 
@@ -111,12 +111,32 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope) -> LocalProblem | P
     inverse = np.linalg.pinv(N) if flat else np.linalg.inv(N)
     A, B, drift = inverse @ AN, inverse @ BM, inverse @ drift
     w = None if spread is None else spread @ inverse.T
-    vertices = None
-    if inputs.bounded and not flat and M.shape[1]:
-        vertices = (U.vertices - inputs.centre) @ (np.linalg.inv(M) if len(M) == M.shape[1] else np.linalg.pinv(M)).T
-    problem = LocalProblem(state.centre, N, A, B, drift, state.F, state.g, np.hstack([Hx, Hu]), h, vertices, w,
-                           state.bounded, False)
+    H = np.hstack([Hx, Hu])
+    vertices = _input_vertices(U, inputs, state, H, h, flat)
+    problem = LocalProblem(state.centre, N, A, B, drift, state.F, state.g, H, h, vertices, w, state.bounded, False)
     return _at_equilibrium(problem, system, X)
+
+
+def _input_vertices(U: Polytope, inputs: rep.Body, state: rep.Body, H: Array, h: Array, flat: bool) -> Array | None:
+    """Return vertices of a set that holds every local input v; None if there is none."""
+    k = state.basis.shape[1]
+    q = H.shape[1] - k
+    if q == 0:
+        return np.zeros((1, 0))
+    if not inputs.bounded or (flat and not state.bounded):
+        return None
+    if not flat:
+        return (U.vertices - inputs.centre) @ np.linalg.pinv(inputs.basis).T
+    rows = np.vstack([np.hstack([state.F, np.zeros((len(state.F), q))]), H])
+    norms = np.linalg.norm(rows, axis=1)
+    used = norms > 1e-12
+    axes = np.hstack([np.zeros((q, k)), np.eye(q)])
+    reach = maximise_rows(np.vstack([axes, -axes]), rows[used] / norms[used, None],
+                          np.append(state.g, h)[used] / norms[used])
+    if not np.isfinite(reach).all():
+        return None
+    corners = np.array(np.meshgrid(*zip(-reach[q:], reach[:q]), indexing="ij")).reshape(q, -1)
+    return corners.T.copy()
 
 
 def _stay_on_hull(normal: Array, AN: Array, BM: Array, drift: Array, spread: Array | None, Hu: Array, h: Array):
@@ -182,7 +202,7 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
 def _inner_solution(matrix: Array, right_side: Array, rows: Array, right: Array) -> Array | None:
     """Return z with matrix z = right_side, deep inside rows z <= right; None if there is none."""
     z, *_ = np.linalg.lstsq(matrix, right_side, rcond=1e-12)
-    if np.abs(matrix @ z - right_side).max() > _ROUND * max(1.0, np.abs(right_side).max()):
+    if np.abs(matrix @ z - right_side).max(initial=0.0) > _ROUND * max(1.0, np.abs(right_side).max(initial=0.0)):
         return None
     null = rep.null_space(matrix)
     room = right - rows @ z

@@ -10,7 +10,7 @@ import numpy as np
 from .control_invariant import maximal_control_invariant_set
 from .exceptions import InputError
 from .polytope import Polytope
-from .results import InvariantSet
+from .results import SetResult
 from .validation import as_batch, as_vector, check_tolerance
 
 Array = np.ndarray
@@ -46,9 +46,9 @@ class ParametricSet:
                 raise InputError(f"{name} must be a Polytope, got {type(value).__name__}.")
         self.matrices, self.X, self.U, self.W = matrices, X, U, W
         self.tol, self.max_iterations = check_tolerance(tol), max_iterations
-        self._cache: dict[bytes, InvariantSet] = {}
+        self._cache: dict[bytes, SetResult] = {}
 
-    def result(self, p: Any) -> InvariantSet:
+    def result(self, p: Any) -> SetResult:
         """Return the whole result, with status and certificate, at one design p (np,)."""
         p = as_vector(p, "p") + 0.0
         key = p.tobytes()
@@ -89,7 +89,7 @@ class ParametricSet:
             inside[members] = self.at(design).contains(states[members], tol)
         return bool(inside[0]) if single else inside
 
-    def _compute(self, p: Array) -> InvariantSet:
+    def _compute(self, p: Array) -> SetResult:
         A, B, *rest = self.matrices(p)
         E = rest[0] if rest and self.W is not None else None
         return maximal_control_invariant_set(A, B, self.X, self.U, E=E, W=self.W, tol=self.tol,

@@ -157,9 +157,7 @@ class Polytope(SetOperations):
         if self.dim == 1:
             content = float(np.ptp(Y))
         else:
-            from scipy.spatial import ConvexHull
-
-            content = float(ConvexHull(Y).volume)
+            content = float(rep.convex_hull(Y).volume)
         return content * abs(float(np.linalg.det(body.basis)))
 
     def _require_bounded(self, what: str) -> rep.Body:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from . import representation as rep
+from .exceptions import NumericalError
 from .linear_programs import inscribed_ball, maximise_rows
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
+SMALL = 0.05
 CUT = 1e-12  # a row that cuts less off a set of order one is noise
 
 
@@ -46,7 +48,9 @@ class Region:
     def reach(self, rows: Array) -> Array:
         """Return the support of the region along each row, (k,)."""
         if self.V is not None:
-            return (rows @ self.V.T).max(axis=1)
+            step = max(1, 20_000_000 // len(self.V))
+            parts = [(rows[i:i + step] @ self.V.T).max(axis=1) for i in range(0, len(rows), step)]
+            return np.concatenate(parts) if parts else np.zeros(0)
         return maximise_rows(rows, self.F, self.g) if len(self.g) else np.full(len(rows), np.inf)
 
     def cut(self, R: Array, r: Array) -> Region:
@@ -61,13 +65,25 @@ class Region:
         if self.V is None:
             kept = rep.irredundant_rows(F, room)
             return Region(F[kept], g[kept], None)
-        kept, V = rep.facets_and_vertices(F, room)
+        try:
+            kept, V = rep.facets_and_vertices(F, room, merge=False)
+        except NumericalError:  # thinner than Qhull can resolve
+            return Region(F, g, None, Shape.FLAT)
         return Region(F[kept], g[kept], V + middle)
+
+    @property
+    def is_small(self) -> bool:
+        """Whether it is so much smaller than one in some coordinate that it should be rescaled."""
+        return self.V is not None and bool((self.V.max(axis=0) - self.V.min(axis=0) < 2 * SMALL).any())
+
+    def with_distinct_vertices(self) -> Region:
+        """Return the region with repeated vertices merged."""
+        return self if self.V is None else replace(self, V=rep.merge_points(self.V))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a recursion ended.
+    """How a recursion ended: converged, at a cap, or because the set has become flat, empty or small.
 
     Attributes
     ----------
@@ -79,15 +95,19 @@ class Outcome:
         Whether no row cuts more than the tolerance any more.
     cut : float
         Largest relative cut of the last step.
+    too_many_facets : bool
+        Whether the cap on the number of facets stopped it.
     """
 
     region: Region
     iterations: int
     converged: bool
     cut: float
+    too_many_facets: bool = False
 
 
-def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: float, limit: int) -> Outcome:
+def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: float, limit: int,
+            max_facets: int) -> Outcome:
     """Return the end of Ω ← predecessor(Ω) ∩ Ω from `region`.
 
     Parameters
@@ -98,8 +118,8 @@ def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: f
         (F, g) → rows (R, r) of the predecessor set, not necessarily of unit norm.
     stop : float
         It has converged when no row cuts more than this part of its right-hand side.
-    limit : int
-        Cap of the number of steps.
+    limit, max_facets : int
+        Caps of the number of steps and of facets.
     """
     cut = np.inf
     for iteration in range(1, limit + 1):
@@ -118,6 +138,10 @@ def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: f
             return Outcome(region, iteration, False, cut)
         if cut <= stop:
             return Outcome(region, iteration, True, cut)
+        if region.is_small:
+            return Outcome(region, iteration, False, cut)
+        if len(region.g) > max_facets:
+            return Outcome(region, iteration, False, cut, too_many_facets=True)
     return Outcome(region, limit, False, cut)
 
 

@@ -12,10 +12,12 @@ Barber, Dobkin, Huhdanpaa (1996), The Quickhull algorithm for convex hulls, ACM 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import daqp
 import numpy as np
 
+from .exceptions import NumericalError
 from .linear_programs import inscribed_ball, minimise
 
 Array = np.ndarray
@@ -153,10 +155,11 @@ def _implicit_equalities(F: Array, g: Array, y: Array, radius: float, thin: Arra
     return flat
 
 
-def facets_and_vertices(F: Array, g: Array) -> tuple[Array, Array]:
+def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Array, Array]:
     """Return the irredundant row indices and the vertices (k, n) of the bounded {F y <= g}, g > 0.
 
-    The hull of the dual points F/g has the irredundant rows as its vertices, and one facet per primal vertex.
+    The hull of the dual points F/g has the irredundant rows as its vertices, and one facet per primal vertex; a
+    vertex of more than n facets comes several times unless they are merged.
     """
     n = F.shape[1]
     if n == 1:
@@ -165,11 +168,22 @@ def facets_and_vertices(F: Array, g: Array) -> tuple[Array, Array]:
         lower = np.where(F[:, 0] < 0, ends, -np.inf)
         rows = np.array([np.argmin(upper), np.argmax(lower)])
         return rows, np.array([[upper[rows[0]]], [lower[rows[1]]]])
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(F / g[:, None])
+    hull = convex_hull(F / g[:, None])
     equations = hull.equations
-    return hull.vertices, merge_points(-equations[:, :-1] / equations[:, -1:])
+    V = -equations[:, :-1] / equations[:, -1:]
+    return hull.vertices, merge_points(V) if merge else V
+
+
+def convex_hull(points: Array) -> Any:
+    """Return Qhull's hull of the points (k, n), n >= 2; raise `NumericalError` where it cannot."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return ConvexHull(points)
+    except QhullError as error:
+        reason = str(error).splitlines()[0]
+        raise NumericalError(f"The hull of {points.shape[0]} points in {points.shape[1]} dimensions failed: {reason}. "
+                             "Rescale the data.") from None
 
 
 def merge_points(points: Array, tol: float = SAME) -> Array:
@@ -209,8 +223,6 @@ def hull_rows(points: Array) -> tuple[Array, Array]:
     """Return facets (F, g) with unit rows of the convex hull of full-dimensional points (k, n)."""
     if points.shape[1] == 1:
         return np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()])
-    from scipy.spatial import ConvexHull
-
-    equations = ConvexHull(points).equations
+    equations = convex_hull(points).equations
     equations = merge_points(equations, tol=1e-11)
     return np.ascontiguousarray(equations[:, :-1]), -equations[:, -1]

@@ -1,20 +1,26 @@
-"""What an invariance computation returns: the set, how it ended, and a certificate that can be checked."""
+"""What a set computation returns: the set, how it ended, and a certificate that can be checked."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
 from .polytope import Polytope
+
+INVARIANT = 1e-9  # a successor may leave by this part of the set's extent, and the set still counts as invariant
 
 
 class Status(Enum):
     """How a computation ended; the value is advice."""
 
-    CONVERGED = "The set is invariant and maximal to the stated tolerance."
-    EMPTY = "No state can be kept in X for ever: enlarge X or U, or shrink W."
-    ITERATION_LIMIT = ("The iteration limit came first: `set` is invariant but not maximal, `outer` is not invariant. "
-                       "Increase `max_iterations` or `tol`.")
+    CONVERGED = "The set is what was asked for, to the stated tolerance."
+    EMPTY = "No state has the property: enlarge X or U, or shrink W."
+    ITERATION_LIMIT = ("The iteration limit came first: `set` is invariant (or empty) but not maximal, `outer` is not "
+                       "invariant. Increase `max_iterations` or `tol`.")
+    FACET_LIMIT = ("The set needs more facets than `max_facets`: `set` is invariant (or empty) but not the extremal "
+                   "one. Increase `max_facets` or `tol`.")
     NOT_CERTIFIED = ("The certificate failed, so `set` is empty and only `outer` holds. The data are badly scaled or "
                      "a mode is nearly marginal: rescale, or increase `tol`.")
     OUTER_ONLY = ("X is unbounded and the recursion has not ended in an invariant set: only `outer` holds. "
@@ -28,42 +34,42 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Certificate:
-    """Independent check of invariance by one linear program at every vertex (or facet).
+    """Independent check of the result by one linear program at every vertex (or facet).
 
     Attributes
     ----------
     violation : float
-        Largest amount by which a successor leaves the set, relative to the width of the set along the violated
-        facet [-]. Negative: every successor lies inside.
+        Largest amount by which a successor leaves the set, relative to the range of the violated row over the
+        bounding box of the set [-]. Negative: every successor lies inside.
     gap : float
         Least g with outer ⊆ (1 + g) set, about the equilibrium [-]. inf if not known.
     points : int
-        Number of linear programs solved.
+        Number of vertices or facets checked.
     tolerance : float
-        Violation that counts as invariant [-].
+        Violation that still counts as none [-].
     """
 
     violation: float
     gap: float
     points: int
-    tolerance: float
+    tolerance: float = INVARIANT
 
     @property
     def holds(self) -> bool:
-        """Whether the set is invariant at the stated tolerance."""
+        """Whether the set has the property at the stated tolerance."""
         return self.violation <= self.tolerance
 
 
 @dataclass(frozen=True)
-class InvariantSet:
-    """Result of a maximal invariant set computation.
+class SetResult:
+    """Result of every set computation of this package.
 
     Attributes
     ----------
     set : Polytope
-        Invariant at `certificate.tolerance`; the empty set where none was found.
+        The set; invariant ones at `certificate.tolerance`. The empty set where none was found.
     outer : Polytope
-        Contains the true maximal set; not invariant in general.
+        Contains the true extremal set; not invariant in general.
     status : Status
         How the computation ended; `status.advice` says what to do.
     iterations : int
@@ -77,3 +83,10 @@ class InvariantSet:
     status: Status
     iterations: int
     certificate: Certificate
+
+
+def no_set(nx: int, iterations: int, outer: Polytope | None = None, status: Status = Status.EMPTY) -> SetResult:
+    """Return a result with the empty set; `outer` too unless given."""
+    nothing = Polytope(np.zeros((1, nx)), [-1.0])
+    gap = 0.0 if status is Status.EMPTY else np.inf
+    return SetResult(nothing, nothing if outer is None else outer, status, iterations, Certificate(-np.inf, gap, 0))

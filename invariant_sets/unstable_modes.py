@@ -83,8 +83,8 @@ def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
     """Yield rows and their two bounds for a basis of the whole left unstable subspace, by summing the series."""
     from scipy.linalg import schur
 
-    def outside(*parts: float) -> bool:
-        return np.hypot(*parts) > 1.0 + MARGIN if len(parts) == 2 else abs(parts[0]) > 1.0 + MARGIN
+    def outside(real: float, imaginary: float = 0.0) -> bool:
+        return bool(np.hypot(real, imaginary) > 1.0 + MARGIN)
 
     T, Z, k = schur(A.T, output="real", sort=outside)
     L, inverse = Z[:, :k].T, np.linalg.inv(T[:k, :k].T)  # L A = Λ L with Λ = T₁₁ᵀ
