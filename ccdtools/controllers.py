@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ccdtools.arrays import Array, Given
 from ccdtools.exceptions import InputError
-
-Array = NDArray[np.float64]
 
 
 class Controller(Protocol):
@@ -43,9 +42,9 @@ class LinearFeedback:
         Input bounds, in the units of u.
     """
 
-    K: Array
-    lower: Array = field(default_factory=lambda: np.array(-np.inf))
-    upper: Array = field(default_factory=lambda: np.array(np.inf))
+    K: Given
+    lower: Given = field(default_factory=lambda: np.array(-np.inf))
+    upper: Given = field(default_factory=lambda: np.array(np.inf))
 
     def __post_init__(self) -> None:
         K = np.atleast_2d(np.array(self.K, dtype=float))

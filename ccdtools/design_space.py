@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
+from ccdtools.arrays import Array, Given
 from ccdtools.exceptions import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +33,8 @@ class DesignSpace:
     """
 
     names: Sequence[str]
-    lower: Array
-    upper: Array
+    lower: Given
+    upper: Given
     units: Sequence[str] = field(default=())
 
     def __post_init__(self) -> None:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import matrix_balance
 
+from ccdtools.arrays import Array
 from ccdtools.design_space import DesignSpace
 from ccdtools.exceptions import InputError
 from ccdtools.plant import Plant
-
-Array = NDArray[np.float64]
 
 TAYLOR_DEGREE = 14  # with ‖M‖₁ ≤ 1/2 the first neglected term is (1/2)¹⁵/15! ≈ 2e-17
 
@@ -125,6 +125,11 @@ class LinearModel:
         A, B, _ = self.matrices(p)
         return control.ss(A, B, np.eye(self.nx), np.zeros((self.nx, self.nu)), self.dt)
 
+    def stepper(self, p: ArrayLike, *, batch: int) -> Callable[[Array, Array, Array], Array]:
+        """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,)."""
+        A, B, E = self.matrices(p)
+        return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T
+
     def _checked(self, p: ArrayLike) -> Array:
         if self.design is None:
             return np.zeros(0)
@@ -163,9 +168,7 @@ def discretise(plant: Plant, dt: float | None = None) -> LinearModel:
     z = ca.vertcat(plant.x, plant.u, plant.w)
     M = ca.jacobian(plant.dynamics, z)
     if ca.depends_on(M, z):
-        rows = [
-            plant.state_names[i] for i in range(plant.nx) if ca.depends_on(ca.jacobian(plant.dynamics[i], z), z)
-        ]
+        rows = [plant.state_names[i] for i in range(plant.nx) if ca.depends_on(ca.jacobian(plant.dynamics[i], z), z)]
         raise InputError(f"plant: got dynamics nonlinear in x, u or w for {', '.join(rows)}, expected linear ones.")
     rest = ca.Function("rest", [z, plant.p], [plant.dynamics])(ca.SX.zeros(z.shape), plant.p)
     if not ca.simplify(rest).is_zero():
@@ -190,7 +193,7 @@ def zero_order_hold(
     samples = _samples(ca.Function("M", [symbols], [M]), design)
     # One fixed diagonal similarity for the whole box: symbolic in p, and it keeps the norm, hence the rounding, small.
     _, (scale, _) = matrix_balance(np.max(np.abs(samples), axis=0), permute=False, separate=True)
-    norm = max(np.linalg.norm(S / scale[:, None] * scale[None, :], 1) for S in samples)
+    norm = max(float(np.linalg.norm(S / scale[:, None] * scale[None, :], 1)) for S in samples)
     squarings = max(0, math.ceil(math.log2(max(norm, 1e-300))) + 2)
     D, D_inv = ca.diag(ca.DM(scale)), ca.diag(ca.DM(1 / scale))
     F = D @ expm(D_inv @ M @ D, squarings=squarings) @ D_inv

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ccdtools.arrays import Array, Given
 from ccdtools.exceptions import InputError
-
-Array = NDArray[np.float64]
 
 
 class Disturbance(Protocol):
@@ -25,8 +23,8 @@ class Disturbance(Protocol):
 class Gaussian:
     """Independent normal noise with standard deviations `std` (nw,) and `mean` (nw,), zero by default."""
 
-    std: Array
-    mean: Array | float = 0.0
+    std: Given
+    mean: Given = 0.0
 
     def __post_init__(self) -> None:
         std = np.array(self.std, dtype=float).reshape(-1)
@@ -43,8 +41,8 @@ class Gaussian:
 class Uniform:
     """Independent uniform noise between `lower` and `upper` (nw,)."""
 
-    lower: Array
-    upper: Array
+    lower: Given
+    upper: Given
 
     def __post_init__(self) -> None:
         lower, upper = (np.array(b, dtype=float).reshape(-1) for b in (self.lower, self.upper))
@@ -73,7 +71,7 @@ class Sum:
 class Recorded:
     """A recorded signal (T, nw) or (T,): one run replays it from its start, several take seeded windows of it."""
 
-    signal: Array
+    signal: Given
 
     def __post_init__(self) -> None:
         signal = np.array(self.signal, dtype=float)

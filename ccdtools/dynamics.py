@@ -72,7 +72,7 @@ class Stepper:
         if discrepancy is None:
             x_next = x_next + w @ self.E.T
         else:
-            e, penalty = discrepancy.step(e, x, u, self.p, w)
+            e, penalty = discrepancy.advance(e, x, u, self.p, w)
             x_next = x_next + e
         reward = -((x_next @ self.Q) * x_next).sum(-1) - ((u @ self.R) * u).sum(-1) - penalty
         return x_next, e, reward

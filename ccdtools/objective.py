@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ccdtools.arrays import Given
 from ccdtools.exceptions import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +28,8 @@ class QuadraticObjective:
         If a weight is not square, not symmetric, not finite or not definite as stated.
     """
 
-    Q: Array
-    R: Array
+    Q: Given
+    R: Given
 
     def __post_init__(self) -> None:
         for name, strict in (("Q", False), ("R", True)):

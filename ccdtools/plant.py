@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +11,9 @@ import numpy as np
 
 from ccdtools.design_space import DesignSpace
 from ccdtools.exceptions import InputError
+from ccdtools.vectorised import Vectorised
+
+NATIVE_BATCH = 8  # below this, CasADi's own machine is faster than one array operation per instruction
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +116,18 @@ class Plant:
             k4 = f(x + h * k3, *held)
             x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return ca.Function("step", [self.x, *held], [ca.densify(x)])
+
+    def stepper(self, p, *, batch: int) -> Callable:
+        """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,), for batches of n = `batch`."""
+        if batch < NATIVE_BATCH:
+            native = self.step
+            return lambda x, u, w: np.asarray(native(x.T, u.T, w.T, p), dtype=float).T
+        vectorised = self._vectorised_step
+        return lambda x, u, w: vectorised(x, u, w, p)
+
+    @cached_property
+    def _vectorised_step(self) -> Vectorised:
+        return Vectorised(self.step)
 
 
 def _labels(letter: str, n: int) -> tuple[str, ...]:

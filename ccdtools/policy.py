@@ -8,14 +8,13 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ccdtools.arrays import Array, Given
 from ccdtools.exceptions import InputError
 from learning import checkpoint
 from learning.exceptions import CheckpointError
 from learning.networks import ActorCritic, FeedForward
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class LearnedPolicy:
     """
 
     agent: ActorCritic
-    design: Array
+    design: Given
     rng: np.random.Generator | None = None
 
     def __post_init__(self) -> None:
@@ -109,7 +108,7 @@ def _in_numpy(network: FeedForward) -> Callable[[Array], Array]:
     """The same function on float64 arrays: an order of magnitude less overhead on single states."""
     layers = [
         (layer.weight.detach().double().numpy().T.copy(), layer.bias.detach().double().numpy().copy())
-        for layer in [*list(network.body)[::2], network.head]
+        for layer in (*network.linear_layers(), network.head)
     ]
     skip = None if network.skip is None else network.skip.weight.detach().double().numpy().T.copy()
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ccdtools.arrays import Array, Given
 from ccdtools.design_space import DesignSpace
 from ccdtools.discretisation import LinearModel
 from ccdtools.disturbance import Disturbance
@@ -15,8 +15,6 @@ from ccdtools.exceptions import InputError
 from ccdtools.objective import QuadraticObjective
 from ccdtools.twin import Discrepancy
 from invariant_sets import Polytope
-
-Array = NDArray[np.float64]
 
 DIVERGENCE = 1e3  # a run is lost when a state exceeds this many half-widths of X
 
@@ -33,7 +31,7 @@ class Scenarios(Protocol):
 class FixedStart:
     """Every run from one state `x0` (nx,), with fresh disturbances."""
 
-    x0: Array
+    x0: Given
     disturbance: Disturbance
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -114,6 +112,5 @@ class CoDesignProblem:
     @property
     def observation_bounds(self) -> tuple[Array, Array]:
         """Range of the observation (x, p), each (nx + np,)."""
-        (low, high), scale = self.X.bounding_box(), self.state_scale
-        del low, high
+        scale = self.state_scale
         return np.r_[-scale, self.design.lower], np.r_[scale, self.design.upper]

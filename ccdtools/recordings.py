@@ -25,9 +25,7 @@ SAMPLING_TOLERANCE = 1e-3  # relative to dt
 KMH = 1 / 3.6  # one km/h in m/s
 
 
-def read_disturbance(
-    path: FilePath, *, dt: float, column: str | None = None, argument: str = "--disturbance"
-) -> Array:
+def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, argument: str = "--disturbance") -> Array:
     """The recorded disturbance, one value per time step.
 
     Parameters
@@ -146,10 +144,7 @@ class _Table:
         """The numbers of one column, every one finite."""
         if self.header.count(name) != 1:
             found = "several columns" if name in self.header else "no column"
-            self.fail(
-                f"{found} '{name}', found {_listed(self.header)};"
-                f" expected one header '{name}' in the first line"
-            )
+            self.fail(f"{found} '{name}', found {_listed(self.header)}; expected one header '{name}' in the first line")
         index = self.header.index(name)
         return np.array([self._number(row[index], name, line) for row, line in zip(self.rows, self.lines)])
 
@@ -181,9 +176,7 @@ def _read_table(path: FilePath, argument: str) -> _Table:
     path = Path(path)
     numbered = [(line, row) for line, row in _read_rows(path, argument) if any(cell.strip() for cell in row)]
     if not numbered:
-        raise InputError(
-            f"{argument}: {path}: the file is empty, expected a CSV file: a header, then numbers"
-        )
+        raise InputError(f"{argument}: {path}: the file is empty, expected a CSV file: a header, then numbers")
     header = tuple(cell.strip() for cell in numbered[0][1])
     lines, rows = tuple(line for line, _ in numbered[1:]), tuple(row for _, row in numbered[1:])
     table = _Table(argument, path, header, rows, lines)

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 
 from ccdtools.exceptions import InputError
 
-__all__ = ["generate_road", "generate_speed", "road_disturbance"]
+__all__ = ["GeneratedRoad", "generate_road", "generate_speed", "road_disturbance"]
 
 Array: TypeAlias = NDArray[np.float64]
 Driver: TypeAlias = Literal["mild", "aggressive"]
@@ -85,9 +85,7 @@ def _curve(x_name: str, x: ArrayLike, y_name: str, y: ArrayLike) -> tuple[Array,
     for name, values in ((x_name, x), (y_name, y)):
         if not np.isfinite(values).all():
             row = int(np.argmin(np.isfinite(values)))
-            raise InputError(
-                f"{name}: got {values[row]} at index {row}, expected finite numbers; fill or remove it"
-            )
+            raise InputError(f"{name}: got {values[row]} at index {row}, expected finite numbers; fill or remove it")
     if (np.diff(x) <= 0).any():
         row = int(np.argmax(np.diff(x) <= 0)) + 1
         raise InputError(
@@ -290,3 +288,27 @@ def _positive(name: str, value: float) -> float:
     if not (math.isfinite(value) and value > 0):
         raise InputError(f"{name}: got {value}, expected a finite number > 0")
     return value
+
+
+@dataclass(frozen=True)
+class GeneratedRoad:
+    """A disturbance ż₀ [m/s]: a fresh road and a driver of a given style for every run.
+
+    Attributes
+    ----------
+    driver : {"mild", "aggressive"}
+    dt : float
+        Sampling time [s].
+    """
+
+    driver: Driver = "mild"
+    dt: float = 0.05
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
+        """Sequences (runs, steps, 1)."""
+        return np.stack([self._drive(steps, child) for child in rng.spawn(runs)])[:, :, None]
+
+    def _drive(self, steps: int, rng: np.random.Generator) -> Array:
+        time, speed = generate_speed(steps * self.dt, rng=rng, driver=self.driver, dt=self.dt)
+        distance, elevation = generate_road(float(np.trapezoid(speed, time)) + 1.0, rng=rng)
+        return road_disturbance(distance, elevation, time, speed, dt=self.dt, steps=steps)

@@ -4,24 +4,54 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from tqdm.auto import trange
 
+from ccdtools.arrays import Array
 from ccdtools.controllers import Controller
+from ccdtools.design_space import DesignSpace
 from ccdtools.discretisation import LinearModel
 from ccdtools.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.objective import QuadraticObjective
-from ccdtools.plant import Plant
-from ccdtools.vectorised import Vectorised
 
-Array = NDArray[np.float64]
 Step = Callable[[Array, Array, Array], Array]
 
-NATIVE_BATCH = 8  # below this, CasADi's own machine is faster than one array operation per instruction
+
+class Simulable(Protocol):
+    """What `simulate` asks of a plant."""
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        ...
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        ...
+
+    @property
+    def nw(self) -> int:
+        """Number of disturbances."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Sampling time [s]."""
+        ...
+
+    @property
+    def design(self) -> DesignSpace | None:
+        """The box of designs, if any."""
+        ...
+
+    def stepper(self, p: Array, *, batch: int) -> Step:
+        """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at one design, for n = `batch`."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +87,7 @@ class Trajectory:
     @property
     def time(self) -> Array:
         """Sample times [s], (T + 1,)."""
-        return self.dt * np.arange(self.states.shape[1])
+        return self.dt * np.arange(self.states.shape[1], dtype=float)
 
     def rewards(self, objective: QuadraticObjective) -> Array:
         """Rewards (n, T); zero after a run was stopped."""
@@ -72,7 +102,7 @@ class Trajectory:
 
 
 def simulate(
-    plant: Plant | LinearModel | Any,
+    plant: Simulable | Any,
     controller: Controller,
     *,
     x0: ArrayLike,
@@ -87,7 +117,7 @@ def simulate(
 
     Parameters
     ----------
-    plant : Plant, LinearModel or control.StateSpace
+    plant : Plant, LinearModel, TwinPlant or control.StateSpace
         A StateSpace must be discrete.
     controller : callable
         (n, nx) → (n, nu). One with memory has ``reset(n)``, called once at the start.
@@ -111,14 +141,15 @@ def simulate(
     InputError
         On wrong shapes, a missing design or generator, or a controller that returns the wrong shape or NaN.
     """
-    plant = plant if isinstance(plant, Plant | LinearModel) else LinearModel.from_state_space(plant)
+    if not hasattr(plant, "stepper"):
+        plant = LinearModel.from_state_space(plant)
     p = _design(plant, design)
     if steps < 1:
         raise InputError(f"steps: got {steps}, expected at least 1.")
     x, w = _scenarios(plant, x0, disturbance, steps, rng)
     n = len(x)
     bound = np.broadcast_to(np.asarray(1e6 if limit is None else limit, dtype=float), (plant.nx,))
-    step = step_function(plant, p, batch=n)
+    step = plant.stepper(p, batch=n)
     reset = getattr(controller, "reset", None)
     if reset is not None:
         reset(n)
@@ -143,19 +174,7 @@ def simulate(
     return Trajectory(states, inputs, w, diverged_at, p, plant.dt)
 
 
-def step_function(plant: Plant | LinearModel, p: Array, *, batch: int) -> Step:
-    """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at one design, for batches of about `batch`."""
-    if isinstance(plant, LinearModel):
-        A, B, E = plant.matrices(p)
-        return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T
-    if batch < NATIVE_BATCH:
-        native = plant.step
-        return lambda x, u, w: np.asarray(native(x.T, u.T, w.T, p), dtype=float).T
-    vectorised = Vectorised(plant.step)
-    return lambda x, u, w: vectorised(x, u, w, p)
-
-
-def _design(plant: Plant | LinearModel, design: ArrayLike | None) -> Array:
+def _design(plant: Simulable, design: ArrayLike | None) -> Array:
     if plant.design is None or plant.design.dim == 0:
         return np.zeros(0)
     if design is None:

@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from ccdtools.arrays import Array
 from ccdtools.discretisation import LinearModel
 from ccdtools.exceptions import InputError
-from ccdtools.simulation import Trajectory
+from ccdtools.simulation import Step, Trajectory
 from learning.quantile import QuantileConfig, QuantileNetwork, fit_quantiles, pinball
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +38,36 @@ class Residuals:
 
     def part(self, runs: slice, steps: slice) -> Residuals:
         """A stretch of the log."""
-        cut = {name: getattr(self, name)[runs, steps] for name in ("e", "x", "u", "e_next")}
-        return Residuals(p=self.p, **cut)
+        return replace(self, **{name: getattr(self, name)[runs, steps] for name in ("e", "x", "u", "e_next")})
+
+
+@dataclass(frozen=True, eq=False)
+class TwinPlant:
+    """The updated model as a plant to simulate: x⁺ = A(p) x + B(p) u + e⁺, with e⁺ from a discrepancy."""
+
+    model: LinearModel
+    discrepancy: Discrepancy
+
+    nx = property(lambda self: self.model.nx)
+    nu = property(lambda self: self.model.nu)
+    nw = property(lambda self: self.model.nx)
+    dt = property(lambda self: self.model.dt)
+    design = property(lambda self: self.model.design)
+
+    def stepper(self, p: Array, *, batch: int) -> Step:
+        """(x, u, w) → x⁺ from e₀ = 0, remembering e; w (n, nx) uniform in [0, 1] picks e⁺ if it is sampled."""
+        A, B, _ = self.model.matrices(p)
+        e = np.zeros((batch, self.nx))
+        at = torch.tensor(p, dtype=torch.float32)
+
+        def step(x: Array, u: Array, w: Array) -> Array:
+            nonlocal e
+            before, state, applied, drawn = (torch.tensor(a, dtype=torch.float32) for a in (e, x, u, w))
+            with torch.no_grad():
+                e = self.discrepancy.advance(before, state, applied, at, drawn)[0].double().numpy()
+            return x @ A.T + u @ B.T + e
+
+        return step
 
 
 def residuals(model: LinearModel, log: Trajectory) -> Residuals:
@@ -90,7 +116,7 @@ class Discrepancy:
             columns.append(p.expand(*x.shape[:-1], p.shape[-1]))
         return torch.cat(columns, dim=-1)
 
-    def step(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
+    def advance(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
         """e⁺ (n, nx) and the width penalty (n,), with `w` (n, nx) uniform draws if `sampled`."""
         quantiles = self.network(self.features(e, x, u, p))
         median = quantiles[..., len(self.network.levels) // 2, :]
@@ -102,7 +128,7 @@ class Discrepancy:
     def _draw(self, quantiles: Tensor, w: Tensor) -> Tensor:
         """The inverse distribution function at `w`, piecewise linear through the quantiles."""
         levels = torch.tensor(self.network.levels, dtype=quantiles.dtype)
-        k = torch.searchsorted(levels, w).clamp(1, len(levels) - 1)
+        k = torch.searchsorted(levels, w.contiguous()).clamp(1, len(levels) - 1)
         low, high = (quantiles.gather(-2, i.unsqueeze(-2)).squeeze(-2) for i in (k - 1, k))
         return low + (w - levels[k - 1]) / (levels[k] - levels[k - 1]) * (high - low)
 
@@ -159,8 +185,8 @@ class DigitalTwin:
     ) -> DigitalTwin:
         """The twin after learning from one more log.
 
-        The log is cut into contiguous blocks; the last part of each block is held out for the scores, so that
-        fit and test both see every regime of the drive and never share a neighbourhood in time.
+        The last part of every contiguous block of the log is held out for the scores, so that fit and test both see
+        every regime of a drive and never share a neighbourhood in time. Of several runs, the last ones are held out.
 
         Parameters
         ----------
@@ -174,7 +200,7 @@ class DigitalTwin:
         held_out : float
             Fraction of every block that is only tested on.
         blocks : int
-            Blocks a single long run is cut into; several runs are blocks by themselves.
+            Blocks that a single long run is cut into.
         """
         logs = (*self.logs, residuals(self.model, log))
         train, lengths = _stretches(logs, held_out, blocks, last=False)
@@ -187,19 +213,28 @@ class DigitalTwin:
 
 
 def _stretches(logs: Sequence[Residuals], held_out: float, blocks: int, *, last: bool):
-    """Columns (e, x, u, p, e⁺) of the training (or the held-out) part of every block, and the parts' lengths."""
+    """Columns (e, x, u, p, e⁺) of the training (or the held-out) part of every block, and the parts' lengths.
+
+    A single long run is cut into blocks; several runs, one after the other, are one block of whole runs.
+    """
     parts: list[list[Array]] = [[], [], [], [], []]
     lengths = []
     for log in logs:
         runs, steps = log.x.shape[:2]
-        pieces = [(r, s) for r in range(runs) for s in np.array_split(np.arange(steps), blocks if runs == 1 else 1)]
-        for r, s in pieces:
-            cut = len(s) - round(held_out * len(s))
-            chosen = s[cut:] if last else s[:cut]
-            lengths.append(len(chosen))
-            p = np.broadcast_to(log.p, (len(chosen), len(log.p)))
-            for part, column in zip(parts, (log.e[r, chosen], log.x[r, chosen], log.u[r, chosen], p,
-                                            log.e_next[r, chosen])):  # fmt: skip
+        if runs == 1:
+            edges = np.linspace(0, steps, blocks + 1).round().astype(int)
+            cuts = edges[1:] - np.round(held_out * np.diff(edges)).astype(int)
+            spans = zip(cuts, edges[1:]) if last else zip(edges[:-1], cuts)
+            pieces = [(slice(None), slice(a, b)) for a, b in spans]
+        else:
+            cut = runs - max(1, round(held_out * runs))
+            pieces = [(slice(cut, None) if last else slice(None, cut), slice(None))]
+        for piece in pieces:
+            e, x, u, e_next = (getattr(log, name)[piece] for name in ("e", "x", "u", "e_next"))
+            flat = [column.reshape(-1, column.shape[-1]) for column in (e, x, u, np.broadcast_to(
+                log.p, (*x.shape[:2], len(log.p))), e_next)]  # fmt: skip
+            lengths.append(len(flat[0]))
+            for part, column in zip(parts, flat):
                 part.append(column)
     return [np.concatenate(part) for part in parts], lengths
 

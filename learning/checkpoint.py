@@ -14,7 +14,7 @@ from learning.networks import ActorCritic
 from learning.quantile import QuantileNetwork
 
 FORMAT = "ccdtools-1"
-_KINDS = {"ActorCritic": ActorCritic, "QuantileNetwork": QuantileNetwork}
+_KINDS: dict[str, Any] = {"ActorCritic": ActorCritic, "QuantileNetwork": QuantileNetwork}
 
 
 def save(path: str | Path, network: ActorCritic | QuantileNetwork, extra: dict[str, Any] | None = None) -> None:

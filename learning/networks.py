@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -52,11 +53,15 @@ class FeedForward(nn.Module):
         super().__init__()
         sizes = [n_in, *hidden]
         layers: list[nn.Module] = []
-        for a, b in zip(sizes[:-1], sizes[1:]):
+        for a, b in pairwise(sizes):
             layers += [nn.Linear(a, b), nn.Tanh()]
         self.body = nn.Sequential(*layers)
         self.head = nn.Linear(sizes[-1], n_out)
         self.skip = nn.Linear(n_in, n_out, bias=False) if skip else None
+
+    def linear_layers(self) -> list[nn.Linear]:
+        """The hidden layers without their activations."""
+        return [layer for layer in self.body if isinstance(layer, nn.Linear)]
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Outputs (..., n_out)."""
@@ -162,9 +167,8 @@ class ActorCritic(nn.Module):
 
     def shape(self) -> dict:
         """All that `from_shape` needs to build the same network again."""
-        lower, upper = self.observation_offset - self.observation_scale, self.observation_offset + self.observation_scale
-        low, high = self.action_offset - self.action_scale, self.action_offset + self.action_scale
-        bounds = [b.tolist() for b in (lower, upper, low, high)]
+        ranges = ((self.observation_offset, self.observation_scale), (self.action_offset, self.action_scale))
+        bounds = [(middle + sign * half).tolist() for middle, half in ranges for sign in (-1, 1)]
         return {"bounds": bounds, "config": asdict(self.config)}
 
     @classmethod

@@ -79,7 +79,7 @@ def fit_actor_critic(
     known = np.isfinite(v)
     if known.any():
         agent.value_offset.fill_(float(np.median(v[known])))
-        agent.value_scale.fill_(float(max(np.std(v[known]), 1e-9)))
+        agent.value_scale.fill_(max(float(np.std(v[known])), 1e-9))
     X, U, V = (torch.tensor(a, dtype=torch.float32) for a in (x, u, np.nan_to_num(v)))
     K = torch.tensor(known)
     parameters = [*agent.mean_network.parameters(), *agent.value_network.parameters()]

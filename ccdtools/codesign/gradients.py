@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from ccdtools.arrays import Array
 from ccdtools.design_env import DesignEnv
 from ccdtools.dynamics import observe, returns, scenario_tensors, to_design
 from ccdtools.exceptions import InputError
@@ -16,8 +16,6 @@ from ccdtools.problem import CoDesignProblem
 from learning.networks import ActorCritic
 from learning.ppo import Batch, PPOConfig, ppo_loss, prepare
 from learning.rollout import collect
-
-Array = NDArray[np.float64]
 
 METHODS = ("pathwise", "network_input")
 
@@ -125,9 +123,7 @@ def network_input_gradient(
     return loss_gradient(problem, agent, v, prepare(agent, rollout, config), config)
 
 
-def loss_gradient(
-    problem: CoDesignProblem, agent: ActorCritic, v: Tensor, batch: Batch, config: PPOConfig
-) -> Tensor:
+def loss_gradient(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, batch: Batch, config: PPOConfig) -> Tensor:
     """−∂/∂v of the PPO loss on a batch, through the design columns of its observations."""
     v = v.detach().clone().requires_grad_(True)
     x = batch.observations[:, : problem.model.nx]

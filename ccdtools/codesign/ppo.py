@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 from tqdm.auto import trange
 
+from ccdtools.arrays import Array
 from ccdtools.codesign.gradients import GradientCheck, check_gradients, loss_gradient, pathwise_gradient, require_method
 from ccdtools.design_env import DesignEnv
 from ccdtools.dynamics import returns, scenario_tensors, to_design
@@ -20,8 +21,6 @@ from ccdtools.problem import CoDesignProblem
 from learning.networks import ActorCritic
 from learning.ppo import PPO, PPOConfig, prepare
 from learning.rollout import collect
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -204,7 +203,7 @@ class _Run:
         self._set_rates(k)
         self.env.move(self._p())
         rollout = collect(self.env, self.agent, steps=self.problem.steps, generator=self.generator)
-        design_gradient = None
+        design_gradient: Tensor | None = None
         if config.design_rate > 0 and config.design_gradient == "network_input":
             batch = prepare(self.agent, rollout, config.ppo)
             design_gradient = loss_gradient(self.problem, self.agent, self.v, batch, config.ppo)
@@ -216,7 +215,7 @@ class _Run:
         elif config.design_rate > 0 and design_gradient is None:
             gradient, mean = pathwise_gradient(self.problem, self.agent, self.v, x0, w)
             design_gradient = gradient / mean.abs()
-        if config.design_rate > 0:
+        if config.design_rate > 0 and design_gradient is not None:
             self._move_design(design_gradient)
 
     def _improve_policy(self, x0: Tensor, w: Tensor) -> Tensor:

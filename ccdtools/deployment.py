@@ -1,0 +1,247 @@
+"""Step 2: a policy on the real plant, with what it logs and how it is updated on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array
+from ccdtools.codesign.ppo import CoDesignConfig, codesign_ppo
+from ccdtools.controllers import Controller
+from ccdtools.exceptions import InputError
+from ccdtools.policy import LearnedPolicy
+from ccdtools.problem import CoDesignProblem
+from ccdtools.simulation import Simulable, Trajectory, simulate
+from ccdtools.statistics import PairedDifference, paired_difference
+from ccdtools.twin import Residuals, residuals
+from learning.networks import ActorCritic
+from learning.ppo import PPOConfig
+
+ONLINE_TRAINING = CoDesignConfig(
+    iterations=20, runs=64, pathwise_runs=64, design_rate=0.0, policy_rate=3e-4, evaluate_every=5,
+    evaluation_runs=200, ppo=PPOConfig(learning_rate=1e-4, kl_limit=0.005, passes=2, critic_only=3),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class OnlineConfig:
+    """How a policy is updated while it is deployed.
+
+    Attributes
+    ----------
+    updates : int
+        Updates, evenly spread over the deployment; 0 keeps the policy as it is.
+    window : int
+        Length of a replayed episode.
+    held_out : float
+        Last fraction of the stretch just logged, on which a candidate is judged.
+    judged : int
+        Replayed episodes of that judgement.
+    training : CoDesignConfig
+        Of the candidate; the design is always frozen.
+    """
+
+    updates: int = 4
+    window: int = 100
+    held_out: float = 0.3
+    judged: int = 400
+    training: CoDesignConfig = field(default_factory=lambda: ONLINE_TRAINING)
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineUpdate:
+    """One attempt to improve the policy in service.
+
+    Attributes
+    ----------
+    after : int
+        Samples logged before it.
+    gain : PairedDifference
+        Candidate minus policy in service, on replays of the held-out stretch.
+    accepted : bool
+        Whether the interval of the gain lies above zero.
+    """
+
+    after: int
+    gain: PairedDifference
+    accepted: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Deployment:
+    """What came of a deployment.
+
+    Attributes
+    ----------
+    log : Trajectory
+        All runs as they happened, under the policies then in service.
+    agent : ActorCritic
+        In service at the end.
+    updates : tuple of OnlineUpdate
+    """
+
+    log: Trajectory
+    agent: ActorCritic
+    updates: tuple[OnlineUpdate, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Scenarios from logged errors: each episode starts where the log was, and meets the errors it met.
+
+    Parameters
+    ----------
+    errors : Residuals
+        Runs of at least `steps` samples.
+    """
+
+    errors: Residuals
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Initial states (runs, nx) and errors (runs, steps, nx)."""
+        available, length = self.errors.x.shape[:2]
+        if length < steps:
+            raise InputError(f"log: got runs of {length} samples, expected at least {steps} for a replay.")
+        run = rng.integers(0, available, runs)
+        start = rng.integers(0, length - steps + 1, runs)
+        window = start[:, None] + np.arange(steps)
+        return self.errors.x[run, start], self.errors.e_next[run[:, None], window]
+
+
+def deploy(
+    plant: Simulable,
+    controller: Controller,
+    design: ArrayLike,
+    disturbance: ArrayLike,
+    *,
+    x0: ArrayLike,
+    limit: ArrayLike | None = None,
+    progress: bool = False,
+) -> Trajectory:
+    """The log of `controller` on a real plant under a recorded disturbance.
+
+    Parameters
+    ----------
+    disturbance : (T, nw) or (n, T, nw) array_like
+        Its length is that of the deployment.
+    x0 : (nx,) or (n, nx) array_like
+    """
+    w = np.asarray(disturbance, dtype=float)
+    steps = w.shape[-2] if w.ndim > 1 else len(w)
+    return simulate(plant, controller, x0=x0, steps=steps, disturbance=w, design=design, limit=limit, progress=progress)
+
+
+def deploy_and_update(
+    problem: CoDesignProblem,
+    plant: Simulable,
+    agent: ActorCritic,
+    design: ArrayLike,
+    *,
+    x0: Array,
+    disturbance: Array,
+    rng: np.random.Generator,
+    config: OnlineConfig | None = None,
+    progress: bool = False,
+) -> Deployment:
+    """A deployment in stretches, with an update of the policy after each but the last.
+
+    After a stretch, the errors of the nominal model along it are replayed as disturbances. A candidate is trained
+    on the first part of the stretch and goes into service only if its paired return on the rest is better: the
+    interval of the difference excludes zero.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        Gives the nominal model and the objective.
+    plant : Plant, or anything else that `simulate` takes
+        The real one.
+    x0 : (n, nx) array
+        Initial states of the runs.
+    disturbance : (n, T, nw) array
+        One long run is cut in time, several are dealt out in groups.
+    """
+    config = config or OnlineConfig()
+    design = problem.design.check(design)
+    pieces: list[Trajectory] = []
+    updates: list[OnlineUpdate] = []
+    for stretch in _stretches(len(x0), disturbance.shape[1], config.updates + 1):
+        runs, steps = stretch
+        start = pieces[-1].states[:, -1] if pieces and steps.start > 0 else x0[runs]
+        policy = LearnedPolicy(agent, design)
+        piece = deploy(
+            plant, policy, design, disturbance[runs, steps], x0=start, limit=problem.limit, progress=progress
+        )
+        pieces.append(piece)
+        if len(pieces) <= config.updates and not piece.diverged.all():
+            after = sum(p.inputs.shape[0] * p.inputs.shape[1] for p in pieces)
+            agent, update = _update(problem, agent, design, residuals(problem.model, piece), after, rng, config)
+            updates.append(update)
+    return Deployment(_joined(pieces, len(x0)), agent, tuple(updates))
+
+
+def _update(problem, agent, design, errors: Residuals, after: int, rng, config) -> tuple[ActorCritic, OnlineUpdate]:
+    train, test = _split(errors, config.held_out, config.window)
+    candidate = codesign_ppo(
+        _replay_problem(problem, train, config.window), agent=agent, design=design, rng=rng, config=config.training
+    ).agent
+    judge = _replay_problem(problem, test, config.window)
+    x0, w = judge.scenarios.sample(config.judged, config.window, rng)
+    returns = [
+        simulate(
+            judge.model, LearnedPolicy(a, design), x0=x0, steps=config.window, disturbance=w, design=design,
+            limit=problem.limit,
+        ).returns(problem.objective)
+        for a in (candidate, agent)
+    ]  # fmt: skip
+    gain = paired_difference(*returns)
+    accepted = gain.ci95[0] > 0
+    return (candidate if accepted else agent), OnlineUpdate(after, gain, accepted)
+
+
+def _replay_problem(problem: CoDesignProblem, errors: Residuals, window: int) -> CoDesignProblem:
+    """The nominal model driven by logged errors, which enter as they are (E = I)."""
+    model = replace(problem.model, E=ca.SX.eye(problem.model.nx))
+    return replace(problem, model=model, scenarios=Replay(errors), steps=window, discrepancy=None)
+
+
+def _split(errors: Residuals, held_out: float, window: int) -> tuple[Residuals, Residuals]:
+    runs, steps = errors.x.shape[:2]
+    if runs > 1:
+        cut = max(1, runs - max(1, round(held_out * runs)))
+        return errors.part(slice(None, cut), slice(None)), errors.part(slice(cut, None), slice(None))
+    cut = min(max(window, steps - round(held_out * steps)), steps - window)
+    return errors.part(slice(None), slice(None, cut)), errors.part(slice(None), slice(cut, None))
+
+
+def _stretches(runs: int, steps: int, pieces: int) -> list[tuple[slice, slice]]:
+    """(runs, steps) of each stretch: groups of runs, or parts of the only run."""
+    if runs > 1:
+        edges = np.unique(np.linspace(0, runs, pieces + 1).round().astype(int))
+        return [(slice(a, b), slice(0, steps)) for a, b in pairwise(edges)]
+    edges = np.unique(np.linspace(0, steps, pieces + 1).round().astype(int))
+    return [(slice(0, 1), slice(a, b)) for a, b in pairwise(edges)]
+
+
+def _joined(pieces: Sequence[Trajectory], runs: int) -> Trajectory:
+    if len(pieces) == 1:
+        return pieces[0]
+    first = pieces[0]
+    if runs > 1:
+        return replace(
+            first,
+            states=np.concatenate([p.states for p in pieces]),
+            inputs=np.concatenate([p.inputs for p in pieces]),
+            disturbances=np.concatenate([p.disturbances for p in pieces]),
+            diverged_at=np.concatenate([p.diverged_at for p in pieces]),
+        )
+    states = np.concatenate([first.states, *(p.states[:, 1:] for p in pieces[1:])], axis=1)
+    inputs = np.concatenate([p.inputs for p in pieces], axis=1)
+    disturbances = np.concatenate([p.disturbances for p in pieces], axis=1)
+    starts = np.cumsum([0, *(p.inputs.shape[1] for p in pieces)])
+    lost = [start + int(p.diverged_at[0]) for start, p in zip(starts, pieces) if p.diverged_at[0] >= 0]
+    return Trajectory(states, inputs, disturbances, np.array([lost[0] if lost else -1]), first.design, first.dt)

@@ -1,0 +1,234 @@
+"""Step 0: what an expert would do, over the whole box of states and designs.
+
+References
+----------
+Chen et al., "Approximating explicit model predictive control using constrained neural networks", ACC 2018
+(projection on the control invariant set); the design joins the state as in Tsai et al., section "Initialization".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import qmc
+from tqdm.auto import tqdm, trange
+
+from ccdtools.arrays import Array
+from ccdtools.exceptions import InputError
+from ccdtools.problem import CoDesignProblem
+from invariant_sets import AdmissibleInputs, ParametricSet, Polytope
+from mpc import LinearMPC, lqr
+
+VISITS = (0, 1, 2, 4, 8, 16, 32, 64)  # steps of each closed loop whose states join the data
+TAIL = 400  # further steps that the values look ahead; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated
+
+
+@dataclass(frozen=True, eq=False)
+class ExpertData:
+    """Samples (x, p) → (u, V) of an expert.
+
+    Attributes
+    ----------
+    inputs : (n, nx + np) array
+        States and designs.
+    actions : (n, nu) array
+    values : (n,) array
+        Discounted returns of that same controller; NaN where its run diverged.
+    acceptance : float
+        Fraction of the Latin hypercube samples that lay in X_fea(p).
+    diverged : float
+        Fraction of the accepted samples whose closed loop diverged under the disturbance.
+    """
+
+    inputs: Array
+    actions: Array
+    values: Array
+    acceptance: float
+    diverged: float
+
+
+def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
+    """X_fea(p): the maximal control invariant set of every design, computed when asked for."""
+    return ParametricSet(lambda p: problem.model.matrices(p)[:2], problem.X, problem.U)
+
+
+def expert_dataset(
+    problem: CoDesignProblem,
+    *,
+    samples: int,
+    rng: np.random.Generator,
+    expert: str = "lqr",
+    gamma: float = 0.99,
+    horizon: int = 10,
+    sets: ParametricSet | None = None,
+    progress: bool = False,
+) -> ExpertData:
+    """Feasible states and designs with the expert's inputs and values.
+
+    Candidates (x, p) fill X × design box by Latin hypercube sampling; those with x in X_fea(p) are accepted,
+    each with its own design. From each, the expert's noisy closed loop is followed: the states it visits join the
+    data, because a uniform sample hardly ever meets the neighbourhood of the origin, where the loop spends its time.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        Its scenarios' disturbance drives the closed loops.
+    samples : int
+        Candidates.
+    rng : numpy.random.Generator
+    expert : {"lqr", "mpc"}
+        LQR projected on the inputs that keep the next state in X_fea(p), or online MPC.
+    gamma : float
+        Discount of the values: the training convention.
+    horizon : int
+        Of the MPC expert.
+    sets : ParametricSet, optional
+        X_fea, if already at hand.
+
+    Raises
+    ------
+    InputError
+        If `expert` is unknown, or no candidate is feasible.
+    """
+    if expert not in ("lqr", "mpc"):
+        raise InputError(f"expert: got {expert!r}, expected 'lqr' or 'mpc'.")
+    if samples < 1:
+        raise InputError(f"samples: got {samples}, expected at least 1.")
+    x, p, feasible = _accepted(problem, sets or feasible_sets(problem), samples, rng, progress)
+    loops = _Loops(problem, p, feasible, expert, horizon, progress)
+    visited, actions, values, lost = _follow(problem, loops, x, gamma, rng, progress)
+    inputs = np.concatenate([np.hstack([v, p]) for v in visited])
+    known = np.isfinite(inputs).all(axis=1)
+    return ExpertData(
+        inputs[known], np.concatenate(actions)[known], np.concatenate(values)[known], len(x) / samples, lost
+    )
+
+
+def _accepted(problem, sets, samples, rng, progress) -> tuple[Array, Array, list[Polytope]]:
+    lower, upper = problem.X.bounding_box()
+    cube = qmc.LatinHypercube(problem.model.nx + problem.design.dim, rng=rng).random(samples)
+    states = lower + cube[:, : problem.model.nx] * (upper - lower)
+    designs = problem.design.from_unit(cube[:, problem.model.nx :])
+    chosen, feasible = [], []
+    for i in tqdm(range(samples), desc="X_fea(p)", disable=not progress, leave=False):
+        set_of_design = sets.at(designs[i])
+        if set_of_design.contains(states[i]):
+            chosen.append(i)
+            feasible.append(set_of_design)
+    if not chosen:
+        raise InputError(
+            f"samples: got {samples} candidates of which none lies in X_fea(p), expected at least one; "
+            "take more samples, or check that X, U and the design bounds leave anything to control."
+        )
+    return states[chosen], designs[chosen], feasible
+
+
+def _follow(problem, loops: _Loops, x: Array, gamma: float, rng, progress):
+    """States, inputs and values of the closed loops at `VISITS`, and the fraction that diverged."""
+    n, steps = len(x), VISITS[-1] + TAIL
+    w = problem.scenarios.sample(n, steps, rng)[1]
+    rewards = np.empty((steps, n))
+    visited, actions = [], []
+    for k in trange(steps, desc="expert", disable=not progress, leave=False):
+        u = loops.inputs(x)
+        if k in VISITS:
+            visited.append(x)
+            actions.append(u)
+        x = loops.step(x, u, w[:, k])
+        x = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, np.nan)
+        rewards[k] = problem.objective.rewards(x, u)
+    future = rewards[-TAIL // 4 :].mean(axis=0) / (1 - gamma)  # stationary by then
+    values = []
+    for k in reversed(range(steps)):
+        future = rewards[k] + gamma * future
+        if k in VISITS:
+            values.append(future)
+    return visited, actions, values[::-1], float(np.isnan(future).mean())
+
+
+class _Loops:
+    """The expert's closed loops, one design each."""
+
+    def __init__(self, problem, p, feasible, expert, horizon, progress) -> None:
+        self.problem, self.feasible = problem, feasible
+        self.A, self.B, self.E = problem.model.matrices(p)
+        self.lower, self.upper = problem.input_bounds
+        Q, R = problem.objective.Q, problem.objective.R
+        self.K = np.array([lqr(A, B, Q=Q, R=R)[0] for A, B in zip(self.A, self.B)])
+        self.controllers: list[LinearMPC] | None = None
+        if expert == "mpc":
+            self.controllers = [
+                LinearMPC(A, B, Q=Q, R=R, horizon=horizon, X=problem.X, U=problem.U)
+                for A, B in tqdm(list(zip(self.A, self.B)), desc="MPC", disable=not progress, leave=False)
+            ]
+
+    def step(self, x: Array, u: Array, w: Array) -> Array:
+        """Next states (n, nx)."""
+        return _times(self.A, x) + _times(self.B, u) + _times(self.E, w)
+
+    def inputs(self, x: Array) -> Array:
+        """The expert's inputs (n, nu); NaN where the state is."""
+        alive = np.isfinite(x).all(axis=1)
+        if self.controllers is not None:
+            u = np.full((len(x), self.B.shape[2]), np.nan)
+            for i in np.flatnonzero(alive):
+                u[i] = self.controllers[i](x[i])
+            return u
+        wanted = np.clip(-_times(self.K, x), self.lower, self.upper)
+        if self.B.shape[2] == 1:
+            return self._project_interval(x, wanted)
+        for i in np.flatnonzero(alive):
+            wanted[i] = self._filters[i].project(x[i], wanted[i])[0]
+        return wanted
+
+    @cached_property
+    def _filters(self) -> list[AdmissibleInputs]:
+        return [AdmissibleInputs(A, B, S, self.problem.U) for A, B, S in zip(self.A, self.B, self.feasible)]
+
+    @cached_property
+    def _rows(self) -> tuple[Array, Array, Array]:
+        """All X_fea(p) stacked: F A (n, m, nx), F B (n, m) and g (n, m), rows scaled to the size of X."""
+        m = max(len(S.b) for S in self.feasible)
+        n, nx = len(self.feasible), self.problem.model.nx
+        F, g = np.zeros((n, m, nx)), np.ones((n, m))
+        for i, S in enumerate(self.feasible):
+            size = np.abs(S.A) @ self.problem.state_scale
+            F[i, : len(S.b)], g[i, : len(S.b)] = S.A / size[:, None], S.b / size
+        return F @ self.A, (F @ self.B)[:, :, 0], g
+
+    def _project_interval(self, x: Array, wanted: Array) -> Array:
+        """One input: the nearest point of each admissible interval; the least violation where it is empty."""
+        FA, slope, g = self._rows
+        room = g - np.einsum("nij,nj->ni", FA, x)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bound = room / slope
+        flat = np.abs(slope) < 1e-14
+        high = np.where(~flat & (slope > 0), bound, np.inf).min(axis=1).clip(max=self.upper[0])
+        low = np.where(~flat & (slope < 0), bound, -np.inf).max(axis=1).clip(min=self.lower[0])
+        u = np.clip(wanted[:, 0], low, np.maximum(high, low))
+        empty = np.flatnonzero((low > high) | (flat & (room < 0)).any(axis=1))
+        if len(empty):
+            u[empty] = _least_violation(room[empty], slope[empty], self.lower[0], self.upper[0])
+        return u[:, None]
+
+
+def _least_violation(room: Array, slope: Array, lower: float, upper: float) -> Array:
+    """Minimisers (n,) over [lower, upper] of max_i (slope_i u − room_i), by golden section on a convex function."""
+    ratio = (np.sqrt(5) - 1) / 2
+    a, b = np.full(len(room), lower), np.full(len(room), upper)
+
+    def worst(u: Array) -> Array:
+        return (slope * u[:, None] - room).max(axis=1)
+
+    for _ in range(45):
+        c, d = b - ratio * (b - a), a + ratio * (b - a)
+        left = worst(c) <= worst(d)
+        a, b = np.where(left, a, c), np.where(left, d, b)
+    return (a + b) / 2
+
+
+def _times(M: Array, x: Array) -> Array:
+    """M[i] @ x[i] for every i."""
+    return np.einsum("nij,nj->ni", M, x)

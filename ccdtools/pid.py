@@ -1,0 +1,74 @@
+"""A PID that is tuned, not crippled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
+
+from ccdtools.arrays import Array
+from ccdtools.controllers import PID
+from ccdtools.problem import CoDesignProblem
+from ccdtools.simulation import simulate
+
+
+def tuned_pid(
+    problem: CoDesignProblem,
+    design: ArrayLike,
+    *,
+    rng: np.random.Generator,
+    outputs: Array | None = None,
+    runs: int = 128,
+    screened: int = 48,
+    refinements: int = 160,
+) -> PID:
+    """The PID with the best mean return on the problem's nominal model at one design.
+
+    Every candidate output is screened with log-uniform gains of both signs; the best gains are refined by
+    Nelder–Mead, all on the same scenarios.
+
+    Parameters
+    ----------
+    design : (np,) array_like
+    rng : numpy.random.Generator
+    outputs : (k, nu, nx) array, optional
+        Candidate output matrices C; each single state, for one input, and the states that the inputs push.
+    runs, screened, refinements : int
+        Scenarios, random gains per output, and evaluations of the refinement.
+    """
+    model, nu = problem.model, problem.model.nu
+    lower, upper = problem.input_bounds
+    _, B, _ = model.matrices(design)
+    C_all = _default_outputs(B) if outputs is None else np.asarray(outputs, dtype=float)
+    x0, w = problem.scenarios.sample(runs, problem.steps, rng)
+    half = (upper - lower) / 2
+
+    def controller(C: Array, z: Array) -> PID:
+        """`z` (3, nu): gains relative to full input at the edge of X, with time in samples."""
+        unit = half / np.maximum(np.abs(C) @ problem.state_scale, 1e-12)
+        kp, ki, kd = z * unit
+        return PID(C, kp, ki / model.dt, kd * model.dt, dt=model.dt, lower=lower, upper=upper)
+
+    def cost(C: Array, z: Array) -> float:
+        run = simulate(
+            model, controller(C, z.reshape(3, nu)), x0=x0, steps=problem.steps, disturbance=w, design=design,
+            limit=problem.limit,
+        )  # fmt: skip
+        return float(-run.returns(problem.objective).mean())
+
+    gains = rng.choice([-1.0, 1.0], (screened, 3, nu)) * 10 ** rng.uniform(-2, 1.5, (screened, 3, nu))
+    gains[0] = 0.0
+    gains[::3, 1] = 0.0
+    _, C, z = min(((cost(C, g), C, g) for C in C_all for g in gains), key=lambda found: found[0])
+    result = minimize(
+        lambda v: cost(C, v), z.ravel(), method="Nelder-Mead", options={"maxfev": refinements, "xatol": 1e-3}
+    )
+    best = result.x if result.fun <= cost(C, z) else z
+    return controller(C, best.reshape(3, nu))
+
+
+def _default_outputs(B: Array) -> Array:
+    pushed = B.T / np.linalg.norm(B, axis=0)[:, None]
+    if B.shape[1] > 1:
+        return pushed[None]
+    return np.concatenate([np.eye(len(B))[:, None, :], pushed[None]])
