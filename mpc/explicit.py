@@ -44,6 +44,8 @@ class ExplicitMPC:
         Finds the region of a parameter.
     law : (n_regions, nu, nt + 1) array
         First input u = law[r] [θ; 1].
+    law_number : (n_regions,) int array
+        Regions of equal number share their law.
     input_rows : (H, h)
         Input set {u : Hu <= h} to which the law is saturated outside the partition.
     """
@@ -51,6 +53,7 @@ class ExplicitMPC:
     partition: Partition
     tree: SearchTree
     law: Array
+    law_number: Ints
     input_rows: tuple[Array, Array]
 
     @classmethod
@@ -75,9 +78,13 @@ class ExplicitMPC:
         law = problem.Lz[:nu] @ partition.law
         law[:, :, :-1] += problem.Lt[:nu]
         law[:, :, -1] += problem.l[:nu]
+        number = _law_numbers(law, partition)
+        _, first = np.unique(number, return_index=True)
+        law = law[first][number]  # laws that agree up to rounding become one
         law.flags.writeable = False
+        number.flags.writeable = False
         rows = (np.zeros((0, nu)), np.zeros(0)) if input_rows is None else input_rows
-        return cls(partition, build_tree(partition, _law_numbers(law, partition)), law, rows)
+        return cls(partition, build_tree(partition, number), law, number, rows)
 
     @property
     def status(self) -> MPQPStatus:
@@ -98,7 +105,8 @@ class ExplicitMPC:
         return len(self.partition)
 
     def __repr__(self) -> str:
-        return f"ExplicitMPC({len(self)} regions, {self.nt} parameters, {self.nu} inputs, {self.status.name}, {self.tree!r})"
+        size = f"{len(self)} regions, {self.nt} parameters, {self.nu} inputs"
+        return f"ExplicitMPC({size}, {self.status.name}, {self.tree!r})"
 
     @cached_property
     def regions(self) -> tuple[Region, ...]:

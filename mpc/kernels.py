@@ -1,10 +1,11 @@
 """Compiled steps of the multiparametric QP solver; imported only when an explicit law is computed.
 
-Everything works on least-distance data. With H = LL', v = L'z + L⁻¹(Fθ + f) turns the QP into min ½ |v|² subject to
-Mv <= d(θ), where M has unit rows. For an active set 𝒜 the multipliers are λ(θ) = -(M_𝒜 M_𝒜')⁻¹ d_𝒜(θ) and the slack of row i is
-d_i(θ) + M_i M_𝒜' λ(θ): only the Gram matrix MM' and the affine map d are needed (Bemporad, Morari, Dua and
-Pistikopoulos, Automatica 38(1), 2002; Arnström and Axehill, IEEE CDC, 2024). Row i of a critical region belongs to
-constraint i whether it is active (its multiplier) or not (its slack), so crossing facet i exchanges i's membership.
+Everything works on least-distance data. With H = LL', v = L'z + L⁻¹(Fθ + f) turns the QP into min ½ |v|² subject
+to Mv <= d(θ), where M has unit rows. For an active set a the multipliers are λ(θ) = -(M_a M_a')⁻¹ d_a(θ) and the
+slack of row i is d_i(θ) + M_i M_a' λ(θ): only the Gram matrix MM' and the affine map d are needed (Bemporad, Morari,
+Dua and Pistikopoulos, Automatica 38(1), 2002; Arnström and Axehill, IEEE CDC, 2024). Row i of a critical region
+belongs to constraint i whether it is active (its multiplier) or not (its slack), so crossing facet i exchanges i's
+membership.
 """
 
 from __future__ import annotations
@@ -462,7 +463,8 @@ def explore(gram, M, D, TA, Tb, masks, kinds, table, queue, counts, offsets, row
                 kind = consider(gram, M, D, TA, Tb, flipped, masks, kinds, table, queue, counts)
                 found = found or kind == FULL
                 if kind == DEPENDENT and shared == 1:
-                    found = exchange(gram, M, D, TA, Tb, act, k, facet, mask, masks, kinds, table, queue, counts) or found
+                    swapped = exchange(gram, M, D, TA, Tb, act, k, facet, mask, masks, kinds, table, queue, counts)
+                    found = found or swapped
             if not found and across(A, b, facets, count, facet, theta):
                 kt = optimal_set(M, D, theta, trial)
                 if kt >= 0:

@@ -311,6 +311,8 @@ class LinearMPC:
             if not result.residuals.worst <= 1e-6:
                 status = Status.INACCURATE
             inputs = problem.inputs(result.z, theta)
+            if status is Status.INACCURATE and np.isfinite(inputs).all():
+                inputs = np.array([nearest_point(u, *self.input_rows) for u in inputs])
             if not np.isfinite(inputs).all():
                 return self._last_resort(x, start)
             cost = problem.cost(result.z, theta)

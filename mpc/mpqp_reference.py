@@ -50,8 +50,8 @@ def explore_all(
             status = MPQPStatus.REGION_LIMIT if limit else MPQPStatus.TIME_LIMIT
             break
     sizes = np.cumsum([0] + [len(rows) for rows in regions.values()])
-    rows = np.vstack([np.zeros((0, data.D.shape[1])), *regions.values()])
-    return status, [tuple(sorted(active)) for active in regions], rows, sizes.astype(np.int64)
+    facets = np.vstack([np.zeros((0, data.D.shape[1])), *regions.values()])
+    return status, [tuple(sorted(active)) for active in regions], facets, sizes.astype(np.int64)
 
 
 def _first(data: LeastDistance) -> Members | None:
@@ -74,7 +74,7 @@ def _law(data: LeastDistance, active: Members) -> Array | None:
     gram = data.M[act] @ data.M[act].T
     if act and np.linalg.eigvalsh(gram)[0] < _INDEPENDENT:
         return None
-    return -np.linalg.solve(gram, data.D[act]) if act else np.zeros((0, data.D.shape[1]))
+    return np.asarray(-np.linalg.solve(gram, data.D[act]), dtype=np.float64)
 
 
 def _region(data: LeastDistance, active: Members) -> tuple[Array, Array] | None:

@@ -63,9 +63,9 @@ def build_tree(partition: Partition, laws: Ints) -> SearchTree:
     from . import search_kernels as kernels
 
     rows = partition.scaled_rows
-    planes = _distinct_planes(rows)
+    planes = distinct_planes(rows)
     centres = kernels.centres_of(rows, partition.offsets)
-    side = kernels.sides(rows, partition.offsets, centres, planes, 1e-9)
+    side = sides_of_regions(partition, planes, centres)
     splitting = np.flatnonzero(((side == 1).any(axis=1)) & ((side == 2).any(axis=1)))
     side, planes = np.ascontiguousarray(side[splitting]), np.ascontiguousarray(planes[splitting])
     nodes, leaf = kernels.grow(side, laws, planes, rows, partition.offsets, centres, 256 * len(partition) + 1)
@@ -76,7 +76,19 @@ def build_tree(partition: Partition, laws: Ints) -> SearchTree:
     return SearchTree(np.ascontiguousarray(planes[used]), nodes, leaf)
 
 
-def _distinct_planes(rows: Array) -> Array:
+def sides_of_regions(
+    partition: Partition, planes: Array, centres: Array | None = None
+) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """On which side of each hyperplane each region lies, (n_planes, n_regions): 1 below, 2 above, 3 both."""
+    from . import search_kernels as kernels
+
+    rows = partition.scaled_rows
+    centres = kernels.centres_of(rows, partition.offsets) if centres is None else centres
+    side: np.ndarray[Any, np.dtype[np.uint8]] = kernels.sides(rows, partition.offsets, centres, planes, 1e-9)
+    return side
+
+
+def distinct_planes(rows: Array) -> Array:
     """Rows up to sign, each once."""
     leading = np.argmax(np.abs(rows[:, :-1]) > 1e-6, axis=1)
     signed = rows * np.sign(rows[np.arange(len(rows)), leading])[:, None]

@@ -1,0 +1,154 @@
+"""The generated C: compiles without a warning, and computes what the Python law computes."""
+
+import ctypes
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from plants import box, double_integrator, suspension
+from random_problems import random_plant
+
+from mpc import InvalidDataError, LinearMPC
+
+CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
+WARNINGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler")
+
+DRIVER = """
+#include <stdio.h>
+#include "mpc.h"
+int main(int argc, char **argv)
+{
+    mpc_real theta[MPC_NT], u[MPC_NU];
+    FILE *in = fopen(argv[1], "rb"), *out = fopen(argv[2], "wb");
+    if (argc != 3 || !in || !out) return 1;
+    while (fread(theta, sizeof(mpc_real), MPC_NT, in) == MPC_NT) {
+        double row[MPC_NU + 1];
+        int i;
+        row[MPC_NU] = mpc_law(theta, u);
+        for (i = 0; i < MPC_NU; i++) row[i] = u[i];
+        fwrite(row, sizeof(double), MPC_NU + 1, out);
+    }
+    fclose(in);
+    return fclose(out);
+}
+"""
+
+
+def laws():
+    A, B = double_integrator()
+    yield LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=5, X=box([5, 5]), U=box([1]))
+    A, B, _ = suspension()
+    X = box([0.25, 2.5, 0.5, 2.5])
+    yield LinearMPC(A, B, Q=[10, 1, 50, 5], R=[1e-6], horizon=3, X=X, U=box([1000.0]))
+    yield random_plant(6)  # two inputs
+
+
+@pytest.fixture(scope="module")
+def explicit_laws():
+    return [mpc.explicit() for mpc in laws()]
+
+
+def run_c(folder, theta, scalar):
+    """Compile with warnings as errors and sanitizers, and run the states through."""
+    (folder / "driver.c").write_text(DRIVER)
+    program = folder / "driver"
+    sanitizers = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    subprocess.run([CC, *WARNINGS[:5], "-Werror", *sanitizers, "-g", "-O1", "mpc.c", "driver.c", "-o", program],
+                   cwd=folder, check=True, capture_output=True, text=True)  # fmt: skip
+    theta.astype(np.float64 if scalar == "double" else np.float32).tofile(folder / "in.bin")
+    subprocess.run([program, "in.bin", "out.bin"], cwd=folder, check=True, capture_output=True, timeout=300)
+    return np.fromfile(folder / "out.bin")
+
+
+@needs_compiler
+@pytest.mark.parametrize("which", [0, 1, 2])
+@pytest.mark.parametrize("method", ["tree", "sequential"])
+@pytest.mark.parametrize(("scalar", "tolerance"), [("double", 1e-12), ("float", 1e-5)])
+def test_c_agrees_with_python_on_1e5_states(explicit_laws, which, method, scalar, tolerance, tmp_path):
+    law = explicit_laws[which]
+    report = law.to_c(tmp_path, method=method, scalar=scalar)
+    p = law.partition
+    count = 100_000
+    theta = p.centre + p.half * np.random.default_rng(which).uniform(-1.2, 1.2, size=(count, law.nt))
+    if scalar == "float":
+        theta = theta.astype(np.float32).astype(np.float64)
+    out = run_c(tmp_path, theta, scalar).reshape(count, law.nu + 1)
+    u, outside = law.evaluate(theta)
+    u_max = np.abs(law.input_rows[1]).max()
+    assert 0.05 < outside.mean() < 0.95
+    assert np.abs(out[~outside, :-1] - u[~outside]).max() <= tolerance * u_max
+    assert np.abs(out[:, :-1]).max() <= u_max * (1 + 1e-6)
+    assert np.mean(out[:, -1] != outside) < (1e-4 if scalar == "float" else 1e-12)
+    assert report.regions == len(law)
+
+
+@needs_compiler
+def test_compiles_with_strict_conversions(explicit_laws, tmp_path):
+    for i, method in enumerate(("tree", "sequential")):
+        for scalar in ("double", "float"):
+            folder = tmp_path / f"{i}{scalar}"
+            explicit_laws[0].to_c(folder, method=method, scalar=scalar)
+            subprocess.run([CC, *WARNINGS, "-c", "mpc.c"], cwd=folder, check=True, capture_output=True)
+
+
+@needs_compiler
+def test_a_state_that_is_not_finite_is_reported_and_gives_zero(explicit_laws, tmp_path):
+    explicit_laws[0].to_c(tmp_path)
+    out = run_c(tmp_path, np.array([[np.nan, 0.0], [np.inf, 1.0], [0.0, 0.0]]), "double").reshape(3, 2)
+    np.testing.assert_array_equal(out, [[0, 2], [0, 2], [0, 0]])
+
+
+@needs_compiler
+def test_report_counts_the_bytes_of_the_tables(explicit_laws, tmp_path):
+    for method in ("tree", "sequential"):
+        folder = tmp_path / method
+        report = explicit_laws[1].to_c(folder, method=method)
+        subprocess.run([CC, "-std=c99", "-O2", "-c", "mpc.c"], cwd=folder, check=True)
+        shown = subprocess.run(["size", "-A", "mpc.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
+        constants = sum(int(line.split()[1]) for line in shown.splitlines() if line.startswith(".rodata"))
+        assert report.flash_bytes == pytest.approx(constants, rel=0.05)
+        assert f"{report.flash_bytes} bytes" in str(report)
+
+
+def test_gains_and_hyperplanes_are_stored_once(explicit_laws, tmp_path):
+    law = explicit_laws[0]
+    report = law.to_c(tmp_path, method="sequential")
+    assert report.laws < report.regions
+    assert report.hyperplanes < len(law.partition.H)
+    tree = law.to_c(tmp_path)
+    assert tree.operations < report.operations
+
+
+def test_compiled_library_is_callable_from_python(explicit_laws, tmp_path):
+    if CC is None:
+        pytest.skip("no C compiler")
+    law = explicit_laws[0]
+    law.to_c(tmp_path, name="pwa")
+    subprocess.run([CC, "-shared", "-fPIC", "-O2", "pwa.c", "-o", "pwa.so"], cwd=tmp_path, check=True)
+    call = ctypes.CDLL(str(tmp_path / "pwa.so")).pwa_law
+    theta, u = (ctypes.c_double * 2)(3.0, -1.0), (ctypes.c_double * 1)()
+    assert call(theta, u) == 0
+    assert u[0] == pytest.approx(law([3.0, -1.0])[0], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"name": "1x"}, "expected a C identifier"),
+        ({"method": "hash"}, "got method 'hash'"),
+        ({"scalar": "half"}, "scalar 'half'"),
+    ],
+)
+def test_unknown_options_are_refused(explicit_laws, options, message, tmp_path):
+    with pytest.raises(InvalidDataError, match=message):
+        explicit_laws[0].to_c(tmp_path, **options)
+
+
+def test_a_tree_of_an_incomplete_partition_is_refused(tmp_path):
+    A, B = double_integrator()
+    law = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=5, X=box([5, 5]), U=box([1])).explicit(max_regions=7)
+    with pytest.raises(InvalidDataError, match="needs a complete partition, got REGION_LIMIT"):
+        law.to_c(tmp_path)
+    assert law.to_c(tmp_path, method="sequential").regions == 7
