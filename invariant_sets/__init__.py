@@ -5,14 +5,22 @@ from .control_invariant import maximal_control_invariant_set
 from .exceptions import InvariantSetsError
 from .parametric import ParametricSet
 from .polytope import Polytope
-from .results import SetResult, Status
+from .positive_invariant import maximal_positively_invariant_set, minimal_robust_positively_invariant_set
+from .reachability import controllable_set, predecessor_set, reachable_set
+from .results import Certificate, SetResult, Status
 
 __all__ = [
-           "AdmissibleInputs",
-           "InvariantSetsError",
-           "ParametricSet",
-           "Polytope",
-           "SetResult",
-           "Status",
-           "maximal_control_invariant_set",
+    "AdmissibleInputs",
+    "Certificate",
+    "InvariantSetsError",
+    "ParametricSet",
+    "Polytope",
+    "SetResult",
+    "Status",
+    "controllable_set",
+    "maximal_control_invariant_set",
+    "maximal_positively_invariant_set",
+    "minimal_robust_positively_invariant_set",
+    "predecessor_set",
+    "reachable_set",
 ]

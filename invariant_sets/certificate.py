@@ -14,9 +14,9 @@ Array = np.ndarray
 _DOUBTFUL = 1e-12
 
 
-def control_violation(A: Array, B: Array, C: Polytope, U: Polytope,
-                      disturbances: Array | None = None) -> tuple[float, int]:
-    """Return by how much the worst vertex of C leaves it under the best input, and the number of programs.
+def control_violation(A: Array, B: Array, C: Polytope, U: Polytope, disturbances: Array | None = None, *,
+                      target: Polytope | None = None) -> tuple[float, int]:
+    """Return by how much the worst vertex of C leaves `target` (C itself) under the best input, and the count.
 
     Parameters
     ----------
@@ -26,6 +26,8 @@ def control_violation(A: Array, B: Array, C: Polytope, U: Polytope,
         State and input sets, not empty.
     disturbances : (k, nx) array, optional
         Vertices of E W.
+    target : Polytope, optional
+        Where the successors must lie; C if left out.
 
     Returns
     -------
@@ -41,9 +43,12 @@ def control_violation(A: Array, B: Array, C: Polytope, U: Polytope,
     The linear program only proposes u; the violation is then recomputed from u by a matrix product, so a solver
     error can make the result too large, never too small.
     """
+    target = C if target is None else target
     if not C.is_bounded:
-        return _facet_violation(A, B, C, U, disturbances)
-    F, g = relative_rows(C)
+        return _facet_violation(A, B, C, U, disturbances, target)
+    F, g = relative_rows(target)
+    if not len(g):
+        return -np.inf, len(C.vertices)
     if disturbances is not None:
         g = g - (F @ disturbances.T).max(axis=1)
     body = U._body
@@ -61,7 +66,7 @@ def control_violation(A: Array, B: Array, C: Polytope, U: Polytope,
         v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=1e-11)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
     leaves = _leaves(witnesses, slope, room, H, h)
-    for k in np.flatnonzero(leaves > _DOUBTFUL):  # DAQP may end its proximal iterations early: ask the checked solver
+    for k in map(int, np.flatnonzero(leaves > _DOUBTFUL)):  # DAQP may stop early: ask the checked solver
         v = minimise(cost, rows, np.concatenate([room[k], h]))[1]
         if v is not None:
             leaves[k] = min(leaves[k], _leaves(v[None, :nu], slope, room[k:k + 1], H, h)[0])
@@ -82,11 +87,12 @@ def _leaves(v: Array, slope: Array, room: Array, H: Array, h: Array) -> Array:
         return np.where(inside, (v @ slope.T - room).max(axis=1), np.inf)
 
 
-def _facet_violation(A: Array, B: Array, C: Polytope, U: Polytope, disturbances: Array | None) -> tuple[float, int]:
-    """Return by how much C leaves its own predecessor set, by one LP a facet."""
-    if not len(C.b) and not len(C.b_eq):
+def _facet_violation(A: Array, B: Array, C: Polytope, U: Polytope, disturbances: Array | None,
+                     target: Polytope) -> tuple[float, int]:
+    """Return by how much C leaves the predecessor set of `target`, by one LP a facet."""
+    F, g = relative_rows(target)
+    if not len(g):
         return -np.inf, 0
-    F, g = relative_rows(C)
     body = U._body
     assert body is not None
     H = np.hstack([np.zeros((len(body.g), len(A))), body.F])

@@ -66,7 +66,7 @@ def largest_invariant_set(system: LinearSystem, X: Polytope, U: Polytope, limits
             steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
             outcome = iterate(start, _predecessor(problem), _STOP, max(steps, 1), limits.facets)
         iterations += outcome.iterations
-        region = outcome.region.with_distinct_vertices()
+        region = outcome.region.tidy()
         if region.shape is Shape.EMPTY:
             return no_set(nx, iterations)
         capped = iterations >= limits.iterations or outcome.too_many_facets
@@ -145,7 +145,8 @@ def _finish(system: LinearSystem, problem: LocalProblem, U: Polytope, outcome: O
     return no_set(len(system.A), iterations, outer, status)
 
 
-def _candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits: Limits) -> Iterator[tuple[Region, int]]:
+def _candidates(problem: LocalProblem, outcome: Outcome, region: Region,
+                limits: Limits) -> Iterator[tuple[Region, int]]:
     """Yield inner regions and the steps they cost, the best first."""
     scales = problem.disturbances is None and problem.shifted
     if scales and outcome.converged:
@@ -166,14 +167,15 @@ def _candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits:
 
 
 def _shrunk(region: Region, part: float) -> Region:
-    return Region(region.F, (1 - part) * region.g, None if region.V is None else (1 - part) * region.V)
+    V = None if region.V is None else (1 - part) * region.V
+    return Region(region.F, (1 - part) * region.g, V, minimal=region.minimal)
 
 
 def _contracted(problem: LocalProblem, region: Region, delta: float, limits: Limits) -> Iterator[tuple[Region, int]]:
     again = iterate(region, _predecessor(problem, 1 - delta), 1 / (1 - delta) - 1, max(limits.iterations // 4, 20),
                     limits.facets)
     if again.converged and again.region.shape is Shape.SOLID:
-        yield again.region.with_distinct_vertices(), again.iterations
+        yield again.region.tidy(), again.iterations
 
 
 def _grown(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[tuple[Region, int]]:
@@ -205,11 +207,11 @@ def _grown(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[tu
             break
         steps += 1
         finished = _gap(larger, grown) <= limits.tol / 10
-        grown = larger.with_distinct_vertices()
+        grown = larger.tidy()
         if finished:
             break
     yield grown, steps
-    yield inside.region.with_distinct_vertices(), 0
+    yield inside.region.tidy(), 0
 
 
 def _feedback(problem: LocalProblem) -> Array | None:

@@ -154,10 +154,7 @@ class Polytope(SetOperations):
             return 0.0
         self._require_bounded("volume")
         Y = (self.vertices - body.centre) @ np.linalg.inv(body.basis).T
-        if self.dim == 1:
-            content = float(np.ptp(Y))
-        else:
-            content = float(rep.convex_hull(Y).volume)
+        content = float(np.ptp(Y)) if self.dim == 1 else float(rep.convex_hull(Y).volume)
         return content * abs(float(np.linalg.det(body.basis)))
 
     def _require_bounded(self, what: str) -> rep.Body:

@@ -38,12 +38,15 @@ class Region:
         Vertices; None if unbounded.
     shape : Shape
         If not SOLID, V is not kept up to date.
+    minimal : bool
+        Whether the rows are known to be irredundant.
     """
 
     F: Array
     g: Array
     V: Array | None
     shape: Shape = Shape.SOLID
+    minimal: bool = False
 
     def reach(self, rows: Array) -> Array:
         """Return the support of the region along each row, (k,)."""
@@ -64,21 +67,24 @@ class Region:
         room = g - F @ middle
         if self.V is None:
             kept = rep.irredundant_rows(F, room)
-            return Region(F[kept], g[kept], None)
+            return Region(F[kept], g[kept], None, minimal=True)
         try:
             kept, V = rep.facets_and_vertices(F, room, merge=False)
         except NumericalError:  # thinner than Qhull can resolve
             return Region(F, g, None, Shape.FLAT)
-        return Region(F[kept], g[kept], V + middle)
+        return Region(F[kept], g[kept], V + middle, minimal=True)
 
     @property
     def is_small(self) -> bool:
         """Whether it is so much smaller than one in some coordinate that it should be rescaled."""
         return self.V is not None and bool((self.V.max(axis=0) - self.V.min(axis=0) < 2 * SMALL).any())
 
-    def with_distinct_vertices(self) -> Region:
-        """Return the region with repeated vertices merged."""
-        return self if self.V is None else replace(self, V=rep.merge_points(self.V))
+    def tidy(self) -> Region:
+        """Return the region without redundant rows and repeated vertices."""
+        if self.shape is not Shape.SOLID:
+            return self
+        region = self if self.minimal or not len(self.g) else self.cut(self.F[:0], self.g[:0])
+        return region if region.V is None else replace(region, V=rep.merge_points(region.V))
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,10 @@ def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) 
     Returns
     -------
     D, h, group : (k, n), (k,) and (k,) arrays
-        Both signs of every direction: the left eigenvectors of real unstable eigenvalues, the columns of their
-        invariant subspace for complex pairs and Jordan blocks. Each value is an upper bound: the tail
-        of the series is added. k = 0 if nothing is unstable. A row holds only if the set is bounded along all rows
-        of its group.
+        Both signs of every direction: the left eigenvectors of real unstable eigenvalues; for complex pairs and
+        Jordan blocks a basis of the invariant subspace, and all facets of the sum if it is a plane. Each value
+        is an upper bound: the tail of the series is added. k = 0 if nothing is unstable. A row holds only if
+        the set is bounded along all rows of its group.
 
     Notes
     -----
@@ -55,7 +55,7 @@ def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) 
         rows.append(direction)
         bounds.append(_mode_bound(values[i].real, direction, inputs, disturbances))
         groups.append(int(i))
-    if (unstable & ~(real & simple)).any():
+    if (unstable & ~(real & simple)).any() or np.count_nonzero(unstable) == 2:
         for row, bound in _subspace_bounds(A, inputs, disturbances):
             rows.append(row)
             bounds.append(bound)
@@ -80,7 +80,7 @@ def _mode_bound(value: float, v: Array, inputs: Array, disturbances: Array | Non
 
 
 def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
-    """Yield rows and their two bounds for a basis of the whole left unstable subspace, by summing the series."""
+    """Yield rows and their two bounds on the whole left unstable subspace, by summing the series."""
     from scipy.linalg import schur
 
     def outside(real: float, imaginary: float = 0.0) -> bool:
@@ -91,18 +91,27 @@ def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
     reach = max(np.abs(inputs).max(), 0.0 if disturbances is None else np.abs(disturbances).max())
     terms: list[Array] = []
     block = inverse.copy()
-    while len(terms) < _MAX_TERMS and np.linalg.norm(block) * reach > 1e-17 * max(reach, 1e-300):
+    while len(terms) < _MAX_TERMS and np.linalg.norm(block) > 1e-17:
         terms.append(block)
         block = block @ inverse
     tail = _tail(block, inverse, reach * np.sqrt(A.shape[0]))
-    G = np.array(terms) @ L  # (terms, k, n)
-    for i in range(k):
-        back = G[:, i]
-        u = back @ inputs.T
-        w = np.zeros((len(back), 1)) if disturbances is None else back @ disturbances.T
+    back = np.array(terms) @ L  # (terms, k, n)
+    moves = back @ inputs.T
+    drifts = np.zeros((len(back), k, 1)) if disturbances is None else back @ disturbances.T
+    for c in np.vstack([np.eye(k), _edge_normals(moves) if k == 2 else np.zeros((0, k))]):
+        u, w = np.tensordot(c, moves, (0, 1)), np.tensordot(c, drifts, (0, 1))
         up = (-u.min(axis=1) - w.max(axis=1)).sum() + tail
         down = (u.max(axis=1) + w.min(axis=1)).sum() + tail
-        yield L[i], (float(up), float(down))
+        yield c @ L, (float(up), float(down))
+
+
+def _edge_normals(moves: Array) -> Array:
+    """Return the facet normals (j, 2) of ⊕ Λ^{-j} L B U in the plane: across every edge that is not negligible."""
+    first, second = np.triu_indices(moves.shape[2], k=1)
+    edges = (moves[:, :, first] - moves[:, :, second]).transpose(0, 2, 1).reshape(-1, 2)
+    length = np.linalg.norm(edges, axis=1)
+    edges = edges[length > 1e-9 * length.max(initial=0.0)]
+    return np.column_stack([-edges[:, 1], edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None]
 
 
 def _tail(block: Array, inverse: Array, reach: float) -> float:
