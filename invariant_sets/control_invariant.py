@@ -71,8 +71,14 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E
     Bertsekas (1972), IEEE TAC 17(5); Blanchini, Miani (2015), sections 5.1 and 5.2; Hu, Lin (2001), Control Systems
     with Actuator Saturation, chapter 2.
     """
+    return within(A, B, X, U, E, W, tol, max_iterations, max_facets)
+
+
+def within(A: Any, B: Any, X: Polytope, U: Polytope, E: Any, W: Polytope | None, tol: float, max_iterations: int,
+           max_facets: int, guess: Polytope | None = None) -> SetResult:
+    """Return the maximal control invariant set in X ∩ guess; see `maximal_control_invariant_set`."""
     A, B, E = checked_system(A, B, X, U, E, W)
     limits = Limits(check_tolerance(tol), check_count(max_iterations, "max_iterations", 1),
                     check_count(max_facets, "max_facets", 1))
     disturbances = None if E is None or W is None else W.vertices @ E.T
-    return largest_invariant_set(LinearSystem(A, B, disturbances), X, U, limits)
+    return largest_invariant_set(LinearSystem(A, B, disturbances), X, U, limits, guess)

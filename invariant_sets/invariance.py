@@ -45,10 +45,12 @@ class Limits:
     facets: int
 
 
-def largest_invariant_set(system: LinearSystem, X: Polytope, U: Polytope, limits: Limits) -> SetResult:
-    """Return the largest set in X that some u in U, found without knowing w, can keep the state in.
+def largest_invariant_set(system: LinearSystem, X: Polytope, U: Polytope, limits: Limits,
+                          guess: Polytope | None = None) -> SetResult:
+    """Return the largest set in X (and in a full-dimensional `guess`) that some u in U can keep the state in.
 
-    The set is rescaled when it has become small, and solved on its affine hull when it has become flat.
+    The input does not know w. The set is rescaled when it has become small, and solved on its affine hull when
+    it has become flat.
     """
     nx, iterations, widest = len(system.A), 0, _extent(X)
     for _ in range(4 * nx + 8):
@@ -61,6 +63,8 @@ def largest_invariant_set(system: LinearSystem, X: Polytope, U: Polytope, limits
         if problem.basis.shape[1] == 0:
             return _point(system, problem, X, U, iterations)
         start = _bounded_modes(problem, _start(problem, X))
+        if guess is not None and start.shape is Shape.SOLID:
+            start, guess = _guessed(problem, start, guess), None
         outcome = Outcome(start, 0, False, np.inf)
         if start.shape is Shape.SOLID and not start.is_small:
             steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
@@ -97,6 +101,11 @@ def _start(problem: LocalProblem, X: Polytope) -> Region:
         return Region(problem.F, problem.g, None)
     inverse = (np.linalg.inv if problem.basis.shape[0] == problem.basis.shape[1] else np.linalg.pinv)(problem.basis)
     return Region(problem.F, problem.g, (X.vertices - problem.centre) @ inverse.T)
+
+
+def _guessed(problem: LocalProblem, region: Region, guess: Polytope) -> Region:
+    rows, right = unit_rows(guess.A @ problem.basis, guess.b - guess.A @ problem.centre)
+    return region.cut(rows, right)
 
 
 def _bounded_modes(problem: LocalProblem, region: Region) -> Region:

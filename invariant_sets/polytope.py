@@ -96,15 +96,21 @@ class Polytope(SetOperations):
         scale = np.ptp(V, axis=0) / 2
         scale[scale <= 1e-15 * np.abs(V).max(axis=0)] = 1.0
         Y = (V - centre) / scale
-        _, s, vt = np.linalg.svd(Y, full_matrices=True)
+        _, s, vt = np.linalg.svd(Y, full_matrices=len(Y) < 2 * Y.shape[1])
         rank = int((s > rep.FLAT * max(s.max(initial=0.0), rep.FLAT)).sum())
         N, M = vt[:rank], vt[rank:] / scale
+        extreme = np.arange(1)
+        A, b = np.zeros((0, V.shape[1])), np.zeros(0)
         if rank:
-            F, g = rep.hull_rows(Y @ N.T)
+            F, g, extreme = rep.hull_rows(Y @ N.T)
             A, b = F @ N / scale, g + F @ N @ (centre / scale)
-        else:
-            A, b = np.zeros((0, V.shape[1])), np.zeros(0)
-        return cls(A, b, M, M @ centre) if len(M) else cls(A, b)
+            norms = np.linalg.norm(A, axis=1)
+            A, b = A / norms[:, None], b / norms
+        M = M / np.linalg.norm(M, axis=1)[:, None]
+        P = cls(A, b, M, M @ centre)
+        if V.shape[1] != 2:  # in the plane they come in order, from the inequalities
+            P.__dict__["vertices"] = frozen(V[extreme])
+        return P
 
     # --- shape --------------------------------------------------------------------------------------------
 

@@ -124,21 +124,34 @@ def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = Non
     radius = float(np.abs(np.linalg.eigvals(A)).max())
     if radius >= 1.0:
         raise InputError(f"A has spectral radius {radius:.6g}, expected less than 1; close a stabilising loop first.")
-    noise = W.affine_map(E)
-    body = noise._body
-    assert body is not None
-    rest = np.linalg.solve(np.eye(len(A)) - A, body.centre)
-    centred = noise.vertices - body.centre
-    if body.basis.shape[1] == 0:
+    noise = W.vertices @ E.T
+    centre = W.affine_map(E)._body.centre  # type: ignore[union-attr]
+    rest = np.linalg.solve(np.eye(len(A)) - A, centre)
+    Q = _moving_subspace(A, noise - centre)
+    if Q.shape[1] == 0:
         R, gap, steps, status = Polytope.from_vertices(rest[None]), 0.0, 0, Status.CONVERGED
-    elif body.basis.shape[1] == len(A):
-        R, gap, steps, status = _rakovic(A, centred, eps, max_iterations, max_facets)
-        R = R.affine_map(np.eye(len(A)), rest)
     else:
-        R, gap, steps, status = _flat_noise(A, centred, eps, max_iterations, max_facets)
-        R = R.affine_map(np.eye(len(A)), rest)
-    violation, points = control_violation(A, np.zeros((len(A), 1)), R, _NO_INPUT, noise.vertices)
+        local, vertices = Q.T @ A @ Q, (noise - centre) @ Q
+        solid = Polytope.from_vertices(vertices).affine_dim == len(local)
+        approximate = _rakovic if solid else _flat_noise
+        R, gap, steps, status = approximate(local, vertices, eps, max_iterations, max_facets)
+        R = R.affine_map(Q, rest)
+    violation, points = control_violation(A, np.zeros((len(A), 1)), R, _NO_INPUT, noise)
     return SetResult(R, R, status, steps, Certificate(violation, gap, points))
+
+
+def _moving_subspace(A: Array, W: Array) -> Array:
+    """Return an orthonormal basis (n, k) of what W, A W, A² W, … span: the minimal set is flat elsewhere."""
+    scale = np.abs(W).max(initial=0.0)
+    if scale == 0.0:
+        return np.zeros((len(A), 0))
+    blocks = [W.T / scale]
+    for _ in range(len(A) - 1):
+        blocks.append(A @ blocks[-1])
+        size = np.abs(blocks[-1]).max()
+        blocks[-1] = blocks[-1] / size if size > 1e-9 else 0 * blocks[-1]
+    left, values, _ = np.linalg.svd(np.hstack(blocks), full_matrices=False)
+    return left[:, values > 1e-9 * values.max()]
 
 
 def _rakovic(A: Array, W: Array, eps: float, limit: int, max_facets: int) -> tuple[Polytope, float, int, Status]:
@@ -174,14 +187,12 @@ def _flat_noise(A: Array, W: Array, eps: float, limit: int, max_facets: int) -> 
     size = np.abs(W).max(axis=0)
     box = Polytope.from_bounds(-(size + size.max()) * 0.05, (size + size.max()) * 0.05)
     larger = (W[:, None] + box.vertices[None]).reshape(-1, n)
-    R, _, steps, status = _rakovic(A, larger, 0.5, limit, max_facets)
-    noise, total = Polytope.from_vertices(W), np.zeros((1, n))
-    image = W
+    R, gap, steps, status = _rakovic(A, larger, 0.5, limit, max_facets)
+    noise = Polytope.from_vertices(W)
     gap = np.inf
     for extra in range(1, limit + 1):
         # R_k = ⊕_{i<k} AⁱW ⊕ Aᵏ R₀, so the excess over the minimal set is at most Aᵏ R₀
         grown = R.affine_map(A).minkowski_sum(noise)
-        total, image = total + image, image @ A.T
         if len(grown.b) > max_facets:
             return R, gap, steps + extra - 1, Status.FACET_LIMIT
         gap, R = _excess(grown, A, W, extra), grown

@@ -188,15 +188,20 @@ def convex_hull(points: Array) -> Any:
 
 def merge_points(points: Array, tol: float = SAME) -> Array:
     """Return the points without those closer than `tol` (largest coordinate difference) to an earlier one."""
-    if len(points) > 1500:
+    return points[distinct(points, tol)]
+
+
+def distinct(points: Array, tol: float = SAME) -> Array:
+    """Return the indices of the points that are not within `tol` of an earlier one."""
+    if len(points) > 600:
         from scipy.spatial import cKDTree
 
         pairs = cKDTree(points).query_pairs(tol, p=np.inf, output_type="ndarray")
         keep = np.ones(len(points), bool)
-        keep[pairs[:, 1]] = False
-        return points[keep]
+        keep[pairs.max(axis=1)] = False
+        return np.flatnonzero(keep)
     close = np.abs(points[:, None] - points[None]).max(axis=2) <= tol
-    return points[close.argmax(axis=1) == np.arange(len(points))]
+    return np.flatnonzero(close.argmax(axis=1) == np.arange(len(points)))
 
 
 def irredundant_rows(F: Array, g: Array, tol: float = SAME) -> Array:
@@ -219,10 +224,12 @@ def irredundant_rows(F: Array, g: Array, tol: float = SAME) -> Array:
     return np.array(needed, dtype=int)
 
 
-def hull_rows(points: Array) -> tuple[Array, Array]:
-    """Return facets (F, g) with unit rows of the convex hull of full-dimensional points (k, n)."""
+def hull_rows(points: Array) -> tuple[Array, Array, Array]:
+    """Return facets (F, g) with unit rows of the hull of full-dimensional points (k, n), and its vertices' indices."""
     if points.shape[1] == 1:
-        return np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()])
-    equations = convex_hull(points).equations
-    equations = merge_points(equations, tol=1e-11)
-    return np.ascontiguousarray(equations[:, :-1]), -equations[:, -1]
+        ends = np.array([points.argmax(), points.argmin()])
+        return np.array([[1.0], [-1.0]]), points[ends, 0] * [1.0, -1.0], ends
+    hull = convex_hull(points)
+    equations = merge_points(np.unique(hull.equations, axis=0), tol=1e-11)
+    index = hull.vertices[distinct(points[hull.vertices])]
+    return np.ascontiguousarray(equations[:, :-1]), -equations[:, -1], index
