@@ -11,6 +11,7 @@ import numpy as np
 
 from .c_source import HEADER, SEQUENTIAL, SOURCE, TREE, real, table
 from .checks import Array
+from .elastic import box_of
 from .exceptions import InvalidDataError
 from .mpqp import MPQPStatus
 from .search_tree import Ints, distinct_planes, sides_of_regions
@@ -92,9 +93,9 @@ def write_c(
     fields = {
         "name": name, "NAME": name.upper(), "scalar": scalar, "nt": law.nt, "nu": law.nu, "body": body,
         "nlaws": len(laws),
-        "summary": f"{len(law)} regions, {len(laws)} laws, {method} search", "laws": table(laws, scalar), "points": table(points, scalar),
-        "low": table(low, scalar), "high": table(high, scalar), "largest": "DBL_MAX" if scalar == "double" else "FLT_MAX",
-        "tolerance": real(_TOLERANCE[scalar], scalar),
+        "summary": f"{len(law)} regions, {len(laws)} laws, {method} search", "laws": table(laws, scalar),
+        "points": table(points, scalar), "low": table(low, scalar), "high": table(high, scalar),
+        "largest": "DBL_MAX" if scalar == "double" else "FLT_MAX", "tolerance": real(_TOLERANCE[scalar], scalar),
     }  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     files = (folder / f"{name}.h", folder / f"{name}.c")
@@ -203,17 +204,9 @@ def _unscaled(law: ExplicitMPC, planes: Array) -> Array:
 
 
 def _box(law: ExplicitMPC) -> tuple[Array, Array]:
-    """Bounds of the inputs where the input set has rows for one input each, the largest number elsewhere."""
-    low, high = np.full(law.nu, -1e37), np.full(law.nu, 1e37)
-    for row, bound in zip(*law.input_rows):
-        used = np.flatnonzero(row)
-        if len(used) == 1:
-            j, a = int(used[0]), row[used[0]]
-            if a > 0:
-                high[j] = min(high[j], bound / a)
-            else:
-                low[j] = max(low[j], bound / a)
-    return low, high
+    """Bounds of the inputs where the input set is a box, a very large number elsewhere."""
+    low, high = box_of(*law.input_rows) or (np.full(law.nu, -np.inf), np.full(law.nu, np.inf))
+    return np.maximum(low, -1e37), np.minimum(high, 1e37)
 
 
 def _index_type(largest: int) -> tuple[str, int]:

@@ -64,10 +64,30 @@ def _typical_cost(problem: ParametricQP) -> float:
     return float(size**2 @ np.diag(problem.H))
 
 
+def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
+    """Bounds (low, high) of {u : Hu <= h} when every row concerns one entry, infinite where there is none."""
+    if (np.count_nonzero(H, axis=1) != 1).any():
+        return None
+    low, high = np.full(H.shape[1], -np.inf), np.full(H.shape[1], np.inf)
+    for row, bound in zip(H, h):
+        j = int(np.flatnonzero(row)[0])
+        if row[j] > 0:
+            high[j] = min(high[j], bound / row[j])
+        else:
+            low[j] = max(low[j], bound / row[j])
+    return low, high
+
+
+def nearest_points(V: Array, H: Array, h: Array) -> Array:
+    """Points (n, nu) of {u : Hu <= h} nearest to the rows of V; exact for a box, else see `nearest_point`."""
+    box = box_of(H, h)
+    if box is not None:
+        return np.asarray(np.clip(V, *box), dtype=np.float64)
+    return np.array([nearest_point(v, H, h) for v in V]).reshape(V.shape)
+
+
 def nearest_point(v: Array, H: Array, h: Array) -> Array:
-    """Point of {u : Hu <= h} nearest to v, or to v shrunk when v is very far away; v itself for the whole space."""
-    if not len(h):
-        return v
+    """Point of {u : Hu <= h} nearest to v, or to v shrunk when v is very far away."""
     far = _FAR * max(float(np.abs(h).max()), np.finfo(float).tiny) / np.linalg.norm(H, axis=1).min()
     shrunk = v * min(1.0, far / max(float(np.abs(v).max()), np.finfo(float).tiny))
     return DenseQP(np.eye(len(v)), H).solve(-shrunk, h).z

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import Array
-from .elastic import nearest_point
+from .elastic import nearest_points
 from .exceptions import InfeasibleError, InvalidDataError
 from .mpqp import MPQPStatus, Partition
 from .search_tree import Ints, SearchTree, build_tree, locate
@@ -152,8 +152,7 @@ class ExplicitMPC:
         region, outside = locate(self.tree, self.partition, self._scaled(points))
         u = np.empty((len(points), self.nu))
         apply(points, region, self.law, u)
-        for i in np.flatnonzero(outside):
-            u[i] = nearest_point(u[i], *self.input_rows)
+        u[outside] = nearest_points(u[outside], *self.input_rows)
         return (u[0], outside[0]) if single else (u, outside)
 
     def __call__(self, theta: ArrayLike) -> Array:

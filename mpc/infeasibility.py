@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import linprog
 
 from .checks import Array
 from .condensing import state_units
@@ -107,6 +106,8 @@ def _least_maximum(G: Array, b: Array, rows: Rows) -> tuple[float, Array]:
     """Least t >= 0 with Gz <= b + t on the rows, and the multipliers that prove it."""
     if not rows:
         return 0.0, np.zeros(0)
+    from scipy.optimize import linprog
+
     n = G.shape[1]
     matrix = np.hstack([G[rows], -np.ones((len(rows), 1))])
     result = linprog(np.eye(n + 1)[n], A_ub=matrix, b_ub=b[rows], bounds=[(None, None)] * n + [(0, None)])
@@ -129,6 +130,8 @@ def _what_gives(G: Array, b: Array, givable: Rows) -> dict[int, float]:
 
 def _least_sum(G: Array, b: Array, givable: Rows) -> dict[int, float]:
     """Violations of least sum, among the rows that may give."""
+    from scipy.optimize import linprog
+
     m, n = G.shape
     relax = np.zeros((m, len(givable)))
     relax[givable, np.arange(len(givable))] = -1.0

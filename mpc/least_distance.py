@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from .checks import Array
+from .elastic import box_of
 from .exceptions import InvalidDataError
 from .parametric_qp import ParametricQP
 
@@ -81,6 +82,7 @@ def least_distance(problem: ParametricQP, TA: Array, Tb: Array) -> LeastDistance
     size = float(np.median(np.abs(D).sum(axis=1))) if len(D) else 1.0
     D = D / (size or 1.0)
     kept = _without_duplicates(np.hstack([M, D[:, :-1]]), D[:, -1])
+    _refuse_equalities(np.hstack([M, D])[kept], origin[kept])
     M, D, origin = np.ascontiguousarray(M[kept]), np.ascontiguousarray(D[kept]), origin[kept]
     joint = np.vstack([
         np.hstack([-D[:, :-1], M, -D[:, -1:]]),
@@ -103,19 +105,24 @@ def _without_duplicates(normals: Array, offsets: Array) -> np.ndarray[Any, np.dt
     return np.array(sorted(tightest.values()), dtype=np.int64)
 
 
+def _refuse_equalities(rows: Array, origin: np.ndarray[Any, np.dtype[np.int64]]) -> None:
+    known = {key.tobytes(): i for i, key in enumerate(np.round(rows, 9) + 0.0)}
+    for i, key in enumerate(np.round(-rows, 9) + 0.0):
+        if key.tobytes() in known:
+            pair = sorted((int(origin[i]), int(origin[known[key.tobytes()]])))
+            raise InvalidDataError(
+                f"constraints {pair[0]} and {pair[1]} form an equality, expected a feasible set with an interior: "
+                "give the set a width, for instance a small terminal box instead of a point."
+            )
+
+
 def _bounding_box(A: Array, b: Array) -> tuple[Array, Array]:
     """Box around {θ : Aθ <= b}: read off where every side is a row, by linear programs otherwise."""
-    n = A.shape[1]
-    low, high = np.full(n, -np.inf), np.full(n, np.inf)
     single = np.count_nonzero(A, axis=1) == 1
-    for row, bound in zip(A[single], b[single]):
-        j = int(np.flatnonzero(row)[0])
-        if row[j] > 0:
-            high[j] = min(high[j], bound / row[j])
-        else:
-            low[j] = max(low[j], bound / row[j])
-    if not (np.isfinite(low).all() and np.isfinite(high).all()):
-        low, high = _box_by_linear_programs(A, b)
+    box = box_of(A[single], b[single])
+    if box is None or not np.isfinite(box).all():
+        box = _box_by_linear_programs(A, b)
+    low, high = box
     flat = np.flatnonzero(high - low <= 1e-9 * np.maximum(np.abs(low), np.abs(high)))
     if len(flat):
         j = int(flat[0])

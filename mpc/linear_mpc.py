@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .checks import Array, as_array, as_halfspaces, as_horizon, as_pair, as_weight
 from .condensing import condense, state_units
 from .dense_qp import DenseQP, QPResult
-from .elastic import least_violation, nearest_point
+from .elastic import least_violation, nearest_points
 from .exceptions import InvalidDataError
 from .lqr import lqr
 from .parametric_qp import ParametricQP
@@ -99,6 +99,9 @@ class LinearMPC:
         set_(self, "state_rows", as_halfspaces("X", self.X, nx))
         set_(self, "input_rows", as_halfspaces("U", self.U, nu))
         set_(self, "terminal_rows", as_halfspaces("terminal_set", self.terminal_set, nx))
+        _refuse_empty("X", *self.state_rows)
+        _refuse_empty("U", *self.input_rows)
+        _refuse_empty("terminal_set", *self.terminal_rows)
         if self.E is not None:
             set_(self, "E", as_array("E", self.E, (nx, None)))
         if self.rate_limit is not None:
@@ -312,7 +315,7 @@ class LinearMPC:
                 status = Status.INACCURATE
             inputs = problem.inputs(result.z, theta)
             if status is Status.INACCURATE and np.isfinite(inputs).all():
-                inputs = np.array([nearest_point(u, *self.input_rows) for u in inputs])
+                inputs = nearest_points(inputs, *self.input_rows)
             if not np.isfinite(inputs).all():
                 return self._last_resort(x, start)
             cost = problem.cost(result.z, theta)
@@ -337,7 +340,7 @@ class LinearMPC:
         inputs, states = np.zeros((self.horizon, self.nu)), np.empty((self.horizon + 1, self.nx))
         states[0] = x
         for k in range(self.horizon):
-            inputs[k] = nearest_point(_finite(-self.gain @ states[k]), *self.input_rows)
+            inputs[k] = nearest_points(_finite(-self.gain @ states[k, :, None]).T, *self.input_rows)[0]
             states[k + 1] = _finite(self.A @ states[k] + self.B @ inputs[k])
         H, h = self.state_rows
         violation = float(np.max(_finite(states[1:] @ H.T) - h, initial=0.0))
@@ -350,6 +353,11 @@ class LinearMPC:
 def _finite(v: Array) -> Array:
     largest = float(np.finfo(float).max) / 4
     return np.nan_to_num(v, nan=0.0, posinf=largest, neginf=-largest)
+
+
+def _refuse_empty(name: str, H: Array, h: Array) -> None:
+    if len(h) and DenseQP(np.eye(H.shape[1]), H).solve(np.zeros(H.shape[1]), h, doubt=True).infeasible:
+        raise InvalidDataError(f"{name} is empty: no point satisfies its {len(h)} rows (is a lower bound above an upper?).")
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> Array:

@@ -30,7 +30,8 @@ def save_explicit(law: ExplicitMPC, path: Path) -> tuple[Path, Path]:
     data = {f"qp_{name}": getattr(problem, name) for name in _QP}
     data |= {f"partition_{name}": getattr(partition, name) for name in _PARTITION}
     data |= {f"tree_{name}": getattr(law.tree, name) for name in _TREE}
-    data |= {"law": law.law, "law_number": law.law_number, "input_H": law.input_rows[0], "input_h": law.input_rows[1], "members": members}
+    data |= {"law": law.law, "law_number": law.law_number}
+    data |= {"input_H": law.input_rows[0], "input_h": law.input_rows[1], "members": members}
     data["member_counts"] = np.array([len(active) for active in partition.active_sets], dtype=np.int64)
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(arrays, **data)

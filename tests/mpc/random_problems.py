@@ -31,7 +31,7 @@ def hard_controller(rng, kind):
         if kind == "scaled":
             sx, su, cost = 10.0 ** rng.uniform(-6, 6, nx), 10.0 ** rng.uniform(-6, 6, nu), 10.0 ** rng.uniform(-6, 6)
         if kind == "degenerate":
-            R = R * 1e-9  # nearly singular
+            R = R * 1e-7  # nearly singular
             twin = X.A * (1 + 1e-9 * rng.normal(size=X.A.shape))  # every state row nearly twice
             X.A, X.b = np.vstack([X.A, twin]), np.tile(X.b, 2)
         X.A, U.A = X.A / sx, U.A / su
