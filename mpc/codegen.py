@@ -14,7 +14,7 @@ from .checks import Array
 from .elastic import box_of
 from .exceptions import InvalidDataError
 from .mpqp import MPQPStatus
-from .search_tree import Ints, distinct_planes, sides_of_regions
+from .search_tree import Ints, distinct_planes
 
 if TYPE_CHECKING:
     from .explicit import ExplicitMPC
@@ -131,7 +131,7 @@ def _tree(law: ExplicitMPC, number: Ints, scalar: str) -> Parts:
     if law.status is not MPQPStatus.COMPLETE:
         raise InvalidDataError(f"a tree needs a complete partition, got {law.status.name}; use method='sequential'.")
     plane, below, above, root, depth = _compact(law, number)
-    border = _border(law)
+    border = _unscaled(law, law.tree.border)
     planes = _unscaled(law, law.tree.planes)
     kind, size = _index_type(max(len(plane), int(number.max(initial=0)) + 1, len(planes)))
     text = _fill(TREE, {
@@ -167,14 +167,6 @@ def _compact(law: ExplicitMPC, number: Ints) -> tuple[Ints, Ints, Ints, int, int
             inner.append((plane, int(target[a]), int(target[b])))
     columns = np.array(inner, dtype=np.int64).reshape(-1, 3).T
     return columns[0], columns[1], columns[2], int(target[0]), int(depth[0])
-
-
-def _border(law: ExplicitMPC) -> Array:
-    """Half-spaces [a, b] of the convex hull of the regions: facets that have every region on one side."""
-    planes = distinct_planes(law.partition.scaled_rows)
-    side = sides_of_regions(law.partition, planes)
-    outward = np.vstack([planes[(side == 1).all(axis=1)], -planes[(side == 2).all(axis=1)]])
-    return _unscaled(law, outward)
 
 
 def _scan(law: ExplicitMPC, number: Ints, scalar: str) -> Parts:

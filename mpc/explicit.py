@@ -137,7 +137,7 @@ class ExplicitMPC:
         Returns
         -------
         u : (n, nu) or (nu,) array
-            Outside, the law of the region that is violated least, saturated to the input set.
+            Outside, the law of a region near by, saturated to the input set.
         outside : (n,) or () bool array
             True where no region holds the parameter: there the problem is infeasible, or not of interest.
 

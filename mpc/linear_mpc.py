@@ -357,7 +357,7 @@ def _finite(v: Array) -> Array:
 
 def _refuse_empty(name: str, H: Array, h: Array) -> None:
     if len(h) and DenseQP(np.eye(H.shape[1]), H).solve(np.zeros(H.shape[1]), h, doubt=True).infeasible:
-        raise InvalidDataError(f"{name} is empty: no point satisfies its {len(h)} rows (is a lower bound above an upper?).")
+        raise InvalidDataError(f"{name} is empty: no point satisfies its {len(h)} rows (is a lower bound too high?).")
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> Array:

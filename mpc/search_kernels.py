@@ -147,10 +147,21 @@ def grow(side, laws, planes, rows, offsets, centres, limit):
 
 
 @njit(cache=True)
-def locate(points, planes, nodes, leaf, rows, offsets, tol, region, distance):
-    """Region of every point and how far outside of it the point lies (<= tol: inside), by the tree."""
+def locate(points, planes, nodes, leaf, border, rows, offsets, tol, region, distance):
+    """Region of every point and how far outside of it the point lies (<= tol: inside), by the tree.
+
+    A point across the border gets a region of its leaf and an infinite distance; region -1 is a leaf without any.
+    """
     n = points.shape[1]
     for q in range(len(points)):
+        outside = False
+        for i in range(len(border)):
+            s = -border[i, n]
+            for j in range(n):
+                s += border[i, j] * points[q, j]
+            if s > tol:
+                outside = True
+                break
         node = 0
         while nodes[node, 0] >= 0:
             p = nodes[node, 0]
@@ -159,6 +170,10 @@ def locate(points, planes, nodes, leaf, rows, offsets, tol, region, distance):
                 s += planes[p, j] * points[q, j]
             node = nodes[node, 1] if s <= 0.0 else nodes[node, 2]
         best, nearest = -1, np.inf
+        if outside:
+            region[q] = leaf[nodes[node, 1]] if nodes[node, 1] < nodes[node, 2] else -1
+            distance[q] = np.inf
+            continue
         for e in range(nodes[node, 1], nodes[node, 2]):
             r = leaf[e]
             worst = -np.inf

@@ -26,11 +26,14 @@ class SearchTree:
         Inner node: hyperplane, child where a't <= b, child where a't > b. Leaf: -1 and its slice of `leaf_regions`.
     leaf_regions : int array
         Regions of the leaves; those of one leaf share their law wherever hyperplanes can tell regions apart.
+    border : (n_border, nt + 1) array
+        Facets [a, b] that have every region on their side a't <= b: what violates one is outside.
     """
 
     planes: Array
     nodes: Ints
     leaf_regions: Ints
+    border: Array
 
     @property
     def depth(self) -> int:
@@ -66,6 +69,7 @@ def build_tree(partition: Partition, laws: Ints) -> SearchTree:
     planes = distinct_planes(rows)
     centres = kernels.centres_of(rows, partition.offsets)
     side = sides_of_regions(partition, planes, centres)
+    border = np.vstack([planes[(side == 1).all(axis=1)], -planes[(side == 2).all(axis=1)]])
     splitting = np.flatnonzero(((side == 1).any(axis=1)) & ((side == 2).any(axis=1)))
     side, planes = np.ascontiguousarray(side[splitting]), np.ascontiguousarray(planes[splitting])
     nodes, leaf = kernels.grow(side, laws, planes, rows, partition.offsets, centres, 256 * len(partition) + 1)
@@ -73,7 +77,7 @@ def build_tree(partition: Partition, laws: Ints) -> SearchTree:
     renumber = np.full(len(splitting) + 1, -1, dtype=np.int64)
     renumber[used] = np.arange(len(used))
     nodes[:, 0] = renumber[nodes[:, 0]]
-    return SearchTree(np.ascontiguousarray(planes[used]), nodes, leaf)
+    return SearchTree(np.ascontiguousarray(planes[used]), nodes, leaf, border)
 
 
 def sides_of_regions(
@@ -99,20 +103,22 @@ def distinct_planes(rows: Array) -> Array:
 def locate(tree: SearchTree, partition: Partition, points: Array) -> tuple[Ints, np.ndarray[Any, np.dtype[np.bool_]]]:
     """Region of every scaled point (n, nt) and whether the point lies outside the partition.
 
-    An outside point gets the region it violates least.
+    An outside point gets a region near by.
     """
     from . import search_kernels as kernels
 
     rows = partition.scaled_rows
     region, distance = np.empty(len(points), dtype=np.int64), np.empty(len(points))
     kernels.locate(
-        points, tree.planes, tree.nodes, tree.leaf_regions, rows, partition.offsets, _INSIDE, region, distance
-    )
-    lost = np.flatnonzero(distance > _INSIDE)
-    if len(lost):  # the leaf of an outside point need not hold the nearest region
+        points, tree.planes, tree.nodes, tree.leaf_regions, tree.border, rows, partition.offsets, _INSIDE, region,
+        distance,
+    )  # fmt: skip
+    lost = np.flatnonzero((distance > _INSIDE) & ((distance < np.inf) | (region < 0)))
+    if len(lost):  # within the border, or in a leaf without regions: look at every region
         everywhere = np.array([[-1, 0, len(partition)]], dtype=np.int64)
         found, gap = np.empty(len(lost), dtype=np.int64), np.empty(len(lost))
         every = np.arange(len(partition), dtype=np.int64)
-        kernels.locate(points[lost], tree.planes, everywhere, every, rows, partition.offsets, _INSIDE, found, gap)
+        kernels.locate(points[lost], tree.planes, everywhere, every, tree.border[:0], rows, partition.offsets, _INSIDE,
+                       found, gap)  # fmt: skip
         region[lost], distance[lost] = found, gap
     return region, distance > _INSIDE

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _FORMAT = "explicit-mpc/1"
 _QP = ("H", "F", "f", "Y", "y", "G", "w", "S", "Lz", "Lt", "l")
 _PARTITION = ("H", "h", "offsets", "law", "centre", "half")
-_TREE = ("planes", "nodes", "leaf_regions")
+_TREE = ("planes", "nodes", "leaf_regions", "border")
 
 
 def save_explicit(law: ExplicitMPC, path: Path) -> tuple[Path, Path]:

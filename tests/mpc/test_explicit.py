@@ -194,6 +194,7 @@ def test_bad_input_is_refused(online, law):
 
 
 def test_importing_mpc_loads_neither_numba_nor_matplotlib():
-    code = "import sys, mpc; print([m for m in ('numba', 'matplotlib', 'torch', 'casadi', 'cvxpy') if m in sys.modules])"
+    heavy = ("numba", "matplotlib", "torch", "casadi", "cvxpy")
+    code = f"import sys, mpc; print([m for m in {heavy} if m in sys.modules])"
     shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
     assert shown.strip() == "[]"

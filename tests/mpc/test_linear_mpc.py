@@ -181,6 +181,12 @@ def test_another_design_takes_a_new_model():
     np.testing.assert_allclose(moved(x), LinearMPC(A2, B2, horizon=10, **SUSPENSION)(x), rtol=1e-9)
 
 
+def empty_interval():
+    interval = box([1.0])
+    interval.b = np.array([-1.0, -1.0])  # u <= -1 and u >= 1
+    return interval
+
+
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
@@ -189,6 +195,7 @@ def test_another_design_takes_a_new_model():
         ({"X": np.eye(2)}, InvalidDataError, "X must be a Polytope"),
         ({"X": box([5, 5, 5])}, InvalidDataError, r"X.A has shape \(6, 3\), expected \(any, 2\)"),
         ({"U": box([np.nan])}, InvalidDataError, r"U.b is not finite"),
+        ({"U": empty_interval()}, InvalidDataError, "U is empty"),
         ({"P": -np.eye(2)}, NotConvexError, "P has a negative direction"),
         ({"Q": [0, 0], "R": [0], "P": np.zeros((2, 2))}, NotConvexError, "condensed Hessian is not positive"),
         ({"blocks": (3, 3)}, InvalidDataError, "sum to the horizon 10"),
