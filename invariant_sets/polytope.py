@@ -11,6 +11,7 @@ import numpy as np
 from . import representation as rep
 from .exceptions import EmptySetError, InputError, UnboundedError
 from .operations import SetOperations, same_space
+from .sampling import hit_and_run
 from .validation import as_batch, as_matrix, as_vector, check_count, check_finite, check_rng, check_tolerance, frozen
 
 Array = np.ndarray
@@ -267,7 +268,7 @@ class Polytope(SetOperations):
         if self._body is None:
             raise EmptySetError("bounding_box needs a point, but the set is empty.")
         eye = np.eye(self.dim)
-        return -self._supports(-eye), self._supports(eye)
+        return 0.0 - self._supports(-eye), self._supports(eye) + 0.0  # no negative zeros
 
     def support(self, d: Any) -> Any:
         """Return h(d) = max dᵀx over the set: +inf if unbounded in d, −inf if empty.
@@ -340,23 +341,13 @@ class Polytope(SetOperations):
 
         References
         ----------
-        Smith (1984), Efficient Monte Carlo procedures for generating points uniformly distributed over bounded
-        regions, Operations Research 32(6). Assumes a bounded set; n chains of 20·dim steps run side by side from
-        the centre of an inscribed ball.
+        Smith (1984), Operations Research 32(6); see `sampling`. Assumes a bounded set.
         """
         n, rng = check_count(n, "n"), check_rng(rng)
         body = self._require_bounded("sample")
-        k = body.basis.shape[1]
-        Y = np.zeros((n, k))
-        for _ in range(20 * k):
-            direction = rng.standard_normal((n, k))
-            speed, room = direction @ body.F.T, body.g - Y @ body.F.T
-            with np.errstate(divide="ignore", invalid="ignore"):
-                steps = np.maximum(room, 0.0) / speed
-            ahead = np.where(speed > 0, steps, np.inf).min(axis=1)
-            behind = np.where(speed < 0, steps, -np.inf).max(axis=1)
-            Y += (behind + (ahead - behind) * rng.random(n))[:, None] * direction
-        return body.centre + Y @ body.basis.T
+        if body.basis.shape[1] == 0:
+            return np.repeat(body.centre[None], n, axis=0)
+        return body.centre + hit_and_run(body, n, rng) @ body.basis.T
 
     def __repr__(self) -> str:
         equalities = f", {len(self.b_eq)} equalities" if len(self.b_eq) else ""

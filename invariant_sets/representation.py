@@ -125,14 +125,26 @@ def _unit(F: Array, g: Array) -> tuple[Array, Array]:
 
 
 def _rough_scale(F: Array, g: Array) -> Array:
-    """Return one length per coordinate, read off the rows without solving anything."""
-    size = np.abs(g).max()
-    if size == 0.0:
-        return np.ones(F.shape[1])
-    steep = np.abs(F) > 0.5
-    reach = np.where(steep, np.abs(g)[:, None] / np.where(steep, np.abs(F), 1.0), 0.0)
-    lengths = reach.max(axis=0)
-    return np.where(lengths > 0.0, lengths, size)
+    """Return one length per coordinate, read off the rows without solving anything.
+
+    Rows and columns are first balanced (Ruiz 2001, A scaling algorithm to equilibrate both rows and columns norms in
+    matrices), so that every coordinate is steep in some row; then the intercepts of those rows are its lengths.
+    """
+    scale = np.ones(F.shape[1])
+    rows, right = np.abs(F), np.abs(g)
+    for _ in range(4):
+        columns = rows.max(axis=0)
+        if (columns > 0.5).all():
+            break
+        factor = np.where(columns > 0, 1 / np.where(columns > 0, columns, 1.0), 1.0)
+        scale, rows = scale * factor, rows * factor
+        size = rows.max(axis=1)
+        rows, right = rows / size[:, None], right / size
+    if right.max() == 0.0:
+        return scale
+    steep = rows > 0.5
+    lengths = np.where(steep, right[:, None] / np.where(steep, rows, 1.0), 0.0).max(axis=0)
+    return scale * np.where(lengths > 0.0, lengths, right.max())
 
 
 def _extents(F: Array, g: Array, slack: float) -> tuple[Array, Array]:
