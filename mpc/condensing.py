@@ -51,11 +51,12 @@ def condense(mpc: LinearMPC, parameters: tuple[str, ...]) -> ParametricQP:
         rows, w, labels, H, f = _soften(mpc, rows, w, labels, H)
     _check_convex(H)
     slack = len(H) - free.shape[1]
-    stacked = U.reshape(-1, nv)
+    (Lt, Lz), (Xt, Xz) = (np.split(form.reshape(-1, nv), [nt], axis=1) for form in (U, X))
     return ParametricQP(
         H=H, F=np.vstack([2 * W[nt:, :nt], np.zeros((slack, nt))]), f=f, Y=2 * W[:nt, :nt], y=np.zeros(nt), c=0.0,
         G=rows[:, nt:], w=w, S=-rows[:, :nt],
-        Lz=np.hstack([stacked[:, nt:], np.zeros((len(stacked), slack))]), Lt=stacked[:, :nt], l=np.zeros(len(stacked)),
+        Lz=np.hstack([Lz, np.zeros((len(Lz), slack))]), Lt=Lt, l=np.zeros(len(Lz)),
+        Xz=np.hstack([Xz, np.zeros((len(Xz), slack))]), Xt=Xt, x=np.zeros(len(Xz)),
         nu=mpc.nu, parameters=tuple(sizes.items()), labels=tuple(labels),
     )  # fmt: skip
 

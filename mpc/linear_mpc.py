@@ -293,47 +293,51 @@ class LinearMPC:
             q, b = problem.at(theta)
             if not max(np.abs(q).max(), np.abs(b).max(initial=0.0)) < _OVERFLOW:
                 return self._last_resort(x, start)
-            result = solver.solve(q, b)
-            status, violation = Status.SOLVED, 0.0
+            result, status, violation = solver.solve(q, b), Status.SOLVED, 0.0
             if result.infeasible:
-                units = state_units(self, problem.labels)
-                found = least_violation(problem, units, q, b)
-                if found is None:
+                relaxed = self._relax(problem, solver, q, b)
+                if relaxed is None:
                     return self._last_resort(x, start)
-                relaxed, elastic = found
-                for margin in (0.0, 1e-6, 1e-4, 1e-2):  # the least relaxation is feasible by a hair's breadth
-                    wider = relaxed + margin * units * (relaxed > b)
-                    result = solver.solve(q, wider, doubt=margin == 1e-2)
-                    if not result.infeasible:
-                        break
-                violation = float(np.max(wider - b, initial=0.0))
-                # nothing to relax: the first verdict was wrong
-                status = Status.SOFTENED if (wider - b > 1e-7 * units).any() else Status.SOLVED
-            if result.infeasible:
-                result = replace(result, z=elastic, infeasible=False)
+                result, status, violation = relaxed
             if not result.residuals.worst <= 1e-6:
                 status = Status.INACCURATE
-            inputs = problem.inputs(result.z, theta)
-            if status is Status.INACCURATE and np.isfinite(inputs).all():
-                inputs = nearest_points(inputs, *self.input_rows)
+            inputs, states = problem.inputs(result.z, theta), problem.states(result.z, theta)
             if not np.isfinite(inputs).all():
                 return self._last_resort(x, start)
             cost = problem.cost(result.z, theta)
-        return self._plan(x, inputs, given, cost, status, violation, result, start)
+            if status is Status.INACCURATE:
+                inputs = nearest_points(inputs, *self.input_rows)
+                states = self._rollout(x, inputs, given)
+        duration = time.perf_counter() - start
+        return Plan(inputs, states, cost, status, result.residuals, violation, duration, result.solver)
 
-    def _plan(
-        self, x: Array, inputs: Array, given: dict[str, Array], cost: float, status: Status, violation: float,
-        result: QPResult, start: float,
-    ) -> Plan:  # fmt: skip
+    def _relax(
+        self, problem: ParametricQP, solver: DenseQP, q: Array, b: Array
+    ) -> tuple[QPResult, Status, float] | None:
+        """Solve with state constraints relaxed by the least amount; None when the others conflict."""
+        units = state_units(self, problem.labels)
+        found = least_violation(problem, units, q, b)
+        if found is None:
+            return None
+        relaxed, point = found
+        for margin in (0.0, 1e-6, 1e-4, 1e-2):  # the least relaxation is feasible by a hair's breadth
+            wider = relaxed + margin * units * (relaxed > b)
+            result = solver.solve(q, wider, doubt=margin == 1e-2)
+            if not result.infeasible:
+                break
+        else:
+            result = replace(result, z=point)
+        # nothing to relax: the first verdict was wrong
+        status = Status.SOFTENED if (wider - b > 1e-7 * units).any() else Status.SOLVED
+        return result, status, float(np.max(wider - b, initial=0.0))
+
+    def _rollout(self, x: Array, inputs: Array, given: dict[str, Array]) -> Array:
         states = np.empty((self.horizon + 1, self.nx))
         states[0] = x
         push = given["w"].reshape(self.horizon, -1) @ self.E.T if "w" in given else np.zeros((self.horizon, self.nx))
         for k, u in enumerate(inputs):
-            states[k + 1] = self.A @ states[k] + self.B @ u + push[k]
-        return Plan(
-            inputs, states, cost, status, result.residuals, violation, time.perf_counter() - start, result.solver
-        )
-
+            states[k + 1] = _finite(self.A @ states[k] + self.B @ u + push[k])
+        return states
 
     def _last_resort(self, x: Array, start: float) -> Plan:
         """The saturated regulator, when even the input constraints conflict or the numbers overflow."""

@@ -43,6 +43,8 @@ class ParametricQP:
         Constraints.
     Lz, Lt, l : (N nu, nz), (N nu, nt) and (N nu,) array
         Stacked inputs u_0 … u_{N-1} = Lz z + Lt θ + l.
+    Xz, Xt, x : ((N + 1) nx, nz), ((N + 1) nx, nt) and ((N + 1) nx,) array
+        Stacked states x_0 … x_N = Xz z + Xt θ + x.
     nu : int
         Number of inputs.
     parameters : tuple of (name, size)
@@ -63,12 +65,15 @@ class ParametricQP:
     Lz: Array
     Lt: Array
     l: Array
+    Xz: Array
+    Xt: Array
+    x: Array
     nu: int
     parameters: tuple[tuple[str, int], ...]
     labels: tuple[Constraint, ...]
 
     def __post_init__(self) -> None:
-        for name in ("H", "F", "f", "Y", "y", "G", "w", "S", "Lz", "Lt", "l"):
+        for name in ("H", "F", "f", "Y", "y", "G", "w", "S", "Lz", "Lt", "l", "Xz", "Xt", "x"):
             array = np.array(getattr(self, name), dtype=np.float64, order="C")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -107,6 +112,10 @@ class ParametricQP:
         """Input sequence (N, nu) that belongs to z."""
         return (self.Lz @ z + self.Lt @ theta + self.l).reshape(-1, self.nu)
 
+    def states(self, z: Array, theta: Array) -> Array:
+        """State sequence (N + 1, nx) that belongs to z."""
+        return (self.Xz @ z + self.Xt @ theta + self.x).reshape(-1, len(self.x) * self.nu // (len(self.l) + self.nu))
+
     def fix(self, **values: ArrayLike) -> ParametricQP:
         """Return the problem with some parameters set to numbers, for instance a constant reference."""
         sizes = dict(self.parameters)
@@ -136,6 +145,7 @@ class ParametricQP:
         """Replace θ by T θ' + t."""
         return replace(
             self, F=self.F @ T, f=self.f + self.F @ t, S=self.S @ T, w=self.w + self.S @ t, Lt=self.Lt @ T,
-            l=self.l + self.Lt @ t, Y=T.T @ self.Y @ T, y=T.T @ (self.y + self.Y @ t),
+            l=self.l + self.Lt @ t, Xt=self.Xt @ T, x=self.x + self.Xt @ t,
+            Y=T.T @ self.Y @ T, y=T.T @ (self.y + self.Y @ t),
             c=self.c + float(self.y @ t + 0.5 * t @ self.Y @ t),
         )  # fmt: skip

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .explicit import ExplicitMPC
 
 _FORMAT = "explicit-mpc/1"
-_QP = ("H", "F", "f", "Y", "y", "G", "w", "S", "Lz", "Lt", "l")
+_QP = ("H", "F", "f", "Y", "y", "G", "w", "S", "Lz", "Lt", "l", "Xz", "Xt", "x")
 _PARTITION = ("H", "h", "offsets", "law", "centre", "half")
 _TREE = ("planes", "nodes", "leaf_regions", "border")
 
