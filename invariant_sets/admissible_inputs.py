@@ -148,6 +148,8 @@ class AdmissibleInputs:
 
     def _nearest(self, room: Array, wanted: Array) -> Array | None:
         """Return the point of U nearest to `wanted` with slope·v <= room, or None."""
+        if not len(wanted):
+            return wanted
         reach = np.abs(wanted).max()
         target = wanted if reach < 1e6 else wanted / reach * 1e6
         v, _, flag, _ = daqp.solve(np.eye(len(target)), -target, self._rows, np.append(room, self._h),
@@ -157,6 +159,8 @@ class AdmissibleInputs:
     def _least_violation(self, room: Array, wanted: Array) -> Array:
         """Return the input in U whose largest scaled violation is least."""
         nu = len(wanted)
+        if nu == 0 or not len(room):
+            return wanted
         shift = room.min()
         spread = max(1.0, float(np.minimum(room - shift, _LARGE).max()))
         rows = np.block([[self._slope / spread, -np.ones((len(room), 1))], [self._H, np.zeros((len(self._H), 1))]])

@@ -121,7 +121,7 @@ class SetOperations:
         rank = int((s > rep.FLAT * s.max(initial=0.0)).sum()) if s.any() else 0
         if rank < body.basis.shape[1] and body.bounded:
             return type(self).from_vertices(self.vertices @ M.T + c)  # type: ignore[attr-defined]
-        F, g = project_rows(body.F @ vt.T, body.g, rank)
+        F, g = rep.unit_rows(*project_rows(body.F @ vt.T, body.g, rank), always=True)
         back = left[:, :rank].T / s[:rank, None] / units  # image → the first `rank` coordinates of vt y
         normal = left[:, rank:].T / units
         return _new(self, F @ back, g + F @ back @ origin, normal, normal @ origin)

@@ -12,7 +12,7 @@ from .exceptions import InputError
 from .polytope import Polytope
 from .results import SetResult, Status
 from .system_checks import check_set
-from .validation import as_batch, as_matrix, as_vector, check_count, check_finite, check_rng, check_tolerance
+from .validation import as_batch, as_floats, as_matrix, as_vector, check_count, check_rng, check_tolerance
 
 Array = np.ndarray
 _SLOW = 20  # steps: a neighbour that took more is worth starting from; below, a cold start is quicker
@@ -122,7 +122,7 @@ class ParametricSet:
 
     def _groups(self, p: Any, count: int) -> Iterator[tuple[Array, Array]]:
         """Yield every different design and the samples that have it."""
-        designs = as_vector(p, "p")[None] if np.ndim(p) < 2 else as_matrix(p, "p")
+        designs, _ = _designs(p)
         if len(designs) == 1:
             designs = np.broadcast_to(designs, (count, designs.shape[1]))
         if len(designs) != count:
@@ -135,16 +135,15 @@ class ParametricSet:
     def sample(self, p: Any, n: int, *, rng: np.random.Generator) -> Array:
         """Return n states, nearly uniform in C(p): (n, nx) for one design (np,), (k, n, nx) for several (k, np)."""
         n, rng = check_count(n, "n"), check_rng(rng)
-        if np.ndim(p) < 2:
-            return self.at(p).sample(n, rng=rng)
-        designs = as_matrix(p, "p")
-        return np.array([self.at(design).sample(n, rng=rng) for design in designs]).reshape(len(designs), n, self.X.dim)
+        designs, single = _designs(p)
+        x = np.array([self.at(design).sample(n, rng=rng) for design in designs]).reshape(len(designs), n, self.X.dim)
+        return x[0] if single else x
 
     def volume(self, p: Any) -> Any:
         """Return the volume of C(p), "how much can this design recover from": a float, or (k,) for p (k, np)."""
-        if np.ndim(p) < 2:
-            return self.at(p).volume
-        return np.array([self.at(design).volume for design in as_matrix(p, "p")])
+        designs, single = _designs(p)
+        volumes = np.array([self.at(design).volume for design in designs])
+        return float(volumes[0]) if single else volumes
 
     def volume_gradient(self, p: Any, *, step: float = 1e-3) -> Array:
         """Return the derivative of the volume with respect to the design, (np,).
@@ -163,7 +162,7 @@ class ParametricSet:
         a facet appears, the volume still has a continuous first derivative in general, and the error is O(step).
         """
         p = as_vector(p, "p")
-        check_finite(np.array(step, dtype=float), "step")
+        step = check_tolerance(step, "step")
         if not 0 < step < 1:
             raise InputError(f"step must lie between 0 and 1, got {step}.")
         gradient = np.empty(len(p))
@@ -219,3 +218,11 @@ class ParametricSet:
             return None
         felt = result.outer.support(around.A) >= limit - 1e-7 * room
         return None if felt.any() else result
+
+
+def _designs(p: Any) -> tuple[Array, bool]:
+    """Return designs (k, np), and whether p was a single one (np,)."""
+    values = as_floats(p, "p")
+    if values.ndim < 2:
+        return as_vector(values, "p")[None], True
+    return as_matrix(values, "p"), False

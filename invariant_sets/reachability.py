@@ -17,7 +17,7 @@ from .operations import same_space
 from .polytope import Polytope
 from .predecessor import project_rows
 from .results import Certificate, SetResult, Status, no_set
-from .system_checks import check_set, checked_system
+from .system_checks import check_set, checked_state_matrix, checked_system
 from .validation import check_count
 
 Array = np.ndarray
@@ -50,6 +50,8 @@ def predecessor_set(A: Any, B: Any, S: Polytope, U: Polytope, *, X: Polytope | N
     Blanchini, Miani (2015), section 5.1: Fourier–Motzkin elimination of the inputs. Exact up to rounding; the
     certificate (every vertex, tolerance 1e-9) measures it.
     """
+    A = checked_state_matrix(A)
+    check_set(S, "S", len(A))
     X = _whole_space(S) if X is None else X
     return controllable_set(A, B, X, U, S, 1, E=E, W=W)
 
@@ -142,7 +144,7 @@ def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope, steps: int, *, X
     if E is not None and W is not None:
         moves = moves.minkowski_sum(W.affine_map(E))
     for step in range(1, steps + 1):
-        image = R.affine_map(A).minkowski_sum(moves)
+        image = R.affine_map(A).minkowski_sum(moves).minimal()
         if image.intersection(X).is_empty:
             return no_set(len(A), step)
         if len(image.b):
@@ -165,7 +167,6 @@ def _result(S: Polytope, steps: int, violation: float, points: int) -> SetResult
 
 
 def _whole_space(S: Polytope) -> Polytope:
-    check_set(S, "S", getattr(S, "dim", 0))
     return Polytope(np.zeros((0, S.dim)), np.zeros(0))
 
 

@@ -1,0 +1,317 @@
+"""One table of inputs × every public function: misuse raises and names the argument, odd sets get right answers."""
+
+import inspect
+
+import numpy as np
+import pytest
+from set_plants import ILLUSTRATIVE_U, ILLUSTRATIVE_X, illustrative
+
+import invariant_sets
+from invariant_sets import (
+    AdmissibleInputs,
+    InvariantSetsError,
+    ParametricSet,
+    Polytope,
+    Status,
+    controllable_set,
+    maximal_control_invariant_set,
+    maximal_positively_invariant_set,
+    minimal_robust_positively_invariant_set,
+    plot_family,
+    plot_polytope,
+    predecessor_set,
+    reachable_set,
+)
+
+box = Polytope.from_bounds
+A, B = np.array([[1.2, 0.5], [0.0, 0.8]]), np.array([[0.5], [1.0]])
+STABLE = 0.5 * A
+X, U, W = box([-5, -5], [5, 5]), box([-1], [1]), box([-0.1, -0.1], [0.1, 0.1])
+P = Polytope.from_vertices([[0, 0], [2, 0], [0, 1]])
+RNG = np.random.default_rng(1)
+FILTER = AdmissibleInputs(A, B, X, U)
+FAMILY = ParametricSet(illustrative, ILLUSTRATIVE_X, ILLUSTRATIVE_U)
+
+dynamics = {"A": A, "B": B}
+robust = {"E": np.eye(2), "W": W}
+
+# function, its good arguments; the name of an argument says what it is
+CALLS = {
+    "Polytope": (Polytope, {"A": np.eye(2), "b": np.ones(2), "A_eq": np.ones((1, 2)), "b_eq": np.ones(1)}),
+    "from_bounds": (Polytope.from_bounds, {"lower": np.zeros(2), "upper": np.ones(2)}),
+    "from_vertices": (Polytope.from_vertices, {"V": P.vertices}),
+    "contains": (P.contains, {"x": np.zeros((3, 2)), "tol": 1e-9}),
+    "support": (P.support, {"d": np.ones((3, 2))}),
+    "is_subset": (P.is_subset, {"other": P, "tol": 1e-9}),
+    "equals": (P.equals, {"other": P, "tol": 1e-9}),
+    "intersection": (P.intersection, {"other": P}),
+    "cartesian_product": (P.cartesian_product, {"other": P}),
+    "minkowski_sum": (P.minkowski_sum, {"other": P}),
+    "pontryagin_difference": (P.pontryagin_difference, {"other": P}),
+    "affine_map": (P.affine_map, {"M": np.eye(2), "c": np.ones(2)}),
+    "preimage": (P.preimage, {"M": np.eye(2), "c": np.ones(2)}),
+    "projection": (P.projection, {"coordinates": [0]}),
+    "slice": (P.slice, {"coordinates": [0], "values": [0.1]}),
+    "scale": (P.scale, {"factor": 2.0}),
+    "sample": (P.sample, {"n": 3, "rng": RNG}),
+    "control invariant": (maximal_control_invariant_set,
+                          {**dynamics, "X": X, "U": U, **robust, "tol": 1e-7, "max_iterations": 9, "max_facets": 99}),
+    "positively invariant": (maximal_positively_invariant_set,
+                             {"A": STABLE, "X": X, "C": np.eye(2), **robust, "tol": 1e-7, "max_iterations": 9,
+                              "max_facets": 99}),
+    "minimal robust": (minimal_robust_positively_invariant_set,
+                       {"A": STABLE, "W": W, "E": np.eye(2), "eps": 0.1, "max_iterations": 99, "max_facets": 99}),
+    "predecessor": (predecessor_set, {**dynamics, "S": X, "U": U, "X": X, **robust}),
+    "controllable": (controllable_set, {**dynamics, "X": X, "U": U, "target": X, "steps": 2, **robust}),
+    "reachable": (reachable_set, {**dynamics, "start": X, "U": U, "steps": 2, "X": X, **robust}),
+    "AdmissibleInputs": (AdmissibleInputs, {**dynamics, "S": X, "U": U, **robust}),
+    "project": (FILTER.project, {"x": np.zeros((3, 2)), "u_proposed": np.zeros((3, 1))}),
+    "admissible at": (FILTER.at, {"x": np.zeros(2)}),
+    "ParametricSet": (ParametricSet, {"matrices": illustrative, "X": X, "U": U, "W": W, "tol": 1e-7,
+                                      "max_iterations": 9, "max_facets": 99}),
+    "family at": (FAMILY.at, {"p": np.ones(1)}),
+    "family result": (FAMILY.result, {"p": np.ones(1)}),
+    "family compute": (FAMILY.compute, {"designs": np.ones((2, 1)), "n_jobs": 1}),
+    "family contains": (FAMILY.contains, {"x": np.zeros((3, 2)), "p": np.ones((3, 1)), "tol": 1e-9}),
+    "family sample": (FAMILY.sample, {"p": np.ones(1), "n": 2, "rng": RNG}),
+    "family volume": (FAMILY.volume, {"p": np.ones(1)}),
+    "family gradient": (FAMILY.volume_gradient, {"p": np.ones(1), "step": 1e-3}),
+}
+
+MATRICES = {"A", "B", "E", "C", "M", "A_eq", "V", "designs"}
+VECTORS = {"b", "b_eq", "c", "values", "lower", "upper"}
+POINTS = {"x", "u_proposed", "d", "p"}
+SETS = {"X", "U", "W", "S", "target", "start", "other"}
+TOLERANCES = {"tol", "eps", "step"}
+COUNTS = {"n", "steps", "max_iterations", "max_facets"}
+
+
+def spoiled(value, number):
+    array = np.array(value, float)
+    array.flat[-1] = number
+    return array
+
+
+def bad_values(name, value, function):
+    """Yield (what, bad value) for an argument of a function."""
+    if name in MATRICES | VECTORS | POINTS:
+        if not (name == "x" and "contains" in function):  # membership of NaN is False, not an error
+            yield "NaN", spoiled(value, np.nan)
+            if function != "from_bounds":
+                yield "infinity", spoiled(value, np.inf)
+        yield "text", "abc"
+        yield "complex", np.array(value, float) * 1j
+        yield "ragged", [[1.0, 2.0], [3.0]]
+        yield "three axes", np.zeros((2, 2, 2))
+        if not (name in {"p", "designs", "V"} or (name == "lower" and function == "from_bounds")
+                or (name == "M" and function == "preimage")):
+            yield "one too many", np.concatenate([np.array(value, float)] * 2, axis=-1)
+    elif name in SETS:
+        yield "an array", np.eye(2)
+        yield "None", None
+        if function != "cartesian_product":
+            yield "wrong dimension", box(-np.ones(5), np.ones(5))
+    elif name in TOLERANCES:
+        yield from (("negative", -1e-9), ("NaN", np.nan), ("text", "small"))
+    elif name in COUNTS:
+        yield from (("negative", -1), ("half", 1.5), ("text", "3"))
+    elif name == "rng":
+        yield from (("a seed", 3), ("None", None))
+    elif name == "coordinates":
+        yield from (("too large", [7]), ("negative", [-1]), ("twice", [0, 0]), ("half", [0.5]), ("none", []))
+    elif name == "factor":
+        yield from (("NaN", np.nan), ("text", "x"), ("matrix", np.eye(2)))
+    elif name == "matrices":
+        yield "no callable", np.eye(2)
+    elif name == "n_jobs":
+        yield from (("zero", 0), ("text", "2"))
+
+
+OPTIONAL = {"W", "X", "E", "C", "c", "A_eq", "b_eq"}
+TABLE = [
+    pytest.param(function, name, value, id=f"{function}-{name}-{what}")
+    for function, (_, good) in CALLS.items()
+    for name, right in good.items()
+    for what, value in bad_values(name, right, function)
+    if not (value is None and name in OPTIONAL)
+    and not (function == "ParametricSet" and what == "wrong dimension")  # known only when matrices is called
+]
+
+
+@pytest.mark.parametrize("function", CALLS)
+def test_the_good_arguments_are_accepted(function):
+    call, good = CALLS[function]
+    call(**good)
+
+
+@pytest.mark.parametrize(("function", "name", "value"), TABLE)
+def test_bad_input_raises_and_names_the_argument(function, name, value):
+    call, good = CALLS[function]
+    with pytest.raises(InvariantSetsError) as caught:
+        call(**{**good, name: value})
+    message = str(caught.value)
+    related = {"B": "A|U", "A": "B|E|X|S|W|start|C", "C": "X", "E": "W", "x": "u_proposed", "p": "p|x|matrices",
+               "A_eq": "A_eq|b_eq", "lower": "lower|upper", "V": "V", "b": "b"}.get(name, name)
+    assert any(word in message for word in (name, *related.split("|")))
+    assert len(message) > 20
+
+
+def test_every_public_function_is_in_the_table():
+    tested = {getattr(call, "__qualname__", "").split(".")[0] for call, _ in CALLS.values()} | {"Polytope"}
+    tested |= {"plot_family", "plot_polytope"}  # below
+    public = {name for name in invariant_sets.__all__ if callable(getattr(invariant_sets, name))}
+    passive = {"Certificate", "InvariantSetsError", "SetResult", "Status"}
+    assert public - passive <= tested
+    methods = {name for name, value in inspect.getmembers(Polytope) if not name.startswith("_") and callable(value)}
+    assert methods - set(CALLS) <= {"from_bounds", "from_vertices", "bounding_box", "chebyshev_ball", "minimal", "plot"}
+    assert len(invariant_sets.__all__) <= 15
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"A": np.ones((2, 3))}, r"A has shape \(2, 3\), expected a square matrix"),
+    ({"B": np.ones((3, 1))}, r"B has shape \(3, 1\), expected \(2, n\)"),
+    ({"B": np.ones((2, 0))}, "use a zero column for no input"),
+    ({"W": box([-1], [1])}, "W has dimension 1, expected 2"),
+    ({"W": box([0, 0], [np.inf, 1])}, "W is unbounded, expected a bounded"),
+    ({"W": box([1, 1], [0, 0])}, "W is empty, expected a bounded"),
+    ({"W": None, "E": np.eye(2)}, "E is given without W"),
+    ({"tol": -1.0}, r"tol must be a finite number >= 0, got -1.0"),
+])
+def test_messages_say_what_was_got_and_expected(arguments, message):
+    with pytest.raises(InvariantSetsError, match=message):
+        maximal_control_invariant_set(**{**dynamics, "X": X, "U": U, **arguments})
+
+
+def test_other_messages():
+    for call, message in [
+        (lambda: Polytope([[1, 0]], [1], A_eq=[[1, 0]]), "must be given together"),
+        (lambda: box([np.inf], [np.inf]), "excludes every point"),
+        (lambda: box([0, 0], [np.inf, 1]).vertices, "intersect it with a box"),
+        (lambda: box([0, 0], [np.inf, 1]).volume, "intersect it with a box"),
+        (lambda: box([1], [0]).bounding_box(), "the set is empty"),
+        (lambda: box([1], [0]).sample(1, rng=RNG), "the set is empty"),
+        (lambda: box([1], [0]).chebyshev_ball(), "the set is empty"),
+        (lambda: P.slice([0, 1], [0, 0]), "fixes all 2 coordinates"),
+        (lambda: AdmissibleInputs(A, B, X, box([1], [0])), "no input can be admissible"),
+        (lambda: AdmissibleInputs(A, B, X, box([0], [np.inf])), "U is unbounded"),
+        (lambda: FILTER.project(np.zeros((2, 2)), np.zeros((3, 1))), "u_proposed has 3 rows, expected 2"),
+        (lambda: FAMILY.contains(np.zeros((2, 2)), np.ones((3, 1))), "p has 3 rows, expected 2"),
+        (lambda: ParametricSet(lambda p: A, X, U).at([1.0]), "must return a tuple"),
+        (lambda: minimal_robust_positively_invariant_set(A, W), "spectral radius 1.2, expected less than 1"),
+        (lambda: minimal_robust_positively_invariant_set([[0.5, 99], [0, 0.5]], W, max_iterations=2), "too small"),
+        (lambda: plot_polytope(box([1], [0])), "nothing to draw"),
+        (lambda: plot_polytope(box([0, 0], [np.inf, 1])), "unbounded"),
+        (lambda: plot_polytope(np.eye(2)), "must be a Polytope"),
+        (lambda: plot_polytope(box([0] * 4, [1] * 4), coordinates=[0, 1, 2, 3]), "expected one, two or three"),
+        (lambda: plot_family([P], values=[1, 2]), "expected 1"),
+    ]:
+        with pytest.raises(InvariantSetsError, match=message):
+            call()
+
+
+# --- odd but legitimate sets: right answers ------------------------------------------------------------------
+
+EMPTY = box([1, 1], [0, 0])
+
+
+def all_invariance(X, U=U, A=A):
+    """Return the results of every function of (A, B, X, U) on these sets."""
+    return {
+        "control": maximal_control_invariant_set(A, B, X, U, max_iterations=60),
+        "robust": maximal_control_invariant_set(A, B, X, U, W=W, max_iterations=60),
+        "positive": maximal_positively_invariant_set(0.5 * np.asarray(A), X, max_iterations=60),
+        "predecessor": predecessor_set(A, B, X, U),
+        "controllable": controllable_set(A, B, X, U, X, 2),
+        "reachable": reachable_set(A, B, X, U, 2),
+    }
+
+
+def assert_clean(result):
+    """Check that nothing is NaN and that what is called invariant passed its check."""
+    for Q in (result.set, result.outer):
+        assert np.isfinite(Q.A).all()
+        assert np.isfinite(Q.b).all()
+        assert np.isfinite(Q.b_eq).all()
+    assert not np.isnan(result.certificate.violation)
+    assert not np.isnan(result.certificate.gap)
+    assert result.set.is_empty or result.certificate.holds
+    assert result.set.is_subset(result.outer, 1e-8)
+
+
+def test_an_empty_X_gives_empty_sets_and_says_so():
+    for result in all_invariance(EMPTY).values():
+        assert_clean(result)
+        assert (result.status, result.set.is_empty) == (Status.EMPTY, True)
+    u, admissible = AdmissibleInputs(A, B, EMPTY, U).project([0.0, 0.0], [0.3])
+    assert not admissible
+    assert U.contains(u)
+    assert not ParametricSet(illustrative, EMPTY, U).contains([0.0, 0.0], [1.0])
+
+
+@pytest.mark.parametrize("unbounded", [Polytope(np.zeros((0, 2)), []), Polytope([[1.0, 0]], [1.0]),
+                                       Polytope([[1.0, 0], [-1, 0]], [1, 1]), Polytope([[1.0, 1], [-1, 1]], [1, 1])])
+def test_an_unbounded_X_gives_a_checked_set_or_none(unbounded):
+    for result in all_invariance(unbounded).values():
+        assert_clean(result)
+    u, admissible = AdmissibleInputs(A, B, unbounded, U).project([0.0, 0.0], [0.3])
+    assert admissible
+    assert u[0] == pytest.approx(0.3)
+
+
+def test_an_X_without_the_origin():
+    away = box([3, 3], [5, 5])
+    results = all_invariance(away)
+    for result in results.values():
+        assert_clean(result)
+    assert results["control"].status is Status.EMPTY  # no equilibrium with |u| <= 1 in there
+    around = maximal_control_invariant_set([[1.1]], [[1.0]], box([2], [8]), U)
+    assert around.set.bounding_box()[0][0] == pytest.approx(2)
+    assert around.set.bounding_box()[1][0] == pytest.approx(8)
+
+
+def test_no_input_at_all():
+    still = box([0], [0])
+    for result in all_invariance(X, still).values():
+        assert_clean(result)
+    result = maximal_control_invariant_set([[0.9, 0.5], [0, 0.8]], B, X, still)
+    alone = maximal_positively_invariant_set([[0.9, 0.5], [0, 0.8]], X)
+    assert result.set.equals(alone.set, 1e-7)
+    u, _ = AdmissibleInputs(A, B, X, still).project([0.1, 0.1], [0.7])
+    np.testing.assert_array_equal(u, [0.0])
+
+
+def test_a_stabilisable_but_uncontrollable_pair():
+    A2, B2 = [[1.2, 0.3], [0, 0.5]], [[1.0], [0]]
+    result = maximal_control_invariant_set(A2, B2, X, U)
+    assert_clean(result)
+    assert result.status is Status.CONVERGED
+    assert result.set.volume > 1
+
+
+def test_duplicate_rows_change_nothing():
+    double = Polytope(np.vstack([X.A, X.A, 2 * X.A]), np.r_[X.b, X.b, 2 * X.b])
+    for name, result in all_invariance(double).items():
+        assert_clean(result)
+        assert result.set.equals(all_invariance(X)[name].set, 1e-8)
+        assert len(result.set.b) == len(result.set.minimal().b)
+
+
+def test_a_disturbance_too_large_leaves_the_empty_set_and_says_so():
+    large = box([-3, -3], [3, 3])
+    for result in (maximal_control_invariant_set(A, B, X, U, W=large),
+                   maximal_positively_invariant_set(STABLE, box([-1, -1], [1, 1]), W=large),
+                   controllable_set(A, B, X, U, box([-1, -1], [1, 1]), 2, W=large)):
+        assert_clean(result)
+        assert (result.status, result.set.is_empty) == (Status.EMPTY, True)
+        assert "shrink W" in result.status.advice
+
+
+@pytest.mark.parametrize("limit", [1, 2, 5])
+def test_an_iteration_limit_is_a_status_with_advice(limit):
+    A2, B2 = [[1.0, 1], [0, 1]], [[0.5], [1.0]]
+    for result in (maximal_control_invariant_set(A2, B2, box([-50, -5], [50, 5]), box([-0.1], [0.1]),
+                                                 max_iterations=limit),
+                   maximal_positively_invariant_set([[0.99, 0.1], [-0.1, 0.98]], X, max_iterations=limit)):
+        assert_clean(result)
+        assert result.status is Status.ITERATION_LIMIT
+        assert "max_iterations" in result.status.advice
