@@ -99,9 +99,14 @@ class DenseQP:
         infeasible = "PrimalInfeasible" in str(solution.status)
         return np.array(solution.x) * sigma, np.maximum(solution.z, 0.0) * sigma, infeasible
 
+    @staticmethod
+    def _middle(b: Array) -> float:
+        return float(np.partition(np.abs(b), len(b) // 2)[len(b) // 2]) if len(b) else 0.0
+
     def _residuals(self, z: Array, y: Array, q: Array, b: Array) -> Residuals:
         """Relative KKT residuals, from the scaled data alone."""
-        tiny = np.finfo(float).tiny
+        # where everything vanishes, as at the origin, the bounds say what is small
+        tiny = max(1e-6 * self._middle(b), np.finfo(float).tiny)
         Hz, Gy, Gz = self._H @ z, y @ self._G, self._G @ z
         force = max(np.abs(Hz).max(initial=0.0), np.abs(q).max(initial=0.0), np.abs(Gy).max(initial=0.0), tiny)
         size = np.maximum(np.abs(b), max(np.abs(z).max(initial=0.0), tiny))

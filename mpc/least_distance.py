@@ -82,7 +82,6 @@ def least_distance(problem: ParametricQP, TA: Array, Tb: Array) -> LeastDistance
     size = float(np.median(np.abs(D).sum(axis=1))) if len(D) else 1.0
     D = D / (size or 1.0)
     kept = _without_duplicates(np.hstack([M, D[:, :-1]]), D[:, -1])
-    _refuse_equalities(np.hstack([M, D])[kept], origin[kept])
     M, D, origin = np.ascontiguousarray(M[kept]), np.ascontiguousarray(D[kept]), origin[kept]
     joint = np.vstack([
         np.hstack([-D[:, :-1], M, -D[:, -1:]]),
@@ -103,17 +102,6 @@ def _without_duplicates(normals: Array, offsets: Array) -> np.ndarray[Any, np.dt
         if offsets[i] < offsets[known]:
             tightest[key.tobytes()] = i
     return np.array(sorted(tightest.values()), dtype=np.int64)
-
-
-def _refuse_equalities(rows: Array, origin: np.ndarray[Any, np.dtype[np.int64]]) -> None:
-    known = {key.tobytes(): i for i, key in enumerate(np.round(rows, 9) + 0.0)}
-    for i, key in enumerate(np.round(-rows, 9) + 0.0):
-        if key.tobytes() in known:
-            pair = sorted((int(origin[i]), int(origin[known[key.tobytes()]])))
-            raise InvalidDataError(
-                f"constraints {pair[0]} and {pair[1]} form an equality, expected a feasible set with an interior: "
-                "give the set a width, for instance a small terminal box instead of a point."
-            )
 
 
 def _bounding_box(A: Array, b: Array) -> tuple[Array, Array]:

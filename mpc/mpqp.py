@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from .checks import Array, as_halfspaces
+from .equalities import eliminate, equality_pairs
 from .exceptions import InvalidDataError
 from .least_distance import LeastDistance, least_distance
 from .parametric_qp import ParametricQP
@@ -79,14 +80,18 @@ class Partition:
         return f"Partition({len(self)} regions, {self.status.name}, {1e3 * self.solve_time:.1f} ms)"
 
     def multipliers(self, region: int) -> Array:
-        """Multiplier law (m, nt + 1) of one region: λ = law [θ; 1], zero for inactive rows."""
+        """Multiplier law (m, nt + 1) of one region: λ = law [θ; 1], zero for inactive rows.
+
+        Of two rows that make an equality the first carries the multiplier, of either sign.
+        """
         problem, act = self.problem, list(self.active_sets[region])
         law = np.zeros((problem.m, problem.nt + 1))
         if act:
             G = problem.G[act]
             right = np.hstack([problem.S[act], problem.w[act, None]])
             right = right + G @ np.linalg.solve(problem.H, np.hstack([problem.F, problem.f[:, None]]))
-            law[act] = -np.linalg.solve(G @ np.linalg.solve(problem.H, G.T), right)
+            # least squares: rows of equalities may repeat each other
+            law[act] = -np.linalg.lstsq(G @ np.linalg.solve(problem.H, G.T), right, rcond=1e-13)[0]
         return law
 
 
@@ -131,9 +136,12 @@ def solve_mpqp(
     """
     start = time.perf_counter()
     TA, Tb = as_halfspaces("theta_set", theta_set, problem.nt)
-    data = least_distance(problem, TA, Tb)
     if max_regions < 1 or not time_limit > 0:
         raise InvalidDataError(f"max_regions and time_limit must be positive, got {max_regions} and {time_limit}.")
+    pairs = equality_pairs(problem)
+    if pairs:
+        return _with_equalities(problem, pairs, theta_set, compiled, max_regions, time_limit, start)
+    data = least_distance(problem, TA, Tb)
     if compiled:
         found = _explore(data, max_regions, start + time_limit)
     else:
@@ -147,6 +155,19 @@ def solve_mpqp(
     return Partition(
         problem, status, originals, H, h, offsets, law, data.centre, data.half, time.perf_counter() - start
     )
+
+
+def _with_equalities(
+    problem: ParametricQP, pairs: list[tuple[int, int]], theta_set: Any, compiled: bool, max_regions: int,
+    time_limit: float, start: float,
+) -> Partition:  # fmt: skip
+    """Solve in the directions the equalities leave free; one row of each pair is active everywhere."""
+    reduced, N, T, origin = eliminate(problem, pairs)
+    found = solve_mpqp(reduced, theta_set, compiled=compiled, max_regions=max_regions, time_limit=time_limit)
+    always = tuple(i for i, _ in pairs)
+    active = tuple(tuple(sorted((*always, *(int(i) for i in origin[list(act)])))) for act in found.active_sets)
+    law = N @ found.law + T
+    return replace(found, problem=problem, active_sets=active, law=law, solve_time=time.perf_counter() - start)
 
 
 Found = tuple[MPQPStatus, list[tuple[int, ...]], Array, np.ndarray[Any, np.dtype[np.int64]]]

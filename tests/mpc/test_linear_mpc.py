@@ -142,6 +142,16 @@ def test_terminal_set_and_rate_limit():
     assert np.abs(np.diff(np.concatenate([[0.3], plan.inputs[:, 0]]))).max() <= 0.4 + 1e-8
 
 
+def test_terminal_equality_and_the_origin():
+    A, B = double_integrator()
+    mpc = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=6, X=box([5, 5]), U=box([1]), terminal_set=box([0, 0]))
+    for x in ([0.0, 0.0], [1.0, 0.0], [2.0, -1.0]):
+        plan = mpc.solve(x)
+        assert plan.status is Status.SOLVED
+        np.testing.assert_allclose(plan.states[-1], 0.0, atol=1e-9)
+    assert mpc([0.0, 0.0]) == pytest.approx(0.0, abs=1e-9)
+
+
 def test_preview_and_reference():
     A, B, E = suspension()
     mpc = LinearMPC(A, B, E=E, horizon=8, **SUSPENSION)

@@ -209,9 +209,31 @@ def test_bad_parameter_sets_are_refused(theta_set, message):
         solve_mpqp(integrator(2, 0.1).build(), theta_set)
 
 
-def test_an_equality_is_refused_by_name():
-    mpc = integrator(3, 0.1, terminal_set=box([0.0, 0.0]))
-    with pytest.raises(InvalidDataError, match="form an equality"):
-        solve_mpqp(mpc.build(), mpc.X)
+def test_terminal_equality_is_eliminated():
+    mpc = integrator(6, 0.1, terminal_set=box([0.0, 0.0]))
+    problem = mpc.build()
+    partition = solve_mpqp(problem, mpc.X)
+    assert partition.status is MPQPStatus.COMPLETE
+    law_is_optimal_on_samples(mpc, partition, 2000)
+    assert set(partition.active_sets) == set(solve_mpqp(problem, mpc.X, compiled=False).active_sets)
+    centre = np.zeros(2)
+    region = int(membership(partition, centre[None]).argmin())
+    theta = np.array([1e-3, -2e-3])
+    z = partition.law[region] @ np.append(theta, 1)
+    y = partition.multipliers(region) @ np.append(theta, 1)
+    np.testing.assert_allclose(problem.H @ z + problem.F @ theta + problem.f + problem.G.T @ y, 0, atol=1e-9)
+    np.testing.assert_allclose(problem.states(z, theta)[-1], 0, atol=1e-12)
+    assert mpc.explicit()([1.0, 0.0]) == pytest.approx(mpc([1.0, 0.0]), abs=1e-9)
+
+
+def test_an_equality_that_leaves_no_freedom_is_refused_by_name():
+    for N, message in ((2, "leaves no input free"), (1, "cannot be met by the inputs")):
+        mpc = integrator(N, 0.1, terminal_set=box([0.0, 0.0]))
+        with pytest.raises(InvalidDataError, match=message):
+            solve_mpqp(mpc.build(), mpc.X)
+
+
+def test_limits_must_be_positive():
+    mpc = integrator(2, 0.1)
     with pytest.raises(InvalidDataError, match="max_regions and time_limit must be positive"):
-        solve_mpqp(integrator(2, 0.1).build(), mpc.X, max_regions=0)
+        solve_mpqp(mpc.build(), mpc.X, max_regions=0)
