@@ -96,21 +96,34 @@ class Replay:
 
     Parameters
     ----------
-    errors : Residuals
-        Runs of at least `steps` samples.
+    stretches : sequence of Residuals
+        Drawn from in proportion to the windows they hold.
     """
 
-    errors: Residuals
+    stretches: Sequence[Residuals]
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Initial states (runs, nx) and errors (runs, steps, nx)."""
-        available, length = self.errors.x.shape[:2]
-        if length < steps:
-            raise InputError(f"log: got runs of {length} samples, expected at least {steps} for a replay.")
-        run = rng.integers(0, available, runs)
-        start = rng.integers(0, length - steps + 1, runs)
-        window = start[:, None] + np.arange(steps)
-        return self.errors.x[run, start], self.errors.e_next[run[:, None], window]
+        """Initial states (runs, nx) and errors (runs, steps, nx).
+
+        Raises
+        ------
+        InputError
+            If no logged run is as long as `steps`.
+        """
+        shapes = [errors.x.shape[:2] for errors in self.stretches]
+        windows = np.array([n * max(length - steps + 1, 0) for n, length in shapes])
+        if windows.sum() == 0:
+            longest = max(length for _, length in shapes)
+            raise InputError(f"log: got runs of {longest} samples, expected at least {steps} for a replay.")
+        draw = np.sort(rng.integers(0, windows.sum(), runs))
+        edges = np.concatenate([[0], np.cumsum(windows)])
+        x0, w = [], []
+        for errors, first, last in zip(self.stretches, edges[:-1], edges[1:]):
+            chosen = draw[(draw >= first) & (draw < last)] - first
+            run, start = np.divmod(chosen, max(errors.x.shape[1] - steps + 1, 1))
+            x0.append(errors.x[run, start])
+            w.append(errors.e_next[run[:, None], start[:, None] + np.arange(steps)])
+        return np.concatenate(x0), np.concatenate(w)
 
 
 def deploy(
@@ -150,9 +163,9 @@ def deploy_and_update(
 ) -> Deployment:
     """A deployment in stretches, with an update of the policy after each but the last.
 
-    After a stretch, the errors of the nominal model along it are replayed as disturbances. A candidate is trained
-    on the first part of the stretch and goes into service only if its paired return on the rest is better: the
-    interval of the difference excludes zero.
+    After a stretch, the errors of the nominal model along all stretches so far are replayed as disturbances. A
+    candidate is trained on the first part of every stretch and goes into service only if its paired return on the
+    rest is better: the interval of the difference excludes zero.
 
     Parameters
     ----------
@@ -169,6 +182,8 @@ def deploy_and_update(
     design = problem.design.check(design)
     pieces: list[Trajectory] = []
     updates: list[OnlineUpdate] = []
+    train: list[Residuals] = []
+    test: list[Residuals] = []
     for stretch in _stretches(len(x0), disturbance.shape[1], config.updates + 1):
         runs, steps = stretch
         start = pieces[-1].states[:, -1] if pieces and steps.start > 0 else x0[runs]
@@ -179,17 +194,20 @@ def deploy_and_update(
         pieces.append(piece)
         if len(pieces) <= config.updates and not piece.diverged.all():
             after = sum(p.inputs.shape[0] * p.inputs.shape[1] for p in pieces)
-            agent, update = _update(problem, agent, design, residuals(problem.model, piece), after, rng, config)
+            first, rest = _split(residuals(problem.model, piece), config.held_out)
+            train.append(first)
+            test.append(rest)
+            agent, update = _update(problem, agent, design, (train, test), after, rng, config)
             updates.append(update)
     return Deployment(_joined(pieces, len(x0)), agent, tuple(updates))
 
 
-def _update(problem, agent, design, errors: Residuals, after: int, rng, config) -> tuple[ActorCritic, OnlineUpdate]:
-    train, test = _split(errors, config.held_out, config.window)
+def _update(problem, agent, design, errors, after: int, rng, config) -> tuple[ActorCritic, OnlineUpdate]:
+    train, test = errors
     candidate = codesign_ppo(
-        _replay_problem(problem, train, config.window), agent=agent, design=design, rng=rng, config=config.training
+        replay_problem(problem, train, config.window), agent=agent, design=design, rng=rng, config=config.training
     ).agent
-    judge = _replay_problem(problem, test, config.window)
+    judge = replay_problem(problem, test, config.window)
     x0, w = judge.scenarios.sample(config.judged, config.window, rng)
     returns = [
         simulate(
@@ -203,18 +221,18 @@ def _update(problem, agent, design, errors: Residuals, after: int, rng, config) 
     return (candidate if accepted else agent), OnlineUpdate(after, gain, accepted)
 
 
-def _replay_problem(problem: CoDesignProblem, errors: Residuals, window: int) -> CoDesignProblem:
+def replay_problem(problem: CoDesignProblem, errors: Sequence[Residuals], window: int) -> CoDesignProblem:
     """The nominal model driven by logged errors, which enter as they are (E = I)."""
     model = replace(problem.model, E=ca.SX.eye(problem.model.nx))
-    return replace(problem, model=model, scenarios=Replay(errors), steps=window, discrepancy=None)
+    return replace(problem, model=model, scenarios=Replay(tuple(errors)), steps=window, discrepancy=None)
 
 
-def _split(errors: Residuals, held_out: float, window: int) -> tuple[Residuals, Residuals]:
+def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
     runs, steps = errors.x.shape[:2]
     if runs > 1:
         cut = max(1, runs - max(1, round(held_out * runs)))
         return errors.part(slice(None, cut), slice(None)), errors.part(slice(cut, None), slice(None))
-    cut = min(max(window, steps - round(held_out * steps)), steps - window)
+    cut = steps - round(held_out * steps)
     return errors.part(slice(None), slice(None, cut)), errors.part(slice(None), slice(cut, None))
 
 

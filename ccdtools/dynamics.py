@@ -115,6 +115,6 @@ def returns(problem: CoDesignProblem, agent: ActorCritic, p: Tensor, x0: Tensor,
 def scenario_tensors(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
     """`runs` scenarios of a problem as float32 tensors: (n, nx) and (n, T, nw)."""
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
-    if problem.discrepancy is not None:
+    if problem.discrepancy is not None and problem.discrepancy.noise == "quantiles":
         w = rng.random((runs, problem.steps, problem.model.nx))
     return torch.tensor(x0, dtype=torch.float32), torch.tensor(w, dtype=torch.float32)

@@ -55,7 +55,7 @@ class TwinPlant:
     design = property(lambda self: self.model.design)
 
     def stepper(self, p: Array, *, batch: int) -> Step:
-        """(x, u, w) → x⁺ from e₀ = 0, remembering e; w (n, nx) uniform in [0, 1] picks e⁺ if it is sampled."""
+        """(x, u, w) → x⁺ from e₀ = 0, remembering e; w (n, nx) is what the discrepancy's noise asks for."""
         A, B, _ = self.model.matrices(p)
         e = np.zeros((batch, self.nx))
         at = torch.tensor(p, dtype=torch.float32)
@@ -88,6 +88,9 @@ def residuals(model: LinearModel, log: Trajectory) -> Residuals:
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next)
 
 
+NOISES = ("none", "quantiles", "replayed")
+
+
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
     """Learned conditional quantiles of the one-step error e⁺ given (e, x, u), or (e, x, u, p).
@@ -100,14 +103,20 @@ class Discrepancy:
     design_as_feature : bool
         Whether the network also sees p. The default follows the paper, which takes the error as independent
         of p; E(p) w and input gains that depend on p break that assumption.
-    sampled : bool
-        Draw e⁺ from the learned distribution (linear between and beyond the levels) rather than its median.
+    noise : {"none", "quantiles", "replayed"}
+        What is added to the median. Nothing: the model is then deterministic. Draws from the learned distribution,
+        linear between and beyond the levels. Or given innovations: what the median left unexplained in the log,
+        replayed with its own correlation in time.
     """
 
     network: QuantileNetwork
     weight: Array
     design_as_feature: bool = False
-    sampled: bool = False
+    noise: str = "none"
+
+    def __post_init__(self) -> None:
+        if self.noise not in NOISES:
+            raise InputError(f"noise: got {self.noise!r}, expected one of {', '.join(NOISES)}.")
 
     def features(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor) -> Tensor:
         """Inputs of the network, (n, ·)."""
@@ -116,14 +125,25 @@ class Discrepancy:
             columns.append(p.expand(*x.shape[:-1], p.shape[-1]))
         return torch.cat(columns, dim=-1)
 
+    def median(self, log: Residuals) -> Array:
+        """Predicted median of e⁺ along a log, (n, T, nx)."""
+        e, x, u, p = (torch.tensor(a, dtype=torch.float32) for a in (log.e, log.x, log.u, log.p))
+        with torch.no_grad():
+            return self.network(self.features(e, x, u, p))[..., len(self.network.levels) // 2, :].double().numpy()
+
     def advance(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
-        """e⁺ (n, nx) and the width penalty (n,), with `w` (n, nx) uniform draws if `sampled`."""
+        """e⁺ (n, nx) and the width penalty (n,).
+
+        `w` (n, nx) holds draws uniform in [0, 1] or innovations, as `noise` says; it is not used for "none".
+        """
         quantiles = self.network(self.features(e, x, u, p))
         median = quantiles[..., len(self.network.levels) // 2, :]
         width = quantiles[..., -1, :] - quantiles[..., 0, :]
         weight = torch.as_tensor(self.weight, dtype=x.dtype)
         penalty = ((width @ weight) * width).sum(-1)
-        return (self._draw(quantiles, w) if self.sampled else median), penalty
+        if self.noise == "quantiles":
+            return self._draw(quantiles, w), penalty
+        return (median + w if self.noise == "replayed" else median), penalty
 
     def _draw(self, quantiles: Tensor, w: Tensor) -> Tensor:
         """The inverse distribution function at `w`, piecewise linear through the quantiles."""
@@ -210,6 +230,12 @@ class DigitalTwin:
         network = fit_quantiles(inputs, train[-1], stretches=lengths, rng=rng, config=config, progress=progress)
         discrepancy = Discrepancy(network, np.asarray(weight, dtype=float), design_as_feature)
         return replace(self, logs=logs, discrepancy=discrepancy, scores=_scores(network, tests, test[-1], train[-1]))
+
+    def innovations(self) -> tuple[Residuals, ...]:
+        """The logs with e⁺ less its predicted median: what the updated model leaves unexplained."""
+        if self.discrepancy is None:
+            raise InputError("twin: got one without a discrepancy, expected one after `update`.")
+        return tuple(replace(log, e_next=log.e_next - self.discrepancy.median(log)) for log in self.logs)
 
 
 def _stretches(logs: Sequence[Residuals], held_out: float, blocks: int, *, last: bool):

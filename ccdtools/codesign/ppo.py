@@ -122,6 +122,7 @@ def codesign_ppo(
     design: ArrayLike,
     rng: np.random.Generator,
     config: CoDesignConfig | None = None,
+    judge: CoDesignProblem | None = None,
     progress: bool = False,
 ) -> CoDesignResult:
     """The best design and policy met on the way from `design` and a warm-started `agent`.
@@ -139,6 +140,9 @@ def codesign_ppo(
         First design, in physical units.
     rng : numpy.random.Generator
     config : CoDesignConfig, optional
+    judge : CoDesignProblem, optional
+        What the iterates are scored on, if not `problem` itself: for example replays of what was logged, where
+        `problem` holds a learned model that an optimiser may take too literally.
 
     Raises
     ------
@@ -152,7 +156,7 @@ def codesign_ppo(
             f"agent: got {len(agent.observation_offset)} inputs, expected {problem.model.nx} states and "
             f"{problem.design.dim} design parameters."
         )
-    run = _Run(problem, copy.deepcopy(agent), design, rng, config)
+    run = _Run(problem, judge or problem, copy.deepcopy(agent), design, rng, config)
     gradients = None
     if config.design_rate > 0:
         gradients = check_gradients(problem, run.agent, design, rng=rng, ppo=config.ppo)
@@ -168,7 +172,8 @@ def codesign_ppo(
 class _Run:
     """The moving parts of one co-design."""
 
-    def __init__(self, problem, agent, design, rng, config) -> None:
+    def __init__(self, problem, judge, agent, design, rng, config) -> None:
+        self.judge = judge
         self.problem, self.agent, self.rng, self.config = problem, agent, rng, config
         self.v = torch.tensor(problem.design.to_unit(design), dtype=torch.float32).requires_grad_(True)
         self.generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
@@ -176,7 +181,7 @@ class _Run:
         self.design_optimiser = torch.optim.Adam([self.v], lr=config.design_rate or 1.0, betas=(0.8, 0.9))
         self.policy_optimiser = torch.optim.Adam(agent.mean_network.parameters(), lr=config.policy_rate or 1.0)
         self.env = DesignEnv(problem, self._p(), runs=config.runs, rng=rng)
-        self.evaluation = scenario_tensors(problem, config.evaluation_runs, rng)
+        self.evaluation = scenario_tensors(judge, config.evaluation_runs, rng)
         self.best: tuple[float, Tensor, ActorCritic] = (-np.inf, self.v.detach().clone(), agent)
         self.rows: list[tuple] = []
 
@@ -186,7 +191,7 @@ class _Run:
     def evaluate(self, iteration: int) -> None:
         """Score the iterate on the fixed scenarios; keep it if it is the best so far."""
         with torch.no_grad():
-            total, diverged = returns(self.problem, self.agent, self._p(), *self.evaluation)
+            total, diverged = returns(self.judge, self.agent, self._p(), *self.evaluation)
         kept = total[~diverged].double()
         mean = kept.mean().item() if len(kept) else float("nan")
         std = kept.std().item() if len(kept) > 1 else 0.0

@@ -1,0 +1,129 @@
+"""How thoroughly a study runs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from ccdtools.codesign.ppo import CoDesignConfig
+from ccdtools.deployment import ONLINE_TRAINING, OnlineConfig
+from ccdtools.exceptions import InputError
+from ccdtools.studies.study import Study
+from learning.networks import NetworkConfig
+from learning.ppo import PPOConfig
+from learning.quantile import QuantileConfig
+from learning.warm_start import CloningConfig
+
+PRESETS = ("default", "paper")
+PAPER_RATE = 1e-5
+PAPER_EPOCHS = 10_000
+
+
+@dataclass(frozen=True)
+class StudyConfig:
+    """Everything of a run that is not the study itself.
+
+    Attributes
+    ----------
+    preset : {"default", "paper"}
+    quick : bool
+        Same path, fewer samples.
+    expert : {"lqr", "mpc"}
+    samples : int
+        Latin hypercube samples of the initialisation.
+    model_runs, real_runs : int
+        Rollouts of a comparison on the model, and on a real plant of short runs.
+    mpc_runs : int
+        Of them, those that online MPC sees.
+    real_steps : int or None
+        Cap on the length of a deployment.
+    network, cloning, codesign, redesign, online, quantile
+        Configurations of the stages; `redesign` is the co-design on the updated model.
+    """
+
+    preset: str = "default"
+    quick: bool = False
+    expert: str = "lqr"
+    samples: int = 1000
+    model_runs: int = 4000
+    real_runs: int = 4000
+    mpc_runs: int = 100
+    real_steps: int | None = None
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    cloning: CloningConfig = field(default_factory=CloningConfig)
+    codesign: CoDesignConfig = field(default_factory=CoDesignConfig)
+    redesign: CoDesignConfig = field(default_factory=lambda: CoDesignConfig(iterations=80, policy_rate=3e-4))
+    online: OnlineConfig = field(default_factory=OnlineConfig)
+    quantile: QuantileConfig = field(default_factory=QuantileConfig)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for results.json."""
+        return asdict(self)
+
+
+def configuration(
+    study: Study,
+    *,
+    preset: str = "default",
+    quick: bool = False,
+    expert: str = "lqr",
+    design_gradient: str = "pathwise",
+) -> StudyConfig:
+    """The configuration of a preset.
+
+    ``paper`` takes the paper's networks, loss, rates, epochs and design gradient; what the paper leaves unsaid or
+    what its code has wrong (advantages, discount, bounds, one optimiser) stays as in the default.
+
+    Raises
+    ------
+    InputError
+        If `preset`, `expert` or `design_gradient` is unknown.
+    """
+    if preset not in PRESETS:
+        raise InputError(f"--preset: got {preset!r}, expected one of {', '.join(PRESETS)}.")
+    if expert not in ("lqr", "mpc"):
+        raise InputError(f"--expert: got {expert!r}, expected one of lqr, mpc.")
+    config = StudyConfig(preset=preset, expert=expert, samples=study.samples)
+    if preset == "paper":
+        config = _paper(config, study)
+    elif design_gradient != "pathwise":
+        config = replace(
+            config,
+            codesign=replace(config.codesign, design_gradient=design_gradient),
+            redesign=replace(config.redesign, design_gradient=design_gradient),
+        )
+    return _quick(config) if quick else config
+
+
+def _paper(config: StudyConfig, study: Study) -> StudyConfig:
+    codesign = CoDesignConfig(
+        iterations=PAPER_EPOCHS, runs=1, design_gradient="network_input", design_rate=PAPER_RATE, policy_rate=0.0,
+        constant_rates=True, evaluate_every=200, ppo=PPOConfig(
+            passes=1, minibatch=32, learning_rate=PAPER_RATE, value_rate=PAPER_RATE, kl_limit=float("inf"),
+            critic_only=0,
+        ),
+    )  # fmt: skip
+    network = NetworkConfig(study.paper_networks, skip=False, initial_std=0.01, std_network=True)
+    return replace(config, network=network, codesign=codesign, redesign=codesign)
+
+
+def _quick(config: StudyConfig) -> StudyConfig:
+    def fewer(codesign: CoDesignConfig, iterations: int) -> CoDesignConfig:
+        iterations = min(iterations, codesign.iterations)
+        return replace(codesign, iterations=iterations, runs=min(64, codesign.runs), pathwise_runs=64,
+                       evaluation_runs=300, evaluate_every=max(1, iterations // 10))  # fmt: skip
+
+    return replace(
+        config,
+        quick=True,
+        samples=min(config.samples, 200),
+        model_runs=400,
+        real_runs=400,
+        mpc_runs=10,
+        real_steps=3000,
+        cloning=replace(config.cloning, steps=1000),
+        codesign=fewer(config.codesign, 40),
+        redesign=fewer(config.redesign, 20),
+        online=replace(config.online, updates=2, judged=200, training=replace(ONLINE_TRAINING, iterations=8)),
+        quantile=replace(config.quantile, steps=500),
+    )
