@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.codesign.ppo import CoDesignConfig, codesign_ppo
 from ccdtools.controllers import Controller
 from ccdtools.exceptions import InputError
+from ccdtools.methods.ppo import CoDesignConfig, codesign_ppo
 from ccdtools.policy import LearnedPolicy
 from ccdtools.problem import CoDesignProblem
 from ccdtools.simulation import Simulable, Trajectory, simulate

@@ -1,0 +1,27 @@
+"""Learning on arrays: networks, PPO, cloning and quantile regression."""
+
+from learning.checkpoint import load, save
+from learning.exceptions import LearningError
+from learning.networks import ActorCritic, NetworkConfig
+from learning.ppo import PPO, PPOConfig, gae, train
+from learning.quantile import QuantileConfig, fit_quantiles
+from learning.rollout import VectorEnv, collect
+from learning.warm_start import CloningConfig, fit_actor_critic
+
+__all__ = [
+    "PPO",
+    "ActorCritic",
+    "CloningConfig",
+    "LearningError",
+    "NetworkConfig",
+    "PPOConfig",
+    "QuantileConfig",
+    "VectorEnv",
+    "collect",
+    "fit_actor_critic",
+    "fit_quantiles",
+    "gae",
+    "load",
+    "save",
+    "train",
+]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from ccdtools.codesign.ppo import CoDesignConfig
 from ccdtools.deployment import ONLINE_TRAINING, OnlineConfig
 from ccdtools.exceptions import InputError
+from ccdtools.methods.ppo import CoDesignConfig
 from ccdtools.studies.study import Study
 from learning.networks import NetworkConfig
 from learning.ppo import PPOConfig

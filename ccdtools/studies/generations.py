@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.codesign.ppo import CoDesignResult, codesign_ppo
 from ccdtools.deployment import Replay, deploy_and_update, replay_problem
 from ccdtools.disturbance import Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.expert import expert_dataset
+from ccdtools.methods.ppo import CoDesignResult, codesign_ppo
 from ccdtools.policy import LearnedPolicy
 from ccdtools.problem import CoDesignProblem
 from ccdtools.simulation import Trajectory, simulate

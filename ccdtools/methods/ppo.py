@@ -12,10 +12,10 @@ from torch import Tensor
 from tqdm.auto import trange
 
 from ccdtools.arrays import Array
-from ccdtools.codesign.gradients import GradientCheck, check_gradients, loss_gradient, pathwise_gradient, require_method
 from ccdtools.design_env import DesignEnv
 from ccdtools.dynamics import returns, scenario_tensors, to_design
 from ccdtools.exceptions import InputError
+from ccdtools.methods.gradients import GradientCheck, check_gradients, loss_gradient, pathwise_gradient, require_method
 from ccdtools.policy import LearnedPolicy
 from ccdtools.problem import CoDesignProblem
 from learning.networks import ActorCritic
