@@ -64,11 +64,14 @@ def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
         k = basis.shape[1]
         if k == 0 or len(g) == 0:
             return Body(centre, basis, F, g, bounded=k == 0)
-        rough = _rough_scale(F, g)
-        radius, y = inscribed_ball(*_unit(F * rough, g), cap=1.0)
-        if radius < -FLAT:
-            return None
-        lower, upper = _extents(F * rough, g, slack=max(-radius, 0.0))
+        for plain in (False, True):  # a bad scale can make a thin set look unbounded: two must agree
+            rough = _rough_scale(F, g, plain=plain)
+            radius, y = inscribed_ball(*_unit(F * rough, g), cap=1.0)
+            if radius < -FLAT:
+                return None
+            lower, upper = _extents(F * rough, g, slack=max(-radius, 0.0))
+            if np.isfinite(lower).all() and np.isfinite(upper).all():
+                break
         finite = np.isfinite(lower) & np.isfinite(upper)
         lower, upper = np.where(finite, lower, y - 1.0), np.where(finite, upper, y + 1.0)
         middle, half = (lower + upper) / 2, np.maximum((upper - lower) / 2, 1e-12)
@@ -124,11 +127,12 @@ def _unit(F: Array, g: Array) -> tuple[Array, Array]:
     return F / norms[:, None], g / norms
 
 
-def _rough_scale(F: Array, g: Array) -> Array:
+def _rough_scale(F: Array, g: Array, *, plain: bool = False) -> Array:
     """Return one length per coordinate, read off the rows without solving anything.
 
     Rows and columns are first balanced (Ruiz 2001, A scaling algorithm to equilibrate both rows and columns norms in
-    matrices), so that every coordinate is steep in some row; then the intercepts of those rows are its lengths.
+    matrices), so that every coordinate is steep in some row; then the intercepts of those rows are its lengths. A
+    `plain` scale does without the intercepts, which mislead where a row passes through the origin.
     """
     scale = np.ones(F.shape[1])
     rows, right = np.abs(F), np.abs(g)
@@ -144,7 +148,8 @@ def _rough_scale(F: Array, g: Array) -> Array:
         return scale
     steep = rows > 0.5
     lengths = np.where(steep, right[:, None] / np.where(steep, rows, 1.0), 0.0).max(axis=0)
-    return scale * np.where(lengths > 0.0, lengths, right.max())
+    uniform = scale * right.max()
+    return uniform if plain else np.where(lengths > 1e-14 * right.max(), scale * lengths, uniform)
 
 
 def _extents(F: Array, g: Array, slack: float) -> tuple[Array, Array]:
