@@ -352,8 +352,10 @@ def bench_hard():
     print("| 500 random MPC QPs, a fifth badly scaled or nearly degenerate | relative KKT > 1e-6 |\n|---|---|")
     for name, count in counts.items():
         print(f"| {name}{' at default settings' if name != 'LinearMPC' else ''} | {count} |")
-    print(f"\nlargest relative KKT residual of LinearMPC {worst:.1e} (required <= 1e-6), "
-          f"{by_fallback} by the second solver")
+    print(
+        f"\nlargest relative KKT residual of LinearMPC {worst:.1e} (required <= 1e-6), "
+        f"{by_fallback} by the second solver"
+    )
 
 
 def raw_osqp(qp, x):

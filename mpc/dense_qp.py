@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import daqp
 import numpy as np
@@ -47,6 +48,10 @@ class DenseQP:
         self._G = np.ascontiguousarray(scaled[self._rows] * self._r[:, None])
         self._m = len(G)
         self._model: daqp.Model | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The workspace of the solver is not copied: a copy sets up its own."""
+        return self.__dict__ | {"_model": None}
 
     def solve(self, q: Array, b: Array, *, doubt: bool = False) -> QPResult:
         """Solve for one linear cost and right-hand side; `doubt` has a verdict of infeasibility confirmed."""

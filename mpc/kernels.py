@@ -6,6 +6,9 @@ slack of row i is d_i(θ) + M_i M_a' λ(θ): only the Gram matrix MM' and the af
 Dua and Pistikopoulos, Automatica 38(1), 2002; Arnström and Axehill, IEEE CDC, 2024). Row i of a critical region
 belongs to constraint i whether it is active (its multiplier) or not (its slack), so crossing facet i exchanges i's
 membership.
+
+numba's cache on disk notices a change of this file, but not for functions of other files that call into it: after a
+change here save `search_kernels.py` too.
 """
 
 from __future__ import annotations

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import Array, as_array, as_halfspaces, as_horizon, as_pair, as_weight
-from .condensing import condense, state_units
-from .dense_qp import DenseQP, QPResult
-from .elastic import least_violation, nearest_points
+from .condensing import condense
+from .dense_qp import DenseQP
+from .elastic import nearest_points
 from .exceptions import InvalidDataError
+from .fallback import relax, rollout, saturated_regulator
 from .lqr import lqr
 from .parametric_qp import ParametricQP
-from .plan import Plan, Residuals, Status
+from .plan import Plan, Status
 
 if TYPE_CHECKING:
     from .explicit import ExplicitMPC
@@ -292,71 +293,24 @@ class LinearMPC:
         with np.errstate(over="ignore", invalid="ignore"):
             q, b = problem.at(theta)
             if not max(np.abs(q).max(), np.abs(b).max(initial=0.0)) < _OVERFLOW:
-                return self._last_resort(x, start)
+                return saturated_regulator(self, x, start)
             result, status, violation = solver.solve(q, b), Status.SOLVED, 0.0
             if result.infeasible:
-                relaxed = self._relax(problem, solver, q, b)
+                relaxed = relax(self, problem, solver, q, b)
                 if relaxed is None:
-                    return self._last_resort(x, start)
+                    return saturated_regulator(self, x, start)
                 result, status, violation = relaxed
             if not result.residuals.worst <= 1e-6:
                 status = Status.INACCURATE
             inputs, states = problem.inputs(result.z, theta), problem.states(result.z, theta)
             if not np.isfinite(inputs).all():
-                return self._last_resort(x, start)
+                return saturated_regulator(self, x, start)
             cost = problem.cost(result.z, theta)
             if status is Status.INACCURATE:
                 inputs = nearest_points(inputs, *self.input_rows)
-                states = self._rollout(x, inputs, given)
+                states = rollout(self, x, inputs, given.get("w"))
         duration = time.perf_counter() - start
         return Plan(inputs, states, cost, status, result.residuals, violation, duration, result.solver)
-
-    def _relax(
-        self, problem: ParametricQP, solver: DenseQP, q: Array, b: Array
-    ) -> tuple[QPResult, Status, float] | None:
-        """Solve with state constraints relaxed by the least amount; None when the others conflict."""
-        units = state_units(self, problem.labels)
-        found = least_violation(problem, units, q, b)
-        if found is None:
-            return None
-        relaxed, point = found
-        for margin in (0.0, 1e-6, 1e-4, 1e-2):  # the least relaxation is feasible by a hair's breadth
-            wider = relaxed + margin * units * (relaxed > b)
-            result = solver.solve(q, wider, doubt=margin == 1e-2)
-            if not result.infeasible:
-                break
-        else:
-            result = replace(result, z=point)
-        # nothing to relax: the first verdict was wrong
-        status = Status.SOFTENED if (wider - b > 1e-7 * units).any() else Status.SOLVED
-        return result, status, float(np.max(wider - b, initial=0.0))
-
-    def _rollout(self, x: Array, inputs: Array, given: dict[str, Array]) -> Array:
-        states = np.empty((self.horizon + 1, self.nx))
-        states[0] = x
-        push = given["w"].reshape(self.horizon, -1) @ self.E.T if "w" in given else np.zeros((self.horizon, self.nx))
-        for k, u in enumerate(inputs):
-            states[k + 1] = _finite(self.A @ states[k] + self.B @ u + push[k])
-        return states
-
-    def _last_resort(self, x: Array, start: float) -> Plan:
-        """The saturated regulator, when even the input constraints conflict or the numbers overflow."""
-        inputs, states = np.zeros((self.horizon, self.nu)), np.empty((self.horizon + 1, self.nx))
-        states[0] = x
-        for k in range(self.horizon):
-            inputs[k] = nearest_points(_finite(-self.gain @ states[k, :, None]).T, *self.input_rows)[0]
-            states[k + 1] = _finite(self.A @ states[k] + self.B @ inputs[k])
-        H, h = self.state_rows
-        violation = float(np.max(_finite(states[1:] @ H.T) - h, initial=0.0))
-        unknown = Residuals(np.inf, np.inf, np.inf, np.inf)
-        return Plan(
-            inputs, states, np.inf, Status.INFEASIBLE, unknown, violation, time.perf_counter() - start, "LQR"
-        )
-
-
-def _finite(v: Array) -> Array:
-    largest = float(np.finfo(float).max) / 4
-    return np.nan_to_num(v, nan=0.0, posinf=largest, neginf=-largest)
 
 
 def _refuse_empty(name: str, H: Array, h: Array) -> None:

@@ -16,14 +16,14 @@ from .least_distance import LeastDistance, least_distance
 from .parametric_qp import ParametricQP
 
 _CHUNK = 500  # regions between two looks at the clock
-_SEEDS = 8  # parameters from which the exploration starts
+_SEEDS, _ROUNDS = 8, 10  # parameters from which the exploration starts, and how often new ones are drawn
 
 
 class MPQPStatus(Enum):
     """How the exploration ended; the value is the advice."""
 
     COMPLETE = "Complete: every region behind every facet was explored."
-    INFEASIBLE = "No parameter of the set is feasible. Ask `LinearMPC.explain` which constraints conflict."
+    INFEASIBLE = "No parameter of the set is feasible, or only a flat part. Ask `LinearMPC.explain` what conflicts."
     REGION_LIMIT = "Stopped at `max_regions`: the partition has holes. Raise the limit, shorten N or block moves."
     TIME_LIMIT = "Stopped at `time_limit`: the partition has holes. Raise the limit, shorten N or block moves."
 
@@ -184,10 +184,13 @@ def _explore(data: LeastDistance, max_regions: int, deadline: float) -> Found:
     offsets, rows = np.zeros(capacity + 1, dtype=np.int64), np.empty((16 * capacity, n + 1))
     counts = np.zeros(4, dtype=np.int64)
     fixed = (data.gram, data.M, data.D, data.TA, data.Tb)
-    targets = np.random.default_rng(0).uniform(-1, 1, size=(_SEEDS, n))
-    targets[0] = 0.0
-    hits = kernels.seed(data.J, data.Jb, data.gram, *fixed[1:], targets, masks, kinds, table, queue, counts)
-    status = MPQPStatus.COMPLETE if hits else MPQPStatus.INFEASIBLE
+    rng = np.random.default_rng(0)
+    for _ in range(_ROUNDS):  # more only where every parameter found lies on the border of regions
+        targets = rng.uniform(-1, 1, size=(_SEEDS, n))
+        hits = kernels.seed(data.J, data.Jb, data.gram, *fixed[1:], targets, masks, kinds, table, queue, counts)
+        if counts[1] or not hits:
+            break
+    status = MPQPStatus.COMPLETE if counts[1] else MPQPStatus.INFEASIBLE
     while counts[2] < counts[1]:
         budget = min(_CHUNK, max_regions - int(counts[2]))
         code = kernels.explore(*fixed, masks, kinds, table, queue, counts, offsets, rows, budget)

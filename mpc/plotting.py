@@ -68,8 +68,7 @@ def _polygons(law: ExplicitMPC, axes: tuple[int, int], base: Array, ax: Any) -> 
     import matplotlib.pyplot as plt
 
     p = law.partition
-    _, colour = np.unique(np.round(law.law.reshape(len(law), -1), 9), axis=0, return_inverse=True)
-    colours = plt.get_cmap("tab20")(colour.ravel() % 20)
+    colours = plt.get_cmap("tab20")(law.law_number % 20)
     drawn: list[Any] = []
     for r in range(len(law)):
         rows = slice(p.offsets[r], p.offsets[r + 1])

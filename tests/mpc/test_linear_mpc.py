@@ -1,5 +1,8 @@
 """The online controller against independent solvers, and what it does when the problem is infeasible."""
 
+import pickle
+from itertools import pairwise
+
 import control
 import cvxpy as cp
 import numpy as np
@@ -9,7 +12,7 @@ from plants import SUSPENSION, box, double_integrator, suspension
 from mpc import InvalidDataError, LinearMPC, NotConvexError, Status, lqr
 
 
-def reference_plan(mpc, x0, *, terminal=None, rate=None, u_prev=None, x_ref=0.0, w=None):
+def reference_plan(mpc, x0, *, terminal=None, rate=None, u_prev=None, x_ref=0.0, w=None, blocks=()):
     """The same problem with states kept, solved tightly by Clarabel through CVXPY."""
     N = mpc.horizon
     x, u = cp.Variable((N + 1, mpc.nx)), cp.Variable((N, mpc.nu))
@@ -25,6 +28,8 @@ def reference_plan(mpc, x0, *, terminal=None, rate=None, u_prev=None, x_ref=0.0,
         constraints.append(mpc.X.A @ x[k + 1] <= mpc.X.b)
         if rate is not None:
             constraints.append(cp.abs(u[k] - (u[k - 1] if k else u_prev)) <= rate)
+    starts = np.cumsum([0, *blocks])
+    constraints += [u[k] == u[a] for a, b in pairwise(starts) for k in range(a + 1, b)]
     if terminal is not None:
         constraints.append(terminal.A @ x[N] <= terminal.b)
     problem = cp.Problem(cp.Minimize(cost), constraints)
@@ -116,6 +121,23 @@ def test_every_finite_state_gets_a_finite_admissible_input(integrator, size):
         u = integrator(size * direction)
         assert np.isfinite(u).all()
         assert np.abs(u).max() <= 1 + 1e-6
+
+
+def test_an_unstabilisable_plant_with_its_own_terminal_weight_never_raises():
+    mpc = LinearMPC([[1.2, 0.0], [0.0, 0.5]], [[0.0], [1.0]], Q=[1, 1], R=[1], P=np.eye(2), horizon=4, X=box([1, 1]),
+                    U=box([1]))  # fmt: skip
+    for x in ([0.1, 0.1], [5.0, 5.0], [1e250, -1e250]):
+        assert np.abs(mpc(x)).max() <= 1 + 1e-9
+
+
+def test_everything_at_once():
+    A, B, E = suspension()
+    mpc = LinearMPC(A, B, E=E, horizon=8, rate_limit=300.0, blocks=(1, 1, 2, 4), **SUSPENSION)
+    w, x = 0.2 * np.random.default_rng(4).normal(size=(8, 1)), np.array([-0.02, -0.3, -0.05, -0.2])
+    target = np.array([0.0, 0.0, 0.01, 0.0])
+    plan = mpc.solve(x, u_prev=[100.0], x_ref=target, w=w)
+    _, u, _ = reference_plan(mpc, x, rate=300.0, u_prev=np.array([100.0]), x_ref=target, w=w, blocks=(1, 1, 2, 4))
+    np.testing.assert_allclose(plan.inputs, u, atol=1e-2)
 
 
 def test_closed_loop_from_outside_the_feasible_set_recovers(integrator):
@@ -235,6 +257,12 @@ def test_bad_controllers_are_refused(change, error, message):
 def test_bad_states_are_refused(integrator, x, signals, message):
     with pytest.raises(InvalidDataError, match=message):
         integrator.solve(x, **signals)
+
+
+def test_a_pickled_controller_works_elsewhere(integrator):
+    integrator([3.0, -1.0])
+    copy = pickle.loads(pickle.dumps(integrator))
+    np.testing.assert_array_equal(copy([3.0, -1.0]), integrator([3.0, -1.0]))
 
 
 def test_singular_R_alone_is_legal():
