@@ -37,9 +37,7 @@ SOURCE = """\
 
 typedef @name@_real real;
 
-/* u = laws[k][.][NT] + laws[k][.][0..NT-1] (theta - points[k]): near its point a law loses no digits */
-static const real laws[@nlaws@][NU][NT + 1] = @laws@;
-static const real points[@nlaws@][NT] = @points@;
+@law@
 static const real lowest[NU] = @low@;
 static const real highest[NU] = @high@;
 
@@ -68,11 +66,7 @@ int @name@_law(const real theta[NT], real u[NU])
     }
     k = find_law(theta, &outside);
     for (i = 0; i < NU; i++) {
-        real sum = 0;
-        for (j = 0; j < NT; j++) {
-            sum += laws[k][i][j] * (theta[j] - points[k][j]);
-        }
-        u[i] = sum + laws[k][i][NT];
+        u[i] = apply(k, i, theta);
         if (outside && !(u[i] <= highest[i])) {
             u[i] = highest[i];
         }
@@ -81,6 +75,52 @@ int @name@_law(const real theta[NT], real u[NU])
         }
     }
     return outside;
+}
+"""
+
+LAW_DOUBLE = """\
+/* u = laws[k][.][NT] + laws[k][.][0..NT-1] (theta - points[k]): near its point a law loses no digits */
+static const real laws[@nlaws@][NU][NT + 1] = @laws@;
+static const real points[@nlaws@][NT] = @points@;
+
+static real apply(int k, int i, const real theta[NT])
+{
+    real sum = 0;
+    int j;
+    for (j = 0; j < NT; j++) {
+        sum += laws[k][i][j] * (theta[j] - points[k][j]);
+    }
+    return sum + laws[k][i][NT];
+}
+"""
+
+LAW_FLOAT = """\
+/* u = (laws + rests)[k][.][0..NT-1] theta + (laws + rests)[k][.][NT] */
+static const real laws[@nlaws@][NU][NT + 1] = @laws@;
+static const real rests[@nlaws@][NU][NT + 1] = @rests@;
+
+/* what rounding took from the product a b (Dekker, 1971); do not compile with -ffast-math */
+static real lost(real a, real b, real product)
+{
+    const real ca = 4097.0f * a, cb = 4097.0f * b;
+    const real ah = ca - (ca - a), bh = cb - (cb - b);
+    const real al = a - ah, bl = b - bh;
+    return ((ah * bh - product) + ah * bl + al * bh) + al * bl;
+}
+
+/* dot product in twice the precision (Ogita, Rump and Oishi, 2005): the terms of a law can be far larger than u */
+static real apply(int k, int i, const real theta[NT])
+{
+    real sum = laws[k][i][NT], rest = rests[k][i][NT];
+    int j;
+    for (j = 0; j < NT; j++) {
+        const real product = laws[k][i][j] * theta[j];
+        const real next = sum + product, part = next - sum;
+        rest += lost(laws[k][i][j], theta[j], product) + rests[k][i][j] * theta[j];
+        rest += (sum - (next - part)) + (product - part);
+        sum = next;
+    }
+    return sum + rest;
 }
 """
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .c_source import HEADER, SEQUENTIAL, SOURCE, TREE, real, table
+from .c_source import HEADER, LAW_DOUBLE, LAW_FLOAT, SEQUENTIAL, SOURCE, TREE, real, table
 from .checks import Array
 from .elastic import box_of
 from .exceptions import InvalidDataError
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .explicit import ExplicitMPC
 
 _TOLERANCE = {"double": 1e-7, "float": 1e-5}
+_COMPENSATED = 13  # multiply-adds that a product in twice the precision costs
 
 
 @dataclass(frozen=True)
@@ -86,15 +87,15 @@ def write_c(
         raise InvalidDataError(
             f"got method {method!r} and scalar {scalar!r}, expected 'tree' or 'sequential', 'double' or 'float'."
         )
-    laws, points = _laws_about_points(law, scalar)
+    law_text, numbers = _law_tables(law, scalar)
+    count = int(law.law_number.max()) + 1
     parts = _tree(law, law.law_number, scalar) if method == "tree" else _scan(law, law.law_number, scalar)
     body, planes, operations, comparisons, parts_bytes = parts
     low, high = _box(law)
     fields = {
         "name": name, "NAME": name.upper(), "scalar": scalar, "nt": law.nt, "nu": law.nu, "body": body,
-        "nlaws": len(laws),
-        "summary": f"{len(law)} regions, {len(laws)} laws, {method} search", "laws": table(laws, scalar),
-        "points": table(points, scalar), "low": table(low, scalar), "high": table(high, scalar),
+        "law": law_text, "summary": f"{len(law)} regions, {count} laws, {method} search",
+        "low": table(low, scalar), "high": table(high, scalar),
         "largest": "DBL_MAX" if scalar == "double" else "FLT_MAX", "tolerance": real(_TOLERANCE[scalar], scalar),
     }  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
@@ -102,25 +103,29 @@ def write_c(
     for file, template in zip(files, (HEADER, SOURCE)):
         file.write_text(_fill(template, fields))
     width = 8 if scalar == "double" else 4
-    flash = parts_bytes + width * (laws.size + points.size + 2 * law.nu)
-    return CodeReport(
-        files, method, scalar, len(law), len(laws), planes, flash, operations + law.nu * law.nt, comparisons
-    )
+    flash = parts_bytes + width * (numbers + 2 * law.nu)
+    operations += law.nu * law.nt * (1 if scalar == "double" else _COMPENSATED)
+    return CodeReport(files, method, scalar, len(law), count, planes, flash, operations, comparisons)
 
 
-def _laws_about_points(law: ExplicitMPC, scalar: str) -> tuple[Array, Array]:
-    """Each distinct law as a gain and a value at a point amid its regions, where the value is exact."""
+def _law_tables(law: ExplicitMPC, scalar: str) -> tuple[str, int]:
+    """C text of the distinct laws and how many numbers it holds.
+
+    In double a law is a gain and its value at a point amid its regions; in float, gain and offset in two parts.
+    """
+    laws = law.law[np.unique(law.law_number, return_index=True)[1]]
+    if scalar == "float":
+        rests = laws - laws.astype(np.float32)
+        fields = {"nlaws": len(laws), "laws": table(laws, scalar), "rests": table(rests, scalar)}
+        return _fill(LAW_FLOAT, fields), 2 * laws.size
     from .search_kernels import centres_of
 
     p = law.partition
     centres = p.centre + p.half * centres_of(p.scaled_rows, p.offsets)
-    first = np.unique(law.law_number, return_index=True)[1]
-    points = np.array([centres[law.law_number == n].mean(axis=0) for n in range(len(first))])
-    if scalar == "float":
-        points = points.astype(np.float32).astype(np.float64)
-    laws = law.law[first].copy()
+    points = np.array([centres[law.law_number == n].mean(axis=0) for n in range(len(laws))])
     laws[:, :, -1] += np.einsum("rij,rj->ri", laws[:, :, :-1], points)
-    return laws, points
+    fields = {"nlaws": len(laws), "laws": table(laws, scalar), "points": table(points, scalar)}
+    return _fill(LAW_DOUBLE, fields), laws.size + points.size
 
 
 Parts = tuple[str, int, int, int, int]  # C text, hyperplanes, operations, comparisons, bytes

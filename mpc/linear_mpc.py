@@ -119,6 +119,11 @@ class LinearMPC:
             set_(self, "P", as_weight("P", self.P, nx))
         self._problems[()]  # builds the QP: fails here, not in the loop
 
+    def __repr__(self) -> str:
+        problem, _ = self._problems[("u_prev",) if self.rate_limit is not None else ()]
+        size = f"{problem.nz} variables, {problem.m} constraints"
+        return f"LinearMPC({self.nx} states, {self.nu} inputs, N={self.horizon}, {size})"
+
     @property
     def nx(self) -> int:
         """Number of states."""

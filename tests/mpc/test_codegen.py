@@ -43,6 +43,7 @@ def laws():
     X = box([0.25, 2.5, 0.5, 2.5])
     yield LinearMPC(A, B, Q=[10, 1, 50, 5], R=[1e-6], horizon=3, X=X, U=box([1000.0]))
     yield random_plant(6)  # two inputs
+    yield random_plant(4)  # two inputs, gains of 260: terms of 2600 u_max cancel
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +64,7 @@ def run_c(folder, theta, scalar):
 
 
 @needs_compiler
-@pytest.mark.parametrize("which", [0, 1, 2])
+@pytest.mark.parametrize("which", [0, 1, 2, 3])
 @pytest.mark.parametrize("method", ["tree", "sequential"])
 @pytest.mark.parametrize(("scalar", "tolerance"), [("double", 1e-12), ("float", 1e-5)])
 def test_c_agrees_with_python_on_1e5_states(explicit_laws, which, method, scalar, tolerance, tmp_path):
@@ -77,7 +78,7 @@ def test_c_agrees_with_python_on_1e5_states(explicit_laws, which, method, scalar
     out = run_c(tmp_path, theta, scalar).reshape(count, law.nu + 1)
     u, outside = law.evaluate(theta)
     u_max = np.abs(law.input_rows[1]).max()
-    assert 0.05 < outside.mean() < 0.95
+    assert 0.05 < outside.mean() < 0.97
     assert np.abs(out[~outside, :-1] - u[~outside]).max() <= tolerance * u_max
     assert np.abs(out[:, :-1]).max() <= u_max * (1 + 1e-6)
     assert np.mean(out[:, -1] != outside) < (1e-4 if scalar == "float" else 1e-12)
