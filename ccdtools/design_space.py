@@ -73,9 +73,10 @@ class DesignSpace:
         if outside.any():
             i = int(np.argwhere(outside)[0][-1])
             value = array[outside][0]
+            unit = "" if self.units[i] == "-" else f" {self.units[i]}"
             raise InputError(
                 f"{argument}: got {self.names[i]} = {value:g}, expected a value in "
-                f"[{self.lower[i]:g}, {self.upper[i]:g}] {self.units[i]}."
+                f"[{self.lower[i]:g}, {self.upper[i]:g}]{unit}."
             )
         return np.clip(array, self.lower, self.upper)
 

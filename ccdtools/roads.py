@@ -304,6 +304,10 @@ class GeneratedRoad:
     driver: Driver = "mild"
     dt: float = 0.05
 
+    def __post_init__(self) -> None:
+        if self.driver not in get_args(Driver):
+            raise InputError(f"driver: got {self.driver!r}, expected one of {', '.join(get_args(Driver))}.")
+
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, 1)."""
         return np.stack([self._drive(steps, child) for child in rng.spawn(runs)])[:, :, None]

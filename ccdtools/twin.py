@@ -200,7 +200,7 @@ class DigitalTwin:
         config: QuantileConfig | None = None,
         design_as_feature: bool = False,
         held_out: float = 0.2,
-        blocks: int = 10,
+        blocks: int = 20,
         progress: bool = False,
     ) -> DigitalTwin:
         """The twin after learning from one more log.

@@ -1,0 +1,251 @@
+"""The command line: ``ccdtools run STUDY``, ``ccdtools resume FOLDER``, ``ccdtools studies``."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ccdtools.exceptions import CCDError, InputError
+
+if TYPE_CHECKING:
+    from ccdtools.studies import RunFolder, Study
+
+app = typer.Typer(
+    help="Control co-design: a plant's physical parameters and its controller, designed together.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a run was asked for; kept in run.json, so that `resume` needs the folder alone."""
+
+    study: str
+    generations: int
+    seed: int
+    quick: bool
+    preset: str
+    expert: str
+    design_gradient: str
+    x0: list[float] | None
+    p0: list[float] | None
+    disturbance: str | None
+    column: str | None
+    road: str | None
+    speed: str | None
+    driver: str | None
+
+
+@app.command()
+def run(
+    study: Annotated[str, typer.Argument(help="Name of a study (see `ccdtools studies`), or a Python file with one.")],
+    output: Annotated[Path | None, typer.Option(help="Folder of the run. Default: runs/STUDY-1, -2, …")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of every random number.")] = 0,
+    generations: Annotated[int, typer.Option(help="Times to design, deploy and learn.")] = 2,
+    quick: Annotated[bool, typer.Option("--quick", help="Same path, fewer samples; under a minute.")] = False,
+    preset: Annotated[str, typer.Option(help="default, or paper: its networks, loss, rates and epochs.")] = "default",
+    expert: Annotated[str, typer.Option(help="Who is cloned: lqr (projected on X_fea), or mpc.")] = "lqr",
+    design_gradient: Annotated[str, typer.Option(help="pathwise, or network_input (the paper's).")] = "pathwise",
+    x0: Annotated[str | None, typer.Option(help="Initial state, for example --x0=-3,0")] = None,
+    p0: Annotated[str | None, typer.Option(help="Start design, for example --p0=0.8")] = None,
+    disturbance: Annotated[
+        str | None, typer.Option(help="CSV with the recorded disturbance of the real plant.")
+    ] = None,
+    column: Annotated[str | None, typer.Option(help="Its column, if it has several.")] = None,
+    road: Annotated[str | None, typer.Option(help="CSV with distance [m] and elevation [m]; with --speed.")] = None,
+    speed: Annotated[str | None, typer.Option(help="CSV with time [s] and speed [km/h]; with --road.")] = None,
+    driver: Annotated[str | None, typer.Option(help="mild or aggressive, when the road is generated.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in the output folder.")] = False,
+) -> None:
+    """Run a study: initialise, co-design, deploy, learn, redesign; compare, report."""
+    options = Options(
+        study, generations, seed, quick, preset, expert, design_gradient, _numbers(x0, "--x0"), _numbers(p0, "--p0"),
+        disturbance, column, road, speed, driver,
+    )  # fmt: skip
+    declared = _with_disturbance(_study(options), options)
+    _check(declared, options)
+    folder = _new_folder(output, Path(study).stem, overwrite)
+    folder.write_json("run.json", vars(options))
+    _keep_recording(folder, declared)
+    _complete(folder, declared, options)
+
+
+@app.command()
+def resume(folder: Annotated[Path, typer.Argument(help="Folder of an interrupted run.")]) -> None:
+    """Continue an interrupted run; what it had finished is read, not computed again."""
+    from ccdtools.studies import RunFolder
+
+    kept = RunFolder(folder)
+    options = Options(**kept.read_json("run.json"))
+    study = _study(options)
+    if options.driver is not None:
+        study = _with_disturbance(study, options)
+    _complete(kept, _with_kept_recording(kept, study), options)
+
+
+@app.command()
+def studies() -> None:
+    """List the studies that come with the package."""
+    from ccdtools.studies import load_study, study_names
+
+    for name in study_names():
+        typer.echo(f"{name:<16}{load_study(name).title}")
+
+
+def main() -> None:
+    """Entry point: bad input is one line and exit code 2, an interruption is exit code 130."""
+    try:
+        app()
+    except CCDError as error:
+        typer.echo(f"ccdtools: {error}", err=True)
+        sys.exit(2)
+
+
+def _complete(folder: RunFolder, study: Study, options: Options) -> None:
+    """Run what is not finished yet, and report."""
+    from ccdtools.studies import Generations, configuration
+    from ccdtools.studies.report import write_report
+    from ccdtools.studies.tables import console_table
+
+    config = configuration(
+        study, preset=options.preset, quick=options.quick, expert=options.expert,
+        design_gradient=options.design_gradient,
+    )  # fmt: skip
+    quick = " (QUICK: few samples, not for conclusions)" if options.quick else ""
+    typer.echo(f"{study.title}, seed {options.seed}{quick} → {folder.path}")
+    try:
+        _single_thread()
+        loop = Generations(
+            study, config, folder, generations=options.generations, seed=options.seed, say=typer.echo,
+            progress=sys.stderr.isatty(),
+        )  # fmt: skip
+        results = loop.run()
+        typer.echo("Figures and report")
+        report = write_report(study, folder)
+    except KeyboardInterrupt:
+        finished = ", ".join(folder.finished()) or "nothing yet"
+        typer.echo(f"\nInterrupted. Finished and kept: {finished}.")
+        typer.echo(f"Continue with: ccdtools resume {shlex.quote(str(folder.path))}")
+        sys.exit(130)
+    typer.echo("\n" + console_table(results))
+    typer.echo(f"\nReport: {report}")
+
+
+def _study(options: Options) -> Study:
+    """The study as the options change it."""
+    import numpy as np
+
+    from ccdtools.studies import load_study
+
+    study = load_study(options.study)
+    x0, p0 = (None if v is None else np.array(v) for v in (options.x0, options.p0))
+    return study.started(x0=x0, p0=p0)
+
+
+def _with_disturbance(study: Study, options: Options) -> Study:
+    from dataclasses import replace
+
+    from ccdtools.disturbance import Recorded
+    from ccdtools.recordings import read_disturbance, read_road, read_speed
+    from ccdtools.roads import GeneratedRoad, road_disturbance
+
+    given = [name for name in ("disturbance", "road", "driver") if getattr(options, name) is not None]
+    if len(given) > 1:
+        raise InputError(f"--{given[1]}: got it together with --{given[0]}, expected one source of the disturbance.")
+    if (options.road is None) != (options.speed is None):
+        alone, missing = ("--road", "--speed") if options.speed is None else ("--speed", "--road")
+        raise InputError(f"{alone}: got it without {missing}, expected both: elevation over distance, speed over time.")
+    if options.column is not None and options.disturbance is None:
+        raise InputError("--column: got it without --disturbance, expected the file it is a column of.")
+    source: Any = None
+    dt = study.plant.dt
+    if options.disturbance is not None:
+        source = Recorded(read_disturbance(options.disturbance, dt=dt, column=options.column))
+    elif options.road is not None and options.speed is not None:
+        source = Recorded(road_disturbance(*read_road(options.road), *read_speed(options.speed), dt=dt))
+    elif options.driver is not None:
+        source = GeneratedRoad(options.driver, dt)  # type: ignore[arg-type]
+    if source is None:
+        return study
+    if study.real.plant.nw != 1:
+        raise InputError(
+            f"--{given[0]}: got one disturbance, expected {study.real.plant.nw}, which {study.name} has; "
+            "it can be given only to a study with one."
+        )
+    return replace(study, real=replace(study.real, disturbance=source))
+
+
+def _check(study: Study, options: Options) -> None:
+    """Everything that can be wrong with the input, before a folder is made."""
+    from ccdtools.studies import configuration
+    from ccdtools.studies.generations import check_counts, deployment_steps
+
+    check_counts(options.generations, options.seed)
+    config = configuration(
+        study, preset=options.preset, quick=options.quick, expert=options.expert,
+        design_gradient=options.design_gradient,
+    )  # fmt: skip
+    deployment_steps(study, config)
+
+
+def _new_folder(output: Path | None, name: str, overwrite: bool) -> RunFolder:
+    from ccdtools.studies import RunFolder
+
+    if output is not None:
+        return RunFolder.create(output, overwrite=overwrite)
+    number = 1
+    while Path("runs", f"{name}-{number}").exists():
+        number += 1
+    return RunFolder.create(Path("runs", f"{name}-{number}"))
+
+
+def _keep_recording(folder: RunFolder, study: Study) -> None:
+    """Keep a recorded disturbance with the run: its file may be gone when the run is resumed."""
+    import numpy as np
+
+    from ccdtools.disturbance import Recorded
+
+    if isinstance(study.real.disturbance, Recorded):
+        np.save(folder.path / "disturbance.npy", study.real.disturbance.signal)
+
+
+def _with_kept_recording(folder: RunFolder, study: Study) -> Study:
+    from dataclasses import replace
+
+    import numpy as np
+
+    from ccdtools.disturbance import Recorded
+
+    kept = folder.path / "disturbance.npy"
+    if not kept.is_file():
+        return study
+    return replace(study, real=replace(study.real, disturbance=Recorded(np.load(kept, allow_pickle=False))))
+
+
+def _numbers(text: str | None, argument: str) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(f"{argument}: got {text!r}, expected numbers separated by commas.") from None
+
+
+def _single_thread() -> None:
+    """Small matrices: one thread is faster than several, and leaves the other cores alone."""
+    import torch
+
+    torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
+
+
+if __name__ == "__main__":
+    main()
