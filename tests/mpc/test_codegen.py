@@ -3,6 +3,7 @@
 import ctypes
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,6 +146,13 @@ def test_compiled_library_is_callable_from_python(explicit_laws, tmp_path):
 def test_unknown_options_are_refused(explicit_laws, options, message, tmp_path):
     with pytest.raises(InvalidDataError, match=message):
         explicit_laws[0].to_c(tmp_path, **options)
+
+
+def test_regions_that_no_hyperplane_separates_are_refused(explicit_laws, tmp_path):
+    law = explicit_laws[0]
+    leaf = replace(law.tree, nodes=np.array([[-1, 0, len(law)]]), leaf_regions=np.arange(len(law)))
+    with pytest.raises(InvalidDataError, match="no separating hyperplane; use method='sequential'"):
+        replace(law, tree=leaf).to_c(tmp_path)
 
 
 def test_a_tree_of_an_incomplete_partition_is_refused(tmp_path):

@@ -251,6 +251,7 @@ def test_bad_controllers_are_refused(change, error, message):
         ([1.0, np.inf], {}, "x is not finite"),
         ([1.0, 0.0], {"w": [1.0]}, "no disturbance matrix E"),
         ([1.0, 0.0], {"u_prev": [1.0]}, "u_prev was given"),
+        ([1.0, 0.0], {"x_ref": [np.nan, 0.0]}, "x_ref is not finite"),
         ([1.0, 0.0], {"x_ref": np.zeros((3, 2))}, "x_ref has shape"),
     ],
 )
@@ -263,6 +264,15 @@ def test_a_pickled_controller_works_elsewhere(integrator):
     integrator([3.0, -1.0])
     copy = pickle.loads(pickle.dumps(integrator))
     np.testing.assert_array_equal(copy([3.0, -1.0]), integrator([3.0, -1.0]))
+
+
+def test_unknown_signals_and_a_missing_last_input_are_refused(integrator):
+    with pytest.raises(InvalidDataError, match="unknown signal 'ref'"):
+        integrator.solve_many([[1.0, 0.0]], ref=[1.0])
+    limited = LinearMPC(integrator.A, integrator.B, Q=[1, 1], R=[1], horizon=3, rate_limit=0.1)
+    with pytest.raises(InvalidDataError, match="u_prev was not given: pass it"):
+        limited([1.0, 0.0])
+    assert repr(limited) == "LinearMPC(2 states, 1 inputs, N=3, 3 variables, 6 constraints)"
 
 
 def test_singular_R_alone_is_legal():

@@ -135,6 +135,44 @@ def test_dependent_active_constraints_are_exchanged():
     assert set(partition.active_sets) == set(solve_mpqp(mpc.build(), mpc.X, compiled=False).active_sets)
 
 
+def stacked_integrators(N):
+    """Two plants that do not know of each other: facets of one cut through regions of the other."""
+    A, B = double_integrator()
+    eye = np.eye(2)
+    return LinearMPC(np.kron(eye, A), np.kron(eye, B), Q=np.eye(4), R=0.1 * eye, horizon=N, X=box(5 * np.ones(4)),
+                     U=box([1, 1]))  # fmt: skip
+
+
+def symmetric(B, **more):
+    data = dict(Q=np.eye(2), R=np.eye(B.shape[1]), horizon=3, X=box([2, 2]), U=box(np.ones(B.shape[1]))) | more
+    return LinearMPC(np.eye(2), B, **data)
+
+
+@pytest.mark.parametrize(
+    ("mpc", "theta_set"),
+    [
+        (integrator(5, 0.0), box([5, 5])),
+        (integrator(5, 0.1, P=np.zeros((2, 2))), box([5, 5])),
+        (integrator(5, 0.1, rate_limit=1.0), box([5, 5, 1])),  # the rate limit coincides with the bounds
+        (integrator(5, 0.1, soft=(10.0, 10.0)), box([5, 5])),
+        (integrator(5, 0.1, blocks=(1, 1, 3)), box([5, 5])),
+        (integrator(5, 0.1, terminal_set=box([0.5, 0.5])), box([5, 5])),
+        (integrator(5, 0.1), box([10, 10])),  # states that violate X now
+        (stacked_integrators(3), box(5 * np.ones(4))),
+        (symmetric(np.eye(2)), box([2, 2])),
+        (symmetric(np.eye(2), U=box([1, 1]), terminal_set=box([1, 1])), box([2, 2])),
+    ],
+    ids=["R=0", "P=0", "rate", "soft", "blocks", "terminal", "larger set", "stacked", "identity", "identity, terminal"],
+)
+def test_structured_and_degenerate_problems(mpc, theta_set):
+    partition = solve_mpqp(mpc.build(), theta_set)
+    assert partition.status is MPQPStatus.COMPLETE
+    law_is_optimal_on_samples(mpc, partition, 1500)
+    spread = np.random.default_rng(1).uniform(-1, 1, size=(1500, partition.problem.nt))
+    inside = membership(partition, partition.centre + partition.half * spread)
+    assert np.mean((inside < -1e-6).sum(axis=1) > 1) < 0.01
+
+
 @pytest.mark.parametrize("half", [1e-3, 1e-5])
 def test_nearly_flat_terminal_set_gives_thin_regions(half):
     mpc = integrator(4, 0.1, terminal_set=box([half, half]))
