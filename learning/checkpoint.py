@@ -39,14 +39,22 @@ def load(path: str | Path) -> tuple[Any, dict[str, Any]]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
         raise CheckpointError(f"{path}: got {error}, expected a file written by ccdtools.") from None
-    header = json.loads(metadata.get("ccdtools", "{}"))
+    header = _header(metadata.get("ccdtools", "{}"))
     if header.get("format") != FORMAT or header.get("kind") not in _KINDS:
         raise CheckpointError(
             f"{path}: got format {header.get('format')!r} of {header.get('kind')!r}, expected {FORMAT!r}."
         )
-    network = _KINDS[header["kind"]].from_shape(header["shape"])
     try:
+        network = _KINDS[header["kind"]].from_shape(header["shape"])
         network.load_state_dict(tensors)
-    except RuntimeError:
+        return network.eval(), dict(header["extra"])
+    except (RuntimeError, KeyError, IndexError, TypeError, ValueError):
         raise CheckpointError(f"{path}: got tensors that do not fit the header, expected an intact file.") from None
-    return network.eval(), header["extra"]
+
+
+def _header(text: str) -> dict[str, Any]:
+    try:
+        header = json.loads(text)
+    except ValueError:
+        return {}
+    return header if isinstance(header, dict) else {}

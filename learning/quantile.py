@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
-from tqdm.auto import trange
+from tqdm import trange
 
 from learning.exceptions import DataError
 from learning.networks import FeedForward
@@ -86,7 +86,7 @@ class QuantileNetwork(nn.Module):
         self.register_buffer("input_upper", torch.full((inputs,), torch.inf))
         self.register_buffer("output_offset", torch.zeros(outputs))
         self.register_buffer("output_scale", torch.ones(outputs))
-        self.register_buffer("calibration", torch.ones(len(self.levels), outputs))
+        self.register_buffer("calibration", torch.ones(len(self.levels) - 1, outputs))
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.median_network = FeedForward(inputs, outputs, hidden, skip=True)
@@ -98,11 +98,12 @@ class QuantileNetwork(nn.Module):
         z = (clipped - self.input_offset) / self.input_scale
         median = self.median_network(z).unsqueeze(-2)
         gaps = nn.functional.softplus(self.gap_network(z)).unflatten(-1, (len(self.levels) - 1, self.outputs))
+        gaps = self.calibration * gaps
         middle = len(self.levels) // 2
         below = -gaps[..., :middle, :].flip(-2).cumsum(-2).flip(-2)
         above = gaps[..., middle:, :].cumsum(-2)
         spread = torch.cat([below, torch.zeros_like(median), above], dim=-2)
-        return self.output_offset + self.output_scale * (median + self.calibration * spread)
+        return self.output_offset + self.output_scale * (median + spread)
 
     def predict(self, inputs: ArrayLike) -> Array:
         """`forward` for arrays, in float64."""
@@ -217,15 +218,20 @@ def _descend(network, train, validation, config: QuantileConfig, rng: np.random.
 
 
 def _calibrate(network: QuantileNetwork, x: Array, y: Array) -> None:
-    """Stretch each outer level about the median until its coverage on unseen samples is nominal."""
+    """Stretch each gap, from the median outwards, until the level beyond it is nominal on unseen samples.
+
+    The gaps stay positive, so that calibrated levels cannot cross either.
+    """
     if len(x) < 20:
         return
     quantiles = network.predict(x)
     middle = len(network.levels) // 2
-    for k, level in enumerate(network.levels):
-        if k == middle:
-            continue
-        gap = quantiles[:, k] - quantiles[:, middle]
-        ratio = (y - quantiles[:, middle]) / np.where(gap == 0, np.finfo(float).eps, gap)
-        factor = np.quantile(ratio, level if k > middle else 1 - level, axis=0)
-        network.calibration[k] = torch.tensor(np.clip(factor, 0.05, 20.0), dtype=torch.float32)
+    for side in (1, -1):
+        inner = quantiles[:, middle]
+        for k in range(middle + side, len(network.levels) if side > 0 else -1, side):
+            gap = quantiles[:, k] - quantiles[:, k - side]
+            ratio = (y - inner) / np.where(gap == 0, np.finfo(float).eps, gap)
+            level = network.levels[k]
+            factor = np.clip(np.quantile(ratio, level if side > 0 else 1 - level, axis=0), 0.05, 20.0)
+            network.calibration[min(k, k - side)] = torch.tensor(factor, dtype=torch.float32)
+            inner = inner + factor * gap

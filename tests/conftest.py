@@ -1,0 +1,97 @@
+"""Fixtures shared by the tests of `learning` and `ccdtools`: the case studies, and a cheap clone of each."""
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+DATA = Path(os.environ.get("CCDTOOLS_DATA") or Path(__file__).resolve().parents[1].parent / "shared" / "data")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread():
+    """Small networks are fastest on one thread; tests that need no torch do not import it."""
+    torch = sys.modules.get("torch")
+    if torch is not None:
+        torch.set_num_threads(1)
+
+
+@pytest.fixture
+def rng():
+    """Return a seeded generator."""
+    return np.random.default_rng(20240611)
+
+
+@pytest.fixture(scope="session")
+def suspension():
+    """Return the suspension study."""
+    from ccdtools.studies import load_study
+
+    return load_study("suspension")
+
+
+@pytest.fixture(scope="session")
+def illustrative():
+    """Return the illustrative study."""
+    from ccdtools.studies import load_study
+
+    return load_study("illustrative")
+
+
+@pytest.fixture(scope="session", params=["illustrative", "suspension"])
+def study(request):
+    """Return each case study in turn."""
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture(scope="session")
+def expert_data():
+    """Return a function: study → its expert's data, made once."""
+    from ccdtools.expert import expert_dataset
+
+    made = {}
+
+    def data(study):
+        if study.name not in made:
+            made[study.name] = expert_dataset(study.problem(), samples=150, rng=np.random.default_rng(0))
+        return made[study.name]
+
+    return data
+
+
+@pytest.fixture(scope="session")
+def clone(expert_data):
+    """Return a function: study → a small agent cloned from its expert, made once; tests must not train it."""
+    from learning import CloningConfig, NetworkConfig, fit_actor_critic
+
+    made = {}
+
+    def agent(study):
+        if study.name not in made:
+            data, problem = expert_data(study), study.problem()
+            made[study.name] = fit_actor_critic(
+                data.inputs,
+                data.actions,
+                data.values,
+                action_bounds=problem.input_bounds,
+                input_bounds=problem.observation_bounds,
+                rng=np.random.default_rng(0),
+                network=NetworkConfig((24, 24)),
+                config=CloningConfig(steps=1000, batch=256),
+            )
+        return made[study.name]
+
+    return agent
+
+
+@pytest.fixture(scope="session")
+def recorded_road():
+    """Return the recorded road velocity (15000, 1), or skip."""
+    from ccdtools.recordings import read_disturbance
+
+    path = DATA / "dz_dt_mild_driver1.csv"
+    if not path.is_file():
+        pytest.skip("the recorded road is not part of the project; set CCDTOOLS_DATA to its folder")
+    return read_disturbance(path, dt=0.05)[:15000, None]

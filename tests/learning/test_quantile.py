@@ -1,0 +1,204 @@
+"""Conditional quantiles: order, loss, coverage, and that time is never shuffled."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import binom, norm
+
+from learning import QuantileConfig, fit_quantiles
+from learning.exceptions import DataError
+from learning.quantile import QuantileNetwork, _last_parts, pinball
+
+LEVELS = (0.1, 0.5, 0.9)
+SHORT = QuantileConfig(hidden=(16, 16), steps=500, batch=256)
+
+
+def heteroscedastic(n, seed):
+    """y = sin(2 x₁) + (0.2 + 0.4 x₂²) ε, and a second output ten thousand times smaller, skewed."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-1, 1, (n, 2))
+    first = np.sin(2 * x[:, 0]) + (0.2 + 0.4 * x[:, 1] ** 2) * rng.standard_normal(n)
+    second = 1e-4 * (x[:, 1] + rng.exponential(1 + x[:, 0] ** 2))
+    return x, np.stack([first, second], axis=1)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit_quantiles(*heteroscedastic(6000, 0), rng=np.random.default_rng(1), config=SHORT)
+
+
+# ── the loss ──
+
+
+@pytest.mark.parametrize("level", [0.1, 0.5, 0.9])
+def test_pinball_is_minimised_by_the_true_quantile(level):
+    y = np.random.default_rng(0).standard_normal((20000, 1))
+    grid = np.linspace(-2, 2, 81)
+    losses = [pinball(y, np.full((20000, 1, 1), q), (level,))[0] for q in grid]
+    assert grid[np.argmin(losses)] == pytest.approx(norm.ppf(level), abs=0.06)
+
+
+def test_pinball_agrees_with_its_definition():
+    y, q = np.array([[1.0], [3.0]]), np.array([[[0.0], [2.0]], [[4.0], [2.0]]])
+    # residuals 1, −1 (first sample), −1, 1 (second): 0.1·1 + 0.1·1, 0.9·1 + 0.9·1, over four
+    assert pinball(y, q, (0.1, 0.9))[0] == pytest.approx((0.1 * 1 + 0.1 * 1 + 0.9 * 1 + 0.9 * 1) / 4)
+
+
+def test_pinball_of_tensors_equals_pinball_of_arrays():
+    rng = np.random.default_rng(0)
+    y, q = rng.standard_normal((30, 2)), rng.standard_normal((30, 3, 2))
+    torch.testing.assert_close(
+        pinball(torch.tensor(y), torch.tensor(q), LEVELS), torch.tensor(pinball(y, q, LEVELS))
+    )
+
+
+# ── the network ──
+
+
+@pytest.mark.parametrize("levels", [LEVELS, (0.05, 0.25, 0.5, 0.75, 0.95)])
+def test_quantiles_of_an_untrained_network_never_cross(levels):
+    net = QuantileNetwork(3, 2, levels, (8,), seed=2)
+    q = net.predict(100 * np.random.default_rng(0).standard_normal((500, 3)))
+    assert q.shape == (500, len(levels), 2)
+    assert (np.diff(q, axis=1) >= 0).all()
+
+
+def test_quantiles_of_a_fitted_network_never_cross(fitted):
+    q = fitted.predict(10 * np.random.default_rng(0).standard_normal((2000, 2)))
+    assert (np.diff(q, axis=1) > 0).all()
+
+
+def test_five_calibrated_levels_never_cross():
+    # The fit sees two peaks for x < 0 and a bell for x > 0; what calibrates it has two peaks at x > 0.
+    rng = np.random.default_rng(3)
+    x = rng.uniform(-1, 1, (4000, 1))
+    peaks = rng.choice([-1.0, 1.0], (4000, 1)) + 0.02 * rng.standard_normal((4000, 1))
+    y = np.where(x < 0, peaks, rng.standard_normal((4000, 1)))
+    x[3600:], y[3600:] = np.abs(x[3600:]), peaks[3600:]
+    config = QuantileConfig(levels=(0.1, 0.4, 0.5, 0.6, 0.9), hidden=(16,), steps=400, calibration=0.1)
+    net = fit_quantiles(x, y, rng=rng, config=config)
+    assert (np.diff(net.predict(np.linspace(-1, 1, 400)[:, None]), axis=1) >= 0).all()
+
+
+def test_the_calibration_of_five_levels_makes_each_of_them_nominal():
+    levels = (0.1, 0.3, 0.5, 0.7, 0.9)
+    config = QuantileConfig(levels=levels, hidden=(8,), steps=40, calibration=0.5)
+    x, y = heteroscedastic(8000, 4)
+    net = fit_quantiles(x, y[:, :1], rng=np.random.default_rng(0), config=config)
+    new_x, new_y = heteroscedastic(8000, 5)
+    below = (new_y[:, None, :1] <= net.predict(new_x)).mean(axis=0)[:, 0]
+    median = below[2]  # the median is not calibrated, and forty steps leave it off
+    np.testing.assert_allclose(below[[0, 1, 3, 4]], np.array(levels)[[0, 1, 3, 4]], atol=0.03)
+    assert abs(median - 0.5) < 0.1
+
+
+def test_quantiles_are_constant_outside_the_training_range(fitted):
+    inside, outside = fitted.predict([[0.2, fitted.input_upper[1].item()]]), fitted.predict([[0.2, 50.0]])
+    np.testing.assert_allclose(inside, outside)
+
+
+def test_a_network_without_training_data_has_no_range():
+    net = QuantileNetwork(1, 1, LEVELS, (8,))
+    assert not np.allclose(net.predict([[1.0]]), net.predict([[100.0]]))
+
+
+# ── the fit ──
+
+
+def test_the_fitted_median_and_width_follow_the_truth(fitted):
+    x, _ = heteroscedastic(500, 7)
+    q = fitted.predict(x)[:, :, 0]
+    assert np.sqrt(np.mean((q[:, 1] - np.sin(2 * x[:, 0])) ** 2)) < 0.1
+    width = 2 * norm.ppf(0.9) * (0.2 + 0.4 * x[:, 1] ** 2)
+    assert np.corrcoef(q[:, 2] - q[:, 0], width)[0, 1] > 0.9
+
+
+def test_coverage_on_fresh_samples_lies_in_a_binomial_interval(fitted):
+    n = 2000
+    x, y = heteroscedastic(n, 8)
+    q = fitted.predict(x)
+    inside = ((y >= q[:, 0]) & (y <= q[:, 2])).mean(axis=0)
+    # binomial spread of the test samples and of the 1200 samples that calibrated
+    low, high = (binom.ppf(level, 750, 0.8) / 750 for level in (0.001, 0.999))
+    assert ((inside > low) & (inside < high)).all()
+
+
+def test_pinball_falls_below_that_of_constant_quantiles(fitted):
+    x, y = heteroscedastic(2000, 9)
+    constant = np.broadcast_to(np.quantile(heteroscedastic(6000, 0)[1], LEVELS, axis=0)[None], (2000, 3, 2))
+    assert (pinball(y, fitted.predict(x), LEVELS) < 0.95 * pinball(y, constant, LEVELS)).all()
+
+
+def test_calibration_mends_a_scale_that_changes_at_the_end():
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 1, (3000, 1))
+    y = rng.standard_normal((3000, 1))
+    y[2400:] *= 3.0
+    net = fit_quantiles(x, y, rng=rng, config=QuantileConfig(hidden=(8,), steps=300))
+    fresh = 3.0 * rng.standard_normal((4000, 1))
+    q = net.predict(rng.uniform(-1, 1, (4000, 1)))
+    assert ((fresh >= q[:, 0]) & (fresh <= q[:, 2])).mean() == pytest.approx(0.8, abs=0.06)
+
+
+def test_the_end_of_every_stretch_is_kept_from_the_descent():
+    held = _last_parts([10, 5], 0.2)
+    np.testing.assert_array_equal(np.flatnonzero(held), [8, 9, 14])
+
+
+def test_the_split_is_in_time_whatever_the_generator(monkeypatch):
+    seen = []
+
+    def spy(network, train, validation, *rest):
+        seen.append((train[0].copy(), validation[0].copy()))
+
+    monkeypatch.setattr("learning.quantile._descend", spy)
+    x = np.arange(100.0)[:, None]
+    for seed in (0, 1):
+        fit_quantiles(x, x, stretches=[60, 40], rng=np.random.default_rng(seed))
+    for train, validation in seen:
+        np.testing.assert_array_equal(train[:, 0], [*range(48), *range(60, 92)])
+        np.testing.assert_array_equal(validation[:, 0], [*range(48, 60), *range(92, 100)])
+
+
+def test_the_same_generator_gives_the_same_quantiles():
+    x, y = heteroscedastic(200, 0)
+    short = QuantileConfig(hidden=(4,), steps=20)
+    a, b = (fit_quantiles(x, y, rng=np.random.default_rng(3), config=short).predict(x) for _ in range(2))
+    np.testing.assert_array_equal(a, b)
+
+
+def test_a_constant_feature_or_target_is_no_division_by_zero():
+    x = np.hstack([np.random.default_rng(0).standard_normal((200, 1)), np.ones((200, 1))])
+    y = np.zeros((200, 1))
+    q = fit_quantiles(x, y, rng=np.random.default_rng(0), config=QuantileConfig(hidden=(4,), steps=20)).predict(x)
+    assert np.isfinite(q).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: QuantileConfig(levels=(0.1, 0.9)), "levels: got .* expected an odd number of increasing levels"),
+        (lambda: QuantileConfig(levels=(0.9, 0.5, 0.1)), "levels: got .* increasing levels in .0, 1."),
+        (lambda: QuantileConfig(levels=(0.0, 0.5, 0.9)), "levels: got .* increasing levels in .0, 1."),
+        (lambda: QuantileConfig(levels=(0.1, 0.4, 0.9)), "levels: got 0.4 in the middle, expected the median 0.5"),
+    ],
+)
+def test_levels_without_a_median_or_order_are_refused(make, message):
+    with pytest.raises(DataError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "stretches", "message"),
+    [
+        (np.zeros((30, 2)), np.zeros((29, 1)), None, r"inputs, targets: got shapes \(30, 2\) and \(29, 1\)"),
+        (np.zeros((19, 2)), np.zeros((19, 1)), None, "n ≥ 20"),
+        (np.zeros(30), np.zeros((30, 1)), None, "expected .n, d., .n, m."),
+        (np.full((30, 2), np.nan), np.zeros((30, 1)), None, "inputs, targets: got values that are not finite"),
+        (np.zeros((30, 2)), np.full((30, 1), np.inf), None, "inputs, targets: got values that are not finite"),
+        (np.zeros((30, 2)), np.zeros((30, 1)), [10, 10], "stretches: got lengths that sum to 20, expected 30"),
+    ],
+)
+def test_bad_samples_are_refused_in_one_line(x, y, stretches, message):
+    with pytest.raises(DataError, match=message):
+        fit_quantiles(x, y, stretches=stretches, rng=np.random.default_rng(0))
