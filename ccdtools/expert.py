@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.stats import qmc
-from tqdm.auto import tqdm, trange
+from tqdm import tqdm, trange
 
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from tqdm.auto import trange
+from tqdm import trange
 
 from ccdtools.arrays import Array
 from ccdtools.controllers import Controller

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from tqdm.auto import trange
+from tqdm import trange
 
 from learning.exceptions import DataError
 from learning.networks import LEAK, ActorCritic, NetworkConfig

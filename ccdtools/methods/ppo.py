@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
-from tqdm.auto import trange
+from tqdm import trange
 
 from ccdtools.arrays import Array
 from ccdtools.design_env import DesignEnv
