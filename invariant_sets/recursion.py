@@ -15,6 +15,7 @@ from .linear_programs import inscribed_ball, maximise_rows
 Array = np.ndarray
 Rows = tuple[Array, Array]
 SMALL = 0.05
+_ROUND = 200  # rows cut at a time
 CUT = 1e-12  # a row that cuts less off a set of order one is noise
 
 
@@ -24,6 +25,7 @@ class Shape(Enum):
     SOLID = "full-dimensional"
     FLAT = "of lower dimension"
     EMPTY = "empty"
+    UNRESOLVED = "too intricate for double precision"
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,8 @@ class Region:
     def cut(self, R: Array, r: Array) -> Region:
         """Return the region intersected with {R y <= r} (unit rows)."""
         F, g = np.vstack([self.F, R]), np.append(self.g, r)
-        middle = np.zeros(F.shape[1])
-        if self.V is None or g.min() < 0.01:
+        middle, radius = np.zeros(F.shape[1]), 0.01
+        if self.V is None or g.min() < radius:
             radius, middle = inscribed_ball(F, g, cap=1.0)
             if radius <= rep.FLAT:
                 return Region(F, g, None, Shape.EMPTY if radius < -rep.FLAT else Shape.FLAT)
@@ -70,8 +72,8 @@ class Region:
             return Region(F[kept], g[kept], None, minimal=True)
         try:
             kept, V = rep.facets_and_vertices(F, room, merge=False)
-        except NumericalError:  # thinner than Qhull can resolve
-            return Region(F, g, None, Shape.FLAT)
+        except NumericalError:  # thinner than Qhull can resolve, or too many coplanar facets
+            return Region(F, g, None, Shape.FLAT if radius < 1e-6 else Shape.UNRESOLVED)
         return Region(F[kept], g[kept], V + middle, minimal=True)
 
     @property
@@ -139,7 +141,10 @@ def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: f
         if not cutting.any():
             return Outcome(region, iteration, True, 0.0)
         cut = float(((reach - r)[cutting] / np.maximum(np.abs(r[cutting]), 1e-3)).max())
-        region = region.cut(R[cutting], r[cutting])
+        previous = region
+        region = _cut_in_rounds(region, R[cutting], r[cutting], reach[cutting] - r[cutting])
+        if region.shape is Shape.UNRESOLVED:
+            return Outcome(previous, iteration, False, cut, too_many_facets=True)
         if region.shape is not Shape.SOLID:
             return Outcome(region, iteration, False, cut)
         if cut <= stop:
@@ -149,6 +154,19 @@ def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: f
         if len(region.g) > max_facets:
             return Outcome(region, iteration, False, cut, too_many_facets=True)
     return Outcome(region, limit, False, cut)
+
+
+def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array) -> Region:
+    """Return the region cut by all rows, the deepest first: they make most of the others redundant."""
+    while len(r) and region.shape is Shape.SOLID:
+        first = np.argsort(-depth)[:_ROUND]
+        region = region.cut(R[first], r[first])
+        if len(first) == len(r) or region.shape is not Shape.SOLID:
+            break
+        depth = region.reach(R) - r
+        left = depth > CUT
+        R, r, depth = R[left], r[left], depth[left]
+    return region
 
 
 def _worth_testing(region: Region, R: Array, r: Array) -> Rows:

@@ -188,19 +188,46 @@ def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Arra
     hull = convex_hull(F / g[:, None])
     equations = hull.equations
     V = -equations[:, :-1] / equations[:, -1:]
+    if n > 4:
+        _check_vertices(V, F, g)
     return hull.vertices, merge_points(V) if merge else V
 
 
 def convex_hull(points: Array) -> Any:
-    """Return Qhull's hull of the points (k, n), n >= 2; raise `NumericalError` where it cannot."""
+    """Return Qhull's hull of the points (k, n), n >= 2; raise `NumericalError` where it cannot.
+
+    Symmetric data in five or six dimensions have so many coplanar points that Qhull stops over a wide merge. It is then
+    told to go on (Q12); `facets_and_vertices` checks its answers.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
-    try:
-        return ConvexHull(points)
-    except QhullError as error:
-        reason = str(error).splitlines()[0]
-        raise NumericalError(f"The hull of {points.shape[0]} points in {points.shape[1]} dimensions failed: {reason}. "
-                             "Rescale the data.") from None
+    reason = ""
+    for options in (None, "Qt Qx Q12"):
+        try:
+            hull = ConvexHull(points, qhull_options=options)
+        except QhullError as error:
+            reason = str(error).splitlines()[0]
+            continue
+        if _holds_all(hull.equations, points):
+            return hull
+    raise NumericalError(f"The hull of {points.shape[0]} points in {points.shape[1]} dimensions failed: {reason}. "
+                         "Rescale the data.")
+
+
+def _holds_all(equations: Array, points: Array) -> bool:
+    limit = SAME * np.abs(points).max()
+    step = max(1, 10_000_000 // len(points))
+    return all((points @ part[:, :-1].T + part[:, -1]).max() <= limit
+               for part in (equations[i:i + step] for i in range(0, len(equations), step)))
+
+
+def _check_vertices(V: Array, F: Array, g: Array) -> None:
+    """Raise `NumericalError` unless the vertices agree with LPs in 20 directions (five and more dimensions)."""
+    D = np.random.default_rng(0).standard_normal((20, F.shape[1]))
+    exact = np.array([-minimise(-d, F, g)[0] for d in D])
+    if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=1e-7 * np.abs(exact).max()):
+        raise NumericalError(f"The vertices of a set with {len(g)} rows in {F.shape[1]} dimensions could not be "
+                             "enumerated reliably.")
 
 
 def merge_points(points: Array, tol: float = SAME) -> Array:
@@ -213,6 +240,10 @@ def distinct(points: Array, tol: float = SAME) -> Array:
     if len(points) > 600:
         from scipy.spatial import cKDTree
 
+        _, first = np.unique(np.round(points / tol), axis=0, return_index=True)  # most copies are closer than that
+        if len(first) < len(points):
+            first.sort()
+            return first[distinct(points[first], tol)]
         pairs = cKDTree(points).query_pairs(tol, p=np.inf, output_type="ndarray")
         keep = np.ones(len(points), bool)
         keep[pairs.max(axis=1)] = False

@@ -19,8 +19,8 @@ class Status(Enum):
     EMPTY = "No state has the property: enlarge X or U, or shrink W."
     ITERATION_LIMIT = ("The iteration limit came first: `set` is invariant (or empty) but not maximal, `outer` is not "
                        "invariant. Increase `max_iterations` or `tol`.")
-    FACET_LIMIT = ("The set needs more facets than `max_facets`: `set` is invariant (or empty) but not the extremal "
-                   "one. Increase `max_facets` or `tol`.")
+    FACET_LIMIT = ("The set needs more facets than `max_facets`, or than Qhull can resolve: `set` is invariant (or "
+                   "empty) but not the extremal one. Increase `max_facets` or `tol`.")
     NOT_CERTIFIED = ("The certificate failed, so `set` is empty and only `outer` holds. The data are badly scaled or "
                      "a mode is nearly marginal: rescale, or increase `tol`.")
     OUTER_ONLY = ("X is unbounded and the recursion has not ended in an invariant set: only `outer` holds. "
