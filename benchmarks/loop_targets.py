@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import sys
 import tempfile
@@ -107,14 +108,14 @@ def best_over_designs(problem: CoDesignProblem, points: int = 51) -> float:
 
 
 @lru_cache(maxsize=8)
-def cloned(name: str, seed: int, gain: float = 1.0) -> ActorCritic:
-    """Step 0 of a study: expert data and a clone; `gain` scales the expert's inputs."""
+def cloned(name: str, seed: int) -> ActorCritic:
+    """Step 0 of a study: expert data and a clone."""
     torch.set_num_threads(1)
     study = load_study(name)
     problem, rng = study.problem(), np.random.default_rng(seed)
     data = expert_dataset(problem, samples=study.samples, rng=rng)
     return fit_actor_critic(
-        data.inputs, gain * data.actions, data.values, action_bounds=problem.input_bounds,
+        data.inputs, data.actions, data.values, action_bounds=problem.input_bounds,
         input_bounds=problem.observation_bounds, rng=rng,
     )  # fmt: skip
 
@@ -134,12 +135,22 @@ def first_codesign(name: str, seed: int, x0=None, p0=None) -> Against:
     return replace(reached, best=best_over_designs(problem)) if problem.design.dim == 1 else reached
 
 
+def half_gain(agent: ActorCritic) -> ActorCritic:
+    """A copy whose mean action, before the clip, is halved."""
+    halved = copy.deepcopy(agent)
+    network = halved.mean_network
+    assert network.skip is not None
+    with torch.no_grad():
+        for tensor in (network.head.weight, network.head.bias, network.skip.weight):
+            tensor.mul_(0.5)
+    return halved
+
+
 def ppo_alone(seed: int, steps: int = 2_000_000) -> tuple[float, float, float]:
     """PPO without any gradient through the dynamics: returns before, after and of LQR; illustrative, p = 2.45."""
     problem = load_study("illustrative").started(x0=np.array([-2.0, -2.0])).problem()
     design = np.array([2.45])
-    agent = ActorCritic.from_shape(cloned("illustrative", seed, 0.5).shape())
-    agent.load_state_dict(cloned("illustrative", seed, 0.5).state_dict())
+    agent = half_gain(cloned("illustrative", seed))
     before = against_lqr(problem, agent, design)
     env = DesignEnv(problem, torch.tensor(design, dtype=torch.float32), runs=128, rng=np.random.default_rng(seed))
     train(

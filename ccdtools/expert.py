@@ -176,12 +176,15 @@ class _Loops:
             for i in np.flatnonzero(alive):
                 u[i] = self.controllers[i](x[i])
             return u
-        wanted = np.clip(-_times(self.K, x), self.lower, self.upper)
+        u = np.clip(-_times(self.K, x), self.lower, self.upper)
+        FA, FB, g = self._rows
+        leaving = alive & (_times(FA, x) + _times(FB, u) > g).any(axis=1)
         if self.B.shape[2] == 1:
-            return self._project_interval(x, wanted)
-        for i in np.flatnonzero(alive):
-            wanted[i] = self._filters[i].project(x[i], wanted[i])[0]
-        return wanted
+            u[leaving] = self._project_interval(leaving, x, u)
+        else:
+            for i in np.flatnonzero(leaving):
+                u[i] = self._filters[i].project(x[i], u[i])[0]
+        return u
 
     @cached_property
     def _filters(self) -> list[AdmissibleInputs]:
@@ -189,25 +192,26 @@ class _Loops:
 
     @cached_property
     def _rows(self) -> tuple[Array, Array, Array]:
-        """All X_fea(p) stacked: F A (n, m, nx), F B (n, m) and g (n, m), rows scaled to the size of X."""
+        """All X_fea(p) stacked: F A (n, m, nx), F B (n, m, nu) and g (n, m), rows scaled to the size of X."""
         m = max(len(S.b) for S in self.feasible)
         n, nx = len(self.feasible), self.problem.model.nx
         F, g = np.zeros((n, m, nx)), np.ones((n, m))
         for i, S in enumerate(self.feasible):
             size = np.abs(S.A) @ self.problem.state_scale
             F[i, : len(S.b)], g[i, : len(S.b)] = S.A / size[:, None], S.b / size
-        return F @ self.A, (F @ self.B)[:, :, 0], g
+        return F @ self.A, F @ self.B, g
 
-    def _project_interval(self, x: Array, wanted: Array) -> Array:
+    def _project_interval(self, chosen: Array, x: Array, wanted: Array) -> Array:
         """One input: the nearest point of each admissible interval; the least violation where it is empty."""
-        FA, slope, g = self._rows
-        room = g - np.einsum("nij,nj->ni", FA, x)
+        FA, FB, g = (rows[chosen] for rows in self._rows)
+        slope = FB[:, :, 0]
+        room = g - _times(FA, x[chosen])
         with np.errstate(divide="ignore", invalid="ignore"):
             bound = room / slope
         flat = np.abs(slope) < 1e-14
         high = np.where(~flat & (slope > 0), bound, np.inf).min(axis=1).clip(max=self.upper[0])
         low = np.where(~flat & (slope < 0), bound, -np.inf).max(axis=1).clip(min=self.lower[0])
-        u = np.clip(wanted[:, 0], low, np.maximum(high, low))
+        u = np.clip(wanted[chosen, 0], low, np.maximum(high, low))
         empty = np.flatnonzero((low > high) | (flat & (room < 0)).any(axis=1))
         if len(empty):
             u[empty] = _least_violation(room[empty], slope[empty], self.lower[0], self.upper[0])
