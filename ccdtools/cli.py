@@ -53,7 +53,7 @@ def run(
     generations: Annotated[int, typer.Option(help="Times to design, deploy and learn.")] = 2,
     quick: Annotated[bool, typer.Option("--quick", help="Same path, fewer samples; under a minute.")] = False,
     preset: Annotated[str, typer.Option(help="default, or paper: its networks, loss, rates and epochs.")] = "default",
-    expert: Annotated[str, typer.Option(help="Who is cloned: lqr (projected on X_fea), or mpc.")] = "lqr",
+    expert: Annotated[str, typer.Option(help="Who is cloned: lqr (projected on X_fea), mpc, explicit.")] = "lqr",
     design_gradient: Annotated[str, typer.Option(help="pathwise, or network_input (the paper's).")] = "pathwise",
     x0: Annotated[str | None, typer.Option(help="Initial state, for example --x0=-3,0")] = None,
     p0: Annotated[str | None, typer.Option(help="Start design, for example --p0=0.8")] = None,

@@ -12,15 +12,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import qmc
 from tqdm import tqdm, trange
 
 from ccdtools.arrays import Array
+from ccdtools.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.problem import CoDesignProblem
 from invariant_sets import AdmissibleInputs, ParametricSet, Polytope
 from mpc import LinearMPC, lqr
 
+EXPERTS = ("lqr", "mpc", "explicit")
 VISITS = (0, 1, 2, 4, 8, 16, 32, 64)  # steps of each closed loop whose states join the data
 TAIL = 400  # further steps that the values look ahead; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated
 
@@ -78,12 +81,13 @@ def expert_dataset(
     samples : int
         Candidates.
     rng : numpy.random.Generator
-    expert : {"lqr", "mpc"}
-        LQR projected on the inputs that keep the next state in X_fea(p), or online MPC.
+    expert : {"lqr", "mpc", "explicit"}
+        LQR projected on the inputs that keep the next state in X_fea(p); online MPC; or the explicit MPC of
+        every design, as in Chen et al.
     gamma : float
         Discount of the values: the training convention.
     horizon : int
-        Of the MPC expert.
+        Of the MPC experts.
     sets : ParametricSet, optional
         X_fea, if already at hand.
 
@@ -92,8 +96,8 @@ def expert_dataset(
     InputError
         If `expert` is unknown, or no candidate is feasible.
     """
-    if expert not in ("lqr", "mpc"):
-        raise InputError(f"expert: got {expert!r}, expected 'lqr' or 'mpc'.")
+    if expert not in EXPERTS:
+        raise InputError(f"expert: got {expert!r}, expected one of {', '.join(EXPERTS)}.")
     if samples < 1:
         raise InputError(f"samples: got {samples}, expected at least 1.")
     x, p, feasible = _accepted(problem, sets or feasible_sets(problem), samples, rng, progress)
@@ -157,12 +161,13 @@ class _Loops:
         self.lower, self.upper = problem.input_bounds
         Q, R = problem.objective.Q, problem.objective.R
         self.K = np.array([lqr(A, B, Q=Q, R=R)[0] for A, B in zip(self.A, self.B)])
-        self.controllers: list[LinearMPC] | None = None
-        if expert == "mpc":
-            self.controllers = [
-                LinearMPC(A, B, Q=Q, R=R, horizon=horizon, X=problem.X, U=problem.U)
-                for A, B in tqdm(list(zip(self.A, self.B)), desc="MPC", disable=not progress, leave=False)
+        self.controllers: list[Controller] | None = None
+        if expert != "lqr":
+            mpc = [
+                LinearMPC(A, B, Q=Q, R=R, horizon=horizon, X=problem.X, U=problem.U) for A, B in zip(self.A, self.B)
             ]
+            bar = tqdm(mpc, desc=expert, disable=not progress, leave=False)
+            self.controllers = [law.explicit() if expert == "explicit" else law for law in bar]
 
     def step(self, x: Array, u: Array, w: Array) -> Array:
         """Next states (n, nx)."""
@@ -201,7 +206,7 @@ class _Loops:
             F[i, : len(S.b)], g[i, : len(S.b)] = S.A / size[:, None], S.b / size
         return F @ self.A, F @ self.B, g
 
-    def _project_interval(self, chosen: Array, x: Array, wanted: Array) -> Array:
+    def _project_interval(self, chosen: NDArray[np.bool_], x: Array, wanted: Array) -> Array:
         """One input: the nearest point of each admissible interval; the least violation where it is empty."""
         FA, FB, g = (rows[chosen] for rows in self._rows)
         slope = FB[:, :, 0]

@@ -7,6 +7,7 @@ from typing import Any
 
 from ccdtools.deployment import ONLINE_TRAINING, OnlineConfig
 from ccdtools.exceptions import InputError
+from ccdtools.expert import EXPERTS
 from ccdtools.methods.ppo import CoDesignConfig
 from ccdtools.studies.study import Study
 from learning.networks import NetworkConfig
@@ -28,7 +29,7 @@ class StudyConfig:
     preset : {"default", "paper"}
     quick : bool
         Same path, fewer samples.
-    expert : {"lqr", "mpc"}
+    expert : {"lqr", "mpc", "explicit"}
     samples : int
         Latin hypercube samples of the initialisation.
     model_runs, real_runs : int
@@ -81,8 +82,8 @@ def configuration(
     """
     if preset not in PRESETS:
         raise InputError(f"--preset: got {preset!r}, expected one of {', '.join(PRESETS)}.")
-    if expert not in ("lqr", "mpc"):
-        raise InputError(f"--expert: got {expert!r}, expected one of lqr, mpc.")
+    if expert not in EXPERTS:
+        raise InputError(f"--expert: got {expert!r}, expected one of {', '.join(EXPERTS)}.")
     config = StudyConfig(preset=preset, expert=expert, samples=study.samples)
     if preset == "paper":
         config = _paper(config, study)
