@@ -51,10 +51,14 @@ class LinearModel:
         Raises
         ------
         InputError
-            If a continuous system comes without `dt`, or a discrete one with a different `dt`.
+            If a continuous system comes without a positive `dt`, or a discrete one with a different `dt`; or if
+            `E` has the wrong number of rows.
         """
         A, B = (np.atleast_2d(np.asarray(M, dtype=float)) for M in (system.A, system.B))
-        E = np.zeros((len(A), 0)) if E is None else np.asarray(E, dtype=float).reshape(len(A), -1)
+        E = np.zeros((len(A), 0)) if E is None else np.array(E, dtype=float, ndmin=1)
+        if len(E) != len(A):
+            raise InputError(f"E: got shape {E.shape}, expected {len(A)} rows, one per state.")
+        E = E.reshape(len(A), -1)
         p = ca.SX(0, 1)
         constants = (ca.SX(ca.DM(A)), ca.SX(ca.DM(B)), ca.SX(ca.DM(E)) if E.size else ca.SX(len(A), 0))
         if system.dt:
@@ -64,7 +68,8 @@ class LinearModel:
             return cls(p, *constants, own, None)
         if dt is None:
             raise InputError("dt: got nothing for a continuous system, expected a sampling time in seconds.")
-        return cls(p, *zero_order_hold(*constants, float(dt), symbols=p, design=None), float(dt), None)
+        dt = _positive(dt)
+        return cls(p, *zero_order_hold(*constants, dt, symbols=p, design=None), dt, None)
 
     @property
     def nx(self) -> int:
@@ -162,9 +167,7 @@ def discretise(plant: Plant, dt: float | None = None) -> LinearModel:
     Moler and Van Loan, "Nineteen dubious ways …, twenty-five years later", SIAM Review 45, 2003, method 3
     (scaling and squaring), after balancing.
     """
-    dt = plant.dt if dt is None else float(dt)
-    if not (np.isfinite(dt) and dt > 0):
-        raise InputError(f"dt: got {dt}, expected a positive time in seconds.")
+    dt = _positive(plant.dt if dt is None else dt)
     z = ca.vertcat(plant.x, plant.u, plant.w)
     M = ca.jacobian(plant.dynamics, z)
     if ca.depends_on(M, z):
@@ -181,6 +184,12 @@ def discretise(plant: Plant, dt: float | None = None) -> LinearModel:
         return LinearModel(plant.p, A, B, E, dt, plant.design)
     A, B, E = zero_order_hold(A, B, E, dt, symbols=plant.p, design=plant.design)
     return LinearModel(plant.p, A, B, E, dt, plant.design)
+
+
+def _positive(dt: float) -> float:
+    if not (np.isfinite(dt) and dt > 0):
+        raise InputError(f"dt: got {dt}, expected a positive time in seconds.")
+    return float(dt)
 
 
 def zero_order_hold(

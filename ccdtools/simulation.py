@@ -148,7 +148,8 @@ def simulate(
         raise InputError(f"steps: got {steps}, expected at least 1.")
     x, w = _scenarios(plant, x0, disturbance, steps, rng)
     n = len(x)
-    bound = np.broadcast_to(np.asarray(1e6 if limit is None else limit, dtype=float), (plant.nx,))
+    bound = _bound(limit, plant.nx)
+    edge = np.minimum(bound, np.finfo(float).max)
     step = plant.stepper(p, batch=n)
     reset = getattr(controller, "reset", None)
     if reset is not None:
@@ -166,9 +167,9 @@ def simulate(
             raise InputError(f"controller: got an input that is not finite at step {k}, expected finite ones.")
         inputs[:, k] = np.where(running[:, None], u, 0.0)
         x_next = step(x, u, w[:, k])
-        left = running & ~(np.abs(x_next) <= bound).all(axis=1)
+        left = running & ~(np.isfinite(x_next) & (np.abs(x_next) <= bound)).all(axis=1)
         diverged_at[left] = k
-        x_next = np.where(np.isfinite(x_next), x_next, np.sign(x) * bound)
+        x_next = np.where(np.isfinite(x_next), x_next, np.sign(x) * edge)
         x = np.where(running[:, None], x_next, x)
         states[:, k + 1] = x
     return Trajectory(states, inputs, w, diverged_at, p, plant.dt)
@@ -179,7 +180,17 @@ def _design(plant: Simulable, design: ArrayLike | None) -> Array:
         return np.zeros(0)
     if design is None:
         raise InputError(f"design: got nothing, expected values for {', '.join(plant.design.names)}.")
-    return plant.design.check(design)
+    p = plant.design.check(design)
+    if p.ndim != 1:
+        raise InputError(f"design: got shape {p.shape}, expected one design ({plant.design.dim},).")
+    return p
+
+
+def _bound(limit: ArrayLike | None, nx: int) -> Array:
+    bound = np.asarray(1e6 if limit is None else limit, dtype=float)
+    if bound.shape not in ((), (1,), (nx,)) or not (bound > 0).all():
+        raise InputError(f"limit: got {bound} of shape {bound.shape}, expected ({nx},) positive numbers.")
+    return np.broadcast_to(bound, (nx,))
 
 
 def _scenarios(plant, x0, disturbance, steps, rng) -> tuple[Array, Array]:

@@ -81,6 +81,8 @@ class Vectorised:
         """Values (..., n_out) at arguments of shape (..., n_i); leading shapes broadcast."""
         torch_module = _torch_of(arguments)
         xp: Any = torch_module or np
+        like: Any = None if torch_module is None else next(a for a in arguments if torch_module.is_tensor(a))
+        one: Any = 1.0 if like is None else like.new_ones(())  # of the arguments' precision, not torch's default
         work: list[Any] = [0.0] * self._work_size
         out: list[Any] = [0.0] * self.n_out
         with np.errstate(all="ignore"):
@@ -96,37 +98,33 @@ class Vectorised:
                 elif op == ca.OP_TWICE:
                     work[outputs[0]] = 2 * work[inputs[0]]
                 elif op in _COMPARE:
-                    work[outputs[0]] = _COMPARE[op](work[inputs[0]], work[inputs[1]]) * 1.0
+                    work[outputs[0]] = _COMPARE[op](work[inputs[0]], work[inputs[1]]) * one
                 elif op in _LOGIC:
-                    work[outputs[0]] = _LOGIC[op](work[inputs[0]], work[inputs[1]]) * 1.0
+                    work[outputs[0]] = _LOGIC[op](work[inputs[0]], work[inputs[1]]) * one
                 elif op == ca.OP_NOT:
-                    work[outputs[0]] = (work[inputs[0]] == 0) * 1.0
+                    work[outputs[0]] = (work[inputs[0]] == 0) * one
                 elif op == ca.OP_IF_ELSE_ZERO:
-                    work[outputs[0]] = _if_else_zero(xp, work[inputs[0]], work[inputs[1]])
+                    work[outputs[0]] = _if_else_zero(xp, work[inputs[0]], work[inputs[1]], like)
                 else:
                     name = _UNARY.get(op) or _BINARY_NAMED[op]
                     values = [work[i] for i in inputs[: 1 if op in _UNARY else 2]]
                     if torch_module is not None:
-                        values = [v if torch_module.is_tensor(v) else torch_module.tensor(v) for v in values]
+                        values = [v if torch_module.is_tensor(v) else like.new_tensor(v) for v in values]
                     work[outputs[0]] = getattr(xp, name)(*values)
         shape = np.broadcast_shapes(*(tuple(a.shape[:-1]) for a in arguments))
         if torch_module is None:
             return np.stack([np.broadcast_to(o, shape) for o in out], axis=-1)
-        like = next(a for a in arguments if torch_module.is_tensor(a))
         return torch_module.stack(
             [torch_module.as_tensor(o, dtype=like.dtype, device=like.device).expand(shape) for o in out], dim=-1
         )
 
 
-def _if_else_zero(xp: Any, condition: Any, value: Any) -> Any:
+def _if_else_zero(xp: Any, condition: Any, value: Any, like: Any) -> Any:
     """`value` where `condition`, else 0: selected, not multiplied, so that an unused inf or NaN vanishes."""
     if xp is np:
         return np.where(np.asarray(condition) != 0, value, 0.0)
-    like = condition if xp.is_tensor(condition) else value
-    if not xp.is_tensor(like):
-        return value if condition else 0.0
-    zero = xp.zeros((), dtype=like.dtype)
-    return xp.where(xp.as_tensor(condition) != 0, xp.as_tensor(value, dtype=like.dtype), zero)
+    condition, value = (v if xp.is_tensor(v) else like.new_tensor(v) for v in (condition, value))
+    return xp.where(condition != 0, value, like.new_zeros(()))
 
 
 def _torch_of(arguments: tuple[Any, ...]) -> Any:
