@@ -62,13 +62,16 @@ class ParametricSet:
         self.max_iterations = check_count(max_iterations, "max_iterations", 1)
         self.max_facets = check_count(max_facets, "max_facets", 1)
         self._results: dict[bytes, SetResult] = {}
+        self._slow: list[tuple[Array, SetResult]] = []
 
     def result(self, p: Any) -> SetResult:
         """Return the whole result, with status and certificate, at one design p (np,)."""
         p = as_vector(p, "p") + 0.0  # −0 and 0 are one design
         key = p.tobytes()
         if key not in self._results:
-            self._results[key] = self._compute(p)
+            self._results[key] = result = self._compute(p)
+            if result.iterations > _SLOW and result.status is Status.CONVERGED:
+                self._slow.append((p, result))
         return self._results[key]
 
     def at(self, p: Any) -> Polytope:
@@ -194,16 +197,10 @@ class ParametricSet:
 
     def _neighbour(self, p: Array) -> tuple[SetResult, float] | None:
         """Return the nearest known result that was slow to find, and its relative distance in p."""
-        best = None
-        for key, result in self._results.items():
-            if result.iterations <= _SLOW or result.status is not Status.CONVERGED:
-                continue
-            other = np.frombuffer(key)
-            if len(other) == len(p):
-                distance = float(np.abs(p - other).max() / max(np.abs(p).max(), 1e-300))
-                if best is None or distance < best[1]:
-                    best = (result, distance)
-        return best if best is not None and best[1] <= 0.02 else None
+        near = [(float(np.abs(p - q).max() / max(np.abs(p).max(), 1e-300)), k) for k, (q, _) in enumerate(self._slow)
+                if len(q) == len(p)]
+        distance, k = min(near, default=(np.inf, 0))
+        return (self._slow[k][1], distance) if distance <= 0.02 else None
 
     def _warm(self, p: Array, neighbour: SetResult, distance: float) -> SetResult | None:
         """Return the result from an inflated neighbour, None if the neighbour's rows are felt."""

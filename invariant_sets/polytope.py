@@ -132,7 +132,7 @@ class Polytope(SetOperations):
     @property
     def is_bounded(self) -> bool:
         """Whether the set fits into a box. The empty set is bounded."""
-        return self._body is None or self._body.bounded
+        return "vertices" in self.__dict__ or self._body is None or self._body.bounded
 
     @property
     def affine_dim(self) -> int:

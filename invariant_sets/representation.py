@@ -236,7 +236,24 @@ def merge_points(points: Array, tol: float = SAME) -> Array:
 
 
 def distinct(points: Array, tol: float = SAME) -> Array:
-    """Return the indices of the points that are not within `tol` of an earlier one."""
+    """Return the indices of the points that are not within `tol` of an earlier one.
+
+    Copies are neighbours in the order along a fixed generic direction. Only where points that differ are neighbours
+    too are all pairs compared.
+    """
+    if len(points) < 2:
+        return np.arange(len(points))
+    direction = np.cos(np.arange(1.0, points.shape[1] + 1) * 1.7) + 2.0
+    along = points @ direction
+    order = np.argsort(along, kind="stable")
+    run = np.concatenate([[0], np.cumsum(np.diff(along[order]) > tol * np.abs(direction).sum())])
+    first = np.full(run[-1] + 1, len(points))
+    np.minimum.at(first, run, order)
+    copies = np.abs(points[order] - points[first[run]]).max(axis=1) <= tol
+    return np.sort(first) if copies.all() else _distinct_by_pairs(points, tol)
+
+
+def _distinct_by_pairs(points: Array, tol: float) -> Array:
     if len(points) > 600:
         from scipy.spatial import cKDTree
 
@@ -259,9 +276,7 @@ def irredundant_rows(F: Array, g: Array, tol: float = SAME) -> Array:
     touch: a row goes if the others alone already keep aᵀy <= b + tol.
     """
     kept = np.flatnonzero(np.asarray(daqp.minrep(np.ascontiguousarray(F), np.ascontiguousarray(g))) == 0)
-    signature = np.column_stack([F[kept], g[kept]])
-    close = np.abs(signature[:, None] - signature[None]).max(axis=2) <= tol
-    needed = [int(i) for i in kept[close.argmax(axis=1) == np.arange(len(kept))]]
+    needed = [int(i) for i in kept[distinct(np.column_stack([F[kept], g[kept]]), tol)]]
     for i in list(needed):
         if len(needed) == 1:
             break
