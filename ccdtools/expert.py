@@ -183,7 +183,7 @@ class _Loops:
             return u
         u = np.clip(-_times(self.K, x), self.lower, self.upper)
         FA, FB, g = self._rows
-        leaving = alive & (_times(FA, x) + _times(FB, u) > g).any(axis=1)
+        leaving = np.asarray(alive & (_times(FA, x) + _times(FB, u) > g).any(axis=1))
         if self.B.shape[2] == 1:
             u[leaving] = self._project_interval(leaving, x, u)
         else:
