@@ -64,14 +64,10 @@ def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
         k = basis.shape[1]
         if k == 0 or len(g) == 0:
             return Body(centre, basis, F, g, bounded=k == 0)
-        for plain in (False, True):  # a bad scale can make a thin set look unbounded: two must agree
-            rough = _rough_scale(F, g, plain=plain)
-            radius, y = inscribed_ball(*_unit(F * rough, g), cap=1.0)
-            if radius < -FLAT:
-                return None
-            lower, upper = _extents(F * rough, g, slack=max(-radius, 0.0))
-            if np.isfinite(lower).all() and np.isfinite(upper).all():
-                break
+        found = _extents_in_two_scales(F, g)
+        if found is None:
+            return None
+        rough, y, lower, upper = found
         finite = np.isfinite(lower) & np.isfinite(upper)
         lower, upper = np.where(finite, lower, y - 1.0), np.where(finite, upper, y + 1.0)
         middle, half = (lower + upper) / 2, np.maximum((upper - lower) / 2, 1e-12)
@@ -85,6 +81,24 @@ def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
         flat = _implicit_equalities(F, g, y, max(radius, 0.0), thin)
         centre = centre + basis @ y
         basis = basis @ null_space(F[flat] if flat.any() else np.eye(k)[thin])
+
+
+def _extents_in_two_scales(F: Array, g: Array) -> tuple[Array, Array, Array, Array] | None:
+    """Return a scale, a point and the extents in that scale; None if the set is empty.
+
+    A bad scale can make a thin set look empty or unbounded, so two must agree on either.
+    """
+    answer = None
+    for plain in (False, True):
+        rough = _rough_scale(F, g, plain=plain)
+        radius, y = inscribed_ball(*_unit(F * rough, g), cap=1.0)
+        if radius < -FLAT:
+            continue
+        lower, upper = _extents(F * rough, g, slack=max(-radius, 0.0))
+        answer = rough, y, lower, upper
+        if np.isfinite(lower).all() and np.isfinite(upper).all():
+            break
+    return answer
 
 
 def _solve_equalities(A_eq: Array, b_eq: Array) -> tuple[Array, Array] | None:
@@ -146,10 +160,13 @@ def _rough_scale(F: Array, g: Array, *, plain: bool = False) -> Array:
         rows, right = rows / size[:, None], right / size
     if right.max() == 0.0:
         return scale
-    steep = rows > 0.5
-    lengths = np.where(steep, right[:, None] / np.where(steep, rows, 1.0), 0.0).max(axis=0)
-    uniform = scale * right.max()
-    return uniform if plain else np.where(lengths > 1e-14 * right.max(), scale * lengths, uniform)
+    # the tightest steep row on either side of a coordinate, and the wider of the two sides
+    reach = right[:, None] / np.where(rows > 0.5, rows, 1.0)
+    sides = [np.where((rows > 0.5) & (side * F > 0), reach, np.inf).min(axis=0) for side in (1, -1)]
+    lengths = np.where(np.isfinite(sides), sides, 0.0).max(axis=0)
+    proper = lengths > 1e-14 * right.max()
+    uniform = scale * (lengths[proper].max() if proper.any() else right.max())
+    return uniform if plain else np.where(proper, scale * lengths, uniform)
 
 
 def _extents(F: Array, g: Array, slack: float) -> tuple[Array, Array]:
@@ -269,7 +286,7 @@ def _distinct_by_pairs(points: Array, tol: float) -> Array:
     return np.flatnonzero(close.argmax(axis=1) == np.arange(len(points)))
 
 
-def irredundant_rows(F: Array, g: Array, tol: float = SAME) -> Array:
+def irredundant_rows(F: Array, g: Array, tol: float = 1e-11) -> Array:
     """Return the indices of the rows that {F y <= g} needs (unit rows, 0 inside).
 
     `daqp.minrep` removes the strongly redundant rows; then one LP per row removes duplicates and rows that only

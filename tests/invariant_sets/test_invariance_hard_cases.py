@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from invariant_sets import Polytope, Status, maximal_control_invariant_set
+from invariant_sets import Polytope, Status, maximal_control_invariant_set, predecessor_set
 
 box = Polytope.from_bounds
 ONE = box([-1], [1])
@@ -63,6 +63,10 @@ def test_converged_sets_are_invariant_and_nearly_maximal(name, rng):
     assert C.is_subset(outer, 1e-9)
     assert C.is_subset(X, 1e-9)
     middle = C.vertices.mean(axis=0)
+    if U.is_bounded:  # one more step, by the lifted elimination that the recursion does not use
+        before = predecessor_set(A, B, C, U, X=X).set
+        assert C.is_subset(before, 1e-8)
+        assert before.is_subset(C.affine_map((1 + 1e-6) * np.eye(C.dim), -1e-6 * middle), 1e-7)
     assert outer.is_subset(C.affine_map((1 + 1e-6) * np.eye(C.dim), -1e-6 * middle), 1e-7)
 
 
