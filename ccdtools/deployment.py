@@ -262,4 +262,6 @@ def _joined(pieces: Sequence[Trajectory], runs: int) -> Trajectory:
     disturbances = np.concatenate([p.disturbances for p in pieces], axis=1)
     starts = np.cumsum([0, *(p.inputs.shape[1] for p in pieces)])
     lost = [start + int(p.diverged_at[0]) for start, p in zip(starts, pieces) if p.diverged_at[0] >= 0]
+    if lost:  # a stretch after the loss started afresh from where the run was stopped
+        states[:, lost[0] + 1 :], inputs[:, lost[0] + 1 :] = states[:, lost[0] + 1, None], 0.0
     return Trajectory(states, inputs, disturbances, np.array([lost[0] if lost else -1]), first.design, first.dt)

@@ -81,6 +81,7 @@ def clone(expert_data):
                 network=NetworkConfig((24, 24)),
                 config=CloningConfig(steps=1000, batch=256),
             )
+            made[study.name].zero_grad(set_to_none=True)
         return made[study.name]
 
     return agent

@@ -42,8 +42,8 @@ class Score:
     controller : str
     summary : Summary
         Of the returns of the runs that did not diverge. For a single long run the replicates are its blocks of
-        100 samples, scaled to the whole: `mean` is the return of the run, `std` that of such a total, `n` the
-        number of blocks.
+        100 samples, scaled to the whole: `mean` is the return of the run, `std` that of the scaled blocks, `n` their
+        number, and `ci95` the interval of the whole if blocks are independent.
     paired_to_lqr : PairedDifference
         On the runs where neither diverged.
     diverged : float
@@ -128,8 +128,8 @@ def _score(name, controller, run: Trajectory, reference: Trajectory, objective, 
 def replicates(rewards: Array, runs: int) -> Array:
     """Independent returns from rewards (n, T): one per run, or the blocks of a single run.
 
-    Block sums b_i of a single run become total + √N (b_i − mean b): their mean is the return of the run, and
-    their standard deviation that of a total of N independent blocks.
+    The N block sums b_i of a single run become N b_i: their mean is the return of the run, and the standard error
+    of that mean is the standard deviation of a total of N independent blocks.
     """
     if runs > 1 or len(rewards) == 0 or rewards.shape[1] < 2 * BLOCK:
         return rewards.sum(axis=1)

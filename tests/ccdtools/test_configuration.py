@@ -1,0 +1,58 @@
+"""How thoroughly a study runs."""
+
+import json
+
+import pytest
+
+from ccdtools import InputError
+from ccdtools.studies import configuration
+from ccdtools.studies.run_folder import jsonable
+
+
+def test_quick_is_the_same_path_with_fewer_samples(study):
+    whole, quick = configuration(study), configuration(study, quick=True)
+    assert quick.quick
+    assert not whole.quick
+    for name in ("samples", "model_runs", "real_runs", "mpc_runs"):
+        assert getattr(quick, name) < getattr(whole, name)
+    assert quick.codesign.iterations < whole.codesign.iterations
+    assert quick.online.updates >= 1
+    assert quick.real_steps is not None
+    assert quick.quantile.levels == whole.quantile.levels
+
+
+def test_the_paper_preset_takes_the_papers_networks_rates_and_gradient(suspension, illustrative):
+    config = configuration(suspension, preset="paper")
+    assert config.network.hidden == (16, 32, 32, 16)
+    assert configuration(illustrative, preset="paper").network.hidden == (32, 32, 16, 16)
+    assert not config.network.skip
+    assert config.codesign.iterations == 10_000
+    assert config.codesign.design_gradient == "network_input"
+    assert config.codesign.design_rate == config.codesign.ppo.learning_rate == 1e-5
+    assert config.codesign.policy_rate == 0
+    assert config.redesign == config.codesign
+
+
+def test_the_gradient_is_an_option(study):
+    config = configuration(study, design_gradient="network_input")
+    assert config.codesign.design_gradient == config.redesign.design_gradient == "network_input"
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_a_configuration_is_plain_values(study, preset):
+    values = configuration(study, preset=preset, quick=True).as_dict()
+    assert json.loads(json.dumps(jsonable(values), allow_nan=False))["preset"] == preset
+    assert values["codesign"]["ppo"]["gamma"] == 0.99
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"preset": "fast"}, "--preset: got 'fast', expected one of default, paper"),
+        ({"expert": "pid"}, "--expert: got 'pid', expected one of lqr, mpc"),
+        ({"design_gradient": "magic"}, "design_gradient: got 'magic'"),
+    ],
+)
+def test_unknown_options_are_refused(study, options, message):
+    with pytest.raises(InputError, match=message):
+        configuration(study, **options)
