@@ -52,6 +52,13 @@ class OnlineConfig:
     judged: int = 400
     training: CoDesignConfig = field(default_factory=lambda: ONLINE_TRAINING)
 
+    def __post_init__(self) -> None:
+        for name, least in (("updates", 0), ("window", 1), ("judged", 2)):
+            if getattr(self, name) < least:
+                raise InputError(f"{name}: got {getattr(self, name)}, expected at least {least}.")
+        if not 0 < self.held_out < 1:
+            raise InputError(f"held_out: got {self.held_out}, expected a fraction between 0 and 1.")
+
 
 @dataclass(frozen=True, eq=False)
 class OnlineUpdate:

@@ -225,6 +225,12 @@ class DigitalTwin:
         logs = (*self.logs, residuals(self.model, log))
         train, lengths = _stretches(logs, held_out, blocks, last=False)
         test, _ = _stretches(logs[-1:], held_out, blocks, last=True)
+        if len(test[0]) == 0:
+            steps = logs[-1].x.shape[1]
+            raise InputError(
+                f"held_out: got {held_out} of {blocks} blocks of a log of {steps} samples, which leaves none to test "
+                "on, expected a longer log, fewer blocks or a larger fraction."
+            )
         columns = (0, 1, 2, 3) if design_as_feature else (0, 1, 2)
         inputs, tests = (np.hstack([part[i] for i in columns]) for part in (train, test))
         network = fit_quantiles(inputs, train[-1], stretches=lengths, rng=rng, config=config, progress=progress)

@@ -66,6 +66,9 @@ class CoDesignConfig:
         for name in ("iterations", "runs", "pathwise_runs", "evaluate_every", "evaluation_runs"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: got {getattr(self, name)}, expected at least 1.")
+        for name in ("design_rate", "policy_rate"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"{name}: got {getattr(self, name)}, expected a number ≥ 0.")
 
 
 @dataclass(frozen=True, eq=False)

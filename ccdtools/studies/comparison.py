@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.controllers import Controller, LinearFeedback, Passive
+from ccdtools.exceptions import InputError
 from ccdtools.objective import QuadraticObjective
 from ccdtools.pid import tuned_pid
 from ccdtools.problem import CoDesignProblem
@@ -93,6 +94,8 @@ def compare(
     few : mapping of name to int, optional
         Controllers that see only the first so many runs; MPC 100 by default.
     """
+    if REFERENCE not in controllers:
+        raise InputError(f"controllers: got {sorted(controllers)}, expected {REFERENCE!r} among them.")
     few = {"MPC": MPC_RUNS} if few is None else few
     reference = _run(controllers[REFERENCE], scenario, design, limit, len(scenario.x0))
     rows = []

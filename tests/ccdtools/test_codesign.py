@@ -207,6 +207,8 @@ def test_bad_arguments_are_refused(problem, illustrative, suspension, clone):
         ({"pathwise_runs": -1}, "pathwise_runs: got -1"),
         ({"evaluate_every": 0}, "evaluate_every: got 0"),
         ({"evaluation_runs": 0}, "evaluation_runs: got 0"),
+        ({"design_rate": -0.1}, r"design_rate: got -0.1, expected a number ≥ 0"),
+        ({"policy_rate": float("nan")}, r"policy_rate: got nan, expected a number ≥ 0"),
     ],
 )
 def test_configurations_that_make_no_sense_are_refused(options, message):

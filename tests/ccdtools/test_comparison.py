@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ccdtools import simulate
+from ccdtools import InputError, simulate
 from ccdtools.controllers import PID, LinearFeedback, Passive
 from ccdtools.statistics import summarise
 from ccdtools.studies.comparison import Scenario, baselines, compare, replicates, step_time
@@ -97,6 +97,11 @@ def test_violations_are_the_fraction_of_states_outside_X(illustrative, controlle
     )
     outside = (np.abs(run.states[:, 1:]) > 1).any(axis=-1).mean()
     assert score.violations == pytest.approx(outside, abs=1e-6)
+
+
+def test_a_comparison_without_lqr_is_refused(illustrative, controllers, scenario):
+    with pytest.raises(InputError, match=r"controllers: got \['passive'\], expected 'LQR' among them"):
+        scored(illustrative, {"passive": controllers["passive"]}, scenario)
 
 
 # ── replicates ──

@@ -226,6 +226,21 @@ def test_a_stretch_too_short_to_replay_is_refused(illustrative, clone):
         deployed(illustrative, clone(illustrative), runs=1, steps=90, config=replace(ONLINE, window=100))
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"updates": -1}, "updates: got -1, expected at least 0"),
+        ({"window": 0}, "window: got 0, expected at least 1"),
+        ({"judged": 1}, "judged: got 1, expected at least 2"),
+        ({"held_out": 0.0}, r"held_out: got 0.0, expected a fraction between 0 and 1"),
+        ({"held_out": 1.0}, r"held_out: got 1.0, expected a fraction between 0 and 1"),
+    ],
+)
+def test_online_updates_that_make_no_sense_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        OnlineConfig(**options)
+
+
 def test_a_design_outside_its_bounds_is_refused(illustrative, clone):
     with pytest.raises(InputError, match="design: got p = 9"):
         deploy_and_update(

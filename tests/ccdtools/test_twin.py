@@ -185,6 +185,12 @@ def test_a_twin_that_has_learned_nothing_has_no_innovations(illustrative):
         DigitalTwin(illustrative.model).innovations()
 
 
+def test_a_log_too_short_to_hold_anything_out_is_refused(illustrative):
+    log = driven(illustrative, DESIGN, 1, 20, 0)
+    with pytest.raises(InputError, match=r"held_out: got 0.2 of 10 blocks of a log of 20 samples, which leaves none"):
+        DigitalTwin(illustrative.model).update(log, weight=illustrative.weight, rng=np.random.default_rng(0), blocks=10)
+
+
 # ── the learned model ──
 
 

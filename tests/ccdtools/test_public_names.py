@@ -1,0 +1,37 @@
+"""What `import ccdtools` gives, and what it costs."""
+
+import subprocess
+import sys
+
+import pytest
+
+import ccdtools
+import learning
+
+
+@pytest.mark.parametrize("package", [ccdtools, learning])
+def test_every_public_name_exists(package):
+    for name in package.__all__:
+        assert getattr(package, name) is not None
+    assert len(set(package.__all__)) == len(package.__all__)
+
+
+def test_unknown_names_are_refused_as_in_any_module():
+    with pytest.raises(AttributeError, match="module 'ccdtools' has no attribute 'magic'"):
+        ccdtools.magic  # noqa: B018
+
+
+def test_public_names_are_listed():
+    assert dir(ccdtools) == sorted(ccdtools.__all__)
+
+
+def test_importing_ccdtools_loads_neither_torch_nor_casadi():
+    code = "import sys, ccdtools; print(sorted({'torch', 'casadi', 'matplotlib'} & set(sys.modules)))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "[]"
+
+
+def test_every_error_of_the_packages_has_one_base():
+    assert issubclass(ccdtools.InputError, ccdtools.CCDError)
+    assert issubclass(learning.exceptions.DataError, learning.LearningError)
+    assert issubclass(learning.exceptions.CheckpointError, learning.LearningError)
