@@ -161,8 +161,7 @@ class Polytope(SetOperations):
             return 0.0
         self._require_bounded("volume")
         Y = (self.vertices - body.centre) @ np.linalg.inv(body.basis).T
-        content = float(np.ptp(Y)) if self.dim == 1 else float(rep.convex_hull(Y).volume)
-        return content * abs(float(np.linalg.det(body.basis)))
+        return rep.hull_volume(Y) * abs(float(np.linalg.det(body.basis)))
 
     def _require_bounded(self, what: str) -> rep.Body:
         if self._body is None:

@@ -231,6 +231,18 @@ def convex_hull(points: Array) -> Any:
                          "Rescale the data.")
 
 
+def hull_volume(points: Array) -> float:
+    """Return the volume of the hull of the points (k, n); joggled by 1e-10 or so where Qhull fails otherwise."""
+    if points.shape[1] == 1:
+        return float(np.ptp(points))
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return float(ConvexHull(points).volume)
+    except QhullError:
+        return float(ConvexHull(points, qhull_options="QJ").volume)
+
+
 def _holds_all(equations: Array, points: Array) -> bool:
     limit = SAME * np.abs(points).max()
     step = max(1, 10_000_000 // len(points))
