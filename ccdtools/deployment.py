@@ -41,7 +41,7 @@ class OnlineConfig:
     held_out : float
         Last fraction of the stretch just logged, on which a candidate is judged.
     judged : int
-        Replayed episodes of that judgement.
+        Most replayed episodes of that judgement; they share no sample, so that their interval can be trusted.
     training : CoDesignConfig
         Of the candidate; the design is always frozen.
     """
@@ -117,11 +117,8 @@ class Replay:
         InputError
             If no logged run is as long as `steps`.
         """
-        shapes = [errors.x.shape[:2] for errors in self.stretches]
-        windows = np.array([n * max(length - steps + 1, 0) for n, length in shapes])
-        if windows.sum() == 0:
-            longest = max(length for _, length in shapes)
-            raise InputError(f"log: got runs of {longest} samples, expected at least {steps} for a replay.")
+        self._require(steps)
+        windows = np.array([len(e.x) * max(e.x.shape[1] - steps + 1, 0) for e in self.stretches])
         draw = np.sort(rng.integers(0, windows.sum(), runs))
         edges = np.concatenate([[0], np.cumsum(windows)])
         x0, w = [], []
@@ -131,6 +128,28 @@ class Replay:
             x0.append(errors.x[run, start])
             w.append(errors.e_next[run[:, None], start[:, None] + np.arange(steps)])
         return np.concatenate(x0), np.concatenate(w)
+
+    def disjoint(self, steps: int) -> tuple[Array, Array]:
+        """Initial states (n, nx) and errors (n, steps, nx) of windows that share no sample: independent evidence.
+
+        Raises
+        ------
+        InputError
+            If no logged run is as long as `steps`.
+        """
+        self._require(steps)
+        x0, w = [], []
+        for errors in self.stretches:
+            length, nx = errors.e_next.shape[1:]
+            whole = length // steps * steps
+            x0.append(errors.x[:, :whole:steps].reshape(-1, nx))
+            w.append(errors.e_next[:, :whole].reshape(-1, steps, nx))
+        return np.concatenate(x0), np.concatenate(w)
+
+    def _require(self, steps: int) -> None:
+        longest = max(errors.x.shape[1] for errors in self.stretches)
+        if longest < steps:
+            raise InputError(f"log: got runs of {longest} samples, expected at least {steps} for a replay.")
 
 
 def deploy(
@@ -215,7 +234,9 @@ def _update(problem, agent, design, errors, after: int, rng, config) -> tuple[Ac
         replay_problem(problem, train, config.window), agent=agent, design=design, rng=rng, config=config.training
     ).agent
     judge = replay_problem(problem, test, config.window)
-    x0, w = judge.scenarios.sample(config.judged, config.window, rng)
+    x0, w = Replay(tuple(test)).disjoint(config.window)
+    chosen = rng.permutation(len(x0))[: config.judged]
+    x0, w = x0[chosen], w[chosen]
     returns = [
         simulate(
             judge.model, LearnedPolicy(a, design), x0=x0, steps=config.window, disturbance=w, design=design,

@@ -12,6 +12,7 @@ from ccdtools import InputError, LearnedPolicy, deploy, simulate
 from ccdtools.controllers import Passive
 from ccdtools.deployment import OnlineConfig, Replay, deploy_and_update, replay_problem
 from ccdtools.methods import CoDesignConfig
+from ccdtools.statistics import paired_difference
 from ccdtools.twin import residuals
 from learning.ppo import PPOConfig
 
@@ -87,6 +88,44 @@ def test_every_window_of_every_stretch_can_be_drawn(illustrative, log):
     drawn, counts = np.unique(x0, axis=0, return_counts=True)
     np.testing.assert_array_equal(drawn, np.unique(expected, axis=0))
     assert counts.min() > 3000 / 15 * 0.6
+
+
+def test_disjoint_windows_use_every_sample_at_most_once(illustrative, log):
+    r = residuals(illustrative.model, log)
+    two, one, short = (slice(0, 2), slice(0, 25)), (slice(2, 3), slice(10, 45)), (slice(3, 4), slice(0, 9))
+    replay = Replay(tuple(r.part(*stretch) for stretch in (two, one, short)))
+    x0, w = replay.disjoint(10)
+    windows = [(0, 0), (0, 10), (1, 0), (1, 10), (2, 10), (2, 20), (2, 30)]
+    np.testing.assert_array_equal(x0, [r.x[i, k] for i, k in windows])
+    np.testing.assert_array_equal(w, [r.e_next[i, k : k + 10] for i, k in windows])
+    with pytest.raises(InputError, match="log: got runs of 35 samples, expected at least 36 for a replay"):
+        replay.disjoint(36)
+
+
+def test_a_candidate_is_judged_on_independent_windows(illustrative, clone, monkeypatch):
+    # Overlapping windows would repeat the same samples and shrink the interval: of equal policies in truth,
+    # far more than one in twenty would then be "better".
+    training_gives(monkeypatch, clone(illustrative))
+    judged = []
+
+    def spy(a, b):
+        judged.append(len(a))
+        return paired_difference(a, b)
+
+    monkeypatch.setattr("ccdtools.deployment.paired_difference", spy)
+    deployed(illustrative, clone(illustrative), runs=1, steps=600)  # 60 of every 200 samples are held out
+    assert judged == [3, 6]
+    judged.clear()
+    deployed(illustrative, clone(illustrative), runs=1, steps=600, config=replace(ONLINE, judged=4))
+    assert judged == [3, 4]
+
+
+def test_one_window_is_no_evidence(illustrative, clone, monkeypatch):
+    training_gives(monkeypatch, clone(illustrative))
+    config = replace(ONLINE, updates=1, window=30)
+    done = deployed(illustrative, weakened(clone(illustrative)), runs=1, steps=240, config=config)
+    assert np.isnan(done.updates[0].gain.ci95).all()
+    assert not done.updates[0].accepted
 
 
 def test_a_replay_longer_than_the_log_is_refused(illustrative, log):
@@ -169,14 +208,14 @@ def training_gives(monkeypatch, candidate):
 def test_a_better_candidate_goes_into_service(illustrative, clone, monkeypatch):
     good, weak = clone(illustrative), weakened(clone(illustrative))
     training_gives(monkeypatch, good)
-    done = deployed(illustrative, weak, runs=1, steps=600)
+    done = deployed(illustrative, weak, runs=1, steps=6000)
     assert done.updates[0].accepted
     assert done.updates[0].gain.mean > 0
     assert done.agent is good
-    u = LearnedPolicy(weak, DESIGN)(done.log.states[0, :200])
-    np.testing.assert_allclose(done.log.inputs[0, :200], u)
-    u = LearnedPolicy(good, DESIGN)(done.log.states[0, 200:400])
-    np.testing.assert_allclose(done.log.inputs[0, 200:400], u)
+    u = LearnedPolicy(weak, DESIGN)(done.log.states[0, :2000])
+    np.testing.assert_allclose(done.log.inputs[0, :2000], u)
+    u = LearnedPolicy(good, DESIGN)(done.log.states[0, 2000:4000])
+    np.testing.assert_allclose(done.log.inputs[0, 2000:4000], u)
 
 
 def test_a_worse_or_equal_candidate_does_not_go_into_service(illustrative, clone, monkeypatch):
