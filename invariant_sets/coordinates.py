@@ -20,7 +20,7 @@ from .polytope import Polytope
 from .validation import frozen
 
 Array = np.ndarray
-_ROUND = 1e-9  # relative size below which a coefficient of an equality is rounding
+_ROUND = 1e-8  # relative size below which a coefficient of an equality is rounding
 
 
 @dataclass(frozen=True)

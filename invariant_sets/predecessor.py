@@ -7,10 +7,13 @@ Blanchini, Miani (2015), Set-Theoretic Methods in Control, 2nd ed., section 5.1 
 
 from __future__ import annotations
 
-import daqp
 import numpy as np
 
+from .linear_programs import inscribed_ball
+from .representation import strongly_irredundant_rows
+
 Array = np.ndarray
+_FEW = 40  # rows that are not worth sorting out
 _ZERO = 1e-12  # coefficients below this part of the largest one of their row are zero
 
 
@@ -63,9 +66,14 @@ def eliminate_last(R: Array, r: Array) -> tuple[Array, Array]:
 
 
 def _strongly_irredundant(R: Array, r: Array) -> tuple[Array, Array]:
+    """Return the rows that matter, judged from an inner point; all of them where the set is thin or small in rows."""
     norms = np.linalg.norm(R, axis=1)
     regular = norms > 1e-13
-    rows = np.ascontiguousarray(R[regular] / norms[regular, None])
-    values = np.ascontiguousarray(r[regular] / norms[regular])
-    kept = np.asarray(daqp.minrep(rows, values)) == 0 if len(values) else np.zeros(0, bool)
+    rows, values = R[regular] / norms[regular, None], r[regular] / norms[regular]
+    if len(values) <= _FEW:
+        return R, r
+    radius, middle = inscribed_ball(rows, values, cap=1.0)
+    kept = np.arange(len(values))
+    if radius > 1e-6:
+        kept = strongly_irredundant_rows(rows, values - rows @ middle)
     return np.vstack([rows[kept], R[~regular]]), np.append(values[kept], r[~regular])

@@ -170,7 +170,7 @@ def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array) -> Region:
 
 
 def _worth_testing(region: Region, R: Array, r: Array) -> Rows:
-    """Drop the new rows that `daqp.minrep` finds redundant, before one LP is spent on each."""
+    """Drop the new rows that Qhull finds redundant, before one LP is spent on each."""
     F, g = np.vstack([region.F, R]), np.append(region.g, r)
     radius, middle = inscribed_ball(F, g, cap=1.0)
     if radius <= rep.FLAT:

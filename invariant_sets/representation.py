@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import daqp
 import numpy as np
 
 from .exceptions import NumericalError
@@ -79,8 +78,9 @@ def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
             centre = centre + basis @ y
             return Body(centre, basis, F, g - F @ y, bool(finite.all()))
         flat = _implicit_equalities(F, g, y, max(radius, 0.0), thin)
-        centre = centre + basis @ y
-        basis = basis @ null_space(F[flat] if flat.any() else np.eye(k)[thin])
+        tight, level = (F[flat], g[flat]) if flat.any() else (np.eye(k)[thin], y[thin])
+        y = y + np.linalg.lstsq(tight, level - tight @ y, rcond=1e-8)[0]  # onto the hull itself
+        centre, basis = centre + basis @ y, basis @ null_space(tight)
 
 
 def _extents_in_two_scales(F: Array, g: Array) -> tuple[Array, Array, Array, Array] | None:
@@ -301,10 +301,10 @@ def _distinct_by_pairs(points: Array, tol: float) -> Array:
 def irredundant_rows(F: Array, g: Array, tol: float = 1e-11) -> Array:
     """Return the indices of the rows that {F y <= g} needs (unit rows, 0 inside).
 
-    `daqp.minrep` removes the strongly redundant rows; then one LP per row removes duplicates and rows that only
-    touch: a row goes if the others alone already keep aᵀy <= b + tol.
+    Qhull's dual removes most; then one LP per row removes duplicates and rows that only touch: a row goes if the
+    others alone already keep aᵀy <= b + tol. (`daqp.minrep` 0.11 is not used: it drops rows that are needed.)
     """
-    kept = np.flatnonzero(np.asarray(daqp.minrep(np.ascontiguousarray(F), np.ascontiguousarray(g))) == 0)
+    kept = strongly_irredundant_rows(F, g)
     needed = [int(i) for i in kept[distinct(np.column_stack([F[kept], g[kept]]), tol)]]
     for i in list(needed):
         if len(needed) == 1:
@@ -314,6 +314,21 @@ def irredundant_rows(F: Array, g: Array, tol: float = 1e-11) -> Array:
         if -minimise(-F[i], rows, values)[0] <= g[i] + tol:
             needed = others
     return np.array(needed, dtype=int)
+
+
+def strongly_irredundant_rows(F: Array, g: Array) -> Array:
+    """Return the indices of the rows on the hull of the dual points F/g and 0; all rows where Qhull cannot tell.
+
+    {F y <= g} with 0 inside may be unbounded: then 0 is a vertex of the dual hull and counts for nothing.
+    """
+    n = F.shape[1]
+    if n == 1 or len(g) <= n + 1 or g.min() <= 1e-9:
+        return np.arange(len(g))
+    try:
+        hull = convex_hull(np.vstack([F / g[:, None], np.zeros(n)]))
+    except NumericalError:
+        return np.arange(len(g))
+    return np.sort(hull.vertices[hull.vertices < len(g)])
 
 
 def hull_rows(points: Array) -> tuple[Array, Array, Array]:
