@@ -100,7 +100,9 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope) -> LocalProblem | P
     Hx, Hu, h = np.zeros((len(inputs.g), N.shape[1])), inputs.F, inputs.g
     flat = N.shape[1] < len(N)
     if flat:
-        kept = _stay_on_hull(rep.normals(N), AN, BM, drift, spread, Hu, h)
+        size = np.maximum(np.abs(system.A) @ np.abs(N).sum(axis=1), np.abs(N).sum(axis=1))  # what counts as zero
+        size = np.maximum(size, np.abs(system.B) @ np.abs(M).sum(axis=1))
+        kept = _stay_on_hull(rep.normals(N), AN, BM, drift, spread, Hu, h, size)
         if kept is None or (isinstance(kept, tuple) and len(kept) == 2):
             if kept is None:
                 return None
@@ -139,11 +141,11 @@ def _input_vertices(U: Polytope, inputs: rep.Body, state: rep.Body, H: Array, h:
     return corners.T.copy()
 
 
-def _stay_on_hull(normal: Array, AN: Array, BM: Array, drift: Array, spread: Array | None, Hu: Array, h: Array):
+def _stay_on_hull(normal: Array, AN: Array, BM: Array, drift: Array, spread: Array | None, Hu: Array,
+                  h: Array, size: Array):
     """Return the problem whose inputs keep the state on the hull; (P, s) with P y = s if it must be flatter; None."""
     P, Q, s = normal @ AN, normal @ BM, -normal @ drift
-    size = np.maximum(np.abs(normal) @ np.abs(AN).sum(axis=1), np.abs(normal) @ np.abs(BM).sum(axis=1))
-    size = np.maximum(np.maximum(size, np.abs(s)), 1e-300)
+    size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), 1e-300)
     if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > _ROUND * np.maximum(
             size, np.abs(spread).max() + 1e-300)).any():
         return None

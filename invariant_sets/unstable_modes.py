@@ -6,7 +6,8 @@ import numpy as np
 
 Array = np.ndarray
 MARGIN = 1e-6  # an eigenvalue counts as unstable if |λ| > 1 + MARGIN
-_MAX_TERMS = 100_000
+_MAX_TERMS = 20_000  # of the series; the rest is bounded
+_MAX_NORMALS = 400  # of a plane of modes; barely unstable ones have many more, and the recursion finds what matters
 
 
 def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) -> tuple[Array, Array, Array]:
@@ -110,7 +111,7 @@ def _edge_normals(moves: Array) -> Array:
     first, second = np.triu_indices(moves.shape[2], k=1)
     edges = (moves[:, :, first] - moves[:, :, second]).transpose(0, 2, 1).reshape(-1, 2)
     length = np.linalg.norm(edges, axis=1)
-    edges = edges[length > 1e-9 * length.max(initial=0.0)]
+    edges = edges[length > 1e-9 * length.max(initial=0.0)][:_MAX_NORMALS]
     return np.column_stack([-edges[:, 1], edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None]
 
 
