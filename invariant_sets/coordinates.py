@@ -87,8 +87,11 @@ class LocalProblem:
         return P
 
 
-def localise(system: LinearSystem, X: Polytope, U: Polytope) -> LocalProblem | Polytope | None:
-    """Return the problem in local coordinates, a flatter X to try instead, or None if no state can stay in X."""
+def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> LocalProblem | Polytope | None:
+    """Return the problem in local coordinates, a flatter X to try instead, or None if no state can stay in X.
+
+    `units` (nx,) is the extent of the first state set: a flat one has no size across its hull.
+    """
     state, inputs = X._body, U._body
     if state is None or inputs is None:
         return None
@@ -100,7 +103,7 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope) -> LocalProblem | P
     Hx, Hu, h = np.zeros((len(inputs.g), N.shape[1])), inputs.F, inputs.g
     flat = N.shape[1] < len(N)
     if flat:
-        size = np.maximum(np.abs(system.A) @ np.abs(N).sum(axis=1), np.abs(N).sum(axis=1))  # what counts as zero
+        size = np.maximum(np.abs(system.A) @ np.abs(N).sum(axis=1), units)  # what counts as zero
         size = np.maximum(size, np.abs(system.B) @ np.abs(M).sum(axis=1))
         kept = _stay_on_hull(rep.normals(N), AN, BM, drift, spread, Hu, h, size)
         if kept is None or (isinstance(kept, tuple) and len(kept) == 2):

@@ -54,7 +54,7 @@ def largest_invariant_set(system: LinearSystem, X: Polytope, U: Polytope, limits
     """
     nx, iterations, widest = len(system.A), 0, _extent(X)
     for _ in range(4 * nx + 8):
-        problem = localise(system, X, U)
+        problem = localise(system, X, U, widest)
         if problem is None:
             return no_set(nx, iterations)
         if isinstance(problem, Polytope):

@@ -204,7 +204,8 @@ class Polytope(SetOperations):
             extent = 2 * np.linalg.norm(self._body.basis, axis=1)
         else:
             extent = np.zeros(self.dim)
-        extent = np.where(extent > 0, extent, extent.max() if extent.any() else 1.0)
+        largest = extent.max() if extent.any() else 1.0
+        extent = np.where(extent > 1e-15 * largest, extent, largest)  # a flat coordinate has only rounding for an extent
         return np.abs(self.A) @ extent, np.abs(self.A_eq) @ extent
 
     def is_subset(self, other: Polytope, tol: float = 1e-9) -> bool:

@@ -254,3 +254,27 @@ def test_random_systems(seed):
         assert np.min(np.abs(np.abs(np.linalg.eigvals(A)) - 1)) < 0.02
     else:
         assert result.status is Status.CONVERGED or (unstable > 1 and result.status is Status.FACET_LIMIT)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_a_singular_or_uncontrolled_rest_is_not_lost_to_rounding(scale):
+    """Unstable modes without input leave a line; what remains there is zero but for rounding."""
+    for A in ([[-0.5, 1.0], [0.5, -1.0]], [[0.5, 0, -1.32], [1.9, -0.5, -0.4], [1.515, 0, -0.5]]):
+        n = len(A)
+        s = scale ** np.arange(n)
+        A = np.array(A) * s[:, None] / s
+        result = maximal_control_invariant_set(A, np.zeros((n, 1)), box(-s, 2 * s), ONE)
+        assert (result.status, result.set.affine_dim) == (Status.CONVERGED, 1)
+        assert violation_by_highs(A / s[:, None] * s, np.zeros((n, 1)), result.set.affine_map(np.diag(1 / s)), ONE,
+                                  np.zeros((1, n))) <= 1e-8
+
+
+def test_needed_rows_survive_between_two_inputs():
+    """A random two-input robust case on which an outside redundancy test dropped rows: checked at every vertex."""
+    A = np.array([[0.37, -0.11, -0.97], [0.89, -0.02, 2.91], [1.21, 0.26, 0.05]])
+    B = np.array([[-0.78, 0.08], [-1.23, 0.36], [3.17, -1.28]])
+    X, U = box([-2.2, -2.2, -2.9], [2.3, 3.0, 1.2]), box([-0.73, -0.88], [0.26, 1.76])
+    W = box([-0.02] * 3, [0.03] * 3)
+    result = maximal_control_invariant_set(A, B, X, U, W=W)
+    assert result.status is Status.CONVERGED
+    assert violation_by_highs(A, B, result.set, U, W.vertices) <= 1e-9
