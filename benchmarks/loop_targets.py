@@ -239,8 +239,8 @@ def main(seeds: list[int]) -> None:
             "deployment, final generation",
             f"{last['deployed_return']['mean']:.0f}{'' if road else ' (generated road)'}",
         )
-        for name, results in (("suspension", results), ("illustrative", whole_study("illustrative", seed))):
-            scores = results["generations"][-1]["quantiles"]
+        for name, whole in (("suspension", results), ("illustrative", whole_study("illustrative", seed))):
+            scores = whole["generations"][-1]["quantiles"]
             rmse = max(np.divide(scores["rmse"], scores["nominal_rmse"]))
             loss = max(np.divide(scores["pinball"], scores["constant_pinball"]))
             coverage = scores["coverage"]
@@ -248,9 +248,9 @@ def main(seeds: list[int]) -> None:
                 f"updated model, {name}",
                 f"RMSE × {rmse:.2f}, pinball × {loss:.2f}, {100 * min(coverage):.0f}–{100 * max(coverage):.0f} %",
             )
-            add(f"learned − LQR, worst comparison, {name}", f"{100 * worst_row(results):+.2f} %")
+            add(f"learned − LQR, worst comparison, {name}", f"{100 * worst_row(whole):+.2f} %")
             if name == "suspension":
-                add("wall time of the suspension study", f"{results['wall_seconds']:.0f} s")
+                add("wall time of the suspension study", f"{whole['wall_seconds']:.0f} s")
     print("\n| | " + " | ".join(f"seed {s}" for s in seeds) + " |\n|---|" + "---|" * len(seeds))
     for label, values in rows.items():
         print(f"| {label} | " + " | ".join(values) + " |")

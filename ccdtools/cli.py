@@ -187,14 +187,15 @@ def _with_disturbance(study: Study, options: Options) -> Study:
 def _check(study: Study, options: Options) -> None:
     """Everything that can be wrong with the input, before a folder is made."""
     from ccdtools.studies import configuration
-    from ccdtools.studies.generations import check_counts, deployment_steps
+    from ccdtools.studies.evaluation import Evaluation
+    from ccdtools.studies.generations import check_counts
 
     check_counts(options.generations, options.seed)
     config = configuration(
         study, preset=options.preset, quick=options.quick, expert=options.expert,
         design_gradient=options.design_gradient,
     )  # fmt: skip
-    deployment_steps(study, config)
+    _ = Evaluation(study, config, options.seed).deployment_steps
 
 
 def _new_folder(output: Path | None, name: str, overwrite: bool) -> RunFolder:

@@ -88,6 +88,8 @@ def residuals(model: LinearModel, log: Trajectory) -> Residuals:
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next)
 
 
+HELD_OUT = 0.2  # of every block of a log
+BLOCKS = 20  # that a single long run is cut into
 NOISES = ("none", "quantiles", "replayed")
 
 
@@ -199,8 +201,8 @@ class DigitalTwin:
         rng: np.random.Generator,
         config: QuantileConfig | None = None,
         design_as_feature: bool = False,
-        held_out: float = 0.2,
-        blocks: int = 20,
+        held_out: float = HELD_OUT,
+        blocks: int = BLOCKS,
         progress: bool = False,
     ) -> DigitalTwin:
         """The twin after learning from one more log.

@@ -2,37 +2,34 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.deployment import Replay, deploy_and_update, replay_problem
-from ccdtools.disturbance import Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.expert import expert_dataset
 from ccdtools.methods.ppo import CoDesignResult, codesign_ppo
 from ccdtools.policy import LearnedPolicy
 from ccdtools.problem import CoDesignProblem
-from ccdtools.simulation import Trajectory, simulate
-from ccdtools.statistics import Summary, summarise
-from ccdtools.studies.comparison import Scenario, Score, baselines, compare, replicates
+from ccdtools.simulation import Trajectory
+from ccdtools.statistics import summarise
+from ccdtools.studies.comparison import replicates
 from ccdtools.studies.configuration import StudyConfig
+from ccdtools.studies.evaluation import Evaluation
+from ccdtools.studies.results import generation_entry, results
 from ccdtools.studies.run_folder import RunFolder, Stage
 from ccdtools.studies.study import Study
-from ccdtools.twin import DigitalTwin, Discrepancy, QuantileScores, Residuals, TwinPlant, residuals
+from ccdtools.twin import DigitalTwin, Discrepancy, QuantileScores, residuals
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 
-SCHEMA_VERSION = 1
-MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
-
 Say = Callable[[str], None]
+Compute = Callable[[np.random.Generator], Stage]
 
 
 class Generations:
@@ -71,9 +68,9 @@ class Generations:
     ) -> None:
         check_counts(generations, seed)
         self.study, self.config, self.folder = study, config, folder
-        self.generations, self.seed, self.say, self.progress = generations, seed, say, progress
-        self.problem = study.problem()
-        self.steps = deployment_steps(study, config)
+        self.generations, self.say, self.progress = generations, say, progress
+        self.evaluation = Evaluation(study, config, seed)
+        self.problem, self.steps = self.evaluation.problem, self.evaluation.deployment_steps
 
     def run(self) -> dict[str, Any]:
         """All stages; the contents of results.json, which is written too."""
@@ -81,38 +78,34 @@ class Generations:
         initial = self._stage("initialisation", "Step 0: expert, sets and cloning", self._initialise)
         agent: ActorCritic = initial.networks["agent"]
         twin = DigitalTwin(self.study.model)
-        stages = [
-            self._stage("comparison-0", "Comparison at the start design", self._comparing(0, agent, design, None))
-        ]
-        rows: list[dict] = [*stages[0].values["rows"]]
-        generations = []
+        start = self._stage("comparison-0", "Comparison at the start design", self._comparing(0, design, agent, agent))
+        stages, entries, rows = [initial, start], [], [*start.values["rows"]]
         for g in range(1, self.generations + 1):
-            found = self._stage(f"codesign-{g}", f"Generation {g}: co-design", self._designing(agent, design, twin))
-            agent, design = found.networks["agent"], found.arrays["design"]
-            designed_on = twin.discrepancy
-            service = self._stage(f"deployment-{g}", f"Generation {g}: deployment", self._deploying(g, agent, design))
-            learned = self._stage(
-                f"twin-{g}", f"Generation {g}: learning the discrepancy", self._learning(twin, service)
-            )
+            title = f"Generation {g}"
+            known = twin.discrepancy
+            found = self._stage(f"codesign-{g}", f"{title}: co-design", self._designing(agent, design, twin))
+            designed, design = found.networks["agent"], found.arrays["design"]
+            service = self._stage(f"deployment-{g}", f"{title}: deployment", self._deploying(g, designed, design))
+            agent = service.networks["agent"]
+            learned = self._stage(f"twin-{g}", f"{title}: learning the discrepancy", self._learning(twin, service))
             twin = self._twin(twin, service, learned)
             compared = self._stage(
-                f"comparison-{g}",
-                f"Generation {g}: comparison",
-                self._comparing(g, agent, design, designed_on, service.networks["agent"]),
+                f"comparison-{g}", f"{title}: comparison", self._comparing(g, design, designed, agent, known)
             )
-            evaluated = self._stage(
-                f"evaluation-{g}", f"Generation {g}: evaluation", self._evaluating(agent, design, designed_on, twin)
+            returns = self._stage(
+                f"evaluation-{g}", f"{title}: evaluation", self._evaluating(designed, design, known, twin)
             )
+            stages += [found, service, learned, compared, returns]
             rows += compared.values["rows"]
-            stages += [found, service, learned, compared, evaluated]
-            generations.append(self._generation(g, found, service, learned, evaluated))
-            agent = service.networks["agent"]
+            entries.append(
+                generation_entry(g, self.evaluation, found=found, service=service, learned=learned, returns=returns)
+            )
         LearnedPolicy(agent, design).save(self.folder.path / "policy.safetensors")
-        results = self._results(initial, generations, rows, [initial, *stages])
-        self.folder.write_json("results.json", results)
-        return results
+        contents = results(self.evaluation, initial=initial, generations=entries, comparison=rows, stages=stages)
+        self.folder.write_json("results.json", contents)
+        return contents
 
-    def _stage(self, name: str, label: str, compute: Callable[[np.random.Generator], Stage]) -> Stage:
+    def _stage(self, name: str, label: str, compute: Compute) -> Stage:
         if self.folder.has(name):
             self.say(f"{label} … already finished")
             return self.folder.read_stage(name)
@@ -120,17 +113,13 @@ class Generations:
         start = time.perf_counter()
 
         def timed() -> Stage:
-            stage = compute(self._rng(name))
+            stage = compute(self.evaluation.rng(name))
             return replace(stage, values=stage.values | {"seconds": time.perf_counter() - start})
 
         stage = self.folder.stage(name, timed)
         for line in stage.values.get("report", []):
             self.say(f"    {line}")
         return stage
-
-    def _rng(self, name: str) -> np.random.Generator:
-        """The generator of a name: the same whether or not the run was interrupted before."""
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=tuple(name.encode())))
 
     def _initialise(self, rng: np.random.Generator) -> Stage:
         config = self.config
@@ -150,7 +139,7 @@ class Generations:
         report = [f"{data.acceptance:.0%} of {config.samples} candidates feasible, {len(data.inputs)} samples cloned"]
         return Stage(values | {"report": report}, networks={"agent": agent})
 
-    def _designing(self, agent: ActorCritic, design: Array, twin: DigitalTwin):
+    def _designing(self, agent: ActorCritic, design: Array, twin: DigitalTwin) -> Compute:
         def compute(rng: np.random.Generator) -> Stage:
             problem, judge, config = self.problem, None, self.config.codesign
             if twin.discrepancy is not None:
@@ -175,10 +164,10 @@ class Generations:
         values = {"active_bounds": result.active_bounds, "gradient_check": check, "report": report}
         return Stage(values, {"design": result.design, **arrays}, {"agent": result.agent})
 
-    def _deploying(self, g: int, agent: ActorCritic, design: Array):
+    def _deploying(self, g: int, agent: ActorCritic, design: Array) -> Compute:
         def compute(rng: np.random.Generator) -> Stage:
             real = self.study.real
-            w = self._recorded(real.runs, "deployment" if real.runs == 1 else f"deployment-{g}")
+            w = self.evaluation.recorded(real.runs, "deployment" if real.runs == 1 else f"deployment-{g}")
             deployment = deploy_and_update(
                 self.problem, real.plant, agent, design, x0=np.tile(real.x0, (real.runs, 1)), disturbance=w, rng=rng,
                 config=replace(self.config.online, window=self._window()), progress=self.progress,
@@ -194,7 +183,7 @@ class Generations:
 
         return compute
 
-    def _learning(self, twin: DigitalTwin, service: Stage):
+    def _learning(self, twin: DigitalTwin, service: Stage) -> Compute:
         def compute(rng: np.random.Generator) -> Stage:
             log = _unpacked(service, self.problem)
             updated = twin.update(
@@ -216,134 +205,24 @@ class Generations:
         discrepancy = Discrepancy(learned.networks["quantiles"], self.study.weight)
         return replace(twin, logs=logs, discrepancy=discrepancy, scores=QuantileScores(**learned.values["scores"]))
 
-    def _comparing(self, g: int, agent, design: Array, discrepancy: Discrepancy | None, deployed=None):
+    def _comparing(self, g, design, designed, deployed, designed_on: Discrepancy | None = None) -> Compute:
         def compute(rng: np.random.Generator) -> Stage:
-            controllers = baselines(self.problem, design, rng=rng)
-            rows: list[dict[str, Any]] = []
-            arrays: dict[str, Array] = {}
-            for plant, scenario, learner in (
-                ("model", self._model_scenario(discrepancy), agent),
-                ("real", self._real_scenario(), deployed or agent),
-            ):
-                policy = LearnedPolicy(learner, design)
-                everyone = {**controllers, "learned": policy, "learned (sampled)": policy.sampled(rng)}
-                scores = compare(
-                    everyone, scenario, design=design, objective=self.study.objective, X=self.study.X,
-                    limit=self.problem.limit, few={"MPC": self.config.mpc_runs},
-                )  # fmt: skip
-                model = "nominal" if discrepancy is None else "updated"
-                rows += [self._row(plant, model if plant == "model" else "real", g, design, score) for score in scores]
-                arrays |= self._bands(plant, scenario, design, {"LQR": controllers["LQR"], "learned": policy})
-            return Stage({"rows": rows}, arrays)
+            return self.evaluation.comparison(
+                g, design, designed=designed, deployed=deployed, designed_on=designed_on, rng=rng
+            )
 
         return compute
 
-    def _bands(self, plant: str, scenario: Scenario, design: Array, controllers) -> dict[str, Array]:
-        """Mean and 95 % band of states and inputs over 500 runs (or the one run), for the figures."""
-        n, steps = min(500, len(scenario.x0)), min(1000, scenario.disturbance.shape[1])
-        arrays = {}
-        for name, controller in controllers.items():
-            run = simulate(
-                scenario.plant, controller, x0=scenario.x0[:n], steps=steps,
-                disturbance=scenario.disturbance[:n, :steps], design=design, limit=self.problem.limit,
-            )  # fmt: skip
-            for kind, values in (("states", run.states), ("inputs", run.inputs)):
-                kept = values[~run.diverged] if not run.diverged.all() else values
-                low, high = np.percentile(kept, [2.5, 97.5], axis=0)
-                arrays[f"{plant}_{name}_{kind}"] = np.stack([low, kept.mean(axis=0), high])
-        return arrays
-
-    def _evaluating(self, agent: ActorCritic, design: Array, designed_on: Discrepancy | None, twin: DigitalTwin):
+    def _evaluating(self, agent, design: Array, designed_on: Discrepancy | None, twin: DigitalTwin) -> Compute:
         def compute(rng: np.random.Generator) -> Stage:
-            policy = LearnedPolicy(agent, design)
-            nominal = self._mean_return(policy, self._model_scenario(None))
-            values: dict[str, Any] = {"nominal_return": nominal, "model": "nominal", "model_return": nominal}
             assert twin.discrepancy is not None
-            values["updated_model_return"] = {
-                noise: self._mean_return(policy, self._model_scenario(twin.discrepancy, noise=noise))
-                for noise in ("none", "quantiles")
-            }
-            if designed_on is not None:
-                values["model"] = "updated"
-                values["model_return"] = self._mean_return(policy, self._model_scenario(designed_on))
-            return Stage(values)
+            return self.evaluation.returns(agent, design, designed_on=designed_on, learned=twin.discrepancy)
 
         return compute
-
-    def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
-        run = simulate(
-            scenario.plant, policy, x0=scenario.x0, steps=scenario.disturbance.shape[1],
-            disturbance=scenario.disturbance, design=policy.design, limit=self.problem.limit,
-        )  # fmt: skip
-        summary: Summary = summarise(run.returns(self.study.objective)[~run.diverged])
-        return asdict(summary) | {"diverged": run.diverged.mean()}
-
-    def _model_scenario(self, discrepancy: Discrepancy | None, *, noise: str = "quantiles") -> Scenario:
-        """From the evaluation's start on the nominal model, or on the updated one."""
-        rng, n, steps = self._rng("model scenario"), self.config.model_runs, self.study.steps
-        x0, w = self.problem.scenarios.sample(n, steps, rng)
-        if discrepancy is None:
-            return Scenario(self.study.model, x0, w)
-        plant = TwinPlant(self.study.model, replace(discrepancy, noise=noise))
-        return Scenario(plant, x0, rng.random((n, steps, self.study.plant.nx)))
-
-    def _real_scenario(self) -> Scenario:
-        real = self.study.real
-        runs = 1 if real.runs == 1 else self.config.real_runs
-        w = self._recorded(runs, "deployment" if runs == 1 else "real scenario")
-        return Scenario(real.plant, np.tile(real.x0, (runs, 1)), w)
-
-    def _recorded(self, runs: int, name: str) -> Array:
-        return self.study.real.disturbance.sample(runs, self.steps, self._rng(name))
 
     def _window(self) -> int:
         """Length of a replayed episode."""
         return min(self.study.steps, self.steps // 10 if self.study.real.runs == 1 else self.steps)
-
-    def _row(self, plant: str, model: str, g: int, design: Array, score: Score) -> dict[str, Any]:
-        return {
-            "plant": plant, "model": model, "generation": g, "controller": score.controller,
-            "design": self.problem.design.as_dict(design),
-            "active_bounds": self.problem.design.active_bounds(design),
-            **asdict(score.summary),
-            "paired_to_lqr": asdict(score.paired_to_lqr),
-            "diverged": score.diverged, "violations": score.violations, "step_time_us": 1e6 * score.step_time,
-        }  # fmt: skip
-
-    def _generation(self, g: int, found: Stage, service: Stage, learned: Stage, evaluated: Stage) -> dict[str, Any]:
-        keep = ("model", "model_return", "nominal_return", "updated_model_return")
-        return {
-            "generation": g,
-            "design": self.problem.design.as_dict(found.arrays["design"]),
-            "active_bounds": found.values["active_bounds"],
-            **{name: evaluated.values[name] for name in keep},
-            "deployed_return": service.values["deployed_return"],
-            "deployed_diverged": service.values["diverged"],
-            "online_updates": service.values["updates"],
-            "quantiles": learned.values["scores"],
-            "gradient_check": found.values["gradient_check"],
-        }
-
-    def _results(self, initial: Stage, generations, rows, stages: list[Stage]) -> dict[str, Any]:
-        study, space = self.study, self.problem.design
-        packages = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
-        return {
-            "schema_version": SCHEMA_VERSION,
-            "study": study.name, "title": study.title, "seed": self.seed,
-            "quick": self.config.quick, "preset": self.config.preset,
-            "wall_seconds": sum(stage.values["seconds"] for stage in stages),
-            "x0": study.x0, "dt": study.plant.dt, "deployment_steps": self.steps, "deployment_runs": study.real.runs,
-            "state_names": study.plant.state_names, "input_names": study.plant.input_names,
-            "design_space": {
-                "names": space.names, "units": space.units, "lower": space.lower, "upper": space.upper,
-            },
-            "start": space.as_dict(study.p0),
-            "initialisation": {k: v for k, v in initial.values.items() if k != "report"},
-            "generations": generations,
-            "comparison": rows,
-            "configuration": self.config.as_dict(),
-            "versions": {"python": platform.python_version()} | {name: version(name) for name in packages},
-        }  # fmt: skip
 
 
 def updated_problem(problem: CoDesignProblem, twin: DigitalTwin) -> CoDesignProblem:
@@ -353,7 +232,7 @@ def updated_problem(problem: CoDesignProblem, twin: DigitalTwin) -> CoDesignProb
     """
     if twin.discrepancy is None:
         raise InputError("twin: got one without a discrepancy, expected one after `update`.")
-    logs: tuple[Residuals, ...] = twin.innovations()
+    logs = twin.innovations()
     steps = min(problem.steps, min(log.x.shape[1] for log in logs))
     discrepancy = replace(twin.discrepancy, noise="replayed")
     return replace(problem, discrepancy=discrepancy, scenarios=Replay(logs), steps=steps)
@@ -365,21 +244,6 @@ def check_counts(generations: int, seed: int) -> None:
         raise InputError(f"--generations: got {generations}, expected at least 1.")
     if seed < 0:
         raise InputError(f"--seed: got {seed}, expected a whole number ≥ 0.")
-
-
-def deployment_steps(study: Study, config: StudyConfig) -> int:
-    """Length of a deployment: the study's, capped by the configuration and by a recording's length."""
-    real = study.real
-    steps = real.steps
-    if config.real_steps is not None and real.runs == 1:
-        steps = min(steps, config.real_steps)
-    if isinstance(real.disturbance, Recorded):
-        steps = min(steps, len(real.disturbance.signal))
-    if steps * real.runs < MINIMUM_LOG:
-        raise InputError(
-            f"disturbance: got {steps} samples, expected at least {MINIMUM_LOG} to learn the discrepancy from."
-        )
-    return steps
 
 
 def _packed(log: Trajectory) -> dict[str, Any]:

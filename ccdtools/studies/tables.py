@@ -222,3 +222,8 @@ def _write(path: Path, rows: Sequence[Row]) -> Path:
         writer.writeheader()
         writer.writerows(rows)
     return path
+
+
+def with_minus(text: str) -> str:
+    """`text` with the minus sign of a printed page."""
+    return text.replace("-", "−")

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ccdtools.cli import main
+
 CCDTOOLS = [sys.executable, "-m", "ccdtools.cli"]
 
 TWO_MASSES = '''
@@ -147,18 +149,21 @@ def test_resume_of_a_finished_run_computes_nothing_again(quick_run):
         (["resume", "nowhere"], "folder: got nowhere without a readable run.json"),
     ],
 )
-def test_bad_input_is_one_clear_line(tmp_path, arguments, message):
+def test_bad_input_is_one_clear_line(tmp_path, monkeypatch, capsys, arguments, message):
     (tmp_path / "nan.csv").write_text("dz_dt\n0.1\nnan\n" + "0.0\n" * 600)
     (tmp_path / "two.csv").write_text("a,b\n" + "0.1,0.2\n" * 600)
     (tmp_path / "uneven.csv").write_text(
         "time,dz_dt\n0,0\n0.05,0\n0.2,0\n" + "".join(f"{0.3 + i},0\n" for i in range(600))
     )
     (tmp_path / "short.csv").write_text("dz_dt\n0.1\n0.2\n0.1\n")
-    done = ccdtools(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert "Traceback" not in done.stderr
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["ccdtools", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert len(error.strip().splitlines()) == 1
     assert not (tmp_path / "runs").exists()
 
 

@@ -1,0 +1,169 @@
+"""What every generation is measured on: the same scenarios for every controller and every generation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.controllers import Controller
+from ccdtools.disturbance import Recorded
+from ccdtools.exceptions import InputError
+from ccdtools.policy import LearnedPolicy
+from ccdtools.problem import CoDesignProblem
+from ccdtools.simulation import simulate
+from ccdtools.statistics import summarise
+from ccdtools.studies.comparison import Scenario, Score, baselines, compare
+from ccdtools.studies.configuration import StudyConfig
+from ccdtools.studies.run_folder import Stage
+from ccdtools.studies.study import Study
+from ccdtools.twin import Discrepancy, TwinPlant
+from learning.networks import ActorCritic
+
+MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
+BAND_RUNS, BAND_STEPS = 500, 1000  # of the trajectories kept for figures
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Scenarios, comparisons and returns of one run of a study.
+
+    Attributes
+    ----------
+    study : Study
+    config : StudyConfig
+    seed : int
+        Every draw has a generator of its own, spawned from the seed and a name.
+    """
+
+    study: Study
+    config: StudyConfig
+    seed: int
+
+    def rng(self, name: str) -> np.random.Generator:
+        """The generator of a name: the same whether or not a run was interrupted before."""
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=tuple(name.encode())))
+
+    @cached_property
+    def problem(self) -> CoDesignProblem:
+        """The co-design problem on the nominal model."""
+        return self.study.problem()
+
+    @cached_property
+    def deployment_steps(self) -> int:
+        """Length of a deployment: the study's, capped by the configuration and by a recording's length."""
+        real = self.study.real
+        steps = real.steps
+        if self.config.real_steps is not None and real.runs == 1:
+            steps = min(steps, self.config.real_steps)
+        if isinstance(real.disturbance, Recorded):
+            steps = min(steps, len(real.disturbance.signal))
+        if steps * real.runs < MINIMUM_LOG:
+            raise InputError(
+                f"disturbance: got {steps} samples, expected at least {MINIMUM_LOG} to learn the discrepancy from."
+            )
+        return steps
+
+    def recorded(self, runs: int, name: str) -> Array:
+        """The real plant's disturbance, (runs, T, nw)."""
+        return self.study.real.disturbance.sample(runs, self.deployment_steps, self.rng(name))
+
+    def on_model(self, discrepancy: Discrepancy | None, *, noise: str = "quantiles") -> Scenario:
+        """From the evaluation's start on the nominal model, or on the one updated by a discrepancy."""
+        rng, n, steps = self.rng("model scenario"), self.config.model_runs, self.study.steps
+        x0, w = self.problem.scenarios.sample(n, steps, rng)
+        if discrepancy is None:
+            return Scenario(self.study.model, x0, w)
+        plant = TwinPlant(self.study.model, replace(discrepancy, noise=noise))
+        return Scenario(plant, x0, rng.random((n, steps, self.study.plant.nx)))
+
+    def on_real(self) -> Scenario:
+        """The deployment itself if it is one long run; else many runs like it."""
+        real = self.study.real
+        runs = 1 if real.runs == 1 else self.config.real_runs
+        w = self.recorded(runs, "deployment" if runs == 1 else "real scenario")
+        return Scenario(real.plant, np.tile(real.x0, (runs, 1)), w)
+
+    def comparison(
+        self,
+        generation: int,
+        design: Array,
+        *,
+        designed: ActorCritic,
+        deployed: ActorCritic,
+        designed_on: Discrepancy | None,
+        rng: np.random.Generator,
+    ) -> Stage:
+        """Every controller at one design: on the model that it was designed on, and on the real plant.
+
+        On the model stands the policy as designed, on the real plant the one in service at the end.
+        """
+        controllers = baselines(self.problem, design, rng=rng)
+        model = "nominal" if designed_on is None else "updated"
+        rows: list[dict[str, Any]] = []
+        arrays: dict[str, Array] = {}
+        for plant, name, scenario, agent in (
+            ("model", model, self.on_model(designed_on), designed),
+            ("real", "real", self.on_real(), deployed),
+        ):
+            policy = LearnedPolicy(agent, design)
+            everyone = {**controllers, "learned": policy, "learned (sampled)": policy.sampled(rng)}
+            scores = compare(
+                everyone, scenario, design=design, objective=self.study.objective, X=self.study.X,
+                limit=self.problem.limit, few={"MPC": self.config.mpc_runs},
+            )  # fmt: skip
+            place = {"plant": plant, "model": name, "generation": generation}
+            rows += [place | self._row(design, score) for score in scores]
+            bands = self._bands(scenario, design, {"LQR": controllers["LQR"], "learned": policy})
+            arrays |= {f"{plant}_{key}": band for key, band in bands.items()}
+        return Stage({"rows": rows}, arrays)
+
+    def returns(
+        self, agent: ActorCritic, design: Array, *, designed_on: Discrepancy | None, learned: Discrepancy
+    ) -> Stage:
+        """Returns of a policy as designed: on its own model, on the nominal one, and on the one learned since."""
+        policy = LearnedPolicy(agent, design)
+        return Stage({
+            "model": "nominal" if designed_on is None else "updated",
+            "model_return": self._mean_return(policy, self.on_model(designed_on)),
+            "nominal_return": self._mean_return(policy, self.on_model(None)),
+            "updated_model_return": {
+                "median": self._mean_return(policy, self.on_model(learned, noise="none")),
+                "quantiles": self._mean_return(policy, self.on_model(learned)),
+            },
+        })  # fmt: skip
+
+    def _row(self, design: Array, score: Score) -> dict[str, Any]:
+        space = self.problem.design
+        return {
+            "controller": score.controller,
+            "design": space.as_dict(design), "active_bounds": space.active_bounds(design), **asdict(score.summary),
+            "paired_to_lqr": asdict(score.paired_to_lqr), "diverged": score.diverged,
+            "violations": score.violations, "step_time_us": 1e6 * score.step_time,
+        }  # fmt: skip
+
+    def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
+        run = simulate(
+            scenario.plant, policy, x0=scenario.x0, steps=scenario.disturbance.shape[1],
+            disturbance=scenario.disturbance, design=policy.design, limit=self.problem.limit,
+        )  # fmt: skip
+        return asdict(summarise(run.returns(self.study.objective)[~run.diverged])) | {"diverged": run.diverged.mean()}
+
+    def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
+        """Lower edge, mean and upper edge of the 95 % band of states and inputs, (3, T, ·), for the figures."""
+        n, steps = min(BAND_RUNS, len(scenario.x0)), min(BAND_STEPS, scenario.disturbance.shape[1])
+        bands = {}
+        for name, controller in controllers.items():
+            run = simulate(
+                scenario.plant, controller, x0=scenario.x0[:n], steps=steps,
+                disturbance=scenario.disturbance[:n, :steps], design=design, limit=self.problem.limit,
+            )  # fmt: skip
+            for kind, values in (("states", run.states), ("inputs", run.inputs)):
+                kept = values[~run.diverged] if not run.diverged.all() else values
+                low, high = np.percentile(kept, [2.5, 97.5], axis=0)
+                bands[f"{name}_{kind}"] = np.stack([low, kept.mean(axis=0), high])
+        return bands

@@ -1,0 +1,60 @@
+"""The contents of results.json."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any
+
+from ccdtools.studies.evaluation import Evaluation
+from ccdtools.studies.run_folder import Stage
+
+SCHEMA_VERSION = 1
+PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
+
+
+def generation_entry(
+    generation: int, evaluation: Evaluation, *, found: Stage, service: Stage, learned: Stage, returns: Stage
+) -> dict[str, Any]:
+    """One element of ``generations``, from the stages of a generation."""
+    keep = ("model", "model_return", "nominal_return", "updated_model_return")
+    return {
+        "generation": generation,
+        "design": evaluation.problem.design.as_dict(found.arrays["design"]),
+        "active_bounds": found.values["active_bounds"],
+        **{name: returns.values[name] for name in keep},
+        "deployed_return": service.values["deployed_return"],
+        "deployed_diverged": service.values["diverged"],
+        "online_updates": service.values["updates"],
+        "quantiles": learned.values["scores"],
+        "gradient_check": found.values["gradient_check"],
+    }
+
+
+def results(
+    evaluation: Evaluation,
+    *,
+    initial: Stage,
+    generations: Sequence[dict[str, Any]],
+    comparison: Sequence[dict[str, Any]],
+    stages: Sequence[Stage],
+) -> dict[str, Any]:
+    """Everything that the tables show, with what is needed to run it again."""
+    study, config, space = evaluation.study, evaluation.config, evaluation.problem.design
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "study": study.name, "title": study.title, "seed": evaluation.seed,
+        "quick": config.quick, "preset": config.preset,
+        "wall_seconds": sum(stage.values["seconds"] for stage in stages),
+        "x0": study.x0, "dt": study.plant.dt,
+        "deployment_steps": evaluation.deployment_steps, "deployment_runs": study.real.runs,
+        "state_names": study.plant.state_names, "input_names": study.plant.input_names,
+        "design_space": {"names": space.names, "units": space.units, "lower": space.lower, "upper": space.upper},
+        "start": space.as_dict(study.p0),
+        "initialisation": {key: value for key, value in initial.values.items() if key != "report"},
+        "generations": list(generations),
+        "comparison": list(comparison),
+        "configuration": config.as_dict(),
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
+    }  # fmt: skip
