@@ -143,7 +143,13 @@ def load_study(name: str) -> Study:
         assert spec is not None
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
+        try:
+            spec.loader.exec_module(module)
+        except Exception as error:
+            reason = " ".join(str(error).split())
+            raise InputError(
+                f"study: got {name}, which stops with {type(error).__name__}: {reason}; expected a file that runs."
+            ) from error
     elif name in study_names():
         module = import_module(f"ccdtools.studies.cases.{name}")
     else:

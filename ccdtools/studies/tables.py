@@ -13,7 +13,7 @@ Row = dict[str, Any]
 NOT_WORSE = 0.005  # a controller is not worse than LQR if its interval lies above −0.5 % of |LQR|
 NEGLIGIBLE = 1e-4  # per cent: below it, two returns are the same up to solver tolerances
 HEADINGS = (
-    "plant", "gen", "controller", "mean", "std", "vs LQR", "95 % interval", "diverged", "outside X", "µs/step",
+    "plant", "gen", "controller", "mean", "std", "n", "vs LQR", "95 % interval", "diverged", "outside X", "µs/step",
 )  # fmt: skip
 
 
@@ -186,7 +186,7 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     plant = row["plant"] if row["model"] == row["plant"] else f"{row['model']} {row['plant']}"
     reference = row["controller"] == "LQR"
     return [
-        plant, str(row["generation"]), row["controller"], number(row["mean"]), number(row["std"], 3),
+        plant, str(row["generation"]), row["controller"], number(row["mean"]), number(row["std"], 3), str(row["n"]),
         "-" if reference else mean,
         "-" if reference else interval,
         percentage(row["diverged"]), percentage(row["violations"]), number(row["step_time_us"], 3),

@@ -146,10 +146,15 @@ def test_resume_of_a_finished_run_computes_nothing_again(quick_run):
         (["run", "suspension", "--road", "r.csv"], "--road: got it without --speed"),
         (["run", "suspension", "--road", "r.csv", "--speed", "v.csv", "--driver", "mild"], "expected one source"),
         (["run", "illustrative", "--disturbance", "short.csv"], "--disturbance: got one disturbance, expected 2"),
+        (["run", "broken.py"], "study: got broken.py, which stops with SyntaxError"),
+        (["run", "empty.py"], "study: got empty.py, which declares no `study`"),
+        (["run", "absent.py"], "study: got absent.py, which is not a file"),
         (["resume", "nowhere"], "folder: got nowhere without a readable run.json"),
     ],
 )
 def test_bad_input_is_one_clear_line(tmp_path, monkeypatch, capsys, arguments, message):
+    (tmp_path / "broken.py").write_text("study = = 1\n")
+    (tmp_path / "empty.py").write_text("")
     (tmp_path / "nan.csv").write_text("dz_dt\n0.1\nnan\n" + "0.0\n" * 600)
     (tmp_path / "two.csv").write_text("a,b\n" + "0.1,0.2\n" * 600)
     (tmp_path / "uneven.csv").write_text(
