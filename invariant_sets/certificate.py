@@ -5,10 +5,10 @@ from __future__ import annotations
 import daqp
 import numpy as np
 
+from .body import unit_rows
 from .linear_programs import minimise
 from .polytope import Polytope
 from .predecessor import predecessor_rows
-from .representation import unit_rows
 
 Array = np.ndarray
 _DOUBTFUL = 1e-12

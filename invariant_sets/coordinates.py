@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import representation as rep
+from .body import Body, normals, null_space
 from .linear_programs import inscribed_ball, maximise_rows
 from .polytope import Polytope
 from .validation import frozen
@@ -74,7 +74,7 @@ class LocalProblem:
         if k == n:
             rows, normal = F @ np.linalg.inv(self.basis), np.zeros((0, n))
         else:
-            rows, normal = F @ np.linalg.pinv(self.basis), rep.normals(self.basis)
+            rows, normal = F @ np.linalg.pinv(self.basis), normals(self.basis)
         norms = np.linalg.norm(rows, axis=1)
         norms[norms == 0] = 1.0
         rows = rows / norms[:, None]
@@ -105,7 +105,7 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
     if flat:
         size = np.maximum(np.abs(system.A) @ np.abs(N).sum(axis=1), units)  # what counts as zero
         size = np.maximum(size, np.abs(system.B) @ np.abs(M).sum(axis=1))
-        kept = _stay_on_hull(rep.normals(N), AN, BM, drift, spread, Hu, h, size)
+        kept = _stay_on_hull(normals(N), AN, BM, drift, spread, Hu, h, size)
         if kept is None or (isinstance(kept, tuple) and len(kept) == 2):
             if kept is None:
                 return None
@@ -122,7 +122,7 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
     return _at_equilibrium(problem, system, X)
 
 
-def _input_vertices(U: Polytope, inputs: rep.Body, state: rep.Body, H: Array, h: Array, flat: bool) -> Array | None:
+def _input_vertices(U: Polytope, inputs: Body, state: Body, H: Array, h: Array, flat: bool) -> Array | None:
     """Return vertices of a set that holds every local input v; None if there is none."""
     k = state.basis.shape[1]
     q = H.shape[1] - k
@@ -209,7 +209,7 @@ def _inner_solution(matrix: Array, right_side: Array, rows: Array, right: Array)
     z, *_ = np.linalg.lstsq(matrix, right_side, rcond=1e-12)
     if np.abs(matrix @ z - right_side).max(initial=0.0) > _ROUND * max(1.0, np.abs(right_side).max(initial=0.0)):
         return None
-    null = rep.null_space(matrix)
+    null = null_space(matrix)
     room = right - rows @ z
     slope = rows @ null
     norms = np.linalg.norm(slope, axis=1)

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .body import FLAT, unit_rows
 from .certificate import control_violation
 from .coordinates import LinearSystem, LocalProblem, localise
 from .linear_programs import inscribed_ball
 from .polytope import Polytope
 from .predecessor import predecessor_rows
 from .recursion import Outcome, Region, Shape, iterate
-from .representation import FLAT, unit_rows
 from .results import INVARIANT, Certificate, SetResult, Status, no_set
 from .unstable_modes import unstable_bounds
 

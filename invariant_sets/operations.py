@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import representation as rep
+from .body import FLAT, Body, unit_rows
 from .exceptions import InputError
 from .predecessor import project_rows
 from .validation import as_floats, as_matrix, as_vector, check_finite
@@ -31,7 +31,7 @@ class SetOperations:
 
     if TYPE_CHECKING:  # supplied by Polytope
         @property
-        def _body(self) -> rep.Body | None: ...
+        def _body(self) -> Body | None: ...
         @property
         def dim(self) -> int: ...
         @property
@@ -88,7 +88,7 @@ class SetOperations:
         upper, lower = ((other._supports(self.A_eq), -other._supports(-self.A_eq)) if len(self.b_eq)
                         else (np.zeros(0), np.zeros(0)))
         size = np.maximum(1.0, np.abs(upper))
-        if np.isinf(reach).any() or np.isinf(upper).any() or (upper - lower > rep.FLAT * size).any():
+        if np.isinf(reach).any() or np.isinf(upper).any() or (upper - lower > FLAT * size).any():
             return _nothing(self)
         return _new(self, self.A, self.b - reach, self.A_eq, self.b_eq - (upper + lower) / 2)
 
@@ -118,10 +118,10 @@ class SetOperations:
         size = np.abs(M) @ np.abs(body.basis).max(axis=1, initial=0.0)  # the units of each image coordinate
         units = np.where(size > 0, size, 1.0)
         left, s, vt = np.linalg.svd(G / units[:, None], full_matrices=True)
-        rank = int((s > rep.FLAT * s.max(initial=0.0)).sum()) if s.any() else 0
+        rank = int((s > FLAT * s.max(initial=0.0)).sum()) if s.any() else 0
         if rank < body.basis.shape[1] and body.bounded:
             return type(self).from_vertices(self.vertices @ M.T + c)  # type: ignore[attr-defined]
-        F, g = rep.unit_rows(*project_rows(body.F @ vt.T, body.g, rank), always=True)
+        F, g = unit_rows(*project_rows(body.F @ vt.T, body.g, rank), always=True)
         back = left[:, :rank].T / s[:rank, None] / units  # image → the first `rank` coordinates of vt y
         normal = left[:, rank:].T / units
         return _new(self, F @ back, g + F @ back @ origin, normal, normal @ origin)

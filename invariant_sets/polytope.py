@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from . import representation as rep
+from .body import FLAT, Body, body_of, normals
 from .exceptions import EmptySetError, InputError, UnboundedError
+from .linear_programs import minimise
 from .operations import SetOperations, same_space
 from .sampling import hit_and_run
 from .validation import as_batch, as_matrix, as_vector, check_count, check_finite, check_rng, check_tolerance, frozen
@@ -98,7 +100,7 @@ class Polytope(SetOperations):
         scale[scale <= 1e-15 * np.abs(V).max(axis=0)] = 1.0
         Y = (V - centre) / scale
         _, s, vt = np.linalg.svd(Y, full_matrices=len(Y) < 2 * Y.shape[1])
-        rank = int((s > rep.FLAT * max(s.max(initial=0.0), rep.FLAT)).sum())
+        rank = int((s > FLAT * max(s.max(initial=0.0), FLAT)).sum())
         N, M = vt[:rank], vt[rank:] / scale
         extreme = np.arange(1)
         A, b = np.zeros((0, V.shape[1])), np.zeros(0)
@@ -121,8 +123,8 @@ class Polytope(SetOperations):
         return self.A.shape[1]
 
     @cached_property
-    def _body(self) -> rep.Body | None:
-        return rep.body_of(self.A, self.b, self.A_eq, self.b_eq)
+    def _body(self) -> Body | None:
+        return body_of(self.A, self.b, self.A_eq, self.b_eq)
 
     @property
     def is_empty(self) -> bool:
@@ -163,7 +165,7 @@ class Polytope(SetOperations):
         Y = (self.vertices - body.centre) @ np.linalg.inv(body.basis).T
         return rep.hull_volume(Y) * abs(float(np.linalg.det(body.basis)))
 
-    def _require_bounded(self, what: str) -> rep.Body:
+    def _require_bounded(self, what: str) -> Body:
         if self._body is None:
             raise EmptySetError(f"{what} needs a point, but the set is empty.")
         if not self._body.bounded:
@@ -205,7 +207,7 @@ class Polytope(SetOperations):
         else:
             extent = np.zeros(self.dim)
         largest = extent.max() if extent.any() else 1.0
-        extent = np.where(extent > 1e-15 * largest, extent, largest)  # a flat coordinate has only rounding for an extent
+        extent = np.where(extent > 1e-15 * largest, extent, largest)  # a flat coordinate has only rounding
         return np.abs(self.A) @ extent, np.abs(self.A_eq) @ extent
 
     def is_subset(self, other: Polytope, tol: float = 1e-9) -> bool:
@@ -258,7 +260,7 @@ class Polytope(SetOperations):
         rows = np.vstack([np.column_stack([body.F, unit * norms]), np.append(np.zeros(self.dim), -1.0)])
         size = np.linalg.norm(rows, axis=1)
         cost = np.append(np.zeros(self.dim), -1.0)
-        value, y = rep.minimise(cost, rows / size[:, None], np.append(body.g, 0.0) / size)
+        value, y = minimise(cost, rows / size[:, None], np.append(body.g, 0.0) / size)
         if y is None:
             return body.centre.copy(), np.inf
         return body.centre + body.basis @ y[:-1], -value * unit
@@ -296,7 +298,7 @@ class Polytope(SetOperations):
         for i, d in enumerate(D):
             local = body.basis.T @ d
             size = np.linalg.norm(local)
-            spread = size * (-rep.minimise(-local / size, body.F, body.g)[0]) if size > 1e-12 else 0.0
+            spread = size * (-minimise(-local / size, body.F, body.g)[0]) if size > 1e-12 else 0.0
             values[i] = d @ body.centre + spread
         return values
 
@@ -318,7 +320,7 @@ class Polytope(SetOperations):
             return Polytope(F / norms[:, None], (body.g[kept] + F @ body.centre) / norms)
         kept = rep.irredundant_rows(body.F, body.g) if len(body.g) else np.zeros(0, int)
         F = body.F[kept] @ np.linalg.pinv(body.basis)
-        M = rep.normals(body.basis)
+        M = normals(body.basis)
         return Polytope(F, body.g[kept] + F @ body.centre, M, M @ body.centre)
 
     def sample(self, n: int, *, rng: np.random.Generator) -> Array:

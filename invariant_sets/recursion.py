@@ -9,6 +9,7 @@ from enum import Enum
 import numpy as np
 
 from . import representation as rep
+from .body import FLAT, unit_rows
 from .exceptions import NumericalError
 from .linear_programs import inscribed_ball, maximise_rows
 
@@ -64,8 +65,8 @@ class Region:
         middle, radius = np.zeros(F.shape[1]), 0.01
         if self.V is None or g.min() < radius:
             radius, middle = inscribed_ball(F, g, cap=1.0)
-            if radius <= rep.FLAT:
-                return Region(F, g, None, Shape.EMPTY if radius < -rep.FLAT else Shape.FLAT)
+            if radius <= FLAT:
+                return Region(F, g, None, Shape.EMPTY if radius < -FLAT else Shape.FLAT)
         room = g - F @ middle
         if self.V is None:
             kept = rep.irredundant_rows(F, room)
@@ -131,7 +132,7 @@ def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: f
     """
     cut = np.inf
     for iteration in range(1, limit + 1):
-        R, r = rep.unit_rows(*predecessor(region.F, region.g))
+        R, r = unit_rows(*predecessor(region.F, region.g))
         if R is None:
             return Outcome(Region(region.F, region.g, None, Shape.EMPTY), iteration, True, 0.0)
         if region.V is None and len(r):
@@ -173,7 +174,7 @@ def _worth_testing(region: Region, R: Array, r: Array) -> Rows:
     """Drop the new rows that Qhull finds redundant, before one LP is spent on each."""
     F, g = np.vstack([region.F, R]), np.append(region.g, r)
     radius, middle = inscribed_ball(F, g, cap=1.0)
-    if radius <= rep.FLAT:
+    if radius <= FLAT:
         return R, r
     kept = rep.irredundant_rows(F, g - F @ middle)
     new = kept[kept >= len(region.g)] - len(region.g)

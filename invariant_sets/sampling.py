@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .representation import Body
+from .body import Body
 
 Array = np.ndarray
 
