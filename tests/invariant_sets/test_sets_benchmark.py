@@ -24,9 +24,16 @@ def test_benchmark_names_the_missing_peers_and_prints_every_table():
 
 def test_300_designs_take_less_than_a_second(rng):
     family = ParametricSet(illustrative, ILLUSTRATIVE_X, ILLUSTRATIVE_U)
-    start = time.perf_counter()
+    start = time.process_time()  # of this process, whatever else runs
     family.contains(np.zeros((300, 2)), rng.uniform(0.5, 3, (300, 1)))
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
+
+
+def test_suspension_designs_are_quick_enough_for_3000_in_15_seconds(rng):
+    family = ParametricSet(suspension, SUSPENSION_X, SUSPENSION_U)
+    start = time.process_time()
+    family.contains(np.zeros((200, 4)), rng.uniform([1e4, 500], [4e4, 3000], (200, 2)))
+    assert (time.process_time() - start) * 3000 / 200 < 15.0
 
 
 def test_membership_is_no_slower_than_the_product(rng):
