@@ -163,9 +163,7 @@ class _Loops:
         self.K = np.array([lqr(A, B, Q=Q, R=R)[0] for A, B in zip(self.A, self.B)])
         self.controllers: list[Controller] | None = None
         if expert != "lqr":
-            mpc = [
-                LinearMPC(A, B, Q=Q, R=R, horizon=horizon, X=problem.X, U=problem.U) for A, B in zip(self.A, self.B)
-            ]
+            mpc = [LinearMPC(A, B, Q=Q, R=R, horizon=horizon, X=problem.X, U=problem.U) for A, B in zip(self.A, self.B)]
             bar = tqdm(mpc, desc=expert, disable=not progress, leave=False)
             self.controllers = [law.explicit() if expert == "explicit" else law for law in bar]
 

@@ -20,11 +20,12 @@ def tuned_pid(
     outputs: Array | None = None,
     runs: int = 128,
     screened: int = 48,
+    starts: int = 3,
     refinements: int = 160,
 ) -> PID:
     """The PID with the best mean return on the problem's nominal model at one design.
 
-    Every candidate output is screened with log-uniform gains of both signs; the best gains are refined by
+    Every candidate output is screened with log-uniform gains of both signs; the best few are refined by
     Nelder–Mead, all on the same scenarios.
 
     Parameters
@@ -33,8 +34,8 @@ def tuned_pid(
     rng : numpy.random.Generator
     outputs : (k, nu, nx) array, optional
         Candidate output matrices C; each single state, for one input, and the states that the inputs push.
-    runs, screened, refinements : int
-        Scenarios, random gains per output, and evaluations of the refinement.
+    runs, screened, starts, refinements : int
+        Scenarios, random gains per output, best of these to refine, and evaluations of each refinement.
     """
     model, nu = problem.model, problem.model.nu
     lower, upper = problem.input_bounds
@@ -59,12 +60,15 @@ def tuned_pid(
     gains = rng.choice([-1.0, 1.0], (screened, 3, nu)) * 10 ** rng.uniform(-2, 1.5, (screened, 3, nu))
     gains[0] = 0.0
     gains[::3, 1] = 0.0
-    _, C, z = min(((cost(C, g), C, g) for C in C_all for g in gains), key=lambda found: found[0])
-    result = minimize(
-        lambda v: cost(C, v), z.ravel(), method="Nelder-Mead", options={"maxfev": refinements, "xatol": 1e-3}
-    )
-    best = result.x if result.fun <= cost(C, z) else z
-    return controller(C, best.reshape(3, nu))
+    screening = sorted(((cost(C, g), C, g) for C in C_all for g in gains), key=lambda found: found[0])
+    refined = []
+    for value, C, z in screening[:starts]:
+        result = minimize(
+            lambda v, C=C: cost(C, v), z.ravel(), method="Nelder-Mead", options={"maxfev": refinements, "xatol": 1e-3}
+        )
+        refined.append((result.fun, C, result.x) if result.fun <= value else (value, C, z))
+    _, C, z = min(refined, key=lambda found: found[0])
+    return controller(C, z.reshape(3, nu))
 
 
 def _default_outputs(B: Array) -> Array:

@@ -47,7 +47,7 @@ class PPOConfig:
     max_gradient : float
         Gradient norms are clipped here, before Adam.
     final_std : float or None
-        If given, the exploration decays geometrically to this value during `train`.
+        If given, the exploration decays geometrically to this value during a training.
     critic_only : int
         First iterations in which only the critic learns.
     """
@@ -197,6 +197,16 @@ class PPO:
         optimiser.step()
 
 
+def decay_exploration(agent: ActorCritic, first: float, final: float | None, done: float) -> None:
+    """Set the exploration between `first` and `final`, geometrically in the part `done` in [0, 1] of a training.
+
+    Nothing is set where `final` is None, or where the exploration is a network of its own.
+    """
+    if final is not None and agent.std_network is None:
+        with torch.no_grad():
+            agent.log_std.fill_(float(np.log(first) + done * np.log(final / first)))
+
+
 def train(
     env: VectorEnv,
     agent: ActorCritic,
@@ -223,9 +233,7 @@ def train(
         ):
             for group in optimiser.param_groups:
                 group["lr"] = rate * (1 - 0.9 * done)
-        if config.final_std is not None:
-            with torch.no_grad():
-                agent.log_std.fill_(float(np.log(first_std) + done * np.log(config.final_std / first_std)))
+        decay_exploration(agent, first_std, config.final_std, done)
         rollout = collect(env, agent, steps=steps, generator=generator)
         statistics = ppo.update(rollout, generator=generator, actor=k >= config.critic_only)
         if callback is not None:

@@ -19,7 +19,7 @@ from ccdtools.methods.gradients import GradientCheck, check_gradients, loss_grad
 from ccdtools.policy import LearnedPolicy
 from ccdtools.problem import CoDesignProblem
 from learning.networks import ActorCritic
-from learning.ppo import PPO, PPOConfig, prepare
+from learning.ppo import PPO, PPOConfig, decay_exploration, prepare
 from learning.rollout import collect
 
 
@@ -59,7 +59,9 @@ class CoDesignConfig:
     constant_rates: bool = False
     evaluate_every: int = 4
     evaluation_runs: int = 1000
-    ppo: PPOConfig = field(default_factory=lambda: PPOConfig(learning_rate=1e-4, kl_limit=0.005, passes=2))
+    ppo: PPOConfig = field(
+        default_factory=lambda: PPOConfig(learning_rate=1e-4, kl_limit=0.005, passes=2, final_std=0.02)
+    )
 
     def __post_init__(self) -> None:
         require_method(self.design_gradient)
@@ -181,6 +183,7 @@ class _Run:
         self.v = torch.tensor(problem.design.to_unit(design), dtype=torch.float32).requires_grad_(True)
         self.generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
         self.ppo = PPO(agent, config.ppo)
+        self.first_std = agent.log_std.exp().mean().item()
         self.design_optimiser = torch.optim.Adam([self.v], lr=config.design_rate or 1.0, betas=(0.8, 0.9))
         self.policy_optimiser = torch.optim.Adam(agent.mean_network.parameters(), lr=config.policy_rate or 1.0)
         self.env = DesignEnv(problem, self._p(), runs=config.runs, rng=rng)
@@ -250,6 +253,7 @@ class _Run:
 
     def _set_rates(self, k: int) -> None:
         config = self.config
+        decay_exploration(self.agent, self.first_std, config.ppo.final_std, k / max(config.iterations - 1, 1))
         factor = 1.0 if config.constant_rates else 0.5 * (1 + np.cos(np.pi * k / config.iterations))
         for optimiser, rate in (
             (self.design_optimiser, config.design_rate),

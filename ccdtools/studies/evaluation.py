@@ -102,7 +102,7 @@ class Evaluation:
 
         On the model stands the policy as designed, on the real plant the one in service at the end.
         """
-        controllers = baselines(self.problem, design, rng=rng)
+        controllers = baselines(self.problem, design, rng=self.rng("baselines"))
         model = "nominal" if designed_on is None else "updated"
         rows: list[dict[str, Any]] = []
         arrays: dict[str, Array] = {}
