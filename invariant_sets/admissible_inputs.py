@@ -114,6 +114,7 @@ class AdmissibleInputs:
         v, admissible = self._intervals(rooms, wanted) if self._slope.shape[1] == 1 else self._programs(rooms, wanted)
         for k in np.flatnonzero(~admissible):
             v[k] = self._least_violation(rooms[k], wanted[k])
+            admissible[k] = (self._slope @ v[k] - rooms[k]).max(initial=-np.inf) <= _TOLERANCE  # DAQP may have given up
         u = self._middle + v @ self._size.T
         return (u[0], bool(admissible[0])) if single else (u, admissible)
 

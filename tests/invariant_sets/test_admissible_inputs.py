@@ -95,3 +95,26 @@ def test_suspension_inputs_of_a_thousand_newton_are_filtered_in_their_own_units(
     assert admissible.all()
     assert C.contains(x @ A.T + u @ B.T, tol=1e-8).all()
     assert np.abs(u).max() == pytest.approx(1000)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_random_filters_agree_with_a_linear_program(seed):
+    """Scales from 1e-3 to 1e3, one to three inputs, flat and shifted U, with and without a disturbance."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, 4)), int(rng.integers(1, 4))
+    s, us = 10 ** rng.uniform(-3, 3, n), 10 ** rng.uniform(-2, 3, m)
+    A, B = rng.normal(size=(n, n)) * s[:, None] / s, rng.normal(size=(n, m)) * s[:, None] / us
+    S = Polytope.from_vertices(rng.normal(size=(3 * n + 2, n)) * s)
+    U = Polytope.from_bounds(-us * (rng.random(m) > 0.2), us * rng.random(m))
+    W = Polytope.from_bounds(-0.05 * s, 0.05 * s) if seed % 3 == 0 else None
+    tightened = S if W is None else S.pontryagin_difference(W)
+    x, proposed = rng.normal(size=(12, n)) * s, rng.normal(size=(12, m)) * us
+    u, admissible = AdmissibleInputs(A, B, S, U, W=W).project(x, proposed)
+    assert U.contains(u, tol=1e-7).all()
+    assert not admissible.any() or tightened.contains((x @ A.T + u @ B.T)[admissible], tol=1e-7).all()
+    lower, upper = U.bounding_box()
+    size = np.abs(S.A) @ s
+    for k in range(12):
+        right = (tightened.b - S.A @ A @ x[k]) / size
+        answer = linprog(np.zeros(m), A_ub=S.A @ B * us / size[:, None], b_ub=right, bounds=list(zip(lower / us, upper / us)))
+        assert (answer.status == 0) == admissible[k]
