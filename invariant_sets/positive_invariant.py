@@ -11,11 +11,12 @@ from .coordinates import LinearSystem
 from .exceptions import InputError
 from .invariance import Limits, largest_invariant_set
 from .polytope import Polytope
-from .results import Certificate, SetResult, Status
+from .results import Certificate, SetResult, Status, no_set
 from .system_checks import check_set, checked_disturbance, checked_state_matrix
 from .validation import as_matrix, check_count, check_tolerance
 
 Array = np.ndarray
+_SERIES = 5000  # terms of a sum of supports at most
 _NO_INPUT = Polytope(np.zeros((0, 1)), np.zeros(0), np.ones((1, 1)), np.zeros(1))
 
 
@@ -96,7 +97,8 @@ def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = Non
     Returns
     -------
     SetResult
-        `set` = `outer`, robust positively invariant whatever the status; `certificate.gap` is the excess reached.
+        `set` = `outer`, robust positively invariant at every vertex unless the status is NOT_CERTIFIED;
+        `certificate.gap` is the excess reached, inf if not known.
 
     Raises
     ------
@@ -106,8 +108,9 @@ def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = Non
     Notes
     -----
     (1 − α)⁻¹ ⊕_{i<s} AⁱW is robust positively invariant if AˢW ⊆ αW, and exceeds the minimal set by at most
-    α/(1 − α). It needs W to be full-dimensional with 0 inside: W is shifted to a centre, and where EW is flat, the
-    set of a slightly larger disturbance is iterated as R ← A R ⊕ E W, which keeps robust invariance.
+    α/(1 − α). It needs W to be full-dimensional with 0 inside: W is shifted to a centre. Where EW is flat, or a cap
+    comes before AˢW begins to shrink, the largest robust set in a box around the answer is iterated as
+    R ← A R ⊕ E W, which keeps robust invariance, and compared with the partial sum, which is inside.
 
     References
     ----------
@@ -133,11 +136,14 @@ def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = Non
     else:
         local, vertices = Q.T @ A @ Q, (noise - centre) @ Q
         solid = Polytope.from_vertices(vertices).affine_dim == len(local)
-        approximate = _rakovic if solid else _flat_noise
+        approximate = _rakovic if solid else _from_outside
         R, gap, steps, status = approximate(local, vertices, eps, max_iterations, max_facets)
         R = R.affine_map(Q, rest)
     violation, points = control_violation(A, np.zeros((len(A), 1)), R, _NO_INPUT, noise)
-    return SetResult(R, R, status, steps, Certificate(violation, gap, points))
+    certificate = Certificate(violation, gap, points)
+    if not certificate.holds:
+        return no_set(len(A), steps, R, Status.NOT_CERTIFIED)
+    return SetResult(R, R, status, steps, certificate)
 
 
 def _moving_subspace(A: Array, W: Array) -> Array:
@@ -169,42 +175,56 @@ def _rakovic(A: Array, W: Array, eps: float, limit: int, max_facets: int) -> tup
             status = Status.CONVERGED
             break
         grown = Polytope.from_vertices((partial.vertices[:, None] + image[None]).reshape(-1, len(A)))
-        if len(grown.b) > max_facets and best[0] < 1:
+        if len(grown.b) > max_facets:
             status = Status.FACET_LIMIT
             break
         partial = grown
     alpha, partial, s = best
-    if alpha >= 1:
-        raise InputError(f"max_iterations = {limit} is too small for any invariant set: the disturbance has not begun "
-                         "to shrink. Increase max_iterations.")
+    if alpha >= 1:  # the disturbance has not begun to shrink within the caps: start from outside instead
+        return _from_outside(A, W, eps, limit, max_facets)
     alpha = max(alpha, 0.0) + 1e-12
     return partial.scale(1 / (1 - alpha)), alpha / (1 - alpha), s, status
 
 
-def _flat_noise(A: Array, W: Array, eps: float, limit: int, max_facets: int) -> tuple[Polytope, float, int, Status]:
-    """Iterate R ← A R ⊕ W from the set of W plus a small box; every iterate is robust positively invariant."""
-    n = len(A)
-    size = np.abs(W).max(axis=0)
-    box = Polytope.from_bounds(-(size + size.max()) * 0.05, (size + size.max()) * 0.05)
-    larger = (W[:, None] + box.vertices[None]).reshape(-1, n)
-    R, gap, steps, status = _rakovic(A, larger, 0.5, limit, max_facets)
+def _from_outside(A: Array, W: Array, eps: float, limit: int, max_facets: int) -> tuple[Polytope, float, int, Status]:
+    """Iterate R ← A R ⊕ W from the largest robust set in a box around the answer; every iterate is robust."""
+    eye = np.eye(len(A))
+    upper, lower = _sum_of_supports(eye, A, W, _SERIES), -_sum_of_supports(-eye, A, W, _SERIES)
+    margin = 0.25 * (upper - lower) + 0.01 * (upper - lower).max()
     noise = Polytope.from_vertices(W)
-    gap = np.inf
-    for extra in range(1, limit + 1):
-        # R_k = ⊕_{i<k} AⁱW ⊕ Aᵏ R₀, so the excess over the minimal set is at most Aᵏ R₀
-        grown = R.affine_map(A).minkowski_sum(noise)
-        if len(grown.b) > max_facets:
-            return R, gap, steps + extra - 1, Status.FACET_LIMIT
-        gap, R = _excess(grown, A, W, extra), grown
+    first = maximal_positively_invariant_set(A, Polytope.from_bounds(lower - margin, upper + margin), W=noise,
+                                             max_iterations=limit, max_facets=max_facets)
+    if first.set.is_empty:
+        raise InputError(f"max_iterations = {limit} or max_facets = {max_facets} is too small for any invariant set. "
+                         "Increase them.")
+    R, steps, gap = first.set, first.iterations, np.inf
+    partial, image = noise, W  # a partial sum, inside the minimal set
+    for extra in range(limit + 1):
+        gap = min(gap, _excess(R, partial))
         if gap <= eps:
             return R, gap, steps + extra, Status.CONVERGED
-    return R, gap, steps + limit, Status.ITERATION_LIMIT if status is Status.CONVERGED else status
+        grown, image = R.affine_map(A).minkowski_sum(noise), image @ A.T
+        partial = Polytope.from_vertices((partial.vertices[:, None] + image[None]).reshape(-1, len(A)))
+        if max(len(grown.b), len(partial.b)) > max_facets:
+            return R, gap, steps + extra, Status.FACET_LIMIT
+        R = grown
+    return R, gap, steps + limit, Status.ITERATION_LIMIT
 
 
-def _excess(R: Polytope, A: Array, W: Array, terms: int) -> float:
-    """Return by how much R exceeds the partial sum of `terms` powers, a subset of the minimal set, in any facet."""
-    directions, inner = R.A, np.zeros(len(R.b))
-    for _ in range(terms + 50):
-        inner += (directions @ W.T).max(axis=1)
+def _excess(R: Polytope, partial: Polytope) -> float:
+    """Return the least g with R ⊆ (1 + g) partial, inf while the partial sum is flat; 0 is inside both."""
+    if partial.affine_dim < partial.dim or partial.b.min() <= 0:
+        return np.inf
+    return max(0.0, float((R._supports(partial.A) / partial.b).max() - 1.0))
+
+
+def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
+    """Return Σ_i max_w dᵀAⁱw for every row d of D, from below: the terms after the last are left out."""
+    total, directions = np.zeros(len(D)), np.array(D)
+    for _ in range(terms):
+        step = (directions @ W.T).max(axis=1)
+        total += step
+        if np.abs(directions).max() * np.abs(W).max() <= 1e-13 * np.abs(total).max():
+            break
         directions = directions @ A
-    return float((R.b / np.maximum(inner, 1e-300)).max() - 1.0)
+    return total

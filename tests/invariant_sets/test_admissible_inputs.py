@@ -116,5 +116,6 @@ def test_random_filters_agree_with_a_linear_program(seed):
     size = np.abs(S.A) @ s
     for k in range(12):
         right = (tightened.b - S.A @ A @ x[k]) / size
-        answer = linprog(np.zeros(m), A_ub=S.A @ B * us / size[:, None], b_ub=right, bounds=list(zip(lower / us, upper / us)))
+        bounds = list(zip(lower / us, upper / us))
+        answer = linprog(np.zeros(m), A_ub=S.A @ B * us / size[:, None], b_ub=right, bounds=bounds)
         assert (answer.status == 0) == admissible[k]
