@@ -2,14 +2,17 @@ PYTHON ?= python3
 BIN := .venv/bin
 SETUP := .venv/.ready
 
-.PHONY: run test lint bench clean
+.PHONY: run test targets lint bench clean
 .DELETE_ON_ERROR:
 
 run: $(SETUP)          ## the suspension study, start to report
 	$(BIN)/ccdtools run suspension $(ARGS)
 
-test: $(SETUP) lint    ## every check and test
+test: $(SETUP) lint    ## every check and test but the long studies
 	$(BIN)/python -m pytest -m "not slow"
+
+targets: $(SETUP)      ## the long studies: seeds 1 and 2 of every target, the whole drive with every seed
+	$(BIN)/python -m pytest -m slow
 
 lint: $(SETUP)
 	$(BIN)/ruff check .

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
+import shutil
+import signal
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from ccdtools.exceptions import CCDError, InputError
 
 if TYPE_CHECKING:
-    from ccdtools.studies import RunFolder, Study
+    from ccdtools.studies import RunFolder, Study, StudyConfig
 
 app = typer.Typer(
     help="Control co-design: a plant's physical parameters and its controller, designed together.",
@@ -23,6 +29,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+_OPTION_NAMES = re.compile(r"^(x0|p0|driver|design_gradient|disturbance)(\b)")
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,7 @@ class Options:
     quick: bool
     preset: str
     expert: str
-    design_gradient: str
+    design_gradient: str | None
     x0: list[float] | None
     p0: list[float] | None
     disturbance: str | None
@@ -54,7 +63,7 @@ def run(
     quick: Annotated[bool, typer.Option("--quick", help="Same path, fewer samples; under a minute.")] = False,
     preset: Annotated[str, typer.Option(help="default, or paper: its networks, loss, rates and epochs.")] = "default",
     expert: Annotated[str, typer.Option(help="Who is cloned: lqr (projected on X_fea), mpc, explicit.")] = "lqr",
-    design_gradient: Annotated[str, typer.Option(help="pathwise, or network_input (the paper's).")] = "pathwise",
+    design_gradient: Annotated[str | None, typer.Option(help="pathwise, or network_input (the paper's).")] = None,
     x0: Annotated[str | None, typer.Option(help="Initial state, for example --x0=-3,0")] = None,
     p0: Annotated[str | None, typer.Option(help="Start design, for example --p0=0.8")] = None,
     disturbance: Annotated[
@@ -68,28 +77,40 @@ def run(
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report."""
     options = Options(
-        study, generations, seed, quick, preset, expert, design_gradient, _numbers(x0, "--x0"), _numbers(p0, "--p0"),
-        disturbance, column, road, speed, driver,
+        _located(study), generations, seed, quick, preset, expert, design_gradient, _numbers(x0, "--x0"),
+        _numbers(p0, "--p0"), disturbance, column, road, speed, driver,
     )  # fmt: skip
-    declared = _with_disturbance(_study(options), options)
-    _check(declared, options)
-    folder = _new_folder(output, Path(study).stem, overwrite)
-    folder.write_json("run.json", vars(options))
-    _keep_recording(folder, declared)
-    _complete(folder, declared, options)
+    folder = None
+    try:
+        with _undisturbed():
+            declared = _with_disturbance(_study(options), options)
+            _check(declared, options)
+            folder = _new_folder(output, Path(study).stem, overwrite)
+            folder.write_json("run.json", vars(options))
+            _keep_recording(folder, declared)
+        _complete(folder, declared, options)
+    except KeyboardInterrupt:
+        _stop(folder)
 
 
 @app.command()
 def resume(folder: Annotated[Path, typer.Argument(help="Folder of an interrupted run.")]) -> None:
     """Continue an interrupted run; what it had finished is read, not computed again."""
-    from ccdtools.studies import RunFolder
+    kept = None
+    try:
+        with _undisturbed():
+            from ccdtools.studies import RunFolder
 
-    kept = RunFolder(folder)
-    options = Options(**kept.read_json("run.json"))
-    study = _study(options)
-    if options.driver is not None:
-        study = _with_disturbance(study, options)
-    _complete(kept, _with_kept_recording(kept, study), options)
+            kept = RunFolder(folder)
+            options = _kept_options(kept)
+            study = _study(options)
+            if options.driver is not None:
+                study = _with_disturbance(study, options)
+            study = _with_kept_recording(kept, study)
+            _check(study, options)
+        _complete(kept, study, options)
+    except KeyboardInterrupt:
+        _stop(kept)
 
 
 @app.command()
@@ -105,39 +126,94 @@ def main() -> None:
     """Entry point: bad input is one line and exit code 2, an interruption is exit code 130."""
     try:
         app()
-    except CCDError as error:
-        typer.echo(f"ccdtools: {error}", err=True)
+    except Exception as error:
+        if not isinstance(error, _errors_of_ours()):
+            raise
+        typer.echo(f"ccdtools: {_OPTION_NAMES.sub(_as_typed, str(error))}", err=True)
         sys.exit(2)
+
+
+def _errors_of_ours() -> tuple[type[Exception], ...]:
+    from invariant_sets import InvariantSetsError
+    from learning import LearningError
+    from mpc import MPCError
+
+    return CCDError, LearningError, MPCError, InvariantSetsError
+
+
+def _as_typed(found: re.Match[str]) -> str:
+    return "--" + found.group(1).replace("_", "-") + found.group(2)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Hold Ctrl-C back: an import or a folder interrupted half-way could not be continued."""
+    caught: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: caught.append(number))
+    try:
+        import ccdtools.studies.report  # noqa: F401  (everything that is slow to import)
+
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if caught:
+        raise KeyboardInterrupt
+
+
+def _stop(folder: RunFolder | None) -> NoReturn:
+    """Say what was kept and how to go on."""
+    if folder is None:
+        typer.echo("\nInterrupted before anything was begun.")
+    else:
+        typer.echo(f"\nInterrupted. Finished and kept: {', '.join(folder.finished()) or 'nothing yet'}.")
+        typer.echo(f"Continue with: {shlex.join([*_program(), 'resume', str(folder.path)])}")
+    sys.exit(130)
+
+
+def _program() -> list[str]:
+    """How this program was called, as a shell can call it again."""
+    called = sys.argv[0]
+    if called.endswith(".py"):
+        return [sys.executable, "-m", "ccdtools.cli"]
+    found = shutil.which(Path(called).name)
+    return [Path(called).name] if found and Path(found).resolve() == Path(called).resolve() else [called]
 
 
 def _complete(folder: RunFolder, study: Study, options: Options) -> None:
     """Run what is not finished yet, and report."""
-    from ccdtools.studies import Generations, configuration
+    from ccdtools.studies import Generations
     from ccdtools.studies.report import write_report
     from ccdtools.studies.tables import console_table
 
-    config = configuration(
+    quick = " (QUICK: few samples, not for conclusions)" if options.quick else ""
+    typer.echo(f"{study.title}, seed {options.seed}{quick} → {folder.path}")
+    start = time.perf_counter()
+    _single_thread()
+    loop = Generations(
+        study, _configuration(study, options), folder, generations=options.generations, seed=options.seed,
+        say=typer.echo, progress=sys.stderr.isatty(),
+    )  # fmt: skip
+    results = loop.run()
+    typer.echo("Figures and report")
+    report = write_report(study, folder)
+    typer.echo("\n" + console_table(results))
+    typer.echo(f"\nReport, after {time.perf_counter() - start:.0f} s: {report}")
+
+
+def _configuration(study: Study, options: Options) -> StudyConfig:
+    from ccdtools.studies import configuration
+
+    return configuration(
         study, preset=options.preset, quick=options.quick, expert=options.expert,
         design_gradient=options.design_gradient,
     )  # fmt: skip
-    quick = " (QUICK: few samples, not for conclusions)" if options.quick else ""
-    typer.echo(f"{study.title}, seed {options.seed}{quick} → {folder.path}")
-    try:
-        _single_thread()
-        loop = Generations(
-            study, config, folder, generations=options.generations, seed=options.seed, say=typer.echo,
-            progress=sys.stderr.isatty(),
-        )  # fmt: skip
-        results = loop.run()
-        typer.echo("Figures and report")
-        report = write_report(study, folder)
-    except KeyboardInterrupt:
-        finished = ", ".join(folder.finished()) or "nothing yet"
-        typer.echo(f"\nInterrupted. Finished and kept: {finished}.")
-        typer.echo(f"Continue with: ccdtools resume {shlex.quote(str(folder.path))}")
-        sys.exit(130)
-    typer.echo("\n" + console_table(results))
-    typer.echo(f"\nReport: {report}")
+
+
+def _kept_options(folder: RunFolder) -> Options:
+    kept = folder.read_json("run.json")
+    if not isinstance(kept, dict) or set(kept) != set(Options.__dataclass_fields__):
+        raise InputError(f"folder: got {folder.path} with a run.json of another kind, expected one of this version.")
+    return Options(**kept)
 
 
 def _study(options: Options) -> Study:
@@ -185,17 +261,13 @@ def _with_disturbance(study: Study, options: Options) -> Study:
 
 
 def _check(study: Study, options: Options) -> None:
-    """Everything that can be wrong with the input, before a folder is made."""
-    from ccdtools.studies import configuration
+    """All that can be told of the input without running it, before a folder is made."""
     from ccdtools.studies.evaluation import Evaluation
     from ccdtools.studies.generations import check_counts
 
     check_counts(options.generations, options.seed)
-    config = configuration(
-        study, preset=options.preset, quick=options.quick, expert=options.expert,
-        design_gradient=options.design_gradient,
-    )  # fmt: skip
-    _ = Evaluation(study, config, options.seed).deployment_steps
+    evaluation = Evaluation(study, _configuration(study, options), options.seed)
+    evaluation.check_recording()
 
 
 def _new_folder(output: Path | None, name: str, overwrite: bool) -> RunFolder:
@@ -232,6 +304,11 @@ def _with_kept_recording(folder: RunFolder, study: Study) -> Study:
     return replace(study, real=replace(study.real, disturbance=Recorded(np.load(kept, allow_pickle=False))))
 
 
+def _located(study: str) -> str:
+    """The study's name, or the absolute path of its file: a run may be resumed from elsewhere."""
+    return str(Path(study).resolve()) if study.endswith(".py") else study
+
+
 def _numbers(text: str | None, argument: str) -> list[float] | None:
     if text is None:
         return None
@@ -245,7 +322,8 @@ def _single_thread() -> None:
     """Small matrices: one thread is faster than several, and leaves the other cores alone."""
     import torch
 
-    torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    torch.set_num_threads(int(asked) if asked.isdecimal() and int(asked) > 0 else 1)
 
 
 if __name__ == "__main__":

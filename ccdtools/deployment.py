@@ -202,7 +202,8 @@ def deploy_and_update(
     x0 : (n, nx) array
         Initial states of the runs.
     disturbance : (n, T, nw) array
-        One long run is cut in time, several are dealt out in groups.
+        One long run is cut in time, several are dealt out in groups. A deployment too short to judge so many
+        updates gets fewer, or none.
     """
     config = config or OnlineConfig()
     design = problem.design.check(design)
@@ -210,7 +211,8 @@ def deploy_and_update(
     updates: list[OnlineUpdate] = []
     train: list[Residuals] = []
     test: list[Residuals] = []
-    for stretch in _stretches(len(x0), disturbance.shape[1], config.updates + 1):
+    count = _possible_updates(len(x0), disturbance.shape[1], config)
+    for stretch in _stretches(len(x0), disturbance.shape[1], count + 1):
         runs, steps = stretch
         start = pieces[-1].states[:, -1] if pieces and steps.start > 0 else x0[runs]
         policy = LearnedPolicy(agent, design)
@@ -218,9 +220,11 @@ def deploy_and_update(
             plant, policy, design, disturbance[runs, steps], x0=start, limit=problem.limit, progress=progress
         )
         pieces.append(piece)
-        if len(pieces) <= config.updates and not piece.diverged.all():
+        if len(pieces) <= count and not piece.diverged.all():
             after = sum(p.inputs.shape[0] * p.inputs.shape[1] for p in pieces)
             first, rest = _split(residuals(problem.model, piece), config.held_out)
+            if min(first.x.shape[1], rest.x.shape[1]) < config.window:
+                continue  # too few runs of this stretch survived
             train.append(first)
             test.append(rest)
             agent, update = _update(problem, agent, design, (train, test), after, rng, config)
@@ -262,6 +266,12 @@ def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
         return errors.part(slice(None, cut), slice(None)), errors.part(slice(cut, None), slice(None))
     cut = steps - round(held_out * steps)
     return errors.part(slice(None), slice(None, cut)), errors.part(slice(None), slice(cut, None))
+
+
+def _possible_updates(runs: int, steps: int, config: OnlineConfig) -> int:
+    """As many updates as leave every stretch a window to be judged on, at most `config.updates`."""
+    stretches = runs // 2 if runs > 1 else int(steps * config.held_out // config.window)
+    return min(config.updates, max(0, stretches - 1))
 
 
 def _stretches(runs: int, steps: int, pieces: int) -> list[tuple[slice, slice]]:

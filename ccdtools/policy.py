@@ -42,6 +42,8 @@ class LearnedPolicy:
         x = np.asarray(x, dtype=float)
         if x.shape[-1:] != (self._nx,):
             raise InputError(f"x: got shape {x.shape}, expected ({self._nx},) or (n, {self._nx}).")
+        if not np.isfinite(x).all():
+            raise InputError("x: got a value that is not finite, expected finite states.")
         p = np.broadcast_to(self.design, (*x.shape[:-1], len(self.design)))
         z = (np.concatenate([x, p], axis=-1) - self._offset) / self._scale
         latent = self._mean(z)
@@ -53,9 +55,9 @@ class LearnedPolicy:
         """The stochastic policy, drawing from `rng`."""
         return LearnedPolicy(self.agent, self.design, rng)
 
-    def save(self, path: str | Path) -> None:
-        """Write the networks and the design to one safetensors file; read back with `load_policy`."""
-        checkpoint.save(path, self.agent, {"design": self.design.tolist()})
+    def save(self, path: str | Path, **notes: str) -> None:
+        """Write the networks, the design and any notes to one safetensors file; read back with `load_policy`."""
+        checkpoint.save(path, self.agent, {"design": self.design.tolist(), "notes": notes})
 
     @property
     def _nx(self) -> int:

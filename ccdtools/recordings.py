@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -20,7 +21,7 @@ __all__ = ["read_disturbance", "read_road", "read_speed"]
 Array: TypeAlias = NDArray[np.float64]
 FilePath: TypeAlias = str | PathLike[str]
 
-TIME_COLUMNS = ("time", "t")
+TIME_COLUMNS = ("time", "t", "timestamp", "seconds")  # in any case, with or without a unit behind
 SAMPLING_TOLERANCE = 1e-3  # relative to dt
 KMH = 1 / 3.6  # one km/h in m/s
 
@@ -31,7 +32,8 @@ def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, ar
     Parameters
     ----------
     path : path
-        CSV file with a header: one column of values, and possibly a column `time` or `t` [s].
+        CSV file with a header: one column of values, and possibly one of times [s]:
+        `time`, `t`, `timestamp` or `seconds`, in any case, with or without a unit behind ("Time [s]").
     dt : float
         Time step the samples must have [s]; a time column is checked against it (relative tolerance 1e-3).
     column : str, optional
@@ -54,10 +56,9 @@ def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, ar
     table = _read_table(path, argument)
     name = column if column is not None else table.only_value_column()
     values = table.column(name)
-    for time_name in TIME_COLUMNS:
-        if time_name in table.header and time_name != name:
+    for time_name in filter(_is_time, table.header):
+        if time_name != name:
             _check_sampling(table, table.column(time_name), dt)
-            break
     return values
 
 
@@ -132,7 +133,7 @@ class _Table:
 
     def only_value_column(self) -> str:
         """Name of the one column that is not the time."""
-        names = [name for name in self.header if name not in TIME_COLUMNS]
+        names = [name for name in self.header if not _is_time(name)]
         if len(names) != 1:
             self.fail(
                 f"{len(names)} columns that could be the disturbance (found {_listed(self.header)}),"
@@ -219,6 +220,10 @@ def _check_sampling(table: _Table, time: Array, dt: float) -> None:
         )
     if abs(typical - dt) > SAMPLING_TOLERANCE * dt:
         table.fail(f"sampled every {typical:g} s, expected dt = {dt:g} s; resample the file at {dt:g} s")
+
+
+def _is_time(name: str) -> bool:
+    return re.sub(r"[\[(].*", "", name).strip().lower() in TIME_COLUMNS
 
 
 def _is_number(cell: str) -> bool:

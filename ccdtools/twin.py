@@ -207,8 +207,9 @@ class DigitalTwin:
     ) -> DigitalTwin:
         """The twin after learning from one more log.
 
-        The last part of every contiguous block of the log is held out for the scores, so that fit and test both see
-        every regime of a drive and never share a neighbourhood in time. Of several runs, the last ones are held out.
+        The last part of every contiguous block of the log is held out for the scores: it follows in time what was
+        trained on, and fit and test both see every regime of a drive. Of several runs, the last ones are held out.
+        The promised coverage is that over all regimes together; within a calm one the band may be too wide.
 
         Parameters
         ----------

@@ -68,7 +68,7 @@ def configuration(
     preset: str = "default",
     quick: bool = False,
     expert: str = "lqr",
-    design_gradient: str = "pathwise",
+    design_gradient: str | None = None,
 ) -> StudyConfig:
     """The configuration of a preset.
 
@@ -87,7 +87,7 @@ def configuration(
     config = StudyConfig(preset=preset, expert=expert, samples=study.samples)
     if preset == "paper":
         config = _paper(config, study)
-    elif design_gradient != "pathwise":
+    if design_gradient is not None:
         config = replace(
             config,
             codesign=replace(config.codesign, design_gradient=design_gradient),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.controllers import Controller
+from ccdtools.controllers import Controller, LinearFeedback
 from ccdtools.disturbance import Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.policy import LearnedPolicy
@@ -23,6 +23,7 @@ from ccdtools.studies.run_folder import Stage
 from ccdtools.studies.study import Study
 from ccdtools.twin import Discrepancy, TwinPlant
 from learning.networks import ActorCritic
+from mpc import lqr
 
 MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
 BAND_RUNS, BAND_STEPS = 500, 1000  # of the trajectories kept for figures
@@ -67,6 +68,24 @@ class Evaluation:
                 f"disturbance: got {steps} samples, expected at least {MINIMUM_LOG} to learn the discrepancy from."
             )
         return steps
+
+    def check_recording(self) -> None:
+        """Raise an `InputError` if LQR at the start design diverges under a recorded disturbance: wrong units?"""
+        steps, real = self.deployment_steps, self.study.real
+        if not isinstance(real.disturbance, Recorded):
+            return
+        w = self.recorded(1, "deployment")
+        A, B, _ = self.study.model.matrices(self.study.p0)
+        K = lqr(A, B, Q=self.study.objective.Q, R=self.study.objective.R)[0]
+        run = simulate(
+            real.plant, LinearFeedback(K, *self.problem.input_bounds), x0=real.x0, steps=steps, disturbance=w,
+            design=self.study.p0, limit=self.problem.limit,
+        )  # fmt: skip
+        if run.diverged.any():
+            raise InputError(
+                f"disturbance: got values up to {np.abs(w).max():.3g}, under which LQR at the start design diverges "
+                f"after {run.diverged_at[0]} samples, expected what the plant can bear; check the units."
+            )
 
     def recorded(self, runs: int, name: str) -> Array:
         """The real plant's disturbance, (runs, T, nw)."""

@@ -100,7 +100,8 @@ class Generations:
             entries.append(
                 generation_entry(g, self.evaluation, found=found, service=service, learned=learned, returns=returns)
             )
-        LearnedPolicy(agent, design).save(self.folder.path / "policy.safetensors")
+        notes = {"study": self.study.name, "mode": "QUICK" if self.config.quick else "full"}
+        LearnedPolicy(agent, design).save(self.folder.path / "policy.safetensors", **notes)
         contents = results(self.evaluation, initial=initial, generations=entries, comparison=rows, stages=stages)
         self.folder.write_json("results.json", contents)
         return contents
@@ -173,6 +174,11 @@ class Generations:
                 config=replace(self.config.online, window=self._window()), progress=self.progress,
             )  # fmt: skip
             log = deployment.log
+            if log.diverged.all():
+                raise InputError(
+                    f"x0: got a start from which every run of deployment {g} diverged at "
+                    f"{self.problem.design.describe(design)}, expected one that some design can recover from."
+                )
             returns = summarise(replicates(log.rewards(self.study.objective)[~log.diverged], real.runs))
             updates = [asdict(update) for update in deployment.updates]
             accepted = sum(update.accepted for update in deployment.updates)

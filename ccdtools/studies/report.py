@@ -129,6 +129,8 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
         rows = [row for row in results["comparison"] if (row["generation"], row["plant"]) == (g, plant)]
         reference = next((row for row in rows if row["controller"] == "LQR"), None)
         verdicts = ["reference" if row is reference else verdict(row, reference) for row in rows]
+        if rows[0]["model"] == "updated":
+            verdicts = [mark if mark == "reference" else "not judged" for mark in verdicts]
         blocks.append({
             "generation": g, "plant": "real plant" if plant == "real" else f"{rows[0]['model']} model",
             "design": design_text(results, rows[0]["design"]), "bounds": active_bounds_text(rows[0]["active_bounds"]),

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import shutil
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
 from learning import checkpoint
+from learning.exceptions import CheckpointError
 
 Network = Any
 
@@ -50,13 +52,17 @@ class RunFolder:
             If the path exists and `overwrite` is false, is not a run's folder, or cannot be made.
         """
         folder = cls(path)
-        if folder.path.exists():
+        try:
+            exists = folder.path.exists()
+        except OSError as error:
+            raise InputError(f"{argument}: got {folder.path}, expected a usable path ({error.strerror}).") from None
+        if exists:
             if not overwrite:
                 raise InputError(
                     f"{argument}: got {folder.path}, which exists, expected a new folder; "
                     "choose another, continue it with `ccdtools resume`, or add --overwrite."
                 )
-            if not (folder.path / "run.json").is_file():
+            if folder.path.is_symlink() or not (folder.path / "run.json").is_file():
                 raise InputError(
                     f"{argument}: got {folder.path}, which holds no run, expected a run's folder to overwrite."
                 )
@@ -108,6 +114,15 @@ class RunFolder:
 
     def read_stage(self, name: str) -> Stage:
         """A finished stage."""
+        try:
+            return self._read(name)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, CheckpointError) as error:
+            raise InputError(
+                f"folder: got a damaged stage {self._stages / name} ({error}), expected it as written; "
+                "delete it, and the run computes it again."
+            ) from None
+
+    def _read(self, name: str) -> Stage:
         folder = self._stages / name
         values = json.loads((folder / "values.json").read_text(encoding="utf-8"))
         with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:

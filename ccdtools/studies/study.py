@@ -145,7 +145,7 @@ def load_study(name: str) -> Study:
         module = importlib.util.module_from_spec(spec)
         try:
             spec.loader.exec_module(module)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             reason = " ".join(str(error).split())
             raise InputError(
                 f"study: got {name}, which stops with {type(error).__name__}: {reason}; expected a file that runs."

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shlex
 import signal
 import subprocess
 import sys
@@ -131,7 +130,7 @@ def test_resume_of_a_finished_run_computes_nothing_again(quick_run):
         (["run", "suspension", "--seed=-1"], "--seed: got -1"),
         (["run", "suspension", "--preset", "papr"], "--preset: got 'papr', expected one of default, paper"),
         (["run", "suspension", "--expert", "pid"], "--expert: got 'pid'"),
-        (["run", "suspension", "--design-gradient", "up"], "design_gradient: got 'up'"),
+        (["run", "suspension", "--design-gradient", "up"], "--design-gradient: got 'up'"),
         (["run", "suspension", "--p0=1e4,5000"], "p0: got c_s = 5000, expected a value in [500, 3000]"),
         (["run", "illustrative", "--x0=1,2,3"], "x0: got 3 values, expected 2"),
         (["run", "illustrative", "--x0=one,2"], "--x0: got 'one,2', expected numbers"),
@@ -146,15 +145,29 @@ def test_resume_of_a_finished_run_computes_nothing_again(quick_run):
         (["run", "suspension", "--road", "r.csv"], "--road: got it without --speed"),
         (["run", "suspension", "--road", "r.csv", "--speed", "v.csv", "--driver", "mild"], "expected one source"),
         (["run", "illustrative", "--disturbance", "short.csv"], "--disturbance: got one disturbance, expected 2"),
-        (["run", "broken.py"], "study: got broken.py, which stops with SyntaxError"),
-        (["run", "empty.py"], "study: got empty.py, which declares no `study`"),
-        (["run", "absent.py"], "study: got absent.py, which is not a file"),
+        (["run", "broken.py"], "broken.py, which stops with SyntaxError"),
+        (["run", "exit.py"], "exit.py, which stops with SystemExit"),
+        (["run", "flat.py"], "upper"),
+        (["run", "suspension", "--disturbance", "huge.csv"], "check the units"),
+        (["run", "suspension", "--disturbance", "titled.csv", "--column", "dz_dt"], "unequal sampling"),
+        (["run", "suspension", "--output", "n" * 300], "expected a usable path"),
+        (["resume", "odd"], "run.json of another kind"),
+        (["run", "empty.py"], "empty.py, which declares no `study`"),
+        (["run", "absent.py"], "absent.py, which is not a file"),
         (["resume", "nowhere"], "folder: got nowhere without a readable run.json"),
     ],
 )
 def test_bad_input_is_one_clear_line(tmp_path, monkeypatch, capsys, arguments, message):
     (tmp_path / "broken.py").write_text("study = = 1\n")
     (tmp_path / "empty.py").write_text("")
+    (tmp_path / "exit.py").write_text("raise SystemExit(3)")
+    (tmp_path / "flat.py").write_text(
+        TWO_MASSES.replace("X=Polytope.from_bounds(-box, box)", "X=Polytope.from_bounds(-box, box[:2])")
+    )
+    (tmp_path / "huge.csv").write_text("dz_dt\n" + "1e300\n-1e300\n" * 300)
+    (tmp_path / "titled.csv").write_text("Time [s],dz_dt\n" + "".join(f"{0.05 * i**1.1},0\n" for i in range(600)))
+    (tmp_path / "odd").mkdir()
+    (tmp_path / "odd" / "run.json").write_text("[]")
     (tmp_path / "nan.csv").write_text("dz_dt\n0.1\nnan\n" + "0.0\n" * 600)
     (tmp_path / "two.csv").write_text("a,b\n" + "0.1,0.2\n" * 600)
     (tmp_path / "uneven.csv").write_text(
@@ -185,10 +198,10 @@ def test_interrupted_run_keeps_what_it_finished_and_its_command_continues_it(tmp
     out, err = process.communicate(timeout=120)
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    command = re.search(r"Continue with: ccdtools (.*)", out).group(1)
+    command = re.search(r"Continue with: (.*)", out).group(1)
     kept = tmp_path / "my run" / "stages" / "codesign-1" / "arrays.npz"
     before = kept.stat().st_mtime_ns
-    continued = ccdtools(*shlex.split(command), cwd=tmp_path)
+    continued = subprocess.run(command, shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=500)
     assert continued.returncode == 0, continued.stderr
     assert kept.stat().st_mtime_ns == before
     # The same seed gives the same run, interrupted or not; only times differ.

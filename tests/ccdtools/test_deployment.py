@@ -260,9 +260,14 @@ def test_a_run_lost_in_one_stretch_stays_lost(illustrative, clone):
     np.testing.assert_array_equal(log.diverged_at, whole.diverged_at)
 
 
-def test_a_stretch_too_short_to_replay_is_refused(illustrative, clone):
-    with pytest.raises(InputError, match=r"log: got runs of .* samples, expected at least 100 for a replay"):
-        deployed(illustrative, clone(illustrative), runs=1, steps=90, config=replace(ONLINE, window=100))
+@pytest.mark.parametrize(
+    ("runs", "steps", "updates"), [(1, 90, 0), (1, 700, 1), (1, 1000, 2), (3, 150, 0), (4, 150, 1)]
+)
+def test_a_deployment_too_short_to_judge_every_update_gets_fewer(illustrative, clone, runs, steps, updates):
+    config = replace(ONLINE, window=100, updates=4)
+    done = deployed(illustrative, clone(illustrative), runs=runs, steps=steps, config=config)
+    assert len(done.updates) == updates
+    assert done.log.inputs.shape[:2] == (runs, steps)
 
 
 @pytest.mark.parametrize(
