@@ -25,6 +25,8 @@ from mpc import LinearMPC, lqr
 
 EXPERTS = ("lqr", "mpc", "explicit")
 VISITS = (0, 1, 2, 4, 8, 16, 32, 64)  # steps of each closed loop whose states join the data
+SET_WORK = 5e6  # designs × facets² of the initialisation: 8000 designs of 24 facets, 50 of 300
+FEWEST_DESIGNS = 12
 TAIL = 400  # further steps that the values look ahead; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated
 
 
@@ -65,6 +67,7 @@ def expert_dataset(
     expert: str = "lqr",
     gamma: float = 0.99,
     horizon: int = 10,
+    designs: int | None = None,
     sets: ParametricSet | None = None,
     progress: bool = False,
 ) -> ExpertData:
@@ -88,6 +91,9 @@ def expert_dataset(
         Discount of the values: the training convention.
     horizon : int
         Of the MPC experts.
+    designs : int, optional
+        Distinct designs among the candidates. By default every candidate has its own, unless X_fea at the centre of
+        the design box has so many facets that fewer designs must do.
     sets : ParametricSet, optional
         X_fea, if already at hand.
 
@@ -100,7 +106,9 @@ def expert_dataset(
         raise InputError(f"expert: got {expert!r}, expected one of {', '.join(EXPERTS)}.")
     if samples < 1:
         raise InputError(f"samples: got {samples}, expected at least 1.")
-    x, p, feasible = _accepted(problem, sets or feasible_sets(problem), samples, rng, progress)
+    sets = sets or feasible_sets(problem)
+    designs = min(samples, designs or _affordable_designs(problem, sets))
+    x, p, feasible = _accepted(problem, sets, samples, designs, rng, progress)
     loops = _Loops(problem, p, feasible, expert, horizon, progress)
     visited, actions, values, lost = _follow(problem, loops, x, gamma, rng, progress)
     inputs = np.concatenate([np.hstack([v, p]) for v in visited])
@@ -110,11 +118,19 @@ def expert_dataset(
     )
 
 
-def _accepted(problem, sets, samples, rng, progress) -> tuple[Array, Array, list[Polytope]]:
+def _affordable_designs(problem: CoDesignProblem, sets: ParametricSet) -> int:
+    """How many sets to compute: the time of one grows with about the square of its facets."""
+    facets = len(sets.at(problem.design.from_unit(np.full(problem.design.dim, 0.5))).b)
+    return max(FEWEST_DESIGNS, int(SET_WORK / max(facets, 1) ** 2))
+
+
+def _accepted(problem, sets, samples, distinct, rng, progress) -> tuple[Array, Array, list[Polytope]]:
     lower, upper = problem.X.bounding_box()
     cube = qmc.LatinHypercube(problem.model.nx + problem.design.dim, rng=rng).random(samples)
     states = lower + cube[:, : problem.model.nx] * (upper - lower)
     designs = problem.design.from_unit(cube[:, problem.model.nx :])
+    if distinct < samples:
+        designs = problem.design.latin_hypercube(distinct, rng)[np.arange(samples) % distinct]
     chosen, feasible = [], []
     for i in tqdm(range(samples), desc="X_fea(p)", disable=not progress, leave=False):
         set_of_design = sets.at(designs[i])

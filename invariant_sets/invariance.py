@@ -123,9 +123,10 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
 
 
 def _predecessor(problem: LocalProblem, factor: float = 1.0):
-    def rows(F: Array, g: Array):
+    def rows(F: Array, g: Array, fresh: Array | None = None):
         target = factor * g - F @ problem.drift if problem.drift.any() else factor * g
-        return predecessor_rows(F, target, problem.A, problem.B, problem.H, problem.h, problem.disturbances)
+        return predecessor_rows(F, target, problem.A, problem.B, problem.H, problem.h, problem.disturbances,
+                                fresh)
 
     return rows
 
@@ -201,7 +202,8 @@ def _grown(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[tu
     if seed.shape is not Shape.SOLID:
         return
 
-    def closed_loop(F: Array, g: Array):
+    def closed_loop(F: Array, g: Array, fresh: Array | None = None):
+        F, g = (F, g) if fresh is None else (F[fresh], g[fresh])
         reach = 0.0 if problem.disturbances is None else (F @ problem.disturbances.T).max(axis=1)
         return F @ closed, g * (1 - 1e-9) - reach
 

@@ -18,7 +18,7 @@ _ZERO = 1e-12  # coefficients below this part of the largest one of their row ar
 
 
 def predecessor_rows(F: Array, g: Array, A: Array, B: Array, H: Array, h: Array,
-                     disturbances: Array | None = None) -> tuple[Array, Array]:
+                     disturbances: Array | None = None, fresh: Array | None = None) -> tuple[Array, Array]:
     """Return rows (R, r) of {x : some u with H [x; u] <= h has F (A x + B u + w) <= g for all w}.
 
     Parameters
@@ -31,6 +31,9 @@ def predecessor_rows(F: Array, g: Array, A: Array, B: Array, H: Array, h: Array,
         Constraints on state and input together.
     disturbances : (k, n) array, optional
         Vertices of E W.
+    fresh : (m,) bool array, optional
+        Rows of the target that are new since the last call. With one input, only what follows from these is
+        returned: a recursion that only shrinks its set has the rest already.
 
     Notes
     -----
@@ -41,6 +44,8 @@ def predecessor_rows(F: Array, g: Array, A: Array, B: Array, H: Array, h: Array,
     reach = 0.0 if disturbances is None else (F @ disturbances.T).max(axis=1)
     R = np.vstack([np.hstack([F @ A, F @ B]), H])
     r = np.concatenate([g - reach, h])
+    if nu == 1 and fresh is not None:
+        return eliminate_last(R, r, np.append(fresh, np.zeros(len(h), bool)))
     return project_rows(R, r, R.shape[1] - nu)
 
 
@@ -53,16 +58,26 @@ def project_rows(R: Array, r: Array, keep: int) -> tuple[Array, Array]:
     return R, r
 
 
-def eliminate_last(R: Array, r: Array) -> tuple[Array, Array]:
-    """Return the rows of the projection of {R z <= r} that drops the last coordinate."""
+def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Array, Array]:
+    """Return the rows of the projection of {R z <= r} that drops the last coordinate; those from `fresh` rows only."""
     last = R[:, -1]
     size = np.abs(R).max(axis=1, initial=0.0)
     rest = np.column_stack([R[:, :-1], r])
     up, down = last > _ZERO * size, last < -_ZERO * size
     high, low = rest[up] / last[up, None], rest[down] / -last[down, None]
-    pairs = (high[:, None, :] + low[None, :, :]).reshape(-1, rest.shape[1])
-    rows = np.vstack([rest[~(up | down)], pairs])
+    if fresh is None:
+        rows = np.vstack([rest[~(up | down)], _sums(high, low)])
+    else:
+        new_high, new_low = fresh[up], fresh[down]
+        rows = np.vstack([
+            rest[~(up | down) & fresh], _sums(high[new_high], low), _sums(high[~new_high], low[new_low]),
+        ])  # fmt: skip
     return rows[:, :-1], rows[:, -1]
+
+
+def _sums(high: Array, low: Array) -> Array:
+    """Return every row of one plus every row of the other."""
+    return (high[:, None, :] + low[None, :, :]).reshape(-1, high.shape[1])
 
 
 def _strongly_irredundant(R: Array, r: Array) -> tuple[Array, Array]:

@@ -54,7 +54,7 @@ class Region:
     def reach(self, rows: Array) -> Array:
         """Return the support of the region along each row, (k,)."""
         if self.V is not None:
-            step = max(1, 20_000_000 // len(self.V))
+            step = max(1, 60_000 // len(self.V))
             parts = [(rows[i:i + step] @ self.V.T).max(axis=1) for i in range(0, len(rows), step)]
             return np.concatenate(parts) if parts else np.zeros(0)
         return maximise_rows(rows, self.F, self.g) if len(self.g) else np.full(len(rows), np.inf)
@@ -115,7 +115,7 @@ class Outcome:
     too_many_facets: bool = False
 
 
-def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: float, limit: int,
+def iterate(region: Region, predecessor: Callable[[Array, Array, Array | None], Rows], stop: float, limit: int,
             max_facets: int) -> Outcome:
     """Return the end of Ω ← predecessor(Ω) ∩ Ω from `region`.
 
@@ -124,15 +124,16 @@ def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: f
     region : Region
         Where to start: a superset of the answer, or of the part of it that is wanted.
     predecessor : callable
-        (F, g) → rows (R, r) of the predecessor set, not necessarily of unit norm.
+        (F, g, fresh) → rows (R, r) of the predecessor set, not necessarily of unit norm; those that follow from
+        the `fresh` rows of (F, g) suffice, because what followed from the others was cut off a step before.
     stop : float
         It has converged when no row cuts more than this part of its right-hand side.
     limit, max_facets : int
         Caps of the number of steps and of facets.
     """
-    cut = np.inf
+    cut, fresh = np.inf, None
     for iteration in range(1, limit + 1):
-        R, r = unit_rows(*predecessor(region.F, region.g))
+        R, r = unit_rows(*predecessor(region.F, region.g, fresh))
         if R is None:
             return Outcome(Region(region.F, region.g, None, Shape.EMPTY), iteration, True, 0.0)
         if region.V is None and len(r):
@@ -144,6 +145,7 @@ def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: f
         cut = float(((reach - r)[cutting] / np.maximum(np.abs(r[cutting]), 1e-3)).max())
         previous = region
         region = _cut_in_rounds(region, R[cutting], r[cutting], reach[cutting] - r[cutting])
+        fresh = _new_rows(region, previous)
         if region.shape is Shape.UNRESOLVED:
             return Outcome(previous, iteration, False, cut, too_many_facets=True)
         if region.shape is not Shape.SOLID:
@@ -155,6 +157,12 @@ def iterate(region: Region, predecessor: Callable[[Array, Array], Rows], stop: f
         if len(region.g) > max_facets:
             return Outcome(region, iteration, False, cut, too_many_facets=True)
     return Outcome(region, limit, False, cut)
+
+
+def _new_rows(region: Region, previous: Region) -> Array:
+    """Return which rows of a region the one before did not have."""
+    known = {row.tobytes() for row in np.column_stack([previous.F, previous.g])}
+    return np.array([row.tobytes() not in known for row in np.column_stack([region.F, region.g])], dtype=bool)
 
 
 def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array) -> Region:
