@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.controllers import Controller, LinearFeedback
+from ccdtools.deployment import Replay, replay_problem
 from ccdtools.disturbance import Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.policy import LearnedPolicy
@@ -21,7 +22,7 @@ from ccdtools.studies.comparison import Scenario, Score, baselines, compare
 from ccdtools.studies.configuration import StudyConfig
 from ccdtools.studies.run_folder import Stage
 from ccdtools.studies.study import Study
-from ccdtools.twin import Discrepancy, TwinPlant
+from ccdtools.twin import Discrepancy, Residuals, TwinPlant
 from learning.networks import ActorCritic
 from mpc import lqr
 
@@ -91,14 +92,31 @@ class Evaluation:
         """The real plant's disturbance, (runs, T, nw)."""
         return self.study.real.disturbance.sample(runs, self.deployment_steps, self.rng(name))
 
-    def on_model(self, discrepancy: Discrepancy | None, *, noise: str = "quantiles") -> Scenario:
-        """From the evaluation's start on the nominal model, or on the one updated by a discrepancy."""
-        rng, n, steps = self.rng("model scenario"), self.config.model_runs, self.study.steps
-        x0, w = self.problem.scenarios.sample(n, steps, rng)
-        if discrepancy is None:
+    @property
+    def window(self) -> int:
+        """Length of a replayed episode."""
+        return min(
+            self.study.steps, self.deployment_steps // 10 if self.study.real.runs == 1 else self.deployment_steps
+        )
+
+    def on_model(self, logs: Sequence[Residuals]) -> Scenario:
+        """What a generation is judged on: the nominal model, with its assumed disturbance or with logged errors.
+
+        Before the first log every run starts at x0. Afterwards a run is a window of a log: it starts where the log was
+        and meets the errors that the log met; no two windows share a sample.
+        """
+        if not logs:
+            x0, w = self.problem.scenarios.sample(self.config.model_runs, self.study.steps, self.rng("model scenario"))
             return Scenario(self.study.model, x0, w)
+        x0, w = Replay(tuple(logs)).disjoint(self.window)
+        chosen = self.rng("replayed windows").permutation(len(x0))[: self.config.model_runs]
+        return Scenario(replay_problem(self.problem, logs, self.window).model, x0[chosen], w[chosen])
+
+    def on_updated(self, discrepancy: Discrepancy, *, noise: str) -> Scenario:
+        """From x0 on the model updated by a discrepancy."""
+        n, steps, rng = self.config.model_runs, self.study.steps, self.rng("updated scenario")
         plant = TwinPlant(self.study.model, replace(discrepancy, noise=noise))
-        return Scenario(plant, x0, rng.random((n, steps, self.study.plant.nx)))
+        return Scenario(plant, np.tile(self.study.x0, (n, 1)), rng.random((n, steps, self.study.plant.nx)))
 
     def on_real(self) -> Scenario:
         """The deployment itself if it is one long run; else many runs like it."""
@@ -114,19 +132,19 @@ class Evaluation:
         *,
         designed: ActorCritic,
         deployed: ActorCritic,
-        designed_on: Discrepancy | None,
+        judged_on: Sequence[Residuals],
         rng: np.random.Generator,
     ) -> Stage:
-        """Every controller at one design: on the model that it was designed on, and on the real plant.
+        """Every controller at one design: on the model that it was judged on, and on the real plant.
 
         On the model stands the policy as designed, on the real plant the one in service at the end.
         """
         controllers = baselines(self.problem, design, rng=self.rng("baselines"))
-        model = "nominal" if designed_on is None else "updated"
+        model = model_name(judged_on)
         rows: list[dict[str, Any]] = []
         arrays: dict[str, Array] = {}
         for plant, name, scenario, agent in (
-            ("model", model, self.on_model(designed_on), designed),
+            ("model", model, self.on_model(judged_on), designed),
             ("real", "real", self.on_real(), deployed),
         ):
             policy = LearnedPolicy(agent, design)
@@ -142,17 +160,17 @@ class Evaluation:
         return Stage({"rows": rows}, arrays)
 
     def returns(
-        self, agent: ActorCritic, design: Array, *, designed_on: Discrepancy | None, learned: Discrepancy
+        self, agent: ActorCritic, design: Array, *, judged_on: Sequence[Residuals], learned: Discrepancy
     ) -> Stage:
-        """Returns of a policy as designed: on its own model, on the nominal one, and on the one learned since."""
+        """Returns of a policy as designed: where it was judged, on the nominal and on the since updated model."""
         policy = LearnedPolicy(agent, design)
         return Stage({
-            "model": "nominal" if designed_on is None else "updated",
-            "model_return": self._mean_return(policy, self.on_model(designed_on)),
-            "nominal_return": self._mean_return(policy, self.on_model(None)),
+            "model": model_name(judged_on),
+            "model_return": self._mean_return(policy, self.on_model(judged_on)),
+            "nominal_return": self._mean_return(policy, self.on_model(())),
             "updated_model_return": {
-                "median": self._mean_return(policy, self.on_model(learned, noise="none")),
-                "quantiles": self._mean_return(policy, self.on_model(learned)),
+                "median": self._mean_return(policy, self.on_updated(learned, noise="none")),
+                "quantiles": self._mean_return(policy, self.on_updated(learned, noise="quantiles")),
             },
         })  # fmt: skip
 
@@ -186,3 +204,8 @@ class Evaluation:
                 low, high = np.percentile(kept, [2.5, 97.5], axis=0)
                 bands[f"{name}_{kind}"] = np.stack([low, kept.mean(axis=0), high])
         return bands
+
+
+def model_name(logs: Sequence[Residuals]) -> str:
+    """Of the model that a generation is judged on."""
+    return "replayed errors" if logs else "nominal"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -24,7 +24,7 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.results import generation_entry, results
 from ccdtools.studies.run_folder import RunFolder, Stage
 from ccdtools.studies.study import Study
-from ccdtools.twin import DigitalTwin, Discrepancy, QuantileScores, residuals
+from ccdtools.twin import DigitalTwin, Discrepancy, QuantileScores, Residuals, residuals
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 
@@ -82,7 +82,7 @@ class Generations:
         stages, entries, rows = [initial, start], [], [*start.values["rows"]]
         for g in range(1, self.generations + 1):
             title = f"Generation {g}"
-            known = twin.discrepancy
+            known = twin.logs
             found = self._stage(f"codesign-{g}", f"{title}: co-design", self._designing(agent, design, twin))
             designed, design = found.networks["agent"], found.arrays["design"]
             service = self._stage(f"deployment-{g}", f"{title}: deployment", self._deploying(g, designed, design))
@@ -147,7 +147,7 @@ class Generations:
                 # The median model with what it leaves unexplained replayed; judged on replays of the errors themselves:
                 # a model fitted in closed loop can mistake the road for a consequence of the state.
                 problem = updated_problem(self.problem, twin)
-                judge, config = replay_problem(self.problem, twin.logs, self._window()), self.config.redesign
+                judge, config = replay_problem(self.problem, twin.logs, self.evaluation.window), self.config.redesign
             result = codesign_ppo(
                 problem, agent=agent, design=design, rng=rng, config=config, judge=judge, progress=self.progress
             )
@@ -171,7 +171,7 @@ class Generations:
             w = self.evaluation.recorded(real.runs, "deployment" if real.runs == 1 else f"deployment-{g}")
             deployment = deploy_and_update(
                 self.problem, real.plant, agent, design, x0=np.tile(real.x0, (real.runs, 1)), disturbance=w, rng=rng,
-                config=replace(self.config.online, window=self._window()), progress=self.progress,
+                config=replace(self.config.online, window=self.evaluation.window), progress=self.progress,
             )  # fmt: skip
             log = deployment.log
             if log.diverged.all():
@@ -211,24 +211,20 @@ class Generations:
         discrepancy = Discrepancy(learned.networks["quantiles"], self.study.weight)
         return replace(twin, logs=logs, discrepancy=discrepancy, scores=QuantileScores(**learned.values["scores"]))
 
-    def _comparing(self, g, design, designed, deployed, designed_on: Discrepancy | None = None) -> Compute:
+    def _comparing(self, g, design, designed, deployed, judged_on: Sequence[Residuals] = ()) -> Compute:
         def compute(rng: np.random.Generator) -> Stage:
             return self.evaluation.comparison(
-                g, design, designed=designed, deployed=deployed, designed_on=designed_on, rng=rng
+                g, design, designed=designed, deployed=deployed, judged_on=judged_on, rng=rng
             )
 
         return compute
 
-    def _evaluating(self, agent, design: Array, designed_on: Discrepancy | None, twin: DigitalTwin) -> Compute:
+    def _evaluating(self, agent, design: Array, judged_on: Sequence[Residuals], twin: DigitalTwin) -> Compute:
         def compute(rng: np.random.Generator) -> Stage:
             assert twin.discrepancy is not None
-            return self.evaluation.returns(agent, design, designed_on=designed_on, learned=twin.discrepancy)
+            return self.evaluation.returns(agent, design, judged_on=judged_on, learned=twin.discrepancy)
 
         return compute
-
-    def _window(self) -> int:
-        """Length of a replayed episode."""
-        return min(self.study.steps, self.steps // 10 if self.study.real.runs == 1 else self.steps)
 
 
 def updated_problem(problem: CoDesignProblem, twin: DigitalTwin) -> CoDesignProblem:

@@ -249,7 +249,9 @@ def _trajectories(run: FinishedRun) -> Iterator[Picture]:
             f"(right): {what}. Dashed lines are limits of X and U where they are in sight."
         )
         if kind == "model":
-            caption += f" The model on the right is the one that generation {run.last} was designed on."
+            caption += (
+                " Left the nominal model from x0; right the model with logged errors replayed, if there was a log."
+            )
         yield Picture(f"trajectories_{kind}", title, caption, figure)
 
 

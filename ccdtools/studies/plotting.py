@@ -285,7 +285,7 @@ def _per_cent_axis(ax: Axes, low: float, high: float) -> None:
 
 
 def _plant_title(plant: str, model: str) -> str:
-    return f"{model} model" if plant == "model" else "real plant"
+    return "real plant" if plant == "real" else "nominal model" if model == "nominal" else model
 
 
 def plot_landscape_curve(

@@ -22,6 +22,7 @@ from ccdtools.studies.tables import (
     difference_text,
     number,
     percentage,
+    place,
     verdict,
     with_minus,
     write_tables,
@@ -85,7 +86,8 @@ def _headlines(run: FinishedRun) -> list[dict[str, Any]]:
         own = {(row["plant"], row["controller"]): row for row in results["comparison"] if row["generation"] == g}
         scores = {
             plant: {"learned": own[plant, "learned"], "lqr": own[plant, "LQR"],
-                    "verdict": verdict(own[plant, "learned"], own[plant, "LQR"])}
+                    "verdict": verdict(own[plant, "learned"], own[plant, "LQR"]),
+                "place": place(own[plant, "learned"])}
             for plant in ("model", "real")
         }  # fmt: skip
         rows.append({
@@ -129,10 +131,8 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
         rows = [row for row in results["comparison"] if (row["generation"], row["plant"]) == (g, plant)]
         reference = next((row for row in rows if row["controller"] == "LQR"), None)
         verdicts = ["reference" if row is reference else verdict(row, reference) for row in rows]
-        if rows[0]["model"] == "updated":
-            verdicts = [mark if mark == "reference" else "not judged" for mark in verdicts]
         blocks.append({
-            "generation": g, "plant": "real plant" if plant == "real" else f"{rows[0]['model']} model",
+            "generation": g, "plant": place(rows[0]),
             "design": design_text(results, rows[0]["design"]), "bounds": active_bounds_text(rows[0]["active_bounds"]),
             "rows": list(zip(rows, verdicts, (difference_text(row) for row in rows))),
         })  # fmt: skip

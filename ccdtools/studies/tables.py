@@ -105,6 +105,11 @@ def active_bounds_text(active: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {side}" for name, side in active.items()) or "none"
 
 
+def place(row: Mapping[str, Any]) -> str:
+    """Where a comparison row was measured."""
+    return {"nominal": "nominal model", "real": "real plant"}.get(row["model"], row["model"])
+
+
 def measured_on(generation: Mapping[str, Any]) -> str:
     """What the returns of a co-design's learning curve were measured on."""
     return "nominal model" if generation["model"] == "nominal" else "replayed errors"
@@ -183,7 +188,7 @@ def _block_title(results: Mapping[str, Any], row: Mapping[str, Any]) -> str:
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
     mean, interval = difference_text(row)
-    plant = row["plant"] if row["model"] == row["plant"] else f"{row['model']} {row['plant']}"
+    plant = place(row)
     reference = row["controller"] == "LQR"
     return [
         plant, str(row["generation"]), row["controller"], number(row["mean"]), number(row["std"], 3), str(row["n"]),

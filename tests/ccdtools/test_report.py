@@ -155,7 +155,7 @@ def test_console_table_is_aligned_and_names_active_bounds(masses):
     lines = text.splitlines()
     heading = next(line for line in lines if line.startswith("plant"))
     assert "active bounds: k lower" in text
-    body = [line for line in lines if re.match(r"(nominal model|real) +\d", line)]
+    body = [line for line in lines if re.match(r"(nominal model|replayed errors|real plant) +\d", line)]
     assert len(body) == len(masses[1]["comparison"])
     edge = heading.index("controller")
     assert all(line[edge - 2 : edge] == "  " and line[edge] != " " for line in body)
