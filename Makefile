@@ -1,6 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SETUP := .venv/.ready
+export OMP_NUM_THREADS ?= 1
 
 .PHONY: run test targets lint bench clean
 .DELETE_ON_ERROR:

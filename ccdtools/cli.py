@@ -124,6 +124,7 @@ def studies() -> None:
 
 def main() -> None:
     """Entry point: bad input is one line and exit code 2, an interruption is exit code 130."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: threads of BLAS would only wait for each other
     try:
         app()
     except Exception as error:
@@ -319,7 +320,7 @@ def _numbers(text: str | None, argument: str) -> list[float] | None:
 
 
 def _single_thread() -> None:
-    """Small matrices: one thread is faster than several, and leaves the other cores alone."""
+    """The same for torch."""
     import torch
 
     asked = os.environ.get("OMP_NUM_THREADS", "")
