@@ -17,7 +17,7 @@ HEADER = """\
 typedef @scalar@ @name@_real;
 
 /* Write the input that belongs to theta into u.
-   Returns 0; 1 where theta is outside the partition (u: nearest law found, saturated);
+   Returns 0; 1 where theta is outside the partition (u: the law of a region near by, saturated);
    2 where theta is not finite (u: zero). */
 int @name@_law(const @name@_real theta[@NAME@_NT], @name@_real u[@NAME@_NU]);
 

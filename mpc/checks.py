@@ -12,12 +12,19 @@ from .exceptions import InvalidDataError, NotConvexError
 Array = NDArray[np.float64]
 
 
-def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a read-only, C-contiguous float64 copy of `value`; None in `shape` matches any length."""
+def as_floats(name: str, value: ArrayLike) -> Array:
+    """Return a C-contiguous float64 copy of `value`, of any shape, finite or not."""
     try:
-        array = np.array(value, dtype=np.float64, order="C")
+        if np.iscomplexobj(value):
+            raise TypeError("got complex ones")
+        return np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise InvalidDataError(f"{name} must be an array of real numbers: {error}") from None
+
+
+def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    """Return a read-only, C-contiguous float64 copy of `value`; None in `shape` matches any length."""
+    array = as_floats(name, value)
     expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
     if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
         raise InvalidDataError(f"{name} has shape {array.shape}, expected {expected}.")
@@ -30,7 +37,7 @@ def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Arra
 
 def as_weight(name: str, value: ArrayLike, n: int) -> Array:
     """Return a symmetric positive semidefinite (n, n) weight, read-only; a vector is taken as its diagonal."""
-    raw = np.asarray(value, dtype=np.float64)
+    raw = as_floats(name, value)
     weight = as_array(name, np.diag(raw) if raw.ndim == 1 else np.atleast_2d(raw), (n, n))
     size = max(float(np.abs(weight).max(initial=0.0)), np.finfo(float).tiny)
     gap = float(np.abs(weight - weight.T).max(initial=0.0))
@@ -51,9 +58,36 @@ def as_weight(name: str, value: ArrayLike, n: int) -> Array:
 
 def as_horizon(value: int) -> int:
     """Return the horizon as a positive int."""
-    if isinstance(value, bool) or int(value) != value or value < 1:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 1 <= value < 2**31 or value % 1:
         raise InvalidDataError(f"horizon must be an integer >= 1, got {value!r}.")
     return int(value)
+
+
+def as_rate_limit(value: ArrayLike, nu: int) -> Array:
+    """Return the rate limits (nu,), positive; a number holds for every input."""
+    raw = as_floats("rate_limit", value)
+    limit = as_array("rate_limit", np.full(nu, raw) if raw.ndim == 0 else raw, (nu,))
+    if (limit <= 0).any():
+        raise InvalidDataError(f"rate_limit must be positive, got {limit}.")
+    return limit
+
+
+def as_soft(value: Any) -> tuple[float, float]:
+    """Return the weights (linear >= 0, quadratic > 0) of soft constraints."""
+    linear, quadratic = as_array("soft", value, (2,))
+    if linear < 0:
+        raise InvalidDataError(f"soft must not be negative, got {value}.")
+    if quadratic <= 0:
+        raise InvalidDataError(f"soft must be positive in its second, quadratic weight, got {value}.")
+    return float(linear), float(quadratic)
+
+
+def as_blocks(value: Any, horizon: int) -> tuple[int, ...]:
+    """Return the lengths of the blocks of equal moves, which sum to the horizon."""
+    lengths = np.atleast_1d(as_floats("blocks", value))
+    if lengths.ndim != 1 or not (lengths >= 1).all() or (lengths % 1).any() or lengths.sum() != horizon:
+        raise InvalidDataError(f"blocks are {value}, expected whole lengths >= 1 that sum to the horizon {horizon}.")
+    return tuple(int(n) for n in lengths)
 
 
 def as_halfspaces(name: str, value: Any, n: int) -> tuple[Array, Array]:

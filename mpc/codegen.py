@@ -54,9 +54,9 @@ def write_c(
 ) -> CodeReport:
     """Write `folder`/`name`.h and `name`.c, which define `int name_law(const name_real theta[], name_real u[])`.
 
-    The function returns 0; 1 where theta lies outside the partition (u is then the nearest law, saturated where the
-    input set is a box); 2 where theta is not finite (u is zero). Gains and hyperplanes that occur more than once,
-    up to sign for the hyperplanes, are stored once.
+    The function returns 0; 1 where theta lies outside the partition (u is then the law of a region near by, saturated
+    where the input set is a box); 2 where theta is not finite (u is zero). Gains and hyperplanes that occur more than
+    once, up to sign for the hyperplanes, are stored once.
 
     Parameters
     ----------

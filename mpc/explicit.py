@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import Array
+from .checks import Array, as_floats
 from .elastic import nearest_points
 from .exceptions import InfeasibleError, InvalidDataError
 from .mpqp import MPQPStatus, Partition
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from invariant_sets import Polytope
 
     from .codegen import CodeReport
+    from .linear_mpc import LinearMPC
+    from .parametric_qp import ParametricQP
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +198,7 @@ class ExplicitMPC:
         return plot_explicit(self, what, **style)
 
     def _points(self, theta: ArrayLike) -> tuple[Array, bool]:
-        points = np.ascontiguousarray(theta, dtype=np.float64)
+        points = as_floats("theta", theta)
         single = points.ndim == 1
         points = points[None] if single else points
         if points.ndim != 2 or points.shape[1] != self.nt:
@@ -207,6 +209,20 @@ class ExplicitMPC:
 
     def _scaled(self, points: Array) -> Array:
         return (points - self.partition.centre) / self.partition.half
+
+
+def default_parameters(mpc: LinearMPC, problem: ParametricQP) -> Polytope:
+    """Parameters of interest where none are named: X, or X × U when the last input is a parameter."""
+    names = [name for name, _ in problem.parameters]
+    if mpc.X is None or set(names) - {"x", "u_prev"} or ("u_prev" in names and mpc.U is None):
+        raise InvalidDataError(f"theta_set is missing: pass a bounded Polytope of the parameters {names}.")
+    if names == ["x"]:
+        return mpc.X
+    from invariant_sets import Polytope
+
+    (HX, hX), (HU, hU) = mpc.state_rows, mpc.input_rows
+    rows = np.block([[HX, np.zeros((len(HX), mpc.nu))], [np.zeros((len(HU), mpc.nx)), HU]])
+    return Polytope(rows, np.concatenate([hX, hU]))
 
 
 def _law_numbers(law: Array, partition: Partition) -> Ints:

@@ -56,11 +56,17 @@ def saturated_regulator(mpc: LinearMPC, x: Array, start: float) -> Plan:
         for k in range(mpc.horizon):
             inputs[k] = nearest_points(_finite(-gain @ states[k])[None], *mpc.input_rows)[0]
             states[k + 1] = _finite(mpc.A @ states[k] + mpc.B @ inputs[k])
-        H, h = mpc.state_rows
-        violation = float(np.max(_finite(states[1:] @ H.T) - h, initial=0.0))
+        violation = excess(mpc, states)
     unknown = Residuals(np.inf, np.inf, np.inf, np.inf)
     duration = time.perf_counter() - start
     return Plan(inputs, states, np.inf, Status.INFEASIBLE, unknown, violation, duration, "LQR")
+
+
+def excess(mpc: LinearMPC, states: Array) -> float:
+    """Largest violation of a state or terminal constraint, in the units of its bound."""
+    (H, h), (HT, hT) = mpc.state_rows, mpc.terminal_rows
+    along = float(np.max(_finite(states[1:] @ H.T) - h, initial=0.0))
+    return max(along, float(np.max(_finite(HT @ states[-1]) - hT, initial=0.0)))
 
 
 def rollout(mpc: LinearMPC, x: Array, inputs: Array, w: Array | None) -> Array:

@@ -9,12 +9,15 @@ import numpy as np
 
 from .checks import Array
 from .condensing import state_units
+from .exceptions import InvalidDataError
 from .parametric_qp import Constraint, ParametricQP
 
 if TYPE_CHECKING:
     from .linear_mpc import LinearMPC
 
 _ZERO = 1e-7  # violation, relative to the bound, that counts as none (feasibility tolerance of the LP solver)
+_FAR = 1e12  # bounds larger than this, relative to their unit, are scaled down
+_HUGE = 1e100
 Rows = list[int]
 
 
@@ -82,9 +85,15 @@ def explain_infeasibility(mpc: LinearMPC, problem: ParametricQP, theta: Array) -
     Chinneck, *Feasibility and Infeasibility in Optimization*, Springer 2008, chapters 6 and 7.
     """
     units = state_units(mpc, problem.labels)
-    _, b = problem.at(theta)
+    with np.errstate(over="ignore", invalid="ignore"):
+        _, b = problem.at(theta)
+    if not np.abs(b).max(initial=0.0) < _HUGE:
+        raise InvalidDataError(f"the parameter is too large: bounds of the QP exceed {_HUGE:.0e}, nothing can be said.")
     scale = 1 / np.sqrt(np.diag(problem.H))
     G, b = problem.G * scale / units[:, None], b / units
+    # the LP solver takes 1e20 for infinite: far away, bounds are compared in units of the largest
+    far = max(1.0, float(np.abs(b).max(initial=0.0)) / _FAR)
+    b = b / far
     everything = list(range(problem.m))
     if _least_maximum(G, b, everything)[0] <= _ZERO:
         return Explanation((), (), (), "Feasible: nothing has to give.")
@@ -94,7 +103,7 @@ def explain_infeasibility(mpc: LinearMPC, problem: ParametricQP, theta: Array) -
         givable = everything
     amounts = _what_gives(G, b, givable)
     violations = tuple(
-        Violation(problem.labels[i], describe(mpc, problem.labels[i]), float(amounts[i] * units[i]), i)
+        Violation(problem.labels[i], describe(mpc, problem.labels[i]), float(amounts[i] * far * units[i]), i)
         for i in sorted(amounts, key=lambda i: (problem.labels[i].step, i))
     )
     rows = tuple(_contradiction(G, b, everything))

@@ -10,15 +10,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import Array, as_array, as_halfspaces, as_horizon, as_pair, as_weight
+from .checks import (
+    Array,
+    as_array,
+    as_blocks,
+    as_floats,
+    as_halfspaces,
+    as_horizon,
+    as_pair,
+    as_rate_limit,
+    as_soft,
+    as_weight,
+)
 from .condensing import condense
 from .dense_qp import DenseQP
 from .elastic import nearest_points
 from .exceptions import InvalidDataError
-from .fallback import relax, rollout, saturated_regulator
+from .fallback import excess, relax, rollout, saturated_regulator
 from .lqr import lqr
 from .parametric_qp import ParametricQP
 from .plan import Plan, Status
+from .signals import for_each_state, spread_signals
 
 if TYPE_CHECKING:
     from .explicit import ExplicitMPC
@@ -56,7 +68,7 @@ class LinearMPC:
         Largest |u_k - u_{k-1}| per step, in the units of u; `solve` then needs `u_prev`.
     soft : (linear, quadratic), optional
         Makes state and terminal constraints soft: each step costs linear * s + quadratic * s², where s is the largest
-        violation of that step relative to the bound.
+        violation of that step relative to the bound; linear >= 0, quadratic > 0.
     blocks : tuple of int, optional
         Move blocking: lengths of the blocks over which the input is held, summing to N.
 
@@ -106,11 +118,11 @@ class LinearMPC:
         if self.E is not None:
             set_(self, "E", as_array("E", self.E, (nx, None)))
         if self.rate_limit is not None:
-            set_(self, "rate_limit", _positive("rate_limit", np.broadcast_to(self.rate_limit, (nu,)), nu))
+            set_(self, "rate_limit", as_rate_limit(self.rate_limit, nu))
         if self.soft is not None:
-            set_(self, "soft", tuple(_positive("soft", self.soft, 2)))
+            set_(self, "soft", as_soft(self.soft))
         if self.blocks is not None:
-            set_(self, "blocks", _as_blocks(self.blocks, self.horizon))
+            set_(self, "blocks", as_blocks(self.blocks, self.horizon))
         if self.P is None:
             gain, P = lqr(A, B, Q=self.Q, R=self.R)
             set_(self, "_lqr_gain", gain)
@@ -150,9 +162,26 @@ class LinearMPC:
         """
         return condense(self, parameters)
 
-    def with_model(self, A: ArrayLike, B: ArrayLike, E: ArrayLike | None = None, *, P: Any = None) -> LinearMPC:
-        """The same controller for another design of the plant; the default P is computed anew."""
-        return replace(self, A=A, B=B, E=self.E if E is None else E, P=P)
+    def with_model(
+        self, A: Any, B: ArrayLike | None = None, E: ArrayLike | None = None, *, P: ArrayLike | None = None
+    ) -> LinearMPC:
+        """The same controller for another design of the plant.
+
+        Parameters
+        ----------
+        A, B : arrays, or a discrete-time `control.StateSpace` and None
+            The new model.
+        E : (nx, nw) array, optional
+            By default the present one.
+        P : (nx, nx) array, optional
+            By default the one that was given to this controller; where none was, the Riccati solution of the new model.
+        """
+        return replace(self, A=A, B=B, E=self.E if E is None else E, P=self.given_P if P is None else P)
+
+    @property
+    def given_P(self) -> Array | None:
+        """The terminal weight, if it was given; None where it is the solution of the Riccati equation."""
+        return None if hasattr(self, "_lqr_gain") else self.P
 
     def solve(
         self, x: ArrayLike, *, u_prev: ArrayLike | None = None, x_ref: ArrayLike | None = None,
@@ -185,17 +214,21 @@ class LinearMPC:
         """
         start = time.perf_counter()
         x = as_array("x", x, (self.nx,))
-        given = self._signals(u_prev=u_prev, x_ref=x_ref, u_ref=u_ref, w=w)
+        given = spread_signals(self, {"u_prev": u_prev, "x_ref": x_ref, "u_ref": u_ref, "w": w})
         return self._solve(x, given, start)
 
     def solve_many(self, X: ArrayLike, **signals: ArrayLike) -> list[Plan]:
-        """One plan per row of X (n, nx), in order, each warm-started from the one before it."""
-        given = self._signals(**signals)
-        return [self._solve(x, given, time.perf_counter()) for x in as_array("X", X, (None, self.nx))]
+        """One plan per row of X (n, nx), in order, each warm-started from the one before it.
+
+        The signals are those of `solve`, the same for all rows; `u_prev` may be (n, nu), one row for each.
+        """
+        rows = as_array("X", X, (None, self.nx))
+        each = for_each_state(self, signals, len(rows))
+        return [self._solve(x, given, time.perf_counter()) for x, given in zip(rows, each)]
 
     def __call__(self, x: ArrayLike, **signals: ArrayLike) -> Array:
         """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu); finite for every finite x."""
-        x = np.asarray(x, dtype=np.float64)
+        x = as_floats("x", x)
         if x.ndim == 2:
             return np.array([plan.inputs[0] for plan in self.solve_many(x, **signals)]).reshape(len(x), self.nu)
         return np.array(self.solve(x, **signals).inputs[0])
@@ -218,7 +251,7 @@ class LinearMPC:
         from .infeasibility import explain_infeasibility
 
         x = as_array("x", x, (self.nx,))
-        given = self._signals(**signals)
+        given = spread_signals(self, dict(signals))
         problem, _ = self._problems[tuple(sorted(given))]
         return explain_infeasibility(self, problem, self._theta(problem, x, given))
 
@@ -243,46 +276,14 @@ class LinearMPC:
         InfeasibleError
             No parameter of the set is feasible.
         """
-        from .explicit import ExplicitMPC
+        from .explicit import ExplicitMPC, default_parameters
         from .mpqp import solve_mpqp
 
         problem = self.build(*parameters)
         if theta_set is None:
-            theta_set = self._default_parameters(problem)
+            theta_set = default_parameters(self, problem)
         partition = solve_mpqp(problem, theta_set, max_regions=max_regions, time_limit=time_limit)
         return ExplicitMPC.from_partition(partition, self.input_rows)
-
-    def _default_parameters(self, problem: ParametricQP) -> Any:
-        names = [name for name, _ in problem.parameters]
-        if self.X is None or set(names) - {"x", "u_prev"} or ("u_prev" in names and self.U is None):
-            raise InvalidDataError(f"theta_set is missing: pass a bounded Polytope of the parameters {names}.")
-        if names == ["x"]:
-            return self.X
-        from invariant_sets import Polytope
-
-        (HX, hX), (HU, hU) = self.state_rows, self.input_rows
-        rows = np.block([[HX, np.zeros((len(HX), self.nu))], [np.zeros((len(HU), self.nx)), HU]])
-        return Polytope(rows, np.concatenate([hX, hU]))
-
-    def _signals(self, **signals: ArrayLike | None) -> dict[str, Array]:
-        """Check the optional arguments of `solve` and spread single rows over the horizon."""
-        N, nw = self.horizon, 0 if self.E is None else self.E.shape[1]
-        shapes = {"u_prev": (1, self.nu), "x_ref": (N + 1, self.nx), "u_ref": (N, self.nu), "w": (N, nw)}
-        given: dict[str, Array] = {}
-        for name, value in signals.items():
-            if value is None:
-                continue
-            if name not in shapes:
-                raise InvalidDataError(f"unknown signal {name!r}, expected some of {sorted(shapes)}.")
-            if name == "w" and nw == 0:
-                raise InvalidDataError("w was given, but the controller has no disturbance matrix E.")
-            rows, n = shapes[name]
-            array = np.asarray(value, dtype=np.float64)
-            given[name] = as_array(name, np.tile(array, (rows, 1)) if array.ndim == 1 else array, (rows, n)).ravel()
-        if (self.rate_limit is not None) != ("u_prev" in given):
-            got, cure = ("not given", "pass") if self.rate_limit is not None else ("given", "leave out")
-            raise InvalidDataError(f"u_prev was {got}: {cure} it, it belongs to a controller with a rate_limit.")
-        return given
 
     @cached_property
     def _problems(self) -> _Problems:
@@ -314,6 +315,8 @@ class LinearMPC:
             if status is Status.INACCURATE:
                 inputs = nearest_points(inputs, *self.input_rows)
                 states = rollout(self, x, inputs, given.get("w"))
+            if self.soft is not None:
+                violation = excess(self, states)
         duration = time.perf_counter() - start
         return Plan(inputs, states, cost, status, result.residuals, violation, duration, result.solver)
 
@@ -321,20 +324,6 @@ class LinearMPC:
 def _refuse_empty(name: str, H: Array, h: Array) -> None:
     if len(h) and DenseQP(np.eye(H.shape[1]), H).solve(np.zeros(H.shape[1]), h, doubt=True).infeasible:
         raise InvalidDataError(f"{name} is empty: no point satisfies its {len(h)} rows (is a lower bound too high?).")
-
-
-def _positive(name: str, value: ArrayLike, n: int) -> Array:
-    array = as_array(name, value, (n,))
-    if (array <= 0).any():
-        raise InvalidDataError(f"{name} must be positive, got {array}.")
-    return array
-
-
-def _as_blocks(blocks: tuple[int, ...], horizon: int) -> tuple[int, ...]:
-    lengths = tuple(int(n) for n in blocks)
-    if not lengths or min(lengths) < 1 or sum(lengths) != horizon:
-        raise InvalidDataError(f"blocks are {blocks}, expected lengths >= 1 that sum to the horizon {horizon}.")
-    return lengths
 
 
 class _Problems(dict[tuple[str, ...], tuple[ParametricQP, DenseQP]]):

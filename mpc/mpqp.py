@@ -136,7 +136,7 @@ def solve_mpqp(
     """
     start = time.perf_counter()
     TA, Tb = as_halfspaces("theta_set", theta_set, problem.nt)
-    if max_regions < 1 or not time_limit > 0:
+    if not max_regions >= 1 or not time_limit > 0:
         raise InvalidDataError(f"max_regions and time_limit must be positive, got {max_regions} and {time_limit}.")
     pairs = equality_pairs(problem)
     if pairs:

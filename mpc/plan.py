@@ -56,7 +56,7 @@ class Plan:
     residuals : Residuals
         Optimality residuals; for a softened plan those of the relaxed problem.
     violation : float
-        Largest violation of a state constraint a'x <= b, in units of b; 0 when solved.
+        Largest violation of a state or terminal constraint a'x <= b, in units of b; 0 when solved with hard ones.
     solve_time : float
         Wall time [s].
     solver : str
@@ -74,7 +74,7 @@ class Plan:
 
     @property
     def feasible(self) -> bool:
-        """True when every constraint holds."""
+        """True when the problem was solved as posed; soft constraints may give, see `violation`."""
         return self.status is Status.SOLVED
 
     def __repr__(self) -> str:

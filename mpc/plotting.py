@@ -46,6 +46,8 @@ def plot_explicit(
 
     if what not in ("regions", "law", "value"):
         raise InvalidDataError(f"what is {what!r}, expected 'regions', 'law' or 'value'.")
+    if len({*axes}) != 2 or len(axes) != 2 or not all(0 <= i < law.nt for i in axes):
+        raise InvalidDataError(f"axes are {axes}, expected two different numbers below {law.nt}, one per parameter.")
     ax = plt.subplots(layout="constrained")[1] if ax is None else ax
     p = law.partition
     base = p.centre if at is None else as_array("at", at, (law.nt,))

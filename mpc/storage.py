@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import zipfile
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +26,7 @@ _TREE = ("planes", "nodes", "leaf_regions", "border")
 
 def save_explicit(law: ExplicitMPC, path: Path) -> tuple[Path, Path]:
     """Write the two files and return their paths."""
-    arrays, manifest = path.with_suffix(".npz"), path.with_suffix(".json")
+    arrays, manifest = _files(path)
     problem, partition = law.partition.problem, law.partition
     members = np.array([i for active in partition.active_sets for i in active], dtype=np.int64)
     data = {f"qp_{name}": getattr(problem, name) for name in _QP}
@@ -46,13 +48,29 @@ def save_explicit(law: ExplicitMPC, path: Path) -> tuple[Path, Path]:
 
 def load_explicit(path: Path) -> ExplicitMPC:
     """Read the two files."""
+    arrays, manifest = _files(path)
+    try:
+        text: dict[str, Any] = json.loads(manifest.read_text())
+        if not isinstance(text, dict) or text.get("format") != _FORMAT:
+            got = text.get("format") if isinstance(text, dict) else None
+            raise InvalidDataError(f"{manifest} has format {got!r}, expected {_FORMAT!r}.")
+        with arrays.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return _assemble(text, {name: file[name] for name in file.files})
+    except InvalidDataError:
+        raise
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InvalidDataError(f"{manifest} and {arrays.name} cannot be read: {error!r}. Save it again.") from error
+
+
+def _files(path: Path) -> tuple[Path, Path]:
+    """The two files of a law; of a path that already ends in .npz or .json the ending is replaced."""
+    stem = path.with_suffix("") if path.suffix in (".npz", ".json") else path
+    return stem.with_name(stem.name + ".npz"), stem.with_name(stem.name + ".json")
+
+
+def _assemble(text: dict[str, Any], data: dict[str, Any]) -> ExplicitMPC:
     from .explicit import ExplicitMPC
 
-    text: dict[str, Any] = json.loads(path.with_suffix(".json").read_text())
-    if text.get("format") != _FORMAT:
-        raise InvalidDataError(f"{path}.json has format {text.get('format')!r}, expected {_FORMAT!r}.")
-    with np.load(path.with_suffix(".npz"), allow_pickle=False) as file:
-        data = {name: file[name] for name in file.files}
     problem = ParametricQP(
         **{name: data[f"qp_{name}"] for name in _QP}, c=text["constant_cost"], nu=text["nu"],
         parameters=tuple((name, size) for name, size in text["parameters"]),

@@ -57,7 +57,7 @@ class OffsetFreeMPC:
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        mpc = self.mpc if self.mpc.E is not None else replace(self.mpc, E=np.eye(self.mpc.nx))
+        mpc = self.mpc if self.mpc.E is not None else replace(self.mpc, E=np.eye(self.mpc.nx), P=self.mpc.given_P)
         set_(self, "mpc", mpc)
         set_(self, "C", as_array("C", self.C, (None, mpc.nx)))
         if not 0 < self.gain <= 1:

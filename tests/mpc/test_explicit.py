@@ -117,6 +117,28 @@ def test_saved_and_loaded_law_is_the_same(law, tmp_path):
         ExplicitMPC.load(tmp_path / "laws" / "integrator")
 
 
+def test_a_dot_in_the_name_of_a_saved_law_is_kept(law, online, tmp_path):
+    law.save(tmp_path / "law.v1")
+    files = online.explicit(max_regions=3).save(str(tmp_path / "law.v2"))
+    assert [file.name for file in files] == ["law.v2.npz", "law.v2.json"]
+    assert len(ExplicitMPC.load(tmp_path / "law.v1")) == 31
+    assert len(ExplicitMPC.load(tmp_path / "law.v2.json")) == 3
+
+
+def test_damaged_files_are_refused(law, tmp_path):
+    arrays, manifest = law.save(tmp_path / "law")
+    content = arrays.read_bytes()
+    for damage in (b"", content[:100], content[: len(content) // 2]):
+        arrays.write_bytes(damage)
+        with pytest.raises(InvalidDataError, match="cannot be read"):
+            ExplicitMPC.load(tmp_path / "law")
+    arrays.write_bytes(content)
+    for damage in ("{", "[]", '{"format": "explicit-mpc/1"}'):
+        manifest.write_text(damage)
+        with pytest.raises(InvalidDataError):
+            ExplicitMPC.load(tmp_path / "law")
+
+
 def test_a_rate_limit_makes_the_last_input_a_parameter():
     A, B = double_integrator()
     online = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=4, X=box([5, 5]), U=box([1]), rate_limit=0.5)
@@ -187,6 +209,12 @@ def test_bad_input_is_refused(online, law):
         law([1.0, 2.0, 3.0])
     with pytest.raises(InvalidDataError, match="theta is not finite in row 1"):
         law([[0.0, 0.0], [np.nan, 0.0]])
+    with pytest.raises(InvalidDataError, match="theta must be an array of real numbers"):
+        law("here")
+    with pytest.raises(InvalidDataError, match="max_regions and time_limit must be positive, got nan"):
+        online.explicit(max_regions=np.nan)
+    with pytest.raises(InvalidDataError, match=r"axes are \(0, 2\), expected two different numbers below 2"):
+        law.plot(axes=(0, 2))
     with pytest.raises(InvalidDataError, match="theta_set is missing"):
         LinearMPC(online.A, online.B, Q=np.eye(2), R=[[1.0]], horizon=2, U=box([1])).explicit()
     with pytest.raises(InfeasibleError, match="no region"):

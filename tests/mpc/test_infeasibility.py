@@ -5,7 +5,7 @@ import pytest
 from plants import box, double_integrator
 from random_problems import random_plant
 
-from mpc import LinearMPC
+from mpc import InvalidDataError, LinearMPC
 from mpc.dense_qp import DenseQP
 
 
@@ -63,6 +63,19 @@ def test_prints_as_one_sentence_with_amounts(integrator):
     text = str(integrator.explain([4.9, 3.0]))
     assert text.startswith("Infeasible: the least relaxation is x[0] <= 5 by 2.4 at step 1, x[0] <= 5 by 3.9 at step 2")
     assert "cannot hold together: u[0] >= -1 (steps 0-1) and x[0] <= 5 (step 2)" in text
+
+
+@pytest.mark.parametrize("size", [1e12, 1e30, 1e90])
+def test_amounts_are_finite_however_far_the_state_is(integrator, size):
+    why = integrator.explain([size, 0.0])
+    assert {v.constraint.step for v in why.violations} == set(range(1, 11))
+    np.testing.assert_allclose([v.amount for v in why.violations], size, rtol=1e-6)
+    assert why.conflict
+
+
+def test_numbers_beyond_any_scale_are_refused(integrator):
+    with pytest.raises(InvalidDataError, match="too large"):
+        integrator.explain([1e308, 1e308])
 
 
 def test_a_feasible_problem_has_nothing_to_explain(integrator):

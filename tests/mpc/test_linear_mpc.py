@@ -202,7 +202,12 @@ def test_soft_constraints_trade_violation_for_cost():
     data = dict(Q=np.eye(2), R=[[0.1]], horizon=10, X=box([5, 5]), U=box([1]))
     hard, soft = LinearMPC(A, B, **data), LinearMPC(A, B, **data, soft=(1e4, 1e4))
     np.testing.assert_allclose(soft([3.0, -1.0]), hard([3.0, -1.0]), atol=1e-7)
-    assert soft.solve([4.9, 3.0]).status is Status.SOLVED
+    plan = soft.solve([4.9, 3.0])
+    assert plan.status is Status.SOLVED
+    assert plan.violation == pytest.approx(np.abs(plan.states[1:]).max() - 5)
+    assert soft.solve([3.0, -1.0]).violation == pytest.approx(0, abs=1e-9)
+    squares = LinearMPC(A, B, **data, soft=(0.0, 1e4)).solve([4.9, 3.0])
+    assert squares.violation == pytest.approx(4.4, abs=0.1)  # the least largest violation of a step
 
 
 def test_another_design_takes_a_new_model():
@@ -211,6 +216,26 @@ def test_another_design_takes_a_new_model():
     moved = LinearMPC(A, B, horizon=10, **SUSPENSION).with_model(A2, B2)
     x = np.array([-0.1, -1.0, -0.1, -0.5])
     np.testing.assert_allclose(moved(x), LinearMPC(A2, B2, horizon=10, **SUSPENSION)(x), rtol=1e-9)
+
+
+def test_another_design_keeps_a_terminal_weight_that_was_given_and_takes_a_state_space():
+    A, B = double_integrator()
+    given = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=5, P=3 * np.eye(2), U=box([1]))
+    moved = given.with_model(control.ss(0.9 * A, B, np.eye(2), 0, 1.0))
+    np.testing.assert_array_equal(moved.A, 0.9 * A)
+    np.testing.assert_array_equal(moved.P, 3 * np.eye(2))
+    np.testing.assert_array_equal(given.with_model(A, B, P=np.eye(2)).P, np.eye(2))
+
+
+def test_a_batch_with_a_rate_limit_takes_one_last_input_per_state():
+    A, B = double_integrator()
+    limited = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=5, U=box([1]), rate_limit=0.1)
+    X, last = np.array([[1.0, 0.0], [-2.0, 0.5], [0.5, 0.5]]), np.array([[0.9], [-0.4], [0.0]])
+    each = [limited(x, u_prev=u) for x, u in zip(X, last)]
+    np.testing.assert_allclose(limited(X, u_prev=last), each)
+    np.testing.assert_allclose(limited(X[0], u_prev=0.9), each[0])  # one input: a number will do
+    with pytest.raises(InvalidDataError, match=r"u_prev has shape \(2, 1\), expected \(3, 1\)"):
+        limited(X, u_prev=last[:2])
 
 
 def empty_interval():
@@ -224,6 +249,12 @@ def empty_interval():
     [
         ({"horizon": 0}, InvalidDataError, "horizon must be an integer >= 1, got 0"),
         ({"horizon": 2.5}, InvalidDataError, r"got 2\.5"),
+        ({"horizon": np.nan}, InvalidDataError, "got nan"),
+        ({"horizon": np.inf}, InvalidDataError, "got inf"),
+        ({"horizon": None}, InvalidDataError, "got None"),
+        ({"Q": "large"}, InvalidDataError, "Q must be an array of real numbers"),
+        ({"Q": [[1, 0], [1]]}, InvalidDataError, "Q must be an array of real numbers"),
+        ({"Q": 1j * np.eye(2)}, InvalidDataError, "Q must be an array of real numbers: got complex"),
         ({"X": np.eye(2)}, InvalidDataError, "X must be a Polytope"),
         ({"X": box([5, 5, 5])}, InvalidDataError, r"X.A has shape \(6, 3\), expected \(any, 2\)"),
         ({"U": box([np.nan])}, InvalidDataError, r"U.b is not finite"),
@@ -231,7 +262,12 @@ def empty_interval():
         ({"P": -np.eye(2)}, NotConvexError, "P has a negative direction"),
         ({"Q": [0, 0], "R": [0], "P": np.zeros((2, 2))}, NotConvexError, "condensed Hessian is not positive"),
         ({"blocks": (3, 3)}, InvalidDataError, "sum to the horizon 10"),
+        ({"blocks": (np.nan, 10)}, InvalidDataError, "sum to the horizon 10"),
+        ({"blocks": (2.5, 7.5)}, InvalidDataError, "sum to the horizon 10"),
+        ({"blocks": 9}, InvalidDataError, "sum to the horizon 10"),
         ({"rate_limit": -1.0}, InvalidDataError, "rate_limit must be positive"),
+        ({"rate_limit": [1.0, 2.0]}, InvalidDataError, r"rate_limit has shape \(2,\), expected \(1,\)"),
+        ({"soft": (-1.0, 1.0)}, InvalidDataError, "soft must not be negative"),
         ({"soft": (1.0, 0.0)}, InvalidDataError, "soft must be positive"),
         ({"E": np.ones((3, 1))}, InvalidDataError, "E has shape"),
     ],
@@ -253,11 +289,14 @@ def test_bad_controllers_are_refused(change, error, message):
         ([1.0, 0.0], {"u_prev": [1.0]}, "u_prev was given"),
         ([1.0, 0.0], {"x_ref": [np.nan, 0.0]}, "x_ref is not finite"),
         ([1.0, 0.0], {"x_ref": np.zeros((3, 2))}, "x_ref has shape"),
+        ([1.0, 0.0], {"x_ref": "origin"}, "x_ref must be an array of real numbers"),
+        ([1.0, 1j], {}, "x must be an array of real numbers"),
     ],
 )
 def test_bad_states_are_refused(integrator, x, signals, message):
-    with pytest.raises(InvalidDataError, match=message):
-        integrator.solve(x, **signals)
+    for ask in (integrator.solve, integrator, integrator.explain):
+        with pytest.raises(InvalidDataError, match=message):
+            ask(x, **signals)
 
 
 def test_a_pickled_controller_works_elsewhere(integrator):
