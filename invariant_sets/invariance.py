@@ -78,7 +78,7 @@ def largest_invariant_set(system: LinearSystem, X: Polytope, U: Polytope, limits
         if region.shape is Shape.SOLID and (outcome.converged or capped) and not region.is_small:
             return _finish(system, problem, U, outcome, region, iterations, limits)
         X = _flattened(smaller, widest) if region.is_small else smaller
-    return no_set(nx, iterations, X, Status.ITERATION_LIMIT)
+    return no_set(nx, iterations, X, Status.ITERATION_LIMIT if X.is_bounded else Status.OUTER_ONLY)
 
 
 def _extent(X: Polytope) -> Array:
@@ -151,7 +151,7 @@ def _finish(system: LinearSystem, problem: LocalProblem, U: Polytope, outcome: O
                 status = Status.ITERATION_LIMIT
             return SetResult(inner, outer, status, iterations, Certificate(violation, gap, points))
     if status is Status.CONVERGED:
-        status = Status.NOT_CERTIFIED
+        status = Status.NOT_CERTIFIED if problem.bounded else Status.OUTER_ONLY
     return no_set(len(system.A), iterations, outer, status)
 
 

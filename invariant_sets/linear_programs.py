@@ -65,8 +65,19 @@ def _from_highs(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
             return np.inf, None
         if answer.status == 3:
             return -np.inf, None
+    if _has_ray(c, A) and inscribed_ball(A, b, cap=1.0)[0] >= 0:
+        return -np.inf, None
     raise NumericalError(f"A linear program with {A.shape[0]} rows in {A.shape[1]} variables could not be "
                          f"solved by DAQP or HiGHS ({answer.message}). Rescale the data.")
+
+
+def _has_ray(c: Array, A: Array) -> bool:
+    """Return whether cᵀd < 0 for some d with A d <= 0: HiGHS gives up on some unbounded programs of a narrow cone."""
+    from scipy.optimize import linprog
+
+    ray = linprog(c, A_ub=A, b_ub=np.zeros(len(A)), bounds=(-1.0, 1.0), method="highs-ds",
+                  options={"primal_feasibility_tolerance": 1e-10})
+    return bool(ray.status == 0 and ray.fun < -1e-6 * np.abs(c).max())
 
 
 def maximise_rows(D: Array, A: Array, b: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 
 from .body import FLAT, Body, unit_rows
 from .exceptions import InputError
+from .linear_programs import inscribed_ball
 from .predecessor import project_rows
 from .validation import as_floats, as_matrix, as_vector, check_finite
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from .polytope import Polytope
 
 Array = np.ndarray
+_EPS = 32 * np.finfo(float).eps
+_ROUND = 1e-12  # of the width of the sets: what a difference of supports may be wrong by
 
 
 class SetOperations:
@@ -90,7 +93,32 @@ class SetOperations:
         size = np.maximum(1.0, np.abs(upper))
         if np.isinf(reach).any() or np.isinf(upper).any() or (upper - lower > FLAT * size).any():
             return _nothing(self)
-        return _new(self, self.A, self.b - reach, self.A_eq, self.b_eq - (upper + lower) / 2)
+        right, middle = self.b - reach, (upper + lower) / 2
+        if len(right):
+            right = self._without_rounding(other, right, _EPS * (np.abs(self.b) + np.abs(reach)))
+        return _nothing(self) if right is None else _new(self, self.A, right, self.A_eq, self.b_eq - middle)
+
+    def _without_rounding(self, other: Polytope, right: Array, error: Array) -> Array | None:
+        """Return the right-hand sides of P ⊖ Q with rows that meet in one point, up to rounding, meeting exactly.
+
+        P ⊖ P is {0}, a point whose own size says nothing about rounding; that of P does. None if empty.
+        """
+        body, theirs = self._body, other._body
+        assert body is not None
+        assert theirs is not None
+        extent = 2 * np.linalg.norm(np.hstack([body.basis, theirs.basis]), axis=1)
+        margin = _ROUND * (np.abs(self.A) @ extent) + error
+        slope, point = self.A @ body.basis, body.centre - theirs.centre
+        norms = np.linalg.norm(slope, axis=1)
+        moving = norms > 1e-13 * norms.max(initial=0.0)
+        if moving.any():
+            room = (right - self.A @ point)[moving]
+            _, y = inscribed_ball(slope[moving] / norms[moving, None], room / norms[moving], cap=1.0)
+            point = point + body.basis @ y
+        level = self.A @ point
+        if (right - level < -margin).any():
+            return None
+        return np.where(right - level <= margin, level, right)
 
     def affine_map(self, M: Any, c: Any = None) -> Polytope:
         """Return {M x + c : x in P}. M may be singular or change the dimension.

@@ -235,6 +235,16 @@ def test_unbounded_constraints():
     assert half.set.is_empty
 
 
+@pytest.mark.parametrize("factor", [0.5, 0.9, 1.0])
+def test_a_half_space_with_infinitely_many_facets_is_an_outer_set_and_no_exception(factor):
+    A, B, half = factor * np.array([[0.8, 0.5], [0.5, 0.6]]), np.array([[0.5], [1]]), Polytope([[1.0, 0]], [5.0])
+    result = maximal_control_invariant_set(A, B, half, ONE)
+    assert result.status is Status.OUTER_ONLY
+    assert result.set.is_empty
+    boxed = half.intersection(Polytope.from_bounds([-100, -100], [100, 100]))
+    assert maximal_control_invariant_set(A, B, boxed, ONE).set.is_subset(result.outer)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_random_systems(seed):
     rng = np.random.default_rng(seed)

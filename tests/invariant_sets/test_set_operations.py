@@ -98,6 +98,26 @@ def test_difference_then_sum_stays_inside_and_sum_then_difference_returns(family
     assert P.minkowski_sum(W).pontryagin_difference(W).equals(P, 1e-6)
 
 
+@pytest.mark.parametrize("n", [2, 3, 4, 5])
+@pytest.mark.parametrize("family", FAMILIES)
+def test_difference_of_a_set_with_itself_is_one_point(family, n, rng):
+    P = family(rng, n)
+    difference = P.pontryagin_difference(P)
+    assert difference.affine_dim == 0
+    assert np.allclose(difference.vertices, 0, atol=1e-9 * np.ptp(P.vertices, axis=0).max())
+    larger = P.minkowski_sum(P)  # the other order: nothing fits
+    assert P.pontryagin_difference(larger).is_empty or P.affine_dim == 0
+
+
+def test_difference_of_boxes_is_flat_where_they_are_equally_wide():
+    third = 1 / 3
+    P = Polytope.from_bounds([-0.1, -1], [0.2, 1]).affine_map([[third, 0.7], [-0.7, third]])
+    Q = Polytope.from_bounds([-0.1, -0.25], [0.2, 0.5]).affine_map([[third, 0.7], [-0.7, third]])
+    difference = P.pontryagin_difference(Q)
+    assert difference.affine_dim == 1
+    assert difference.equals(Polytope.from_vertices(np.array([[0, -0.75], [0, 0.5]]) @ [[third, -0.7], [0.7, third]]))
+
+
 def test_difference_with_a_larger_set_is_empty_and_with_nothing_is_everything():
     P, Q = Polytope.from_bounds([-1, -1], [1, 1]), Polytope.from_bounds([-2, 0], [2, 0])
     assert P.pontryagin_difference(Q).is_empty
