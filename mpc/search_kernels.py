@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .kernels import interior_point, project
+from .halfspace_kernels import interior_point, project
 
 BELOW, ABOVE, BOTH = 1, 2, 3
 

@@ -1,0 +1,200 @@
+"""Compiled geometry of half-spaces with unit rows: nearest point, interior point, facets, a point across a facet.
+
+numba's cache on disk notices a change of the file a function stands in, but not of the files it calls into: after a
+change here save `region_kernels.py`, `kernels.py` and `search_kernels.py` too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+RADIUS = 1e-7  # a region with no ball of this radius, in parameters scaled to [-1, 1], is flat
+
+
+@njit(cache=True)
+def project(A, b, m, c, tol, theta, work, lam):
+    """Nearest point of {Aθ <= b} to c, by the dual active-set method of Goldfarb and Idnani (1983), unit rows.
+
+    Writes θ into `theta`, the active rows into `work` and their multipliers into `lam`. Returns the number of active
+    rows, -1 when the set is empty, -2 at the iteration limit.
+    """
+    n = len(c)
+    L = np.empty((n + 1, n + 1))
+    r = np.empty(n + 1)
+    z = np.empty(n)
+    for j in range(n):
+        theta[j] = c[j]
+    k = 0
+    for _ in range(50 + 10 * m):
+        worst, p = tol, -1
+        for i in range(m):
+            s = -b[i]
+            for j in range(n):
+                s += A[i, j] * theta[j]
+            if s > worst:
+                worst, p = s, i
+        if p < 0:
+            return k
+        price = 0.0
+        for _ in range(n + m + 2):
+            # r: coefficients of row p on the active rows; z: what is left of it
+            for a in range(k):
+                s = 0.0
+                for j in range(n):
+                    s += A[work[a], j] * A[p, j]
+                for e in range(a):
+                    s -= L[a, e] * r[e]
+                r[a] = s / L[a, a]
+            for a in range(k - 1, -1, -1):
+                s = r[a]
+                for e in range(a + 1, k):
+                    s -= L[e, a] * r[e]
+                r[a] = s / L[a, a]
+            zz = 0.0
+            for j in range(n):
+                s = A[p, j]
+                for a in range(k):
+                    s -= r[a] * A[work[a], j]
+                z[j] = s
+                zz += s * s
+            t, drop = np.inf, -1
+            for a in range(k):
+                if r[a] > 1e-12 and lam[a] < t * r[a]:
+                    t, drop = lam[a] / r[a], a
+            full = k < n and zz > 1e-13
+            if full:
+                s = -b[p]
+                for j in range(n):
+                    s += A[p, j] * theta[j]
+                step = max(s, 0.0) / zz
+                if step <= t:
+                    t, drop = step, -1
+            elif drop < 0:
+                return -1
+            for a in range(k):
+                lam[a] -= t * r[a]
+            price += t
+            if full:
+                for j in range(n):
+                    theta[j] -= t * z[j]
+            if drop < 0:
+                work[k], lam[k] = p, price
+                k += 1
+                _factor(A, work, k, k - 1, L)
+                break
+            for a in range(drop, k - 1):
+                work[a], lam[a] = work[a + 1], lam[a + 1]
+            k -= 1
+            _factor(A, work, k, drop, L)
+    return -2
+
+
+@njit(cache=True)
+def _factor(A, work, k, start, L):
+    """Cholesky factor of the Gram matrix of the active rows, from row `start` on."""
+    n = A.shape[1]
+    for a in range(start, k):
+        for e in range(a + 1):
+            s = 0.0
+            for j in range(n):
+                s += A[work[a], j] * A[work[e], j]
+            for q in range(e):
+                s -= L[a, q] * L[e, q]
+            L[a, e] = np.sqrt(max(s, 1e-30)) if a == e else s / L[e, e]
+
+
+@njit(cache=True)
+def interior_point(A, b, centre):
+    """Write a point well inside {Aθ <= b} into `centre`; returns a radius around it, 0 when there is none >= RADIUS."""
+    m, n = A.shape
+    shrunk, theta = np.empty(m), np.empty(n)
+    work, lam = np.empty(n + 1, np.int64), np.empty(n + 1)
+    radius, trial = 0.0, RADIUS
+    start = np.zeros(n)
+    while trial < 1.0:
+        for i in range(m):
+            shrunk[i] = b[i] - trial
+        if project(A, shrunk, m, start, 1e-2 * RADIUS if trial > RADIUS else 1e-13, theta, work, lam) < 0:
+            break
+        # the second look: the margin is measured, not believed
+        margin = np.inf
+        for i in range(m):
+            s = b[i]
+            for j in range(n):
+                s -= A[i, j] * theta[j]
+            margin = min(margin, s)
+        if margin < 0.9 * trial:
+            break
+        radius = margin
+        for j in range(n):
+            centre[j] = theta[j]
+            start[j] = theta[j]
+        trial *= 20.0
+    return radius
+
+
+@njit(cache=True)
+def irredundant(A, b, centre, facets):
+    """Rows of {Aθ <= b} that are facets, by Clarkson's method (1994) from an interior point; returns their number."""
+    m, n = A.shape
+    slack = np.empty(m)
+    for i in range(m):
+        s = b[i]
+        for j in range(n):
+            s -= A[i, j] * centre[j]
+        slack[i] = s
+    order = np.argsort(slack)
+    AI, bI = np.empty((m + 1, n)), np.empty(m + 1)
+    theta, work, lam = np.empty(n), np.empty(n + 1, np.int64), np.empty(n + 1)
+    known = np.zeros(m, np.bool_)
+    count = 0
+    for i in order:
+        unit = False
+        for j in range(n):
+            unit = unit or A[i, j] != 0.0
+        if not unit:
+            continue
+        for _ in range(m):
+            if known[i]:
+                break
+            for j in range(n):
+                AI[count, j] = -A[i, j]
+            bI[count] = -b[i] - 1e-9
+            if project(AI, bI, count + 1, centre, 1e-12, theta, work, lam) < 0:
+                break  # redundant beside the facets known so far
+            hit, nearest = i, np.inf
+            for e in range(m):
+                rate = 0.0
+                for j in range(n):
+                    rate += A[e, j] * (theta[j] - centre[j])
+                if rate > 1e-14 and slack[e] < nearest * rate:
+                    nearest, hit = slack[e] / rate, e
+            if known[hit]:
+                hit = i
+            known[hit] = True
+            facets[count] = hit
+            for j in range(n):
+                AI[count, j] = A[hit, j]
+            bI[count] = b[hit]
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def across(A, b, facets, count, facet, theta):
+    """Write a point just across one facet, away from the others, into θ; False when the facet is too small."""
+    n = A.shape[1]
+    AI, bI = np.empty((count, n)), np.empty(count)
+    work, lam, start = np.empty(n + 1, np.int64), np.empty(n + 1), np.zeros(n)
+    margin = 0.1
+    while margin > 1e-8:
+        for a in range(count):
+            sign = -1.0 if facets[a] == facet else 1.0
+            for j in range(n):
+                AI[a, j] = sign * A[facets[a], j]
+            bI[a] = sign * b[facets[a]] - (min(1e-5, margin) if sign < 0 else margin)
+        if project(AI, bI, count, start, 1e-13, theta, work, lam) >= 0:
+            return True
+        margin *= 0.1
+    return False
