@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from . import representation as rep
-from .body import FLAT, Body, body_of, normals
+from .body import Body, body_of
+from .body_rows import hull_of_points, largest_ball, minimal_rows
 from .exceptions import EmptySetError, InputError, UnboundedError
 from .linear_programs import minimise
 from .operations import SetOperations, same_space
@@ -95,22 +96,8 @@ class Polytope(SetOperations):
         V = as_matrix(V, "V")
         if V.shape[0] == 0 or V.shape[1] == 0:
             raise InputError(f"V has shape {V.shape}, expected (k, n) with k >= 1 and n >= 1.")
-        centre = V.mean(axis=0)
-        scale = np.ptp(V, axis=0) / 2
-        scale[scale <= 1e-15 * np.abs(V).max(axis=0)] = 1.0
-        Y = (V - centre) / scale
-        _, s, vt = np.linalg.svd(Y, full_matrices=len(Y) < 2 * Y.shape[1])
-        rank = int((s > FLAT * max(s.max(initial=0.0), FLAT)).sum())
-        N, M = vt[:rank], vt[rank:] / scale
-        extreme = np.arange(1)
-        A, b = np.zeros((0, V.shape[1])), np.zeros(0)
-        if rank:
-            F, g, extreme = rep.hull_rows(Y @ N.T)
-            A, b = F @ N / scale, g + F @ N @ (centre / scale)
-            norms = np.linalg.norm(A, axis=1)
-            A, b = A / norms[:, None], b / norms
-        M = M / np.linalg.norm(M, axis=1)[:, None]
-        P = cls(A, b, M, M @ centre)
+        A, b, A_eq, b_eq, extreme = hull_of_points(V)
+        P = cls(A, b, A_eq, b_eq)
         if V.shape[1] != 2:  # in the plane they come in order, from the inequalities
             P.__dict__["vertices"] = frozen(V[extreme])
         return P
@@ -248,22 +235,9 @@ class Polytope(SetOperations):
         ----------
         Boyd, Vandenberghe (2004), Convex Optimization, section 8.5.1.
         """
-        body = self._body
-        if body is None:
+        if self._body is None:
             raise EmptySetError("chebyshev_ball needs a point, but the set is empty.")
-        if body.basis.shape[1] < self.dim:
-            return body.centre.copy(), 0.0
-        if not len(body.g):
-            return body.centre.copy(), np.inf
-        norms = np.linalg.norm(body.F @ np.linalg.inv(body.basis), axis=1)  # of the rows in the units of x
-        unit = (body.g / norms).min()
-        rows = np.vstack([np.column_stack([body.F, unit * norms]), np.append(np.zeros(self.dim), -1.0)])
-        size = np.linalg.norm(rows, axis=1)
-        cost = np.append(np.zeros(self.dim), -1.0)
-        value, y = minimise(cost, rows / size[:, None], np.append(body.g, 0.0) / size)
-        if y is None:
-            return body.centre.copy(), np.inf
-        return body.centre + body.basis @ y[:-1], -value * unit
+        return largest_ball(self._body)
 
     def bounding_box(self) -> tuple[Array, Array]:
         """Return the smallest box (lower, upper), each (n,), infinite where unbounded. Raises `EmptySetError`."""
@@ -309,19 +283,9 @@ class Polytope(SetOperations):
 
         Equalities hidden in the inequalities become rows of A_eq. The empty set becomes 0·x <= −1.
         """
-        body = self._body
-        if body is None:
+        if self._body is None:
             return Polytope(np.zeros((1, self.dim)), [-1.0])
-        if body.basis.shape[1] == self.dim:
-            kept = rep.irredundant_rows(body.F, body.g) if len(body.g) else np.zeros(0, int)
-            inverse = np.linalg.inv(body.basis)
-            F = body.F[kept] @ inverse
-            norms = np.linalg.norm(F, axis=1)
-            return Polytope(F / norms[:, None], (body.g[kept] + F @ body.centre) / norms)
-        kept = rep.irredundant_rows(body.F, body.g) if len(body.g) else np.zeros(0, int)
-        F = body.F[kept] @ np.linalg.pinv(body.basis)
-        M = normals(body.basis)
-        return Polytope(F, body.g[kept] + F @ body.centre, M, M @ body.centre)
+        return Polytope(*minimal_rows(self._body))
 
     def sample(self, n: int, *, rng: np.random.Generator) -> Array:
         """Return n points, nearly uniform in the set (relative to its affine hull), by hit and run.
