@@ -17,7 +17,7 @@ def test_readme_code_runs_from_top_to_bottom(tmp_path, monkeypatch):
     assert {score.controller for score in namespace["table"]} == {"passive", "LQR", "PID", "MPC", "learned"}
     learned = next(s for s in namespace["table"] if s.controller == "learned")
     lqr = next(s for s in namespace["table"] if s.controller == "LQR")
-    assert learned.paired_to_lqr.ci95[1] > -0.02 * abs(lqr.summary.mean)
+    assert learned.paired_to_lqr.ci95[0] > -0.005 * abs(lqr.summary.mean)  # not worse
 
 
 def test_every_file_the_readme_links_to_exists():
