@@ -79,6 +79,14 @@ def rollout(mpc: LinearMPC, x: Array, inputs: Array, w: Array | None) -> Array:
     return states
 
 
+def cost_of(mpc: LinearMPC, inputs: Array, states: Array, given: dict[str, Array]) -> float:
+    """Cost of inputs and states, measured from their references where there are some."""
+    error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
+    effort = inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
+    Q, R, P = np.asarray(mpc.Q), np.asarray(mpc.R), np.asarray(mpc.P)
+    return float(np.sum(error[:-1] @ Q * error[:-1]) + np.sum(effort @ R * effort) + error[-1] @ P @ error[-1])
+
+
 def _finite(v: Array) -> Array:
     largest = float(np.finfo(float).max) / 4
     return np.nan_to_num(v, nan=0.0, posinf=largest, neginf=-largest)

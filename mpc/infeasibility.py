@@ -134,6 +134,8 @@ def _what_gives(G: Array, b: Array, givable: Rows) -> dict[int, float]:
         if fewer and _least_maximum(G, b, [j for j in range(len(b)) if j not in set(fewer)])[0] <= _ZERO:
             chosen = fewer
     thinned = _least_sum(G, b, chosen)
+    if not all(np.isfinite(s) for s in thinned.values()):  # the first answer was enough
+        return amounts
     return {i: thinned.get(i, 0.0) for i in chosen}
 
 
@@ -146,10 +148,11 @@ def _least_sum(G: Array, b: Array, givable: Rows) -> dict[int, float]:
     relax[givable, np.arange(len(givable))] = -1.0
     cost = np.concatenate([np.zeros(n), np.ones(len(givable))])
     bounds = [(None, None)] * n + [(0, None)] * len(givable)
-    result = linprog(cost, A_ub=np.hstack([G, relax]), b_ub=b, bounds=bounds)
-    if result.status != 0:
-        return {i: np.inf for i in givable}
-    return {i: float(s) for i, s in zip(givable, result.x[n:]) if s > _ZERO / 10}
+    for method in ("highs", "highs-ds", "highs-ipm"):  # unstable plants over long horizons defeat one or the other
+        result = linprog(cost, A_ub=np.hstack([G, relax]), b_ub=b, bounds=bounds, method=method)
+        if result.status == 0:
+            return {i: float(s) for i, s in zip(givable, result.x[n:]) if s > _ZERO / 10}
+    return {i: np.inf for i in givable}
 
 
 def _contradiction(G: Array, b: Array, rows: Rows) -> Rows:

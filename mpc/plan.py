@@ -51,7 +51,7 @@ class Plan:
     states : (N + 1, nx) array
         x_0 … x_N predicted with the model.
     cost : float
-        Σ x'Qx + u'Ru plus the terminal cost.
+        Σ x'Qx + u'Ru plus the terminal cost and, while accurate, the price of soft constraints.
     status : Status
     residuals : Residuals
         Optimality residuals; for a softened plan those of the relaxed problem.

@@ -73,6 +73,16 @@ def test_amounts_are_finite_however_far_the_state_is(integrator, size):
     assert why.conflict
 
 
+@pytest.mark.parametrize("horizon", [10, 25, 30, 40])
+def test_unstable_plants_over_long_horizons_are_explained(horizon):
+    A, B = np.array([[1.5, 0.3], [0.0, 1.3]]), np.array([[0.0], [1.0]])
+    unstable = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=horizon, X=box([5, 5]), U=box([1]))
+    why = unstable.explain([2.0, 2.0])
+    # x1 after two steps is 1.5 (1.5 * 2 + 0.3 * 2) + 0.3 (1.3 * 2 - 1) = 5.88 at best
+    assert str(why).startswith("Infeasible: the least relaxation is x[0] <= 5 by 0.88 at step 2")
+    assert np.isfinite([v.amount for v in why.violations]).all()
+
+
 def test_numbers_beyond_any_scale_are_refused(integrator):
     with pytest.raises(InvalidDataError, match="too large"):
         integrator.explain([1e308, 1e308])

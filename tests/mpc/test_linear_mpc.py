@@ -123,6 +123,21 @@ def test_every_finite_state_gets_a_finite_admissible_input(integrator, size):
         assert np.abs(u).max() <= 1 + 1e-6
 
 
+@pytest.mark.parametrize("horizon", [10, 30, 60])
+def test_a_plan_that_no_solver_could_finish_still_describes_what_its_inputs_do(horizon):
+    A, B = np.array([[1.5, 0.3], [0.0, 1.3]]), np.array([[0.0], [1.0]])
+    mpc = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=horizon, X=box([5, 5]), U=box([1]))
+    target = np.array([0.5, 0.0])
+    plan = mpc.solve([2.0, 2.0], x_ref=target)  # cannot be brought back: x grows to 1e4 and more
+    assert plan.status in (Status.SOFTENED, Status.INACCURATE)
+    assert np.abs(plan.inputs).max() <= 1 + 1e-9
+    np.testing.assert_allclose(plan.states[1:], plan.states[:-1] @ A.T + plan.inputs @ B.T, rtol=1e-6, atol=1e-6)
+    error = plan.states - target
+    stage = np.sum(error[:-1] ** 2) + 0.1 * np.sum(plan.inputs**2)
+    assert plan.cost == pytest.approx(stage + error[-1] @ mpc.P @ error[-1], rel=1e-6)
+    assert plan.violation == pytest.approx(np.abs(plan.states[1:]).max() - 5, rel=1e-6)
+
+
 def test_an_unstabilisable_plant_with_its_own_terminal_weight_never_raises():
     mpc = LinearMPC([[1.2, 0.0], [0.0, 0.5]], [[0.0], [1.0]], Q=[1, 1], R=[1], P=np.eye(2), horizon=4, X=box([1, 1]),
                     U=box([1]))  # fmt: skip
