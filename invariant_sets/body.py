@@ -54,7 +54,7 @@ def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
         k = basis.shape[1]
         if k == 0 or len(g) == 0:
             return Body(centre, basis, F, g, bounded=k == 0)
-        found = _extents_in_two_scales(F, g)
+        found = _extents_in_scales(F, g)
         if found is None:
             return None
         rough, y, lower, upper = found
@@ -74,22 +74,47 @@ def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
         centre, basis = centre + basis @ y, basis @ null_space(tight)
 
 
-def _extents_in_two_scales(F: Array, g: Array) -> tuple[Array, Array, Array, Array] | None:
+def _extents_in_scales(F: Array, g: Array) -> tuple[Array, Array, Array, Array] | None:
     """Return a scale, a point and the extents in that scale; None if the set is empty.
 
-    A bad scale can make a thin set look empty or unbounded, so two must agree on either.
+    A bad scale can make a thin set look empty or unbounded, so two must agree on either; what still looks unbounded
+    is measured once more by rows that are almost parallel to a coordinate, as a needle has them.
     """
     answer = None
     for plain in (False, True):
-        rough = _rough_scale(F, g, plain=plain)
-        radius, y = inscribed_ball(*_unit(F * rough, g), cap=1.0)
-        if radius < -FLAT:
-            continue
-        lower, upper = _extents(F * rough, g, slack=max(-radius, 0.0))
-        answer = rough, y, lower, upper
-        if np.isfinite(lower).all() and np.isfinite(upper).all():
-            break
+        found = _extents_in_scale(F, g, _rough_scale(F, g, plain=plain))
+        if found is not None:
+            answer = found
+            if _finite(found).all():
+                return answer
+    if answer is not None:
+        scale = _needle_scale(F, g, answer[0])
+        found = _extents_in_scale(F, g, scale) if (scale > 1e3 * answer[0]).any() else None
+        if found is not None and _finite(found).sum() > _finite(answer).sum():
+            answer = found
     return answer
+
+
+def _finite(found: tuple[Array, Array, Array, Array]) -> Array:
+    return np.isfinite(found[2]) & np.isfinite(found[3])
+
+
+def _extents_in_scale(F: Array, g: Array, scale: Array) -> tuple[Array, Array, Array, Array] | None:
+    radius, y = inscribed_ball(*_unit(F * scale, g), cap=1.0)
+    if radius < -FLAT:
+        return None
+    lower, upper = _extents(F * scale, g, slack=max(-radius, 0.0))
+    return scale, y, lower, upper
+
+
+def _needle_scale(F: Array, g: Array, scale: Array) -> Array:
+    """Return the scale with longer coordinates where only rows that are almost parallel to one bound it."""
+    size = np.abs(F).max(axis=1, keepdims=True)
+    felt = np.abs(F) > 1e-13 * size
+    reach = np.abs(g)[:, None] / np.where(felt, np.abs(F), 1.0)
+    sides = [np.where(felt & (side * F > 0), reach, np.inf).min(axis=0) for side in (1, -1)]
+    lengths = np.where(np.isfinite(sides), sides, 0.0).max(axis=0)
+    return np.maximum(scale, lengths)
 
 
 def _solve_equalities(A_eq: Array, b_eq: Array) -> tuple[Array, Array] | None:

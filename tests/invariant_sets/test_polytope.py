@@ -1,5 +1,7 @@
 """`Polytope`: construction, questions, degenerate sets."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,17 @@ def test_needle_keeps_its_dimension_and_volume():
     assert P.affine_dim == 3
     assert P.volume == pytest.approx(2.0, rel=1e-12)
     assert len(P.vertices) == 8
+
+
+@pytest.mark.parametrize("n", [2, 3, 5])
+@pytest.mark.parametrize("ratio", [1e6, 1e9, 1e12])
+def test_a_corner_with_edges_of_any_ratio_is_bounded_and_has_its_volume(n, ratio):
+    edges = np.geomspace(1 / np.sqrt(ratio), np.sqrt(ratio), n)
+    P = Polytope.from_vertices(np.vstack([np.zeros(n), np.diag(edges)]))
+    again = Polytope(P.A, P.b)  # without the vertices that it was made of
+    assert again.is_bounded
+    assert math.isclose(again.volume, np.prod(edges) / math.factorial(n), rel_tol=1e-9)
+    assert np.allclose(np.array(again.bounding_box()) / edges, [np.zeros(n), np.ones(n)], atol=1e-9)
 
 
 def test_equalities_hidden_in_inequalities_are_found():
