@@ -6,10 +6,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from .checks import Array
-from .dense_qp import DenseQP
+from .dense_qp import TOLERANCE, DenseQP
 from .parametric_qp import ParametricQP
 
-_SHARE = 1e-6  # weight of the control cost beside the squared violation
+_SHARES = (1e-6, 1e-3, 1.0)  # weight of the control cost beside the squared violation; more where less is too stiff
 _FAR = 1e4  # farther than this, in units of the set, only the direction counts
 _MARGIN = 1e-8  # the relaxed bounds leave this much room, in units of the bounds
 
@@ -43,9 +43,13 @@ def least_violation(problem: ParametricQP, units: Array, q: Array, b: Array) -> 
     last = int(steps[soft].max())
     columns = np.zeros((problem.m, last))
     columns[soft, steps[soft] - 1] = -units[soft]
-    share = _SHARE / _typical_cost(problem)
-    elastic = DenseQP(block_diag(share * problem.H, np.eye(last)), np.hstack([problem.G, columns]))
-    result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b, doubt=True)
+    typical = _typical_cost(problem)
+    for share in _SHARES:
+        share = share / typical
+        elastic = DenseQP(block_diag(share * problem.H, np.eye(last)), np.hstack([problem.G, columns]))
+        result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b, doubt=True)
+        if result.infeasible or result.residuals.worst <= TOLERANCE:
+            break
     if result.infeasible or not np.isfinite(result.z).all():
         return None
     slack = np.maximum(-columns @ result.z[problem.nz :], 0.0)

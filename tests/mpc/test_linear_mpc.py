@@ -123,6 +123,16 @@ def test_every_finite_state_gets_a_finite_admissible_input(integrator, size):
         assert np.abs(u).max() <= 1 + 1e-6
 
 
+@pytest.mark.parametrize("horizon", [8, 10, 12, 15, 18])
+def test_unstable_plants_over_longer_horizons_get_their_relaxation(horizon):
+    A, B = np.array([[1.5, 0.3], [0.0, 1.3]]), np.array([[0.0], [1.0]])
+    mpc = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=horizon, X=box([5, 5]), U=box([1]))
+    plan = mpc.solve([2.0, 2.0])
+    assert plan.status is Status.SOFTENED
+    assert plan.violation == pytest.approx(np.abs(plan.states[1:]).max() - 5, rel=1e-5)
+    np.testing.assert_allclose(plan.inputs[:2], -1.0, atol=1e-6)
+
+
 @pytest.mark.parametrize("horizon", [10, 30, 60])
 def test_a_plan_that_no_solver_could_finish_still_describes_what_its_inputs_do(horizon):
     A, B = np.array([[1.5, 0.3], [0.0, 1.3]]), np.array([[0.0], [1.0]])
