@@ -30,7 +30,9 @@ def hull_of_points(V: Array) -> tuple[Array, Array, Array, Array, Array]:
     A, b = np.zeros((0, V.shape[1])), np.zeros(0)
     if rank:
         F, g, extreme = hull_rows(Y @ N.T)
-        A, b = F @ N / scale, g + F @ N @ (centre / scale)
+        rows = F @ N
+        rows[np.abs(rows) <= 4e-16] = 0.0  # rounding here, but not always in the units of x
+        A, b = rows / scale, g + rows @ (centre / scale)
         norms = np.linalg.norm(A, axis=1)
         A, b = A / norms[:, None], b / norms
     M = M / np.linalg.norm(M, axis=1)[:, None]

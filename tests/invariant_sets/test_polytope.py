@@ -58,6 +58,9 @@ def test_a_corner_with_edges_of_any_ratio_is_bounded_and_has_its_volume(n, ratio
     assert again.is_bounded
     assert math.isclose(again.volume, np.prod(edges) / math.factorial(n), rel_tol=1e-9)
     assert np.allclose(np.array(again.bounding_box()) / edges, [np.zeros(n), np.ones(n)], atol=1e-9)
+    share = (2 / 3) ** (n - 1)  # of the base, a third of the way up
+    base = np.prod(edges[:-1]) / math.factorial(n - 1)
+    assert math.isclose(again.slice([n - 1], [edges[-1] / 3]).volume, share * base, rel_tol=1e-9)
 
 
 def test_equalities_hidden_in_inequalities_are_found():
