@@ -219,12 +219,12 @@ class _Run:
             batch = prepare(self.agent, rollout, config.ppo)
             design_gradient = loss_gradient(self.problem, self.agent, self.v, batch, config.ppo)
         self.ppo.update(rollout, generator=self.generator, actor=k >= config.ppo.critic_only)
-        x0, w = scenario_tensors(self.problem, config.pathwise_runs, self.rng)
         if config.policy_rate > 0:
-            gradient = self._improve_policy(x0, w)
+            gradient = self._improve_policy(*scenario_tensors(self.problem, config.pathwise_runs, self.rng))
             design_gradient = gradient if design_gradient is None else design_gradient
         elif config.design_rate > 0 and design_gradient is None:
-            gradient, mean = pathwise_gradient(self.problem, self.agent, self.v, x0, w)
+            scenarios = scenario_tensors(self.problem, config.pathwise_runs, self.rng)
+            gradient, mean = pathwise_gradient(self.problem, self.agent, self.v, *scenarios)
             design_gradient = gradient / mean.abs()
         if config.design_rate > 0 and design_gradient is not None:
             self._move_design(design_gradient)
