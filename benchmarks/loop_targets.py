@@ -16,18 +16,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ccdtools.controllers import LinearFeedback
-from ccdtools.deployment import deploy
-from ccdtools.design_env import DesignEnv
-from ccdtools.expert import expert_dataset
-from ccdtools.methods import CoDesignConfig, codesign_ppo
-from ccdtools.policy import LearnedPolicy
-from ccdtools.problem import CoDesignProblem
+from ccdtools.co_design.environment import DesignEnv
+from ccdtools.co_design.expert import expert_dataset
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.reinforcement import CoDesignConfig, codesign_ppo
+from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.simulation import simulate
 from ccdtools.statistics import paired_difference
 from ccdtools.studies import Generations, RunFolder, Study, configuration, load_study
 from ccdtools.studies.generations import updated_problem
-from ccdtools.twin import DigitalTwin
+from ccdtools.twin.deployment import deploy
+from ccdtools.twin.twin import DigitalTwin
 from learning import PPOConfig, fit_actor_critic, train
 from learning.networks import ActorCritic
 from mpc import lqr
@@ -199,8 +199,8 @@ def worst_row(results: dict) -> float:
 
 def recorded_road():
     """The authors' recorded ż₀, or None where it is not at hand."""
-    from ccdtools.disturbance import Recorded
-    from ccdtools.recordings import read_disturbance
+    from ccdtools.disturbances.disturbance import Recorded
+    from ccdtools.disturbances.recordings import read_disturbance
 
     default = Path(__file__).resolve().parents[2] / "shared" / "data"
     path = Path(os.environ.get("CCDTOOLS_DATA", default)) / "dz_dt_mild_driver1.csv"

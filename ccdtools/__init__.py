@@ -7,18 +7,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ccdtools.deployment import deploy
-    from ccdtools.design_space import DesignSpace
-    from ccdtools.discretisation import LinearModel, discretise
+    from ccdtools.co_design.expert import expert_dataset
+    from ccdtools.co_design.objective import QuadraticObjective
+    from ccdtools.co_design.problem import CoDesignProblem
+    from ccdtools.co_design.solve import codesign
+    from ccdtools.controllers.learned import LearnedPolicy, load_policy
     from ccdtools.exceptions import CCDError, InputError
-    from ccdtools.expert import expert_dataset
-    from ccdtools.methods import codesign
-    from ccdtools.objective import QuadraticObjective
-    from ccdtools.plant import Plant
-    from ccdtools.policy import LearnedPolicy, load_policy
-    from ccdtools.problem import CoDesignProblem
+    from ccdtools.plants.design_space import DesignSpace
+    from ccdtools.plants.discretisation import LinearModel, discretise
+    from ccdtools.plants.plant import Plant
     from ccdtools.simulation import simulate
-    from ccdtools.twin import DigitalTwin
+    from ccdtools.twin.deployment import deploy
+    from ccdtools.twin.twin import DigitalTwin
 
 __all__ = [
     "CCDError",
@@ -40,19 +40,19 @@ __all__ = [
 
 _HOMES = {
     "CCDError": "exceptions",
-    "CoDesignProblem": "problem",
-    "DesignSpace": "design_space",
-    "DigitalTwin": "twin",
+    "CoDesignProblem": "co_design.problem",
+    "DesignSpace": "plants.design_space",
+    "DigitalTwin": "twin.twin",
     "InputError": "exceptions",
-    "LearnedPolicy": "policy",
-    "LinearModel": "discretisation",
-    "Plant": "plant",
-    "QuadraticObjective": "objective",
-    "codesign": "methods",
-    "deploy": "deployment",
-    "discretise": "discretisation",
-    "expert_dataset": "expert",
-    "load_policy": "policy",
+    "LearnedPolicy": "controllers.learned",
+    "LinearModel": "plants.discretisation",
+    "Plant": "plants.plant",
+    "QuadraticObjective": "co_design.objective",
+    "codesign": "co_design.solve",
+    "deploy": "twin.deployment",
+    "discretise": "plants.discretisation",
+    "expert_dataset": "co_design.expert",
+    "load_policy": "controllers.learned",
     "simulate": "simulation",
 }
 

@@ -152,7 +152,7 @@ def _undisturbed() -> Iterator[None]:
     caught: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, frame: caught.append(number))
     try:
-        import ccdtools.studies.report  # noqa: F401  (everything that is slow to import)
+        import ccdtools.studies.report.report  # noqa: F401  (everything that is slow to import)
 
         yield
     finally:
@@ -183,8 +183,8 @@ def _program() -> list[str]:
 def _complete(folder: RunFolder, study: Study, options: Options) -> None:
     """Run what is not finished yet, and report."""
     from ccdtools.studies import Generations
-    from ccdtools.studies.report import write_report
-    from ccdtools.studies.tables import console_table
+    from ccdtools.studies.report.report import write_report
+    from ccdtools.studies.report.tables import console_table
 
     quick = " (QUICK: few samples, not for conclusions)" if options.quick else ""
     typer.echo(f"{study.title}, seed {options.seed}{quick} → {folder.path}")
@@ -231,9 +231,9 @@ def _study(options: Options) -> Study:
 def _with_disturbance(study: Study, options: Options) -> Study:
     from dataclasses import replace
 
-    from ccdtools.disturbance import Recorded
-    from ccdtools.recordings import read_disturbance, read_road, read_speed
-    from ccdtools.roads import GeneratedRoad, road_disturbance
+    from ccdtools.disturbances.disturbance import Recorded
+    from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
+    from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
 
     given = [name for name in ("disturbance", "road", "driver") if getattr(options, name) is not None]
     if len(given) > 1:
@@ -286,7 +286,7 @@ def _keep_recording(folder: RunFolder, study: Study) -> None:
     """Keep a recorded disturbance with the run: its file may be gone when the run is resumed."""
     import numpy as np
 
-    from ccdtools.disturbance import Recorded
+    from ccdtools.disturbances.disturbance import Recorded
 
     if isinstance(study.real.disturbance, Recorded):
         np.save(folder.path / "disturbance.npy", study.real.disturbance.signal)
@@ -297,7 +297,7 @@ def _with_kept_recording(folder: RunFolder, study: Study) -> Study:
 
     import numpy as np
 
-    from ccdtools.disturbance import Recorded
+    from ccdtools.disturbances.disturbance import Recorded
 
     kept = folder.path / "disturbance.npy"
     if not kept.is_file():

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
 from ccdtools.arrays import Array
-from ccdtools.controllers import Controller
-from ccdtools.design_space import DesignSpace
-from ccdtools.discretisation import LinearModel
-from ccdtools.disturbance import Disturbance
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.controllers.controllers import Controller
+from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
-from ccdtools.objective import QuadraticObjective
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.discretisation import LinearModel
 
 Step = Callable[[Array, Array, Array], Array]
 

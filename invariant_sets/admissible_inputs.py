@@ -7,12 +7,12 @@ from typing import Any
 import daqp
 import numpy as np
 
-from .certificate import relative_rows
-from .exceptions import EmptySetError, InputError, UnboundedError
-from .linear_programs import minimise
-from .polytope import Polytope
-from .system_checks import checked_system
-from .validation import as_batch, as_vector, frozen
+from invariant_sets.engine.certificate import relative_rows
+from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
+from invariant_sets.linear_programs import minimise
+from invariant_sets.polytope import Polytope
+from invariant_sets.system_checks import checked_system
+from invariant_sets.validation import as_batch, as_vector, frozen
 
 Array = np.ndarray
 _TOLERANCE = 1e-9  # of the extent of S: a smaller violation counts as admissible

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .body import FLAT, Body, normals
-from .linear_programs import minimise
-from .representation import hull_rows, irredundant_rows
+from invariant_sets.hulls import hull_rows, irredundant_rows
+from invariant_sets.interior_form import FLAT, Body, normals
+from invariant_sets.linear_programs import minimise
 
 Array = np.ndarray
 

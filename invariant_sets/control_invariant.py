@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from .coordinates import LinearSystem
-from .invariance import Limits, largest_invariant_set
-from .polytope import Polytope
-from .results import SetResult
-from .system_checks import checked_system
-from .validation import check_count, check_tolerance
+from invariant_sets.engine.invariance import Limits, largest_invariant_set
+from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.polytope import Polytope
+from invariant_sets.results import SetResult
+from invariant_sets.system_checks import checked_system
+from invariant_sets.validation import check_count, check_tolerance
 
 
 def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E: Any = None,

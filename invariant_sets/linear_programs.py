@@ -13,7 +13,7 @@ from __future__ import annotations
 import daqp
 import numpy as np
 
-from .exceptions import NumericalError
+from invariant_sets.exceptions import NumericalError
 
 Array = np.ndarray
 _RESIDUAL = 1e-9  # accepted primal residual and duality gap, relative to the size of the data

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .body import FLAT, Body, unit_rows
-from .exceptions import InputError
-from .linear_programs import inscribed_ball
-from .predecessor import project_rows
-from .validation import as_floats, as_matrix, as_vector, check_finite
+from invariant_sets.engine.predecessor import project_rows
+from invariant_sets.exceptions import InputError
+from invariant_sets.interior_form import FLAT, Body, unit_rows
+from invariant_sets.linear_programs import inscribed_ball
+from invariant_sets.validation import as_floats, as_matrix, as_vector, check_finite
 
 if TYPE_CHECKING:
-    from .polytope import Polytope
+    from invariant_sets.polytope import Polytope
 
 Array = np.ndarray
 _EPS = 32 * np.finfo(float).eps

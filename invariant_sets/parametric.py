@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from .control_invariant import within
-from .exceptions import InputError
-from .polytope import Polytope
-from .results import SetResult, Status
-from .system_checks import check_set
-from .validation import as_batch, as_floats, as_matrix, as_vector, check_count, check_rng, check_tolerance
+from invariant_sets.control_invariant import within
+from invariant_sets.exceptions import InputError
+from invariant_sets.polytope import Polytope
+from invariant_sets.results import SetResult, Status
+from invariant_sets.system_checks import check_set
+from invariant_sets.validation import as_batch, as_floats, as_matrix, as_vector, check_count, check_rng, check_tolerance
 
 Array = np.ndarray
 _SLOW = 20  # steps: a neighbour that took more is worth starting from; below, a cold start is quicker

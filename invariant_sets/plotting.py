@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .exceptions import EmptySetError, InputError, UnboundedError
-from .polytope import Polytope
+from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
+from invariant_sets.polytope import Polytope
 
 Array = np.ndarray
 

@@ -8,14 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from . import representation as rep
-from .body import Body, body_of
-from .body_rows import hull_of_points, largest_ball, minimal_rows
-from .exceptions import EmptySetError, InputError, UnboundedError
-from .linear_programs import minimise
-from .operations import SetOperations, same_space
-from .sampling import hit_and_run
-from .validation import as_batch, as_matrix, as_vector, check_count, check_finite, check_rng, check_tolerance, frozen
+from invariant_sets import hulls as rep
+from invariant_sets.body_rows import hull_of_points, largest_ball, minimal_rows
+from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
+from invariant_sets.interior_form import Body, body_of
+from invariant_sets.linear_programs import minimise
+from invariant_sets.operations import SetOperations, same_space
+from invariant_sets.sampling import hit_and_run
+from invariant_sets.validation import (
+    as_batch,
+    as_matrix,
+    as_vector,
+    check_count,
+    check_finite,
+    check_rng,
+    check_tolerance,
+    frozen,
+)
 
 Array = np.ndarray
 
@@ -339,7 +348,7 @@ class Polytope(SetOperations):
         **style
             Passed to the matplotlib artist, for example color, alpha, label.
         """
-        from .plotting import plot_polytope
+        from invariant_sets.plotting import plot_polytope
 
         return plot_polytope(self, ax=ax, **style)
 

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from .certificate import control_violation
-from .coordinates import LinearSystem
-from .exceptions import InputError
-from .invariance import Limits, largest_invariant_set
-from .polytope import Polytope
-from .results import Certificate, SetResult, Status, no_set
-from .system_checks import check_set, checked_disturbance, checked_state_matrix
-from .validation import as_matrix, check_count, check_tolerance
+from invariant_sets.engine.certificate import control_violation
+from invariant_sets.engine.invariance import Limits, largest_invariant_set
+from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.exceptions import InputError
+from invariant_sets.polytope import Polytope
+from invariant_sets.results import Certificate, SetResult, Status, no_set
+from invariant_sets.system_checks import check_set, checked_disturbance, checked_state_matrix
+from invariant_sets.validation import as_matrix, check_count, check_tolerance
 
 Array = np.ndarray
 _SERIES = 5000  # terms of a sum of supports at most

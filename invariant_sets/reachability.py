@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from .certificate import control_violation
-from .operations import same_space
-from .polytope import Polytope
-from .predecessor import project_rows
-from .results import Certificate, SetResult, Status, no_set
-from .system_checks import check_set, checked_state_matrix, checked_system
-from .validation import check_count
+from invariant_sets.engine.certificate import control_violation
+from invariant_sets.engine.predecessor import project_rows
+from invariant_sets.operations import same_space
+from invariant_sets.polytope import Polytope
+from invariant_sets.results import Certificate, SetResult, Status, no_set
+from invariant_sets.system_checks import check_set, checked_state_matrix, checked_system
+from invariant_sets.validation import check_count
 
 Array = np.ndarray
 

@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from .polytope import Polytope
+from invariant_sets.polytope import Polytope
 
 INVARIANT = 1e-9  # a successor may leave by this part of the set's extent, and the set still counts as invariant
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .body import Body
+from invariant_sets.interior_form import Body
 
 Array = np.ndarray
 

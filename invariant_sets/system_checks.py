@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from .exceptions import InputError
-from .polytope import Polytope
-from .validation import as_matrix
+from invariant_sets.exceptions import InputError
+from invariant_sets.polytope import Polytope
+from invariant_sets.validation import as_matrix
 
 Array = np.ndarray
 

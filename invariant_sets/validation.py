@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .exceptions import InputError
+from invariant_sets.exceptions import InputError
 
 Array = np.ndarray
 

@@ -1,14 +1,14 @@
 """Model predictive control: linear MPC online, explained infeasibility, explicit MPC and its C code."""
 
-from .exceptions import InfeasibleError, InvalidDataError, MPCError, NotConvexError, NotStabilisableError
-from .explicit import ExplicitMPC
-from .infeasibility import Explanation
-from .linear_mpc import LinearMPC
-from .lqr import lqr
-from .mpqp import MPQPStatus, solve_mpqp
-from .parametric_qp import ParametricQP
-from .plan import Plan, Status
-from .tracking import OffsetFreeMPC
+from mpc.exceptions import InfeasibleError, InvalidDataError, MPCError, NotConvexError, NotStabilisableError
+from mpc.explicit.explicit import ExplicitMPC
+from mpc.explicit.mpqp import MPQPStatus, solve_mpqp
+from mpc.infeasibility import Explanation
+from mpc.linear_mpc import LinearMPC
+from mpc.lqr import lqr
+from mpc.parametric_qp import ParametricQP
+from mpc.plan import Plan, Status
+from mpc.tracking import OffsetFreeMPC
 
 __all__ = [
     "Explanation",

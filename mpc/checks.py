@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .exceptions import InvalidDataError, NotConvexError
+from mpc.exceptions import InvalidDataError, NotConvexError
 
 Array = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import block_diag
 
-from .checks import Array
-from .exceptions import InvalidDataError, NotConvexError
-from .parametric_qp import Constraint, ParametricQP
+from mpc.checks import Array
+from mpc.exceptions import InvalidDataError, NotConvexError
+from mpc.parametric_qp import Constraint, ParametricQP
 
 if TYPE_CHECKING:
-    from .linear_mpc import LinearMPC
+    from mpc.linear_mpc import LinearMPC
 
 _GROWTH = 1e3  # growth of A^k over the horizon above which the free variable is the deviation from an LQR
 

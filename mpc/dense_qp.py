@@ -8,8 +8,8 @@ from typing import Any
 import daqp
 import numpy as np
 
-from .checks import Array
-from .plan import Residuals
+from mpc.checks import Array
+from mpc.plan import Residuals
 
 TOLERANCE = 1e-7  # relative KKT residual above which the second solver is asked
 _NO_BOUND = 1e30

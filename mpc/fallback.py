@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .checks import Array
-from .condensing import state_units
-from .dense_qp import DenseQP, QPResult
-from .elastic import least_violation, nearest_points
-from .exceptions import NotStabilisableError
-from .parametric_qp import ParametricQP
-from .plan import Plan, Residuals, Status
+from mpc.checks import Array
+from mpc.condensing import state_units
+from mpc.dense_qp import DenseQP, QPResult
+from mpc.exceptions import NotStabilisableError
+from mpc.parametric_qp import ParametricQP
+from mpc.plan import Plan, Residuals, Status
+from mpc.relaxation import least_violation, nearest_points
 
 if TYPE_CHECKING:
-    from .linear_mpc import LinearMPC
+    from mpc.linear_mpc import LinearMPC
 
 
 def relax(

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .checks import Array
-from .condensing import state_units
-from .exceptions import InvalidDataError
-from .parametric_qp import Constraint, ParametricQP
+from mpc.checks import Array
+from mpc.condensing import state_units
+from mpc.exceptions import InvalidDataError
+from mpc.parametric_qp import Constraint, ParametricQP
 
 if TYPE_CHECKING:
-    from .linear_mpc import LinearMPC
+    from mpc.linear_mpc import LinearMPC
 
 _ZERO = 1e-7  # violation, relative to the bound, that counts as none (feasibility tolerance of the LP solver)
 _FAR = 1e12  # bounds larger than this, relative to their unit, are scaled down

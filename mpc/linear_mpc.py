@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import (
+from mpc.checks import (
     Array,
     as_array,
     as_blocks,
@@ -22,19 +22,19 @@ from .checks import (
     as_soft,
     as_weight,
 )
-from .condensing import condense
-from .dense_qp import DenseQP
-from .elastic import nearest_points
-from .exceptions import InvalidDataError
-from .fallback import cost_of, excess, relax, rollout, saturated_regulator
-from .lqr import lqr
-from .parametric_qp import ParametricQP
-from .plan import Plan, Status
-from .signals import for_each_state, spread_signals
+from mpc.condensing import condense
+from mpc.dense_qp import DenseQP
+from mpc.exceptions import InvalidDataError
+from mpc.fallback import cost_of, excess, relax, rollout, saturated_regulator
+from mpc.lqr import lqr
+from mpc.parametric_qp import ParametricQP
+from mpc.plan import Plan, Status
+from mpc.relaxation import nearest_points
+from mpc.solve_arguments import for_each_state, spread_signals
 
 if TYPE_CHECKING:
-    from .explicit import ExplicitMPC
-    from .infeasibility import Explanation
+    from mpc.explicit.explicit import ExplicitMPC
+    from mpc.infeasibility import Explanation
 
 _OVERFLOW = 1e100  # data beyond this are answered by the saturated regulator
 
@@ -248,7 +248,7 @@ class LinearMPC:
         Explanation
             Prints as one sentence; empty when the problem is feasible.
         """
-        from .infeasibility import explain_infeasibility
+        from mpc.infeasibility import explain_infeasibility
 
         x = as_array("x", x, (self.nx,))
         given = spread_signals(self, dict(signals))
@@ -277,8 +277,8 @@ class LinearMPC:
         InfeasibleError
             No parameter of the set is feasible.
         """
-        from .explicit import ExplicitMPC, default_parameters
-        from .mpqp import solve_mpqp
+        from mpc.explicit.explicit import ExplicitMPC, default_parameters
+        from mpc.explicit.mpqp import solve_mpqp
 
         problem = self.build(*parameters)
         if theta_set is None:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_discrete_are
 
-from .checks import Array, as_pair, as_weight
-from .exceptions import NotStabilisableError
+from mpc.checks import Array, as_pair, as_weight
+from mpc.exceptions import NotStabilisableError
 
 _REACH = 1e-7  # relative distance to an unstabilisable pair below which the gain is not trusted
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import Array, as_array
-from .exceptions import InvalidDataError
+from mpc.checks import Array, as_array
+from mpc.exceptions import InvalidDataError
 
 
 class Constraint(NamedTuple):

@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from .checks import Array
+from mpc.checks import Array
 
 
 class Status(Enum):

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 
-from .checks import Array, as_array
-from .dense_qp import DenseQP
-from .exceptions import InvalidDataError
-from .linear_mpc import LinearMPC
-from .plan import Plan
+from mpc.checks import Array, as_array
+from mpc.dense_qp import DenseQP
+from mpc.exceptions import InvalidDataError
+from mpc.linear_mpc import LinearMPC
+from mpc.plan import Plan
 
 
 @dataclass(frozen=True, eq=False, repr=False)

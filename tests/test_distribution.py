@@ -23,7 +23,7 @@ def test_wheel_holds_exactly_four_typed_packages(tmp_path):
     packages = {name.split("/")[0] for name in names if not name.split("/")[0].endswith(".dist-info")}
     assert packages == {"ccdtools", "mpc", "invariant_sets", "learning"}
     assert {f"{package}/py.typed" for package in packages} <= set(names)
-    assert "ccdtools/studies/report.html" in names
+    assert "ccdtools/studies/report/report.html" in names
 
 
 def test_help_waits_for_no_heavy_import():

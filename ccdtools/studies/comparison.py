@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.controllers import Controller, LinearFeedback, Passive
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.controllers import Controller, LinearFeedback, Passive
+from ccdtools.controllers.pid_tuning import tuned_pid
 from ccdtools.exceptions import InputError
-from ccdtools.objective import QuadraticObjective
-from ccdtools.pid import tuned_pid
-from ccdtools.problem import CoDesignProblem
 from ccdtools.simulation import Simulable, Trajectory, simulate
 from ccdtools.statistics import PairedDifference, Summary, paired_difference, summarise
 from invariant_sets import Polytope

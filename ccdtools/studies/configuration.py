@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from ccdtools.deployment import ONLINE_TRAINING, OnlineConfig
+from ccdtools.co_design.expert import EXPERTS
+from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
 from ccdtools.exceptions import InputError
-from ccdtools.expert import EXPERTS
-from ccdtools.methods.ppo import CoDesignConfig
 from ccdtools.studies.study import Study
+from ccdtools.twin.deployment import ONLINE_TRAINING, OnlineConfig
 from learning.networks import NetworkConfig
 from learning.ppo import PPOConfig
 from learning.quantile import QuantileConfig

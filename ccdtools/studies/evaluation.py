@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.controllers import Controller, LinearFeedback
-from ccdtools.deployment import Replay, replay_problem
-from ccdtools.disturbance import Recorded
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.controllers import Controller, LinearFeedback
+from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.disturbances.disturbance import Recorded
 from ccdtools.exceptions import InputError
-from ccdtools.policy import LearnedPolicy
-from ccdtools.problem import CoDesignProblem
 from ccdtools.simulation import simulate
 from ccdtools.statistics import summarise
 from ccdtools.studies.comparison import Scenario, Score, baselines, compare
 from ccdtools.studies.configuration import StudyConfig
 from ccdtools.studies.run_folder import Stage
 from ccdtools.studies.study import Study
-from ccdtools.twin import Discrepancy, Residuals, TwinPlant
+from ccdtools.twin.deployment import Replay, replay_problem
+from ccdtools.twin.twin import Discrepancy, Residuals, TwinPlant
 from learning.networks import ActorCritic
 from mpc import lqr
 

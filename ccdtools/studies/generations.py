@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.deployment import Replay, deploy_and_update, replay_problem
+from ccdtools.co_design.expert import expert_dataset
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.reinforcement.ppo import CoDesignResult, codesign_ppo
+from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
-from ccdtools.expert import expert_dataset
-from ccdtools.methods.ppo import CoDesignResult, codesign_ppo
-from ccdtools.policy import LearnedPolicy
-from ccdtools.problem import CoDesignProblem
 from ccdtools.simulation import Trajectory
 from ccdtools.statistics import summarise
 from ccdtools.studies.comparison import replicates
 from ccdtools.studies.configuration import StudyConfig
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.results import generation_entry, results
+from ccdtools.studies.report.results import generation_entry, results
 from ccdtools.studies.run_folder import RunFolder, Stage
 from ccdtools.studies.study import Study
-from ccdtools.twin import DigitalTwin, Discrepancy, QuantileScores, Residuals, residuals
+from ccdtools.twin.deployment import Replay, deploy_and_update, replay_problem
+from ccdtools.twin.twin import DigitalTwin, Discrepancy, QuantileScores, Residuals, residuals
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 

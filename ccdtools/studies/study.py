@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from ccdtools.arrays import Array, Given
-from ccdtools.discretisation import LinearModel, discretise
-from ccdtools.disturbance import Disturbance
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
-from ccdtools.objective import QuadraticObjective
-from ccdtools.plant import Plant
-from ccdtools.problem import CoDesignProblem, FixedStart
+from ccdtools.plants.discretisation import LinearModel, discretise
+from ccdtools.plants.plant import Plant
 from invariant_sets import Polytope
 
 

@@ -21,10 +21,10 @@ TWO_MASSES = '''
 import casadi as ca
 import numpy as np
 
-from ccdtools.design_space import DesignSpace
-from ccdtools.disturbance import Gaussian
-from ccdtools.objective import QuadraticObjective
-from ccdtools.plant import Plant
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.disturbances.disturbance import Gaussian
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.plants.plant import Plant
 from ccdtools.studies import RealPlant, Study
 from invariant_sets import Polytope
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ccdtools import InputError, LinearModel, QuadraticObjective, simulate
-from ccdtools.controllers import PID, LinearFeedback, Passive
-from ccdtools.disturbance import Gaussian
+from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
+from ccdtools.disturbances.disturbance import Gaussian
 from mpc import lqr
 
 SCALAR = control.ss([[0.5]], [[1.0]], [[1.0]], 0, True)

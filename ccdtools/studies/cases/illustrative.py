@@ -3,10 +3,10 @@
 import casadi as ca
 import numpy as np
 
-from ccdtools.design_space import DesignSpace
-from ccdtools.disturbance import Gaussian, Sum, Uniform
-from ccdtools.objective import QuadraticObjective
-from ccdtools.plant import Plant
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.disturbances.disturbance import Gaussian, Sum, Uniform
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.plant import Plant
 from ccdtools.studies.study import RealPlant, Study
 from invariant_sets import Polytope
 

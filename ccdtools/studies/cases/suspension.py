@@ -7,11 +7,11 @@ optimization", Journal of Mechanical Design 136, 2014.
 import casadi as ca
 import numpy as np
 
-from ccdtools.design_space import DesignSpace
-from ccdtools.disturbance import Gaussian
-from ccdtools.objective import QuadraticObjective
-from ccdtools.plant import Plant
-from ccdtools.roads import GeneratedRoad
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.disturbances.disturbance import Gaussian
+from ccdtools.disturbances.roads import GeneratedRoad
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.plant import Plant
 from ccdtools.studies.study import RealPlant, Study
 from invariant_sets import Polytope
 

@@ -1,0 +1,1 @@
+"""Controller and design optimised together: the problem, the expert, the methods."""

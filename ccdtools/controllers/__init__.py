@@ -1,0 +1,1 @@
+"""Controllers, learned and classical: anything with ``u = controller(x)``, batched."""

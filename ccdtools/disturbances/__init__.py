@@ -1,0 +1,1 @@
+"""What acts on a plant: random, generated or recorded disturbances."""

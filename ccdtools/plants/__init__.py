@@ -1,0 +1,1 @@
+"""Plants, the box of their designs, and their exact discretisation."""

@@ -1,0 +1,1 @@
+"""The report of a finished run: tables, figures and one self-contained page."""

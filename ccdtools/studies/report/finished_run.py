@@ -1,0 +1,88 @@
+"""A finished run folder, read as the report needs it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.expert import feasible_sets
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.reinforcement.ppo import History
+from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.studies.run_folder import RunFolder
+from ccdtools.studies.study import Study
+from invariant_sets import ParametricSet
+from mpc import lqr
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """A finished run folder, read as the figures need it."""
+
+    study: Study
+    folder: RunFolder
+    results: dict[str, Any]
+
+    @property
+    def last(self) -> int:
+        """Number of generations."""
+        return len(self.results["generations"])
+
+    @property
+    def quick(self) -> bool:
+        """Whether the run took fewer samples."""
+        return self.results["quick"]
+
+    @cached_property
+    def problem(self) -> CoDesignProblem:
+        """The co-design problem on the nominal model."""
+        return self.study.problem()
+
+    @cached_property
+    def sets(self) -> ParametricSet:
+        """X_fea(p)."""
+        return feasible_sets(self.problem)
+
+    @cached_property
+    def designs(self) -> list[Array]:
+        """The start design and that of every generation."""
+        space = self.problem.design
+        return [np.asarray(self.study.p0)] + [space.from_dict(g["design"]) for g in self.results["generations"]]
+
+    @cached_property
+    def histories(self) -> list[History]:
+        """The course of every co-design."""
+        names = History.__dataclass_fields__
+        stages = [self.folder.read_stage(f"codesign-{g}").arrays for g in range(1, self.last + 1)]
+        return [History(**{name: arrays[f"history_{name}"] for name in names}) for arrays in stages]
+
+    @cached_property
+    def chosen(self) -> list[int]:
+        """The row of every history that its co-design returned."""
+        return [_returned(h, p, self.problem) for h, p in zip(self.histories, self.designs[1:])]
+
+    def lqr(self, design: Array) -> LinearFeedback:
+        """Saturated LQR of the nominal model."""
+        A, B, _ = self.study.model.matrices(design)
+        K = lqr(A, B, Q=self.study.objective.Q, R=self.study.objective.R)[0]
+        return LinearFeedback(K, *self.problem.input_bounds)
+
+    def describe(self, design: Array) -> str:
+        """One design with its units."""
+        return self.problem.design.describe(design)
+
+    @property
+    def time_label(self) -> str:
+        """Of a time axis."""
+        return "time [s]" if self.study.plant.continuous else "sample"
+
+
+def _returned(history: History, design: Array, problem: CoDesignProblem) -> int:
+    """The best row among those at the returned design."""
+    away = np.abs(problem.design.to_unit(history.design) - problem.design.to_unit(design)).max(axis=1)
+    score = np.where(np.isfinite(history.model_return), history.model_return, -np.inf)
+    return int(np.where(away <= away.min() + 1e-6, score, -np.inf).argmax())

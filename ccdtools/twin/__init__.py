@@ -1,0 +1,1 @@
+"""The digital twin: deployment, residuals and the discrepancy they teach."""

@@ -1,0 +1,172 @@
+"""From inequalities to vertices and back, and which rows are needed; on arrays, with 0 well inside.
+
+References
+----------
+Fukuda (2004), Frequently asked questions in polyhedral computation: dual points, redundancy by LP.
+Barber, Dobkin, Huhdanpaa (1996), The Quickhull algorithm for convex hulls, ACM TOMS 22(4).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from invariant_sets.exceptions import NumericalError
+from invariant_sets.linear_programs import minimise
+
+Array = np.ndarray
+SAME = 1e-9  # vertices and rows closer than this part of the set are one
+
+
+def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Array, Array]:
+    """Return the irredundant row indices and the vertices (k, n) of the bounded {F y <= g}, g > 0.
+
+    The hull of the dual points F/g has the irredundant rows as its vertices, and one facet per primal vertex; a
+    vertex of more than n facets comes several times unless they are merged.
+    """
+    n = F.shape[1]
+    if n == 1:
+        ends = g / F[:, 0]
+        upper = np.where(F[:, 0] > 0, ends, np.inf)
+        lower = np.where(F[:, 0] < 0, ends, -np.inf)
+        rows = np.array([np.argmin(upper), np.argmax(lower)])
+        return rows, np.array([[upper[rows[0]]], [lower[rows[1]]]])
+    hull = convex_hull(F / g[:, None])
+    equations = hull.equations
+    V = -equations[:, :-1] / equations[:, -1:]
+    if n > 4:
+        _check_vertices(V, F, g)
+    return hull.vertices, merge_points(V) if merge else V
+
+
+def convex_hull(points: Array) -> Any:
+    """Return Qhull's hull of the points (k, n), n >= 2; raise `NumericalError` where it cannot.
+
+    Symmetric data in five or six dimensions have so many coplanar points that Qhull stops over a wide merge. It is then
+    told to go on (Q12); `facets_and_vertices` checks its answers.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    reason = ""
+    for options in (None, "Qt Qx Q12"):
+        try:
+            hull = ConvexHull(points, qhull_options=options)
+        except QhullError as error:
+            reason = str(error).splitlines()[0]
+            continue
+        if _holds_all(hull.equations, points):
+            return hull
+    raise NumericalError(f"The hull of {points.shape[0]} points in {points.shape[1]} dimensions failed: {reason}. "
+                         "Rescale the data.")
+
+
+def hull_volume(points: Array) -> float:
+    """Return the volume of the hull of the points (k, n); joggled by 1e-10 or so where Qhull fails otherwise."""
+    if points.shape[1] == 1:
+        return float(np.ptp(points))
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return float(ConvexHull(points).volume)
+    except QhullError:
+        return float(ConvexHull(points, qhull_options="QJ").volume)
+
+
+def _holds_all(equations: Array, points: Array) -> bool:
+    limit = SAME * np.abs(points).max()
+    step = max(1, 10_000_000 // len(points))
+    return all((points @ part[:, :-1].T + part[:, -1]).max() <= limit
+               for part in (equations[i:i + step] for i in range(0, len(equations), step)))
+
+
+def _check_vertices(V: Array, F: Array, g: Array) -> None:
+    """Raise `NumericalError` unless the vertices agree with LPs in 20 directions (five and more dimensions)."""
+    D = np.random.default_rng(0).standard_normal((20, F.shape[1]))
+    exact = np.array([-minimise(-d, F, g)[0] for d in D])
+    if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=1e-7 * np.abs(exact).max()):
+        raise NumericalError(f"The vertices of a set with {len(g)} rows in {F.shape[1]} dimensions could not be "
+                             "enumerated reliably.")
+
+
+def merge_points(points: Array, tol: float = SAME) -> Array:
+    """Return the points without those closer than `tol` (largest coordinate difference) to an earlier one."""
+    return points[distinct(points, tol)]
+
+
+def distinct(points: Array, tol: float = SAME) -> Array:
+    """Return the indices of the points that are not within `tol` of an earlier one.
+
+    Copies are neighbours in the order along a fixed generic direction. Only where points that differ are neighbours
+    too are all pairs compared.
+    """
+    if len(points) < 2:
+        return np.arange(len(points))
+    direction = np.cos(np.arange(1.0, points.shape[1] + 1) * 1.7) + 2.0
+    along = points @ direction
+    order = np.argsort(along, kind="stable")
+    run = np.concatenate([[0], np.cumsum(np.diff(along[order]) > tol * np.abs(direction).sum())])
+    first = np.full(run[-1] + 1, len(points))
+    np.minimum.at(first, run, order)
+    copies = np.abs(points[order] - points[first[run]]).max(axis=1) <= tol
+    return np.sort(first) if copies.all() else _distinct_by_pairs(points, tol)
+
+
+def _distinct_by_pairs(points: Array, tol: float) -> Array:
+    if len(points) > 600:
+        from scipy.spatial import cKDTree
+
+        _, first = np.unique(np.round(points / tol), axis=0, return_index=True)  # most copies are closer than that
+        if len(first) < len(points):
+            first.sort()
+            return first[distinct(points[first], tol)]
+        pairs = cKDTree(points).query_pairs(tol, p=np.inf, output_type="ndarray")
+        keep = np.ones(len(points), bool)
+        keep[pairs.max(axis=1)] = False
+        return np.flatnonzero(keep)
+    close = np.abs(points[:, None] - points[None]).max(axis=2) <= tol
+    return np.flatnonzero(close.argmax(axis=1) == np.arange(len(points)))
+
+
+def irredundant_rows(F: Array, g: Array, tol: float = 1e-11) -> Array:
+    """Return the indices of the rows that {F y <= g} needs (unit rows, 0 inside).
+
+    Qhull's dual removes most; then one LP per row removes duplicates and rows that only touch: a row goes if the
+    others alone already keep aᵀy <= b + tol. (`daqp.minrep` 0.11 is not used: it drops rows that are needed.)
+    """
+    kept = strongly_irredundant_rows(F, g)
+    needed = [int(i) for i in kept[distinct(np.column_stack([F[kept], g[kept]]), tol)]]
+    for i in list(needed):
+        if len(needed) == 1:
+            break
+        others = [j for j in needed if j != i]
+        rows, values = np.vstack([F[others], F[i]]), np.append(g[others], g[i] + 1.0)
+        if -minimise(-F[i], rows, values)[0] <= g[i] + tol:
+            needed = others
+    return np.array(needed, dtype=int)
+
+
+def strongly_irredundant_rows(F: Array, g: Array) -> Array:
+    """Return the indices of the rows on the hull of the dual points F/g and 0; all rows where Qhull cannot tell.
+
+    {F y <= g} with 0 inside may be unbounded: then 0 is a vertex of the dual hull and counts for nothing.
+    """
+    n = F.shape[1]
+    if n == 1 or len(g) <= n + 1 or g.min() <= 1e-9:
+        return np.arange(len(g))
+    try:
+        hull = convex_hull(np.vstack([F / g[:, None], np.zeros(n)]))
+    except NumericalError:
+        return np.arange(len(g))
+    return np.sort(hull.vertices[hull.vertices < len(g)])
+
+
+def hull_rows(points: Array) -> tuple[Array, Array, Array]:
+    """Return facets (F, g) with unit rows of the hull of full-dimensional points (k, n), and its vertices' indices."""
+    if points.shape[1] == 1:
+        ends = np.array([points.argmax(), points.argmin()])
+        return np.array([[1.0], [-1.0]]), points[ends, 0] * [1.0, -1.0], ends
+    hull = convex_hull(points)
+    equations = merge_points(np.unique(hull.equations, axis=0), tol=1e-11)
+    index = hull.vertices[distinct(points[hull.vertices])]
+    return np.ascontiguousarray(equations[:, :-1]), -equations[:, -1], index

@@ -1,0 +1,1 @@
+"""MPC laws as piecewise affine functions: exploration, evaluation, storage."""

@@ -1,0 +1,1 @@
+"""Compiled kernels of the exploration and of point location."""

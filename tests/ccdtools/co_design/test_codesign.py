@@ -1,0 +1,216 @@
+"""Co-design: the design moves the right way, stays in its box, and the best iterate is what comes back."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from ccdtools import InputError, codesign, simulate
+from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.reinforcement import CoDesignConfig, codesign_ppo
+from ccdtools.co_design.reinforcement.ppo import _Run
+from learning.ppo import PPOConfig
+
+TINY = CoDesignConfig(
+    iterations=12, runs=16, pathwise_runs=32, evaluation_runs=100, evaluate_every=3, design_rate=0.1,
+    ppo=PPOConfig(learning_rate=1e-4, kl_limit=0.005, passes=1, critic_only=2),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def problem(illustrative):
+    """Return the illustrative example over a shorter horizon."""
+    return replace(illustrative.problem(), steps=40)
+
+
+@pytest.fixture(scope="module")
+def result(problem, illustrative, clone):
+    """Return one short co-design from p = 1."""
+    return codesign_ppo(problem, agent=clone(illustrative), design=[1.0], rng=np.random.default_rng(0), config=TINY)
+
+
+def run(problem, agent, design=(1.0,), seed=0, judge=None, **changes):
+    config = replace(TINY, **({"iterations": 3, "evaluate_every": 1} | changes))
+    return codesign_ppo(
+        problem, agent=agent, design=design, rng=np.random.default_rng(seed), config=config, judge=judge
+    )
+
+
+def same(a, b):
+    return all(torch.equal(x, y) for x, y in zip(a.state_dict().values(), b.state_dict().values()))
+
+
+def test_the_design_moves_towards_more_authority_and_a_better_return(result):
+    assert result.design[0] > 1.8
+    assert result.history.model_return[-1] > result.history.model_return[0] + 15  # −73 at p = 1, −25 at the bound
+
+
+def test_the_best_evaluated_iterate_is_returned(result):
+    history = result.history
+    assert not history.diverged[1:].any()
+    best = np.argmax(history.model_return)
+    np.testing.assert_allclose(result.design, history.design[best], rtol=1e-6)
+
+
+def test_history_has_a_row_per_evaluation(result, problem):
+    np.testing.assert_array_equal(result.history.iteration, [0, 3, 6, 9, 12])
+    np.testing.assert_array_equal(result.history.env_steps, result.history.iteration * 16 * 40)
+    assert result.history.design.shape == (5, 1)
+    assert (result.history.std > 0).all()
+
+
+def test_the_gradients_were_checked_before_the_first_move(result):
+    assert result.gradients is not None
+    assert result.gradients.cosine("pathwise") > 0.99
+
+
+def test_the_policy_returned_is_a_controller_at_the_design_found(result, problem, illustrative):
+    np.testing.assert_array_equal(result.policy.design, result.design)
+    trajectory = simulate(
+        problem.model, result.policy, x0=np.tile(illustrative.x0, (200, 1)), steps=40, design=result.design,
+        disturbance=illustrative.disturbance, rng=np.random.default_rng(3),
+    )  # fmt: skip
+    assert trajectory.returns(problem.objective).mean() == pytest.approx(result.history.model_return.max(), rel=0.05)
+
+
+def test_a_design_that_only_gets_worse_gives_back_the_start(problem, illustrative, clone):
+    # A hasty rate in the wrong direction: the first iterate stays the best.
+    agent = clone(illustrative)
+    wrecked = run(problem, agent, design=[3.0], policy_rate=10.0, design_rate=1e-9, iterations=2)
+    history = wrecked.history
+    assert np.nanmax(history.model_return[1:]) < history.model_return[0]
+    assert same(wrecked.agent, agent)
+    np.testing.assert_allclose(wrecked.design, [3.0])
+
+
+def test_the_agent_passed_in_is_not_changed(problem, illustrative, clone):
+    agent = clone(illustrative)
+    before = copy.deepcopy(agent)
+    found = run(problem, agent)
+    assert same(agent, before)
+    assert found.agent is not agent
+    assert all(parameter.grad is None for parameter in agent.parameters())
+
+
+def test_a_frozen_design_stays_and_needs_no_gradient_check(problem, illustrative, clone):
+    found = run(problem, clone(illustrative), design=[1.7], design_rate=0.0)
+    np.testing.assert_allclose(found.design, [1.7], rtol=1e-6)
+    np.testing.assert_allclose(found.history.design, 1.7, rtol=1e-6)
+    assert found.gradients is None
+
+
+@pytest.mark.parametrize("gradient", ["pathwise", "network_input"])
+@pytest.mark.parametrize("policy_rate", [0.0, 1e-3])
+def test_the_design_stays_in_its_bounds_whatever_the_rate(problem, illustrative, clone, gradient, policy_rate):
+    found = run(
+        problem, clone(illustrative), design=[2.9], design_rate=2.0, design_gradient=gradient, policy_rate=policy_rate,
+    )  # fmt: skip
+    assert (found.history.design >= 0.5).all()
+    assert (found.history.design <= 3.0).all()
+    assert len(np.unique(found.history.design)) > 1
+
+
+def test_active_bounds_are_named(problem, illustrative, clone):
+    found = run(problem, clone(illustrative), design=[3.0], design_rate=0.01)
+    assert found.active_bounds == {"p": "upper"}
+    np.testing.assert_array_equal(found.design, [3.0])
+
+
+def test_a_policy_without_its_own_gradient_is_left_to_ppo(problem, illustrative, clone):
+    agent = clone(illustrative)
+    quiet = {"policy_rate": 0.0, "design_rate": 0.0, "iterations": 2}
+    still = run(problem, agent, ppo=replace(TINY.ppo, critic_only=9), **quiet)
+    torch.testing.assert_close(still.agent.mean_network.state_dict(), agent.mean_network.state_dict())
+    x0, w = scenario_tensors(problem, 4, np.random.default_rng(0))
+    assert len(x0) == len(w) == 4
+
+
+def test_the_generator_decides(problem, illustrative, clone):
+    a, b = (run(problem, clone(illustrative), seed=5) for _ in range(2))
+    np.testing.assert_array_equal(a.design, b.design)
+    np.testing.assert_array_equal(a.history.model_return, b.history.model_return)
+    assert same(a.agent, b.agent)
+
+
+def test_iterates_are_scored_on_the_judge(problem, illustrative, clone):
+    calm = replace(problem, scenarios=type(problem.scenarios)([0.0, 0.0], illustrative.disturbance))
+    found = run(problem, clone(illustrative), judge=calm, iterations=1)
+    assert (found.history.model_return > -10).all()  # −73 from the problem's own start
+
+
+def test_the_optimisers_live_as_long_as_the_training(problem, illustrative, clone):
+    moving = _Run(
+        problem, problem, copy.deepcopy(clone(illustrative)), np.array([1.0]), np.random.default_rng(0), TINY
+    )
+    for k in range(3):
+        moving.iterate(k)
+    assert moving.design_optimiser.state[moving.v]["step"].item() == 3
+    (first, *_) = moving.policy_optimiser.state.values()
+    assert first["step"].item() == 3
+
+
+def test_rates_fall_along_a_cosine_unless_they_are_constant(problem, illustrative, clone):
+    def rates(**changes):
+        config = replace(TINY, **changes)
+        moving = _Run(
+            problem, problem, copy.deepcopy(clone(illustrative)), np.array([1.0]), np.random.default_rng(0), config
+        )
+        out = []
+        for k in (0, 6, 11):
+            moving._set_rates(k)
+            out.append(moving.design_optimiser.param_groups[0]["lr"])
+        return out
+
+    np.testing.assert_allclose(rates(), [0.1, 0.05, 0.05 * (1 + np.cos(np.pi * 11 / 12))])
+    np.testing.assert_allclose(rates(constant_rates=True), 0.1)
+
+
+def test_an_infinite_gradient_moves_nothing(problem, illustrative, clone):
+    moving = _Run(
+        problem, problem, copy.deepcopy(clone(illustrative)), np.array([1.0]), np.random.default_rng(0), TINY
+    )
+    before = moving.v.detach().clone()
+    for bad in (np.inf, np.nan):
+        moving._move_design(torch.tensor([bad]))
+    assert torch.equal(moving.v.detach(), before)
+    moving._move_design(torch.tensor([1e17]))
+    moving._set_rates(0)
+    moving._move_design(torch.tensor([1.0]))
+    assert 0 < (moving.v.detach() - before).item() < 0.5  # one huge gradient does not inflate Adam's memory
+
+
+def test_the_front_door_passes_everything_on(problem, illustrative, clone):
+    config = replace(TINY, iterations=1)
+    a = codesign(problem, agent=clone(illustrative), design=[1.0], rng=np.random.default_rng(1), config=config)
+    b = codesign_ppo(problem, agent=clone(illustrative), design=[1.0], rng=np.random.default_rng(1), config=config)
+    np.testing.assert_array_equal(a.history.model_return, b.history.model_return)
+
+
+def test_bad_arguments_are_refused(problem, illustrative, suspension, clone):
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match="method: got 'magic', expected"):
+        codesign(problem, agent=clone(illustrative), design=[1.0], rng=rng, method="magic")
+    with pytest.raises(InputError, match="design: got p = 5"):
+        codesign(problem, agent=clone(illustrative), design=[5.0], rng=rng)
+    with pytest.raises(InputError, match="agent: got 6 inputs, expected 2 states and 1 design parameters"):
+        codesign(problem, agent=clone(suspension), design=[1.0], rng=rng)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"design_gradient": "magic"}, "design_gradient: got 'magic', expected one of pathwise, network_input"),
+        ({"iterations": 0}, "iterations: got 0, expected at least 1"),
+        ({"runs": 0}, "runs: got 0"),
+        ({"pathwise_runs": -1}, "pathwise_runs: got -1"),
+        ({"evaluate_every": 0}, "evaluate_every: got 0"),
+        ({"evaluation_runs": 0}, "evaluation_runs: got 0"),
+        ({"design_rate": -0.1}, r"design_rate: got -0.1, expected a number ≥ 0"),
+        ({"policy_rate": float("nan")}, r"policy_rate: got nan, expected a number ≥ 0"),
+    ],
+)
+def test_configurations_that_make_no_sense_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        CoDesignConfig(**options)

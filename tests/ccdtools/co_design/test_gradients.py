@@ -1,0 +1,135 @@
+"""Design gradients beside finite differences."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from ccdtools import InputError
+from ccdtools.co_design.differentiable_model import returns, scenario_tensors, to_design
+from ccdtools.co_design.environment import DesignEnv
+from ccdtools.co_design.reinforcement import GradientCheck, check_gradients
+from ccdtools.co_design.reinforcement.gradients import (
+    loss_gradient,
+    network_input_gradient,
+    pathwise_gradient,
+    require_method,
+)
+from ccdtools.twin.twin import Discrepancy
+from learning.ppo import PPOConfig, ppo_loss, prepare
+from learning.quantile import QuantileNetwork
+from learning.rollout import collect
+
+INTERIOR = {"illustrative": [1.8], "suspension": [27692.0, 1906.5]}
+
+
+def finite_differences(problem, agent, v, x0, w, step):
+    gradient = []
+    with torch.no_grad():
+        for i in range(len(v)):
+            h = torch.zeros_like(v)
+            h[i] = step
+            ends = [returns(problem, agent, to_design(problem, v + s * h), x0, w)[0].mean().item() for s in (1, -1)]
+            gradient.append((ends[0] - ends[1]) / (2 * step))
+    return np.array(gradient)
+
+
+def test_the_pathwise_gradient_equals_finite_differences_in_double_precision(study, clone):
+    problem, agent = study.problem(), copy.deepcopy(clone(study)).double()
+    v = torch.tensor(problem.design.to_unit(INTERIOR[study.name]))
+    x0, w = (t.double() for t in scenario_tensors(problem, 32, np.random.default_rng(0)))
+    own, mean = pathwise_gradient(problem, agent, v, x0, w)
+    np.testing.assert_allclose(own, finite_differences(problem, agent, v, x0, w, 1e-5), rtol=1e-3)
+    assert mean.item() < 0
+
+
+def test_the_check_shows_the_pathwise_gradient_to_be_right(study, clone):
+    check = check_gradients(study.problem(), clone(study), INTERIOR[study.name], rng=np.random.default_rng(1), runs=256)
+    np.testing.assert_allclose(check.pathwise, check.finite_difference, rtol=1e-2)
+    assert check.cosine("pathwise") > 0.9999
+    assert check.names == study.plant.design.names
+    lines = str(check).splitlines()
+    assert [line.split("  ")[0] for line in lines[1:]] == ["finite differences", "pathwise", "network input (paper)"]
+    assert all(name in lines[0] for name in check.names)
+
+
+def test_the_gradient_on_a_learned_model_equals_finite_differences(illustrative, clone):
+    network = QuantileNetwork(5, 2, (0.1, 0.5, 0.9), (6,), seed=0)
+    network.output_scale.fill_(0.1)
+    problem = replace(illustrative.problem(), discrepancy=Discrepancy(network.double(), 0.1 * np.eye(2)), steps=30)
+    agent = copy.deepcopy(clone(illustrative)).double()
+    v = torch.tensor(problem.design.to_unit([1.8]))
+    x0, w = (t.double() for t in scenario_tensors(problem, 8, np.random.default_rng(0)))
+    own, _ = pathwise_gradient(problem, agent, v, x0, w)
+    np.testing.assert_allclose(own, finite_differences(problem, agent, v, x0, w, 1e-5), rtol=1e-3)
+
+
+def blind(agent, nx, *, value):
+    """The agent with its policy (and value) deaf to the design inputs."""
+    agent = copy.deepcopy(agent)
+    for network in [agent.mean_network] + [agent.value_network] * value:
+        for layer in (network.body[0], network.skip):
+            layer.weight.data[:, nx:] = 0.0
+    return agent
+
+
+def test_a_policy_that_ignores_the_design_has_no_network_input_gradient(study, clone):
+    problem, nx = study.problem(), study.model.nx
+    v = torch.tensor(problem.design.to_unit(INTERIOR[study.name]), dtype=torch.float32)
+    options = {"runs": 16, "config": PPOConfig()}
+    deaf = network_input_gradient(
+        problem, blind(clone(study), nx, value=True), v, rng=np.random.default_rng(0), **options
+    )
+    assert not deaf.any()
+    through_value = network_input_gradient(
+        problem, blind(clone(study), nx, value=False), v, rng=np.random.default_rng(0), **options
+    )
+    assert through_value.any()
+
+
+def test_the_network_input_gradient_is_that_of_the_loss_with_states_held(illustrative, clone):
+    problem, config = illustrative.problem(), PPOConfig()
+    agent = copy.deepcopy(clone(illustrative)).double()
+    v = torch.tensor([0.5], dtype=torch.float64)
+    env = DesignEnv(problem, to_design(problem, v).float(), runs=16, rng=np.random.default_rng(0))
+    rollout = collect(env, clone(illustrative), steps=100, generator=torch.Generator().manual_seed(0))
+    batch = prepare(clone(illustrative), rollout, config)
+    batch = type(batch)(*(getattr(batch, name).double() for name in batch.__dataclass_fields__))
+    own = loss_gradient(problem, agent, v, batch, config)
+
+    def loss(at):
+        observations = torch.cat(
+            [batch.observations[:, :2], to_design(problem, at).expand(len(batch.targets), 1)], dim=-1
+        )
+        surrogate, value_loss, _ = ppo_loss(agent, replace(batch, observations=observations), config)
+        return (surrogate + value_loss).item()
+
+    h = 1e-6
+    np.testing.assert_allclose(own, [-(loss(v + h) - loss(v - h)) / (2 * h)], rtol=1e-3)
+
+
+def test_gradients_leave_the_agent_and_the_point_alone(illustrative, clone):
+    agent, v = clone(illustrative), torch.tensor([0.4])
+    before = copy.deepcopy(agent.state_dict())
+    problem = illustrative.problem()
+    pathwise_gradient(problem, agent, v, *scenario_tensors(problem, 4, np.random.default_rng(0)))
+    assert not v.requires_grad
+    assert all(parameter.grad is None for parameter in agent.parameters())
+    torch.testing.assert_close(agent.state_dict(), before, rtol=0, atol=0)
+
+
+def test_a_cosine_compares_directions():
+    check = GradientCheck(("a", "b"), np.array([1.0, 0.0]), np.array([2.0, 0.0]), np.array([0.0, -3.0]))
+    assert check.cosine("pathwise") == pytest.approx(1.0)
+    assert check.cosine("network_input") == pytest.approx(0.0)
+    nothing = GradientCheck(("a",), np.zeros(1), np.zeros(1), np.zeros(1))
+    assert nothing.cosine("pathwise") == 0.0
+
+
+def test_designs_outside_the_bounds_and_unknown_methods_are_refused(illustrative, clone):
+    with pytest.raises(InputError, match="design: got p = 9"):
+        check_gradients(illustrative.problem(), clone(illustrative), [9.0], rng=np.random.default_rng(0))
+    with pytest.raises(InputError, match="design_gradient: got 'magic', expected one of pathwise, network_input"):
+        require_method("magic")

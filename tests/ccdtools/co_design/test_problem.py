@@ -1,0 +1,67 @@
+"""A co-design problem that fits together, and many that do not."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ccdtools import CoDesignProblem, InputError, LinearModel, QuadraticObjective
+from ccdtools.co_design.problem import FixedStart
+from invariant_sets import Polytope
+
+
+def test_a_fixed_start_repeats_the_state_and_draws_the_disturbance(illustrative, rng):
+    x0, w = FixedStart([1.0, 2.0], illustrative.disturbance).sample(3, 5, rng)
+    np.testing.assert_array_equal(x0, [[1, 2]] * 3)
+    assert w.shape == (3, 5, 2)
+    assert not np.array_equal(w[0], w[1])
+
+
+def test_limits_follow_from_the_boxes(illustrative):
+    problem = illustrative.problem()
+    np.testing.assert_allclose(problem.state_scale, [10, 5])
+    np.testing.assert_allclose(problem.limit, [1e4, 5e3])
+    np.testing.assert_allclose(problem.input_bounds, [[-1], [1]])
+    lower, upper = problem.observation_bounds
+    np.testing.assert_allclose(lower, [-10, -5, 0.5])
+    np.testing.assert_allclose(upper, [10, 5, 3])
+    assert problem.design.names == ("p",)
+
+
+def test_a_redundant_row_leaves_a_box_a_box(illustrative):
+    U = Polytope(np.array([[1.0], [-1.0], [1.0]]), np.array([1.0, 1.0, 5.0]))
+    assert isinstance(replace(illustrative.problem(), U=U), CoDesignProblem)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"X": Polytope.from_bounds([-1] * 3, [1] * 3)}, "X: got dimension 3, expected 2"),
+        ({"U": Polytope.from_bounds([-1] * 2, [1] * 2)}, "U: got dimension 2, expected 1"),
+        ({"X": Polytope(np.array([[1.0, 0.0]]), np.array([1.0]))}, "X: got an unbounded set"),
+        ({"objective": QuadraticObjective(np.eye(3), [[1]])}, r"Q: got shape \(3, 3\), expected \(2, 2\)"),
+        ({"objective": QuadraticObjective(np.eye(2), np.eye(2))}, r"R: got shape \(2, 2\), expected \(1, 1\)"),
+        ({"steps": 0}, "steps: got 0, expected at least 1"),
+    ],
+)
+def test_problems_that_do_not_fit_together_are_refused(illustrative, changes, message):
+    with pytest.raises(InputError, match=message):
+        replace(illustrative.problem(), **changes)
+
+
+def test_inputs_must_have_independent_bounds(illustrative):
+    problem = illustrative.problem()
+    A, B, _ = problem.model.matrices([1.0])
+    two = LinearModel(
+        problem.model.symbols, ca.DM(A), ca.DM(np.hstack([B, B])), ca.DM(np.eye(2)), 1.0, problem.design
+    )
+    diamond = Polytope(np.array([[1.0, 1], [1, -1], [-1, 1], [-1, -1]]), np.ones(4))
+    with pytest.raises(InputError, match="U: got a set that is not a box, expected independent bounds"):
+        replace(problem, model=two, U=diamond, objective=QuadraticObjective(np.eye(2), np.eye(2)))
+
+
+def test_a_model_without_a_design_cannot_be_co_designed(illustrative):
+    model = LinearModel.from_state_space(illustrative.model.state_space([1.0]), E=np.eye(2))
+    with pytest.raises(InputError, match="model: got one without design parameters, expected a plant with a DesignSp"):
+        replace(illustrative.problem(), model=model)

@@ -1,0 +1,101 @@
+"""A learned policy as a controller, and on disk."""
+
+import numpy as np
+import pytest
+import torch
+
+from ccdtools import InputError, LearnedPolicy, load_policy
+from ccdtools.co_design.differentiable_model import observe
+from learning import ActorCritic, NetworkConfig, save
+from learning.exceptions import CheckpointError
+from learning.quantile import QuantileNetwork
+
+
+def agent(**options):
+    config = NetworkConfig((9, 7), initial_std=0.05, **options)
+    return ActorCritic([-1, -2, 1e4], [1, 2, 4e4], [-5.0, 0.0], [5.0, 20.0], config=config, seed=3)
+
+
+@pytest.fixture
+def policy():
+    return LearnedPolicy(agent(), [2e4])
+
+
+@pytest.mark.parametrize("skip", [True, False])
+def test_the_numpy_forward_equals_the_torch_forward(rng, skip):
+    net = agent(skip=skip)
+    x = 2 * rng.standard_normal((50, 2))
+    with torch.no_grad():
+        p = torch.tensor([2e4])
+        expected = net.action(net.latent(observe(torch.tensor(x, dtype=torch.float32), p))).numpy()
+    np.testing.assert_allclose(LearnedPolicy(net, [2e4])(x), expected, rtol=1e-5, atol=1e-5)
+
+
+def test_one_state_is_a_batch_of_one(policy, rng):
+    x = rng.standard_normal((6, 2))
+    np.testing.assert_allclose([policy(row) for row in x], policy(x), rtol=1e-13)
+    assert policy(x[0]).shape == (2,)
+    assert policy(x.reshape(2, 3, 2)).shape == (2, 3, 2)
+
+
+def test_inputs_stay_within_their_bounds(policy, rng):
+    u = policy.sampled(rng)(1000 * rng.standard_normal((1000, 2)))
+    assert (u.min(axis=0) >= [-5, 0]).all()
+    assert (u.max(axis=0) <= [5, 20]).all()
+    assert (u.min(axis=0) == [-5, 0]).all()
+
+
+@pytest.mark.parametrize("std_network", [False, True])
+def test_the_sampled_policy_has_the_mean_and_width_of_the_network(rng, std_network):
+    net = agent(std_network=std_network)
+    policy = LearnedPolicy(net, [2e4])
+    x = np.tile([0.1, 0.1], (20000, 1))
+    u, mean = policy.sampled(rng)(x), policy(x[0])
+    assert (np.abs((mean - [0, 10]) / [5, 10]) < 0.8).all()  # four deviations from the clip
+    np.testing.assert_allclose(u.mean(axis=0), mean, atol=0.02)
+    np.testing.assert_allclose(u.std(axis=0), [0.25, 0.5], rtol=0.03)
+
+
+def test_the_sampled_policy_repeats_with_its_generator(policy):
+    x = np.zeros((5, 2))
+    a, b = (policy.sampled(np.random.default_rng(7))(x) for _ in range(2))
+    np.testing.assert_array_equal(a, b)
+
+
+def test_the_design_is_part_of_the_observation():
+    net = agent()
+    assert not np.allclose(LearnedPolicy(net, [1e4])(np.zeros(2)), LearnedPolicy(net, [4e4])(np.zeros(2)))
+
+
+def test_a_policy_in_service_does_not_see_later_training(policy):
+    before = policy(np.ones(2))
+    with torch.no_grad():
+        policy.agent.mean_network.head.bias.add_(1.0)
+    np.testing.assert_array_equal(policy(np.ones(2)), before)
+    assert not np.allclose(LearnedPolicy(policy.agent, policy.design)(np.ones(2)), before)
+
+
+def test_a_saved_policy_comes_back_with_its_design(policy, tmp_path, rng):
+    policy.save(tmp_path / "policy.safetensors")
+    again = load_policy(tmp_path / "policy.safetensors")
+    np.testing.assert_array_equal(again.design, [2e4])
+    x = rng.standard_normal((5, 2))
+    np.testing.assert_array_equal(again(x), policy(x))
+
+
+def test_a_state_of_the_wrong_size_is_refused(policy):
+    with pytest.raises(InputError, match=r"x: got shape \(3,\), expected \(2,\) or \(n, 2\)"):
+        policy(np.zeros(3))
+    with pytest.raises(InputError, match=r"x: got shape \(\)"):
+        policy(0.0)
+
+
+def test_files_that_hold_no_policy_are_refused(tmp_path):
+    save(tmp_path / "q", QuantileNetwork(2, 1, (0.1, 0.5, 0.9), (3,)), {"design": [1.0]})
+    with pytest.raises(CheckpointError, match="got a QuantileNetwork without a design, expected a saved policy"):
+        load_policy(tmp_path / "q")
+    save(tmp_path / "a", agent())
+    with pytest.raises(CheckpointError, match="got a ActorCritic without a design, expected a saved policy"):
+        load_policy(tmp_path / "a")
+    with pytest.raises(CheckpointError, match="expected a file written by ccdtools"):
+        load_policy(tmp_path / "nothing")

@@ -1,0 +1,73 @@
+"""Random and recorded disturbances."""
+
+import numpy as np
+import pytest
+
+from ccdtools import InputError
+from ccdtools.disturbances.disturbance import Gaussian, Recorded, Sum, Uniform
+
+
+def test_gaussian_noise_has_the_stated_moments_and_is_white(rng):
+    w = Gaussian([0.1, 2.0], mean=[1.0, 0.0]).sample(200, 500, rng)
+    assert w.shape == (200, 500, 2)
+    np.testing.assert_allclose(w.std(axis=(0, 1)), [0.1, 2.0], rtol=0.01)
+    np.testing.assert_allclose(w.mean(axis=(0, 1)), [1.0, 0.0], atol=0.03)
+    assert abs(np.mean((w[:, 1:, 0] - 1) * (w[:, :-1, 0] - 1))) < 1e-4
+
+
+def test_uniform_noise_fills_its_interval(rng):
+    w = Uniform([-1.0, 3.0], [0.0, 3.0]).sample(50, 200, rng)
+    assert w[..., 0].min() > -1
+    assert w[..., 0].max() < 0
+    assert w[..., 0].std() == pytest.approx(1 / np.sqrt(12), rel=0.02)
+    assert (w[..., 1] == 3).all()
+
+
+def test_independent_terms_add_their_variances(rng):
+    w = Sum((Gaussian([0.3]), Uniform([-1.0], [1.0]))).sample(100, 500, rng)
+    assert w.std() == pytest.approx(np.sqrt(0.3**2 + 1 / 3), rel=0.02)
+
+
+def test_one_run_replays_a_recording_from_its_start(rng):
+    w = Recorded(np.arange(10.0)).sample(1, 4, rng)
+    np.testing.assert_array_equal(w[0, :, 0], [0, 1, 2, 3])
+
+
+def test_several_runs_take_windows_of_a_recording(rng):
+    w = Recorded(np.arange(10.0)).sample(500, 4, rng)
+    np.testing.assert_array_equal(np.diff(w[..., 0], axis=1), 1)
+    assert set(w[:, 0, 0]) == set(range(7))
+
+
+def test_a_recording_is_copied(rng):
+    signal = np.zeros(5)
+    recorded = Recorded(signal)
+    signal[:] = 1
+    assert not recorded.sample(1, 5, rng).any()
+
+
+@pytest.mark.parametrize("disturbance", [Gaussian([1.0]), Uniform([0.0], [1.0]), Recorded(np.arange(99.0))])
+def test_the_generator_decides(disturbance):
+    a, b, c = (disturbance.sample(3, 5, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(a, c)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Gaussian([-1.0]), "disturbance std: got .* expected finite values ≥ 0"),
+        (lambda: Gaussian([np.nan]), "disturbance std"),
+        (lambda: Uniform([1.0], [0.0]), "disturbance bounds: got .* expected lower ≤ upper, one per channel"),
+        (lambda: Uniform([0.0], [1.0, 2.0]), "disturbance bounds"),
+        (lambda: Recorded([1.0, np.nan]), r"disturbance: got shape \(2, 1\), expected finite samples \(T, nw\)"),
+        (lambda: Recorded(np.zeros((2, 2, 2))), r"disturbance: got shape \(2, 2, 2\)"),
+        (
+            lambda: Recorded(np.zeros(3)).sample(1, 4, np.random.default_rng(0)),
+            "disturbance: got 3 samples, expected at least 4",
+        ),
+    ],
+)
+def test_bad_disturbances_are_refused(make, message):
+    with pytest.raises(InputError, match=message):
+        make()

@@ -1,0 +1,231 @@
+"""What a recording must be, and the one clear line that says why another is refused."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+
+from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
+from ccdtools.disturbances.roads import generate_road, road_disturbance
+from ccdtools.exceptions import CCDError, InputError
+
+DT = 0.05
+DATA = Path(os.environ.get("CCDTOOLS_DATA") or Path(__file__).resolve().parents[2].parent / "shared" / "data")
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text: str | bytes) -> Path:
+        path = tmp_path / "file.csv"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write
+
+
+def recorded(name: str) -> Path:
+    path = DATA / name
+    if not path.is_file():
+        pytest.skip(f"the recorded file {name} is not part of the project; set CCDTOOLS_DATA to its folder")
+    return path
+
+
+# ── what is read ──
+
+
+def test_the_only_column_is_the_disturbance(write):
+    w = read_disturbance(write("dz_dt\n0.1\n-0.2\n1e-3\n"), dt=DT)
+    assert w.dtype == np.float64
+    np.testing.assert_array_equal(w, [0.1, -0.2, 1e-3])
+
+
+@pytest.mark.parametrize("name", ["time", "t"])
+def test_a_time_column_is_checked_but_not_taken(write, name):
+    w = read_disturbance(write(f"{name},dz_dt\n0,1\n0.05,2\n0.1,3\n"), dt=DT)
+    np.testing.assert_array_equal(w, [1, 2, 3])
+
+
+def test_a_named_column_is_taken_and_the_others_may_hold_text(write):
+    path = write("note,left,right\na,1,2\nb,3,4\n")
+    np.testing.assert_array_equal(read_disturbance(path, dt=DT, column="right"), [2, 4])
+
+
+def test_sampling_within_a_thousandth_of_dt_is_accepted(write):
+    t = 0.0500028 * np.arange(5)
+    text = "\n".join(f"{value!r},0" for value in t.tolist())
+    assert len(read_disturbance(write("time,w\n" + text), dt=DT)) == 5
+
+
+def test_byte_order_mark_windows_line_ends_spaces_and_blank_lines_do_no_harm(write):
+    w = read_disturbance(write(b"\xef\xbb\xbf dz_dt \r\n 1 \r\n\r\n2\r\n\r\n"), dt=DT)
+    np.testing.assert_array_equal(w, [1, 2])
+
+
+def test_speed_is_converted_from_km_per_hour(write):
+    time, speed = read_speed(write("time,speed\n0,0\n1,36\n3,72\n"))
+    np.testing.assert_array_equal(time, [0, 1, 3])
+    np.testing.assert_allclose(speed, [0, 10, 20])
+
+
+def test_a_generated_road_is_read_back_as_it_was(tmp_path, write):
+    distance, elevation = generate_road(20.0, rng=np.random.default_rng(0))
+    rows = "\n".join(f"{z!r},{s!r}" for s, z in zip(distance.tolist(), elevation.tolist()))
+    got = read_road(write("elevation,distance\n" + rows))  # by name, in any order
+    np.testing.assert_array_equal(got, (distance, elevation))
+
+
+# ── the recorded files of the case study ──
+
+
+def test_recorded_disturbance_is_read_whole():
+    w = read_disturbance(recorded("dz_dt_mild_driver1.csv"), dt=DT)
+    assert w.shape == (17500,)
+    assert w[:2] == pytest.approx([0.012599722182960639, 0.01249798330671095])
+    assert w[:9000].std() == pytest.approx(0.318, abs=2e-3)
+    assert np.abs(w).max() == pytest.approx(3.717, abs=1e-3)
+
+
+def test_recorded_speed_drives_a_generated_road():
+    time, speed = read_speed(recorded("speed_data_mild_driver1.csv"))
+    assert time[-1] == pytest.approx(875.0)
+    assert speed.max() == pytest.approx(80.0 / 3.6, rel=1e-3)
+    distance, elevation = generate_road(trapezoid(speed, time) + 1.0, rng=np.random.default_rng(0))
+    assert road_disturbance(distance, elevation, time, speed, dt=DT).shape == (17500,)
+
+
+# ── what is refused ──
+
+
+def read_any_disturbance(path, **keywords):
+    return read_disturbance(path, **{"dt": DT} | keywords)
+
+
+@pytest.mark.parametrize(
+    ("read", "argument"),
+    [(read_any_disturbance, "--disturbance"), (read_road, "--road"), (read_speed, "--speed")],
+)
+class TestEveryReader:
+    def test_refuses_a_missing_file(self, read, argument, tmp_path):
+        with pytest.raises(InputError, match=rf"^{argument}: no such file: .*absent\.csv; expected the path"):
+            read(tmp_path / "absent.csv")
+
+    def test_refuses_a_file_it_cannot_open(self, read, argument, tmp_path):
+        with pytest.raises(InputError, match=rf"^{argument}: cannot read .*: Is a directory; expected"):
+            read(tmp_path)
+
+    def test_refuses_a_file_that_is_not_text(self, read, argument, write):
+        with pytest.raises(InputError, match=rf"^{argument}: cannot read .*: not UTF-8 text; expected a CSV"):
+            read(write(b"\xff\xfe\x00\x81"))
+
+    def test_refuses_broken_quoting(self, read, argument, write):
+        with pytest.raises(InputError, match=rf"^{argument}: cannot read .*field larger than field limit"):
+            read(write("a\n" + '"' + "1" * 200_000))
+
+    @pytest.mark.parametrize("text", ["", "\n\n", " \n,\n"])
+    def test_refuses_an_empty_file(self, read, argument, write, text):
+        with pytest.raises(InputError, match=rf"^{argument}: .*: the file is empty, expected a CSV file"):
+            read(write(text))
+
+    def test_refuses_a_file_without_a_header(self, read, argument, write):
+        with pytest.raises(
+            InputError, match=rf"^{argument}: .*: no header, the first line is '0.1', '0.2'; exp"
+        ):
+            read(write("0.1,0.2\n0.3,0.4\n0.5,0.6\n"))
+
+    def test_refuses_a_file_with_fewer_than_two_rows(self, read, argument, write):
+        with pytest.raises(InputError, match=rf"^{argument}: .*: got 1 rows below the header \('a'\), exp"):
+            read(write("a\n1\n"))
+
+    def test_refuses_a_ragged_row(self, read, argument, write):
+        with pytest.raises(InputError, match=rf"^{argument}: .*: 3 cells in line 3, expected 2 \('a', 'b'\)"):
+            read(write("a,b\n1,2\n1,2,3\n"))
+
+    def test_names_the_input_as_told(self, read, argument, tmp_path):
+        with pytest.raises(InputError, match=r"^road of the demo: no such file"):
+            read(tmp_path / "absent.csv", argument="road of the demo")
+
+
+@pytest.mark.parametrize("cell", ["", "abc", "nan", "inf", "-inf", "1e999", "1_0"])
+def test_a_cell_that_is_no_finite_number_is_refused_with_its_line(write, cell):
+    with pytest.raises(InputError, match=rf"^--disturbance: .*: '{cell}' in column 'w', line 4, expected"):
+        read_disturbance(write(f"w,x\n1,0\n\n{cell},0\n2,0\n"), dt=DT, column="w")
+
+
+def test_a_missing_column_is_refused_with_the_columns_found(write):
+    path = write("a,b\n1,2\n3,4\n")
+    with pytest.raises(InputError, match=r"^--disturbance: .*: no column 'w', found 'a', 'b'; expected one"):
+        read_disturbance(path, dt=DT, column="w")
+    with pytest.raises(InputError, match=r"^--road: .*: no column 'distance', found 'a', 'b'; expected"):
+        read_road(path)
+    with pytest.raises(InputError, match=r"^--speed: .*: no column 'time', found 'a', 'b'; expected"):
+        read_speed(path)
+
+
+def test_a_column_that_occurs_twice_is_refused(write):
+    with pytest.raises(InputError, match="several columns 'speed', found 'time', 'speed', 'speed'; expected"):
+        read_speed(write("time,speed,speed\n0,1,1\n1,2,2\n"))
+
+
+def test_a_long_header_is_cut_in_the_message(write):
+    header = ",".join(f"c{i}" for i in range(30))
+    row = ",".join("1" * 30)
+    with pytest.raises(InputError, match=r"'c11', … \(30 columns\); expected") as caught:
+        read_road(write(f"{header}\n{row}\n{row}\n"))
+    assert "c12" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("header", "count"), [("a,b", 2), ("time,t", 0)])
+def test_without_a_name_the_disturbance_must_be_the_only_column(write, header, count):
+    with pytest.raises(InputError, match=rf"{count} columns that could be the disturbance \(.*name the col"):
+        read_disturbance(write(f"{header}\n0,0\n0.05,0.05\n"), dt=DT)
+
+
+@pytest.mark.parametrize("third", ["0.11", "0.05", "0.01"])
+def test_unequal_sampling_is_refused_with_its_line(write, third):
+    text = f"time,w\n0,1\n0.05,1\n{third},1\n0.15,1\n0.2,1\n0.25,1\n"
+    with pytest.raises(
+        InputError, match=r"unequal sampling: a step of .* s in line 4, expected 0.05 s through"
+    ):
+        read_disturbance(write(text), dt=DT)
+
+
+def test_time_that_runs_backwards_is_refused(write):
+    with pytest.raises(InputError, match=r"unequal sampling: a step of -0.05 s in line 3"):
+        read_disturbance(write("time,w\n0.1,1\n0.05,1\n0.0,1\n"), dt=DT)
+
+
+def test_another_time_step_is_refused(write):
+    with pytest.raises(InputError, match=r"sampled every 0.1 s, expected dt = 0.05 s; resample the file"):
+        read_disturbance(write("time,w\n0,1\n0.1,1\n0.2,1\n"), dt=DT)
+
+
+@pytest.mark.parametrize("dt", [0.0, -1.0, np.nan, np.inf])
+def test_a_time_step_that_is_none_is_refused(write, dt):
+    with pytest.raises(InputError, match=r"^dt: got .* s, expected a finite number > 0; pass the time step"):
+        read_disturbance(write("w\n1\n2\n"), dt=dt)
+
+
+@pytest.mark.parametrize("second", ["1", "0.5"])
+def test_distance_that_does_not_increase_is_refused(write, second):
+    with pytest.raises(InputError, match=rf"column 'distance' goes from 1 to {second} in line 3, expected"):
+        read_road(write(f"distance,elevation\n1,0\n{second},0\n"))
+
+
+def test_time_of_a_speed_that_does_not_increase_is_refused(write):
+    with pytest.raises(InputError, match="column 'time' goes from 1 to 1 in line 4, expected strictly"):
+        read_speed(write("time,speed\n0,5\n1,5\n1,5\n"))
+
+
+def test_a_negative_speed_is_refused(write):
+    with pytest.raises(InputError, match=r"^--speed: .*: negative speed -2 km/h in line 3, expected speed"):
+        read_speed(write("time,speed\n0,5\n1,-2\n"))
+
+
+def test_a_refusal_is_one_line_and_can_be_caught_as_either_kind(write):
+    path = write('"two\nlines",b\n1,2\n3,4\n')
+    with pytest.raises(CCDError) as caught:
+        read_road(path)
+    assert isinstance(caught.value, ValueError)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,150 @@
+"""Every controller on the same disturbances, and what one long run says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ccdtools import InputError, simulate
+from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
+from ccdtools.statistics import summarise
+from ccdtools.studies.comparison import Scenario, baselines, compare, replicates, step_time
+from mpc import LinearMPC
+
+DESIGN = [2.0]
+
+
+@pytest.fixture(scope="module")
+def controllers(illustrative):
+    return baselines(illustrative.problem(), DESIGN, rng=np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def scenario(illustrative):
+    x0, w = illustrative.problem().scenarios.sample(120, 40, np.random.default_rng(1))
+    return Scenario(illustrative.model, x0, w)
+
+
+def scored(study, controllers, scenario, **options):
+    problem = study.problem()
+    scores = compare(
+        controllers, scenario, design=DESIGN, objective=problem.objective, X=problem.X, limit=problem.limit, **options
+    )
+    return {score.controller: score for score in scores}
+
+
+@pytest.fixture(scope="module")
+def scores(illustrative, controllers, scenario):
+    return scored(illustrative, controllers, scenario)
+
+
+def test_the_baselines_are_four(controllers):
+    assert list(controllers) == ["passive", "LQR", "PID", "MPC"]
+    kinds = [type(c) for c in controllers.values()]
+    assert kinds == [Passive, LinearFeedback, PID, LinearMPC]
+
+
+def test_every_controller_has_a_score_in_order(scores, controllers):
+    assert list(scores) == list(controllers)
+    assert scores["LQR"].summary.n == 120
+    assert scores["MPC"].summary.n == 100
+
+
+def test_lqr_differs_from_itself_by_nothing(scores):
+    assert scores["LQR"].paired_to_lqr.mean == 0
+    assert scores["LQR"].paired_to_lqr.ci95 == (0, 0)
+
+
+def test_differences_are_paired_on_the_same_runs(illustrative, scores, controllers, scenario):
+    problem = illustrative.problem()
+
+    def returns(name, n):
+        run = simulate(
+            scenario.plant, controllers[name], x0=scenario.x0[:n], steps=40, disturbance=scenario.disturbance[:n],
+            design=DESIGN,
+        )  # fmt: skip
+        return run.returns(problem.objective)
+
+    difference = returns("MPC", 100) - returns("LQR", 100)
+    score = scores["MPC"].paired_to_lqr
+    assert score.mean == pytest.approx(difference.mean())
+    assert score.ci95 == pytest.approx(summarise(difference).ci95)
+    unpaired = summarise(returns("MPC", 100)).ci95
+    assert score.ci95[1] - score.ci95[0] < 0.5 * (unpaired[1] - unpaired[0])
+
+
+def test_an_unstable_plant_left_alone_diverges_and_is_counted(illustrative, controllers):
+    x0, w = illustrative.problem().scenarios.sample(30, 100, np.random.default_rng(1))
+    rows = scored(illustrative, controllers, Scenario(illustrative.model, x0, w), few={"MPC": 5})
+    passive = rows["passive"]
+    assert passive.diverged == 1.0
+    assert passive.summary.n == 0
+    assert np.isnan(passive.summary.mean)
+    assert np.isnan(passive.violations)
+    assert np.isnan(passive.paired_to_lqr.mean)
+    assert rows["LQR"].diverged == 0
+    assert rows["LQR"].summary.n == 30
+
+
+def test_violations_are_the_fraction_of_states_outside_X(illustrative, controllers, scenario):
+    tight = replace(illustrative.problem(), X=illustrative.X)
+    X = type(tight.X).from_bounds([-1.0, -1.0], [1.0, 1.0])
+    run = simulate(
+        scenario.plant, controllers["LQR"], x0=scenario.x0, steps=40, disturbance=scenario.disturbance, design=DESIGN
+    )
+    (score,) = compare(
+        {"LQR": controllers["LQR"]}, scenario, design=DESIGN, objective=tight.objective, X=X, limit=tight.limit
+    )
+    outside = (np.abs(run.states[:, 1:]) > 1).any(axis=-1).mean()
+    assert score.violations == pytest.approx(outside, abs=1e-6)
+
+
+def test_a_comparison_without_lqr_is_refused(illustrative, controllers, scenario):
+    with pytest.raises(InputError, match=r"controllers: got \['passive'\], expected 'LQR' among them"):
+        scored(illustrative, {"passive": controllers["passive"]}, scenario)
+
+
+# ── replicates ──
+
+
+def test_many_runs_are_their_own_replicates(rng):
+    rewards = rng.standard_normal((7, 30))
+    np.testing.assert_allclose(replicates(rewards, 7), rewards.sum(axis=1))
+    np.testing.assert_allclose(replicates(rewards[:1], 7), rewards[:1].sum(axis=1))
+
+
+@pytest.mark.parametrize("steps", [200, 1500, 1550, 1599])
+def test_the_mean_over_the_replicates_of_one_long_run_is_its_total(rng, steps):
+    rewards = rng.standard_normal((1, steps))
+    values = replicates(rewards, 1)
+    assert len(values) == steps // 100
+    assert values.mean() == pytest.approx(rewards.sum())
+
+
+def test_a_short_single_run_is_one_value(rng):
+    rewards = rng.standard_normal((1, 199))
+    np.testing.assert_allclose(replicates(rewards, 1), [rewards.sum()])
+
+
+def test_no_run_has_no_replicates():
+    assert len(replicates(np.zeros((0, 500)), 1)) == 0
+
+
+def test_the_interval_of_one_long_run_covers_its_expected_total():
+    rng = np.random.default_rng(0)
+    covered, widths = 0, []
+    for _ in range(400):
+        low, high = summarise(replicates(rng.standard_normal((1, 2000)) - 1.0, 1)).ci95
+        covered += low < -2000 < high
+        widths.append(high - low)
+    assert 0.92 <= covered / 400 <= 0.98
+    assert np.mean(widths) == pytest.approx(2 * 2.09 * np.sqrt(2000), rel=0.05)
+
+
+# ── time per step ──
+
+
+def test_timing_a_controller_leaves_it_ready_for_one_run():
+    controller = PID([[1.0]], [0.0], [1.0], [0.0], dt=1.0, lower=[-9e9], upper=[9e9])
+    assert step_time(controller, np.array([1.0])) > 0
+    assert controller(np.array([1.0])) == pytest.approx([-1.0])

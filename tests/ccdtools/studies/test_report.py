@@ -1,0 +1,224 @@
+"""The report of small but real runs: a two-state study, and one with other dimensions throughout."""
+
+import csv
+import json
+import re
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
+from ccdtools.disturbances.disturbance import Gaussian
+from ccdtools.exceptions import InputError
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.plant import Plant
+from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
+from ccdtools.studies.report import plotting
+from ccdtools.studies.report.report import write_report
+from ccdtools.studies.report.tables import console_table, number, percentage, verdict
+from invariant_sets import Polytope
+from learning.networks import NetworkConfig
+
+
+def two_masses() -> Study:
+    """Four states, two inputs, two disturbances, three design parameters, one long real run."""
+    x, u, w, p = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("w", 2), ca.SX.sym("p", 3)
+    spring = p[0] * (x[2] - x[0]) + p[1] * (x[3] - x[1])
+    dynamics = ca.vertcat(x[1], spring - p[2] * x[1] + u[0] + w[0], x[3], -spring + u[1] + w[1])
+    design = DesignSpace(["k", "c", "d"], [1.0, 0.1, 0.1], [3.0, 1.0, 1.0], ["N/m", "N·s/m", "N·s/m"])
+    names = ["q1 [m]", "v1 [m/s]", "q2 [m]", "v2 [m/s]"]
+    plant = Plant(x, u, w, p, dynamics, design, dt=0.2, state_names=names, input_names=["f1 [N]", "f2 [N]"])
+    noise = Gaussian(std=[0.2, 0.2])
+    return Study(
+        name="two_masses", title="Two masses", plant=plant, X=Polytope.from_bounds([-2.0] * 4, [2.0] * 4),
+        U=Polytope.from_bounds([-3.0] * 2, [3.0] * 2), objective=QuadraticObjective(Q=np.eye(4), R=0.1 * np.eye(2)),
+        disturbance=noise, x0=[1.0, 0.0, -0.5, 0.0], p0=[1.0, 0.5, 0.5], steps=20,
+        real=RealPlant(plant, noise, x0=np.zeros(4), runs=1, steps=500),
+    )  # fmt: skip
+
+
+def finished(study: Study, path, *, generations: int = 1, quick: bool = True):
+    """A run of hardly any iterations: the folder and its results."""
+    config = configuration(study, quick=True)
+    tiny = CoDesignConfig(iterations=2, runs=16, pathwise_runs=16, evaluation_runs=20, evaluate_every=1)
+    config = replace(
+        config, quick=quick, samples=15, model_runs=30, real_runs=30, mpc_runs=2, real_steps=500, codesign=tiny,
+        redesign=tiny, network=NetworkConfig((8,)), cloning=replace(config.cloning, steps=50),
+        online=replace(config.online, updates=1, judged=20, training=tiny),
+        quantile=replace(config.quantile, steps=50),
+    )  # fmt: skip
+    folder = RunFolder.create(path)
+    results = Generations(
+        study, config, folder, generations=generations, seed=3, say=lambda line: None, progress=False
+    ).run()
+    write_report(study, folder)
+    return folder, folder.read_json("results.json") if results else {}
+
+
+@pytest.fixture(scope="module")
+def illustrative(tmp_path_factory):
+    """A quick run of two generations on two states."""
+    study = load_study("illustrative")
+    study = replace(study, steps=20, real=replace(study.real, runs=20, steps=30))
+    return finished(study, tmp_path_factory.mktemp("report") / "illustrative", generations=2)
+
+
+@pytest.fixture(scope="module")
+def masses(tmp_path_factory):
+    """A run that is not quick, of a study that is in no file of the package."""
+    return finished(two_masses(), tmp_path_factory.mktemp("report") / "masses", quick=False)
+
+
+def rows_of(folder, name):
+    """The rows of a CSV file."""
+    with (folder.path / name).open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def figures_of(folder):
+    """Names of the figures."""
+    return {path.stem for path in (folder.path / "figures").glob("*.png")}
+
+
+def test_two_state_study_has_every_figure(illustrative):
+    assert figures_of(illustrative[0]) == {
+        "history", "landscape", "comparison", "feasible_sets", "policy", "trajectories_model", "trajectories_real",
+        "quantiles_1", "quantiles_2",
+    }  # fmt: skip
+
+
+def test_figures_that_a_study_cannot_have_are_left_out(masses):
+    assert figures_of(masses[0]) == {
+        "history", "comparison", "feasible_sets", "trajectories_model", "trajectories_real", "quantiles_1",
+    }  # fmt: skip
+
+
+def test_page_holds_every_figure_and_links_to_nothing(illustrative, masses):
+    for folder, _ in (illustrative, masses):
+        page = (folder.path / "report.html").read_text(encoding="utf-8")
+        assert page.count("data:image/png;base64,") == len(figures_of(folder))
+        assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)|https?://|@import|<script""", page)
+        assert "None" not in page
+        assert "nan" not in re.sub(r"base64,[^\"]*", "", page)
+
+
+def test_quick_is_marked_in_every_output(illustrative, masses):
+    for (folder, results), marked in ((illustrative, True), (masses, False)):
+        page = (folder.path / "report.html").read_text(encoding="utf-8")
+        assert ("QUICK" in page) == marked
+        assert ("QUICK" in console_table(results)) == marked
+        for name in ("comparison.csv", "generations.csv", "learning_curves.csv"):
+            assert {row["mode"] for row in rows_of(folder, name)} == {"QUICK" if marked else "full"}
+    assert [text.get_text() for text in plotting.blank(4, 3, quick=True).texts] == ["QUICK"]
+    assert not plotting.blank(4, 3).texts
+
+
+def test_tables_repeat_the_results(illustrative, masses):
+    for folder, results in (illustrative, masses):
+        comparison = rows_of(folder, "comparison.csv")
+        assert len(comparison) == len(results["comparison"])
+        for row, source in zip(comparison, results["comparison"]):
+            assert row["controller"] == source["controller"]
+            assert row["mean"] == ("" if source["mean"] is None else str(source["mean"]))
+            assert all(float(row[name]) == value for name, value in source["design"].items())
+        generations = rows_of(folder, "generations.csv")
+        assert [float(row["deployed_return_mean"]) for row in generations] == [
+            g["deployed_return"]["mean"] for g in results["generations"]
+        ]
+
+
+def test_learning_curves_have_one_row_per_evaluation(illustrative):
+    folder, results = illustrative
+    curves = rows_of(folder, "learning_curves.csv")
+    for generation in results["generations"]:
+        g = generation["generation"]
+        history = folder.read_stage(f"codesign-{g}").arrays
+        own = [row for row in curves if row["generation"] == str(g)]
+        assert [float(row["model_return"]) for row in own] == history["history_model_return"].tolist()
+        assert [float(row["p"]) for row in own] == history["history_design"][:, 0].tolist()
+
+
+def test_page_names_designs_with_units_and_active_bounds(masses):
+    folder, results = masses
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert "k = 1 N/m, c = 0.5 N·s/m, d = 0.5 N·s/m" in page
+    assert "k lower" in page
+    assert "network input (paper)" in page
+    assert json.dumps(results["configuration"]["codesign"]["design_rate"]) in page
+
+
+def test_console_table_is_aligned_and_names_active_bounds(masses):
+    text = console_table(masses[1])
+    lines = text.splitlines()
+    heading = next(line for line in lines if line.startswith("plant"))
+    assert "active bounds: k lower" in text
+    body = [line for line in lines if re.match(r"(nominal model|replayed errors|real plant) +\d", line)]
+    assert len(body) == len(masses[1]["comparison"])
+    edge = heading.index("controller")
+    assert all(line[edge - 2 : edge] == "  " and line[edge] != " " for line in body)
+
+
+def test_a_page_can_be_written_again(illustrative):
+    folder, _ = illustrative
+    study = load_study("illustrative")
+    before = (folder.path / "report.html").read_text(encoding="utf-8")
+    write_report(replace(study, steps=20, real=replace(study.real, runs=20, steps=30)), folder)
+    assert (folder.path / "report.html").read_text(encoding="utf-8") == before
+
+
+def test_a_folder_without_results_is_an_error(tmp_path):
+    with pytest.raises(InputError, match=r"without a readable results\.json"):
+        write_report(load_study("illustrative"), RunFolder(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(-73.1234, "-73.12"), (None, "n/a"), (0.0, "0"), (1e4, "10000"), (3.1e-5, "3.100e-05"), (9.9999, "10.00")],
+)
+def test_numbers_have_four_digits(value, text):
+    assert number(value) == text
+
+
+def test_fractions_are_shown_in_per_cent():
+    assert percentage(0.000667) == "0.0667 %"
+    assert percentage(None) == "n/a"
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [((0.1, 0.2), "better"), ((-0.4, 0.2), "not worse"), ((-0.7, 0.1), "open"), ((-0.9, -0.6), "worse"),
+     ((None, None), "no pairs")],
+)  # fmt: skip
+def test_verdict_reads_the_interval_in_per_cent_of_lqr(ends, expected):
+    low, high = ends
+    mean = None if low is None else (low + high) / 2
+    row = {"paired_to_lqr": {"mean": mean, "ci95": [low, high]}}
+    assert verdict(row, {"mean": -100.0}) == expected
+
+
+def test_a_controller_keeps_its_colour_and_strangers_get_their_own():
+    colours = plotting.controller_colours(["LQR", "learned", "tube MPC", "H∞"])
+    assert colours["LQR"] == plotting.COLOURS["LQR"]
+    assert len({colours[name] for name in ("LQR", "learned", "tube MPC", "H∞")}) == 4
+
+
+def test_landscape_of_nothing_but_divergence_is_still_drawn():
+    for fine in (False, True):
+        figure = Figure()
+        ax = figure.add_subplot()
+        mean = np.full((3, 3), -1.0 if fine else np.nan)
+        axis = np.linspace(0, 1, 3)
+        plotting.plot_landscape_map(
+            ax, axis, axis, mean, np.full((3, 3), fine), [np.array([[0.1, 0.1], [0.5, 0.5]])], labels=("a", "b")
+        )
+        assert plotting.png(figure).startswith(b"\x89PNG")
+    figure = Figure()
+    nothing = np.full(3, np.nan)
+    plotting.plot_landscape_curve(
+        figure.add_subplot(), axis, nothing, nothing, np.ones(3), [axis], label="a", allowed=0.01
+    )
+    assert plotting.png(figure).startswith(b"\x89PNG")

@@ -1,0 +1,293 @@
+"""Deployment: logs without gaps, replays that are exact, updates only where they help."""
+
+import copy
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from ccdtools import InputError, LearnedPolicy, deploy, simulate
+from ccdtools.co_design.reinforcement import CoDesignConfig
+from ccdtools.controllers.controllers import Passive
+from ccdtools.statistics import paired_difference
+from ccdtools.twin.deployment import OnlineConfig, Replay, deploy_and_update, replay_problem
+from ccdtools.twin.twin import residuals
+from learning.ppo import PPOConfig
+
+DESIGN = np.array([2.0])
+TINY = CoDesignConfig(
+    iterations=1, runs=4, pathwise_runs=8, design_rate=0.0, evaluation_runs=10, ppo=PPOConfig(passes=1, critic_only=1)
+)
+ONLINE = OnlineConfig(updates=2, window=20, judged=30, training=TINY)
+
+
+def start(n=1):
+    return np.tile([-2.0, -2.0], (n, 1))
+
+
+def disturbances(study, runs, steps, seed=0):
+    return study.real.disturbance.sample(runs, steps, np.random.default_rng(seed))
+
+
+def deployed(study, agent, *, runs, steps, seed=0, config=ONLINE, x0=None):
+    return deploy_and_update(
+        study.problem(), study.real.plant, agent, DESIGN, x0=start(runs) if x0 is None else x0,
+        disturbance=disturbances(study, runs, steps), rng=np.random.default_rng(seed), config=config,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def log(illustrative, clone):
+    """Return a log of the clone on the real plant: four runs."""
+    policy = LearnedPolicy(clone(illustrative), DESIGN)
+    return deploy(illustrative.real.plant, policy, DESIGN, disturbances(illustrative, 4, 50), x0=start(4))
+
+
+# ── deploy ──
+
+
+def test_a_deployment_is_a_simulation_as_long_as_its_disturbance(illustrative):
+    w = disturbances(illustrative, 1, 30)
+    log = deploy(illustrative.real.plant, Passive(), DESIGN, w[0], x0=[0.0, 0.0])
+    run = simulate(illustrative.real.plant, Passive(), x0=[0, 0], steps=30, disturbance=w, design=DESIGN)
+    np.testing.assert_array_equal(log.states, run.states)
+
+
+def test_a_single_channel_may_be_a_plain_sequence(suspension):
+    log = deploy(suspension.real.plant, Passive(), suspension.p0, np.ones(7), x0=np.zeros(4))
+    assert log.inputs.shape == (1, 7, 1)
+
+
+# ── replays ──
+
+
+def test_windows_reproduce_the_logged_trajectory_exactly_under_the_logged_inputs(illustrative, log):
+    errors_of_the_log = residuals(illustrative.model, log)
+    problem = replay_problem(illustrative.problem(), [errors_of_the_log], 15)
+    x0, w = problem.scenarios.sample(40, 15, np.random.default_rng(0))
+    for start_state, errors in zip(x0, w):
+        same_start = (log.states[:, :-1] == start_state).all(axis=-1)
+        ((run, k),) = np.argwhere(same_start & (errors_of_the_log.e_next == errors[0]).all(axis=-1))
+        inputs = iter(log.inputs[run, k : k + 15])
+        again = simulate(
+            problem.model, lambda x, inputs=inputs: next(inputs)[None], x0=start_state, steps=15, disturbance=errors,
+            design=DESIGN,
+        )  # fmt: skip
+        np.testing.assert_allclose(again.states[0], log.states[run, k : k + 16], atol=1e-12)
+
+
+def test_every_window_of_every_stretch_can_be_drawn(illustrative, log):
+    r = residuals(illustrative.model, log)
+    one, three, short = (slice(0, 1), slice(0, 12)), (slice(1, 4), slice(20, 33)), (slice(0, 1), slice(0, 5))
+    stretches = tuple(r.part(*stretch) for stretch in (one, three, short))
+    x0, w = Replay(stretches).sample(3000, 10, np.random.default_rng(0))
+    assert w.shape == (3000, 10, 2)
+    expected = np.vstack([r.x[0, :3], *(r.x[i, 20:24] for i in (1, 2, 3))])
+    drawn, counts = np.unique(x0, axis=0, return_counts=True)
+    np.testing.assert_array_equal(drawn, np.unique(expected, axis=0))
+    assert counts.min() > 3000 / 15 * 0.6
+
+
+def test_disjoint_windows_use_every_sample_at_most_once(illustrative, log):
+    r = residuals(illustrative.model, log)
+    two, one, short = (slice(0, 2), slice(0, 25)), (slice(2, 3), slice(10, 45)), (slice(3, 4), slice(0, 9))
+    replay = Replay(tuple(r.part(*stretch) for stretch in (two, one, short)))
+    x0, w = replay.disjoint(10)
+    windows = [(0, 0), (0, 10), (1, 0), (1, 10), (2, 10), (2, 20), (2, 30)]
+    np.testing.assert_array_equal(x0, [r.x[i, k] for i, k in windows])
+    np.testing.assert_array_equal(w, [r.e_next[i, k : k + 10] for i, k in windows])
+    with pytest.raises(InputError, match="log: got runs of 35 samples, expected at least 36 for a replay"):
+        replay.disjoint(36)
+
+
+def test_a_candidate_is_judged_on_independent_windows(illustrative, clone, monkeypatch):
+    # Overlapping windows would repeat the same samples and shrink the interval: of equal policies in truth,
+    # far more than one in twenty would then be "better".
+    training_gives(monkeypatch, clone(illustrative))
+    judged = []
+
+    def spy(a, b):
+        judged.append(len(a))
+        return paired_difference(a, b)
+
+    monkeypatch.setattr("ccdtools.twin.deployment.paired_difference", spy)
+    deployed(illustrative, clone(illustrative), runs=1, steps=600)  # 60 of every 200 samples are held out
+    assert judged == [3, 6]
+    judged.clear()
+    deployed(illustrative, clone(illustrative), runs=1, steps=600, config=replace(ONLINE, judged=4))
+    assert judged == [3, 4]
+
+
+def test_one_window_is_no_evidence(illustrative, clone, monkeypatch):
+    training_gives(monkeypatch, clone(illustrative))
+    config = replace(ONLINE, updates=1, window=30)
+    done = deployed(illustrative, weakened(clone(illustrative)), runs=1, steps=240, config=config)
+    assert np.isnan(done.updates[0].gain.ci95).all()
+    assert not done.updates[0].accepted
+
+
+def test_a_replay_longer_than_the_log_is_refused(illustrative, log):
+    with pytest.raises(InputError, match="log: got runs of 50 samples, expected at least 51 for a replay"):
+        Replay((residuals(illustrative.model, log),)).sample(3, 51, np.random.default_rng(0))
+
+
+def test_the_replay_problem_lets_errors_enter_as_they_are(illustrative, log):
+    problem = replay_problem(illustrative.problem(), [residuals(illustrative.model, log)], 15)
+    A, B, E = problem.model.matrices(DESIGN)
+    np.testing.assert_array_equal(E, np.eye(2))
+    np.testing.assert_array_equal(A, illustrative.model.matrices(DESIGN)[0])
+    np.testing.assert_array_equal(B, illustrative.model.matrices(DESIGN)[1])
+    assert problem.steps == 15
+    assert problem.discrepancy is None
+
+
+# ── updates on the way ──
+
+
+@pytest.mark.parametrize("runs", [1, 6])
+def test_stretches_join_without_a_gap(illustrative, clone, runs):
+    steps = 240 if runs == 1 else 40
+    log = deployed(illustrative, clone(illustrative), runs=runs, steps=steps).log
+    assert log.states.shape == (runs, steps + 1, 2)
+    np.testing.assert_array_equal(log.disturbances, disturbances(illustrative, runs, steps))
+    np.testing.assert_array_equal(log.states[:, 0], start(runs))
+    step = illustrative.real.plant.stepper(DESIGN, batch=runs)
+    for k in range(steps):
+        following = step(log.states[:, k], log.inputs[:, k], log.disturbances[:, k])
+        np.testing.assert_allclose(log.states[:, k + 1], following, rtol=1e-12, atol=1e-12)
+    assert not log.diverged.any()
+
+
+def test_without_updates_the_deployment_is_one_piece_under_the_first_policy(illustrative, clone):
+    agent = clone(illustrative)
+    done = deployed(illustrative, agent, runs=1, steps=50, config=replace(ONLINE, updates=0))
+    assert done.agent is agent
+    assert done.updates == ()
+    whole = deploy(
+        illustrative.real.plant, LearnedPolicy(agent, DESIGN), DESIGN, disturbances(illustrative, 1, 50), x0=start()
+    )
+    np.testing.assert_array_equal(done.log.states, whole.states)
+
+
+def test_an_update_follows_every_stretch_but_the_last(illustrative, clone):
+    done = deployed(illustrative, clone(illustrative), runs=1, steps=300)
+    assert [update.after for update in done.updates] == [100, 200]
+    done = deployed(illustrative, clone(illustrative), runs=6, steps=40)
+    assert [update.after for update in done.updates] == [80, 160]
+
+
+def test_an_update_is_accepted_exactly_when_its_interval_lies_above_zero(illustrative, clone):
+    for seed in range(3):
+        done = deployed(illustrative, clone(illustrative), runs=6, steps=40, seed=seed)
+        assert [u.accepted for u in done.updates] == [u.gain.ci95[0] > 0 for u in done.updates]
+
+
+def weakened(agent):
+    """The same agent with half its gain."""
+    weak = copy.deepcopy(agent)
+    with torch.no_grad():
+        for parameter in (weak.mean_network.head.weight, weak.mean_network.head.bias, weak.mean_network.skip.weight):
+            parameter.mul_(0.5)
+    return weak
+
+
+def training_gives(monkeypatch, candidate):
+    """Let every training end with one candidate."""
+    trained = []
+
+    def codesign(problem, *, agent, design, rng, config):
+        trained.append((problem, agent))
+        return SimpleNamespace(agent=candidate)
+
+    monkeypatch.setattr("ccdtools.twin.deployment.codesign_ppo", codesign)
+    return trained
+
+
+def test_a_better_candidate_goes_into_service(illustrative, clone, monkeypatch):
+    good, weak = clone(illustrative), weakened(clone(illustrative))
+    training_gives(monkeypatch, good)
+    done = deployed(illustrative, weak, runs=1, steps=6000)
+    assert done.updates[0].accepted
+    assert done.updates[0].gain.mean > 0
+    assert done.agent is good
+    u = LearnedPolicy(weak, DESIGN)(done.log.states[0, :2000])
+    np.testing.assert_allclose(done.log.inputs[0, :2000], u)
+    u = LearnedPolicy(good, DESIGN)(done.log.states[0, 2000:4000])
+    np.testing.assert_allclose(done.log.inputs[0, 2000:4000], u)
+
+
+def test_a_worse_or_equal_candidate_does_not_go_into_service(illustrative, clone, monkeypatch):
+    good = clone(illustrative)
+    for candidate in (weakened(good), copy.deepcopy(good)):
+        training_gives(monkeypatch, candidate)
+        done = deployed(illustrative, good, runs=1, steps=600)
+        assert done.agent is good
+        assert not any(update.accepted for update in done.updates)
+        assert all(update.gain.ci95[0] <= 0 for update in done.updates)
+
+
+def test_a_candidate_is_judged_on_what_it_was_not_trained_on(illustrative, clone, monkeypatch):
+    trained = training_gives(monkeypatch, clone(illustrative))
+    log = deployed(illustrative, clone(illustrative), runs=1, steps=300).log
+    first, second = (problem.scenarios.stretches for problem, _ in trained)
+    np.testing.assert_array_equal(first[0].x[0], log.states[0, :70])
+    assert len(second) == 2
+    np.testing.assert_array_equal(second[1].x[0], log.states[0, 100:170])
+
+
+def test_the_agent_passed_in_is_not_changed(illustrative, clone):
+    agent = clone(illustrative)
+    before = copy.deepcopy(agent.state_dict())
+    deployed(illustrative, agent, runs=6, steps=40)
+    torch.testing.assert_close(agent.state_dict(), before, rtol=0, atol=0)
+
+
+def test_a_run_lost_in_one_stretch_stays_lost(illustrative, clone):
+    done = deployed(illustrative, clone(illustrative), runs=1, steps=90, x0=np.array([[-5e3, -2.5e3]]))
+    log = done.log
+    (at,) = log.diverged_at
+    assert 0 <= at < 30
+    np.testing.assert_array_equal(log.states[0, at + 1 :], np.tile(log.states[0, at + 1], (90 - at, 1)))
+    assert not log.inputs[0, at + 1 :].any()
+    assert done.updates == ()
+    whole = deploy(
+        illustrative.real.plant, LearnedPolicy(done.agent, DESIGN), DESIGN, disturbances(illustrative, 1, 90),
+        x0=[-5e3, -2.5e3], limit=illustrative.problem().limit,
+    )  # fmt: skip
+    np.testing.assert_array_equal(log.states, whole.states)
+    np.testing.assert_array_equal(log.diverged_at, whole.diverged_at)
+
+
+@pytest.mark.parametrize(
+    ("runs", "steps", "updates"), [(1, 90, 0), (1, 700, 1), (1, 1000, 2), (3, 150, 0), (4, 150, 1)]
+)
+def test_a_deployment_too_short_to_judge_every_update_gets_fewer(illustrative, clone, runs, steps, updates):
+    config = replace(ONLINE, window=100, updates=4)
+    done = deployed(illustrative, clone(illustrative), runs=runs, steps=steps, config=config)
+    assert len(done.updates) == updates
+    assert done.log.inputs.shape[:2] == (runs, steps)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"updates": -1}, "updates: got -1, expected at least 0"),
+        ({"window": 0}, "window: got 0, expected at least 1"),
+        ({"judged": 1}, "judged: got 1, expected at least 2"),
+        ({"held_out": 0.0}, r"held_out: got 0.0, expected a fraction between 0 and 1"),
+        ({"held_out": 1.0}, r"held_out: got 1.0, expected a fraction between 0 and 1"),
+    ],
+)
+def test_online_updates_that_make_no_sense_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        OnlineConfig(**options)
+
+
+def test_a_design_outside_its_bounds_is_refused(illustrative, clone):
+    with pytest.raises(InputError, match="design: got p = 9"):
+        deploy_and_update(
+            illustrative.problem(), illustrative.real.plant, clone(illustrative), [9.0], x0=start(),
+            disturbance=disturbances(illustrative, 1, 30), rng=np.random.default_rng(0),
+        )  # fmt: skip
