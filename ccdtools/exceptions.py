@@ -1,9 +1,11 @@
-"""What can go wrong in `ccdtools`: one base class, so that a caller can catch them all."""
+"""The exceptions of `ccdtools`: one base class, so that a caller can catch them all."""
+
+import invariant_sets.exceptions as sets
 
 
 class CCDError(Exception):
     """Base of every error that `ccdtools` raises on purpose."""
 
 
-class InputError(CCDError, ValueError):
-    """Bad input: one line that names the argument, what was got, what was expected and the cure."""
+class InputError(CCDError, sets.InputError):
+    """Bad input, in one line; carries `argument`, `got`, `expected` and `cure`, as in `invariant_sets`."""

@@ -1,21 +1,43 @@
-"""Exceptions of this package. A numerical outcome is a status in a result; an exception means misuse."""
+"""The exceptions of `invariant_sets`: misuse is raised, a numerical outcome is a status in a result."""
 
 
-class InvariantSetsError(ValueError):
-    """Base class of every error raised on purpose by `invariant_sets`."""
+class InvariantSetsError(Exception):
+    """Base of every error that `invariant_sets` raises on purpose."""
 
 
-class InputError(InvariantSetsError):
-    """An argument has the wrong type, shape or sign, or is not finite."""
+class InputError(InvariantSetsError, ValueError):
+    """Bad input, in one line: argument, what was got, what was expected, and the cure.
+
+    Attributes
+    ----------
+    argument : str
+        Name of the argument, as the caller wrote it.
+    got, expected : object
+        What was passed and what would have been accepted, in words or as the value itself.
+    cure : str
+        What to do about it; may be empty.
+    """
+
+    def __init__(self, argument: str, got: object = None, expected: object = None, cure: str = "") -> None:
+        super().__init__(argument, got, expected, cure)  # all of them, so that the exception can be pickled
+        self.argument = argument
+        self.got = got
+        self.expected = expected
+        self.cure = cure
+
+    def __str__(self) -> str:
+        if self.expected is None:
+            return self.argument
+        return f"{self.argument}: got {self.got}, expected {self.expected}." + (f" {self.cure}" if self.cure else "")
 
 
-class UnboundedError(InvariantSetsError):
+class UnboundedError(InvariantSetsError, ValueError):
     """The operation needs a bounded set, for example vertices or a volume."""
 
 
-class EmptySetError(InvariantSetsError):
+class EmptySetError(InvariantSetsError, ValueError):
     """The operation needs at least one point, for example a sample."""
 
 
-class NumericalError(InvariantSetsError):
+class NumericalError(InvariantSetsError, ArithmeticError):
     """No solver could finish; the data are too badly conditioned for double precision."""

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from learning.exceptions import DataError
+from learning.exceptions import InputError
 
 LEAK = 0.01  # slope of the clip outside its range while cloning, so that a saturated output can still come back
 
@@ -41,9 +41,9 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         object.__setattr__(self, "hidden", tuple(int(h) for h in self.hidden))
         if not self.hidden or min(self.hidden) < 1:
-            raise DataError(f"hidden: got {self.hidden}, expected at least one layer of at least one neuron.")
+            raise InputError(f"hidden: got {self.hidden}, expected at least one layer of at least one neuron.")
         if not self.initial_std > 0:
-            raise DataError(f"initial_std: got {self.initial_std}, expected a positive number.")
+            raise InputError(f"initial_std: got {self.initial_std}, expected a positive number.")
 
 
 class FeedForward(nn.Module):
@@ -111,7 +111,7 @@ class ActorCritic(nn.Module):
         ):
             low, high = (np.asarray(b, dtype=float).reshape(-1) for b in (low, high))
             if low.shape != high.shape or not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
-                raise DataError(f"{name} bounds: got {low} and {high}, expected finite lower < upper.")
+                raise InputError(f"{name} bounds: got {low} and {high}, expected finite lower < upper.")
             self.register_buffer(f"{name}_offset", torch.tensor((low + high) / 2, dtype=torch.float32))
             self.register_buffer(f"{name}_scale", torch.tensor((high - low) / 2, dtype=torch.float32))
         self.register_buffer("value_offset", torch.zeros(()))

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import trange
 
-from learning.exceptions import DataError
+from learning.exceptions import InputError
 from learning.networks import ActorCritic
 from learning.rollout import Rollout, VectorEnv, collect
 
@@ -67,9 +67,9 @@ class PPOConfig:
 
     def __post_init__(self) -> None:
         if not 0 < self.gamma < 1:
-            raise DataError(f"gamma: got {self.gamma}, expected 0 < gamma < 1 (time limits are bootstrapped).")
+            raise InputError(f"gamma: got {self.gamma}, expected 0 < gamma < 1 (time limits are bootstrapped).")
         if not 0 <= self.lam <= 1:
-            raise DataError(f"lam: got {self.lam}, expected 0 ≤ lam ≤ 1.")
+            raise InputError(f"lam: got {self.lam}, expected 0 ≤ lam ≤ 1.")
 
 
 @dataclass(frozen=True, eq=False)

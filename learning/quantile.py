@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from tqdm import trange
 
-from learning.exceptions import DataError
+from learning.exceptions import InputError
 from learning.networks import FeedForward
 
 Array = NDArray[np.float64]
@@ -56,9 +56,9 @@ class QuantileConfig:
         levels = np.asarray(self.levels, dtype=float)
         middle = len(levels) // 2
         if len(levels) % 2 == 0 or not (np.diff(levels) > 0).all() or not 0 < levels[0] <= levels[-1] < 1:
-            raise DataError(f"levels: got {self.levels}, expected an odd number of increasing levels in (0, 1).")
+            raise InputError(f"levels: got {self.levels}, expected an odd number of increasing levels in (0, 1).")
         if levels[middle] != 0.5:
-            raise DataError(f"levels: got {levels[middle]} in the middle, expected the median 0.5.")
+            raise InputError(f"levels: got {levels[middle]} in the middle, expected the median 0.5.")
 
 
 class QuantileNetwork(nn.Module):
@@ -157,18 +157,18 @@ def fit_quantiles(
 
     Raises
     ------
-    DataError
+    InputError
         On mismatched, too few (under 20) or non-finite samples.
     """
     config = config or QuantileConfig()
     x, y = np.asarray(inputs, dtype=float), np.asarray(targets, dtype=float)
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
-        raise DataError(f"inputs, targets: got shapes {x.shape} and {y.shape}, expected (n, d), (n, m), n ≥ 20.")
+        raise InputError(f"inputs, targets: got shapes {x.shape} and {y.shape}, expected (n, d), (n, m), n ≥ 20.")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise DataError("inputs, targets: got values that are not finite, expected finite samples.")
+        raise InputError("inputs, targets: got values that are not finite, expected finite samples.")
     lengths = [len(x)] if stretches is None else list(stretches)
     if sum(lengths) != len(x):
-        raise DataError(f"stretches: got lengths that sum to {sum(lengths)}, expected {len(x)}.")
+        raise InputError(f"stretches: got lengths that sum to {sum(lengths)}, expected {len(x)}.")
     held = _last_parts(lengths, config.calibration)
     network = QuantileNetwork(x.shape[1], y.shape[1], config.levels, config.hidden, seed=int(rng.integers(2**31)))
     _set_scales(network, x, y)

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
-from learning.exceptions import DataError
+from learning.exceptions import InputError
 from learning.networks import LEAK, ActorCritic, NetworkConfig
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ def fit_actor_critic(
 
     Raises
     ------
-    DataError
+    InputError
         On empty, mismatched or non-finite data.
     """
     config = config or CloningConfig()
@@ -101,11 +101,11 @@ def fit_actor_critic(
 def _checked(inputs: ArrayLike, actions: ArrayLike, values: ArrayLike) -> tuple[Array, Array, Array]:
     x, u, v = np.asarray(inputs, float), np.asarray(actions, float), np.asarray(values, float).reshape(-1)
     if x.ndim != 2 or u.ndim != 2 or not len(x) == len(u) == len(v) or len(x) == 0:
-        raise DataError(
+        raise InputError(
             f"inputs, actions, values: got shapes {x.shape}, {u.shape}, {v.shape}, expected (n, n_obs), (n, nu), (n,)."
         )
     if not (np.isfinite(x).all() and np.isfinite(u).all()):
-        raise DataError("inputs, actions: got values that are not finite, expected finite samples.")
+        raise InputError("inputs, actions: got values that are not finite, expected finite samples.")
     return x, u, v
 
 

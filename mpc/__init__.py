@@ -1,6 +1,6 @@
 """Model predictive control: linear MPC online, explained infeasibility, explicit MPC and its C code."""
 
-from mpc.exceptions import InfeasibleError, InvalidDataError, MPCError, NotConvexError, NotStabilisableError
+from mpc.exceptions import InfeasibleError, InputError, MPCError, NotConvexError, NotStabilisableError
 from mpc.explicit.explicit import ExplicitMPC
 from mpc.explicit.mpqp import MPQPStatus, solve_mpqp
 from mpc.infeasibility import Explanation
@@ -14,7 +14,7 @@ __all__ = [
     "Explanation",
     "ExplicitMPC",
     "InfeasibleError",
-    "InvalidDataError",
+    "InputError",
     "LinearMPC",
     "MPCError",
     "MPQPStatus",

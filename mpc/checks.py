@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mpc.exceptions import InvalidDataError, NotConvexError
+from mpc.exceptions import InputError, NotConvexError
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ def as_floats(name: str, value: ArrayLike) -> Array:
             raise TypeError("got complex ones")
         return np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise InvalidDataError(f"{name} must be an array of real numbers: {error}") from None
+        raise InputError(f"{name} must be an array of real numbers: {error}") from None
 
 
 def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
@@ -27,10 +27,10 @@ def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Arra
     array = as_floats(name, value)
     expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
     if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
-        raise InvalidDataError(f"{name} has shape {array.shape}, expected {expected}.")
+        raise InputError(f"{name} has shape {array.shape}, expected {expected}.")
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InvalidDataError(f"{name} is not finite at index {where}: got {array[where]}.")
+        raise InputError(f"{name} is not finite at index {where}: got {array[where]}.")
     array.flags.writeable = False
     return array
 
@@ -59,7 +59,7 @@ def as_weight(name: str, value: ArrayLike, n: int) -> Array:
 def as_horizon(value: int) -> int:
     """Return the horizon as a positive int."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 1 <= value < 2**31 or value % 1:
-        raise InvalidDataError(f"horizon must be an integer >= 1, got {value!r}.")
+        raise InputError(f"horizon must be an integer >= 1, got {value!r}.")
     return int(value)
 
 
@@ -68,7 +68,7 @@ def as_rate_limit(value: ArrayLike, nu: int) -> Array:
     raw = as_floats("rate_limit", value)
     limit = as_array("rate_limit", np.full(nu, raw) if raw.ndim == 0 else raw, (nu,))
     if (limit <= 0).any():
-        raise InvalidDataError(f"rate_limit must be positive, got {limit}.")
+        raise InputError(f"rate_limit must be positive, got {limit}.")
     return limit
 
 
@@ -76,9 +76,9 @@ def as_soft(value: Any) -> tuple[float, float]:
     """Return the weights (linear >= 0, quadratic > 0) of soft constraints."""
     linear, quadratic = as_array("soft", value, (2,))
     if linear < 0:
-        raise InvalidDataError(f"soft must not be negative, got {value}.")
+        raise InputError(f"soft must not be negative, got {value}.")
     if quadratic <= 0:
-        raise InvalidDataError(f"soft must be positive in its second, quadratic weight, got {value}.")
+        raise InputError(f"soft must be positive in its second, quadratic weight, got {value}.")
     return float(linear), float(quadratic)
 
 
@@ -86,7 +86,7 @@ def as_blocks(value: Any, horizon: int) -> tuple[int, ...]:
     """Return the lengths of the blocks of equal moves, which sum to the horizon."""
     lengths = np.atleast_1d(as_floats("blocks", value))
     if lengths.ndim != 1 or not (lengths >= 1).all() or (lengths % 1).any() or lengths.sum() != horizon:
-        raise InvalidDataError(f"blocks are {value}, expected whole lengths >= 1 that sum to the horizon {horizon}.")
+        raise InputError(f"blocks are {value}, expected whole lengths >= 1 that sum to the horizon {horizon}.")
     return tuple(int(n) for n in lengths)
 
 
@@ -95,7 +95,7 @@ def as_halfspaces(name: str, value: Any, n: int) -> tuple[Array, Array]:
     if value is None:
         return np.zeros((0, n)), np.zeros(0)
     if not (hasattr(value, "A") and hasattr(value, "b")):
-        raise InvalidDataError(f"{name} must be a Polytope with .A and .b, or None; got {type(value).__name__}.")
+        raise InputError(f"{name} must be a Polytope with .A and .b, or None; got {type(value).__name__}.")
     H = as_array(f"{name}.A", value.A, (None, n))
     h = as_array(f"{name}.b", value.b, (H.shape[0],))
     if len(getattr(value, "b_eq", ())):  # an equality is two inequalities
@@ -108,14 +108,14 @@ def as_pair(A: Any, B: ArrayLike | None) -> tuple[Array, Array]:
     """Return (A, B) as arrays; A may be a discrete-time `control.StateSpace`, with B left out."""
     if B is None:
         if not (hasattr(A, "A") and hasattr(A, "B")):
-            raise InvalidDataError("B is missing: pass A and B, or a discrete-time control.StateSpace.")
+            raise InputError("B is missing: pass A and B, or a discrete-time control.StateSpace.")
         if not getattr(A, "dt", None):
-            raise InvalidDataError(f"the StateSpace has dt = {A.dt}, expected a discrete-time system.")
+            raise InputError(f"the StateSpace has dt = {A.dt}, expected a discrete-time system.")
         A, B = A.A, A.B
     A = as_array("A", A, (None, None))
     if A.shape[0] != A.shape[1] or A.shape[0] == 0:
-        raise InvalidDataError(f"A has shape {A.shape}, expected a square matrix.")
+        raise InputError(f"A has shape {A.shape}, expected a square matrix.")
     B = as_array("B", B, (A.shape[0], None))
     if B.shape[1] == 0:
-        raise InvalidDataError(f"B has shape {B.shape}, expected at least one input.")
+        raise InputError(f"B has shape {B.shape}, expected at least one input.")
     return A, B

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from mpc.checks import Array
-from mpc.exceptions import InvalidDataError, NotConvexError
+from mpc.exceptions import InputError, NotConvexError
 from mpc.parametric_qp import Constraint, ParametricQP
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def _sizes(mpc: LinearMPC, parameters: tuple[str, ...]) -> dict[str, int]:
         parameters = ("u_prev", *(p for p in parameters if p != "u_prev"))
     for name in parameters:
         if name not in known:
-            raise InvalidDataError(f"unknown parameter {name!r}, expected some of {sorted(known)}.")
+            raise InputError(f"unknown parameter {name!r}, expected some of {sorted(known)}.")
     return {"x": mpc.nx, **{name: known[name] for name in parameters}}
 
 

@@ -1,12 +1,14 @@
 """The exceptions of `mpc`: misuse is raised, a numerical outcome is a status."""
 
+import invariant_sets.exceptions as sets
+
 
 class MPCError(Exception):
     """Base of every exception raised by `mpc`."""
 
 
-class InvalidDataError(MPCError, ValueError):
-    """An argument has the wrong shape, a NaN, or a value outside its range."""
+class InputError(MPCError, sets.InputError):
+    """Bad input, in one line; carries `argument`, `got`, `expected` and `cure`, as in `invariant_sets`."""
 
 
 class NotConvexError(MPCError, ValueError):

@@ -9,7 +9,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.condensing import state_units
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 from mpc.parametric_qp import Constraint, ParametricQP
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def explain_infeasibility(mpc: LinearMPC, problem: ParametricQP, theta: Array) -
     with np.errstate(over="ignore", invalid="ignore"):
         _, b = problem.at(theta)
     if not np.abs(b).max(initial=0.0) < _HUGE:
-        raise InvalidDataError(f"the parameter is too large: bounds of the QP exceed {_HUGE:.0e}, nothing can be said.")
+        raise InputError(f"the parameter is too large: bounds of the QP exceed {_HUGE:.0e}, nothing can be said.")
     scale = 1 / np.sqrt(np.diag(problem.H))
     G, b = problem.G * scale / units[:, None], b / units
     # the LP solver takes 1e20 for infinite: far away, bounds are compared in units of the largest

@@ -24,7 +24,7 @@ from mpc.checks import (
 )
 from mpc.condensing import condense
 from mpc.dense_qp import DenseQP
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 from mpc.fallback import cost_of, excess, relax, rollout, saturated_regulator
 from mpc.lqr import lqr
 from mpc.parametric_qp import ParametricQP
@@ -74,7 +74,7 @@ class LinearMPC:
 
     Raises
     ------
-    InvalidDataError, NotConvexError, NotStabilisableError
+    InputError, NotConvexError, NotStabilisableError
         Bad shapes or values; an indefinite weight or Hessian; no stabilising terminal weight.
 
     Examples
@@ -209,7 +209,7 @@ class LinearMPC:
 
         Raises
         ------
-        InvalidDataError
+        InputError
             Wrong shape, NaN, or an argument the controller was not built for.
         """
         start = time.perf_counter()
@@ -325,7 +325,7 @@ class LinearMPC:
 
 def _refuse_empty(name: str, H: Array, h: Array) -> None:
     if len(h) and DenseQP(np.eye(H.shape[1]), H).solve(np.zeros(H.shape[1]), h, doubt=True).infeasible:
-        raise InvalidDataError(f"{name} is empty: no point satisfies its {len(h)} rows (is a lower bound too high?).")
+        raise InputError(f"{name} is empty: no point satisfies its {len(h)} rows (is a lower bound too high?).")
 
 
 class _Problems(dict[tuple[str, ...], tuple[ParametricQP, DenseQP]]):

@@ -37,7 +37,7 @@ def lqr(A: Any, B: ArrayLike | None = None, *, Q: ArrayLike, R: ArrayLike) -> tu
 
     Raises
     ------
-    InvalidDataError, NotConvexError
+    InputError, NotConvexError
         Wrong shapes, NaN, or weights that are not symmetric positive semidefinite.
     NotStabilisableError
         The pair is unstabilisable, nearly so, or a mode on the unit circle carries no cost.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_array
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 
 
 class Constraint(NamedTuple):
@@ -96,7 +96,7 @@ class ParametricQP:
     def theta(self, **values: ArrayLike) -> Array:
         """Stack named parameters into θ, in the order of `parameters`."""
         if set(values) != {name for name, _ in self.parameters}:
-            raise InvalidDataError(f"got parameters {sorted(values)}, expected {sorted(dict(self.parameters))}.")
+            raise InputError(f"got parameters {sorted(values)}, expected {sorted(dict(self.parameters))}.")
         return np.concatenate([as_array(name, np.ravel(values[name]), (size,)) for name, size in self.parameters])
 
     def at(self, theta: Array) -> tuple[Array, Array]:
@@ -121,7 +121,7 @@ class ParametricQP:
         sizes = dict(self.parameters)
         unknown = set(values) - set(sizes)
         if unknown:
-            raise InvalidDataError(f"cannot fix {sorted(unknown)}: the parameters are {list(sizes)}.")
+            raise InputError(f"cannot fix {sorted(unknown)}: the parameters are {list(sizes)}.")
         T, t, column = np.zeros((self.nt, 0)), np.zeros(self.nt), 0
         for name, size in self.parameters:
             rows = slice(column, column + size)

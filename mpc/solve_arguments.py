@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_array, as_floats
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 
 if TYPE_CHECKING:
     from mpc.linear_mpc import LinearMPC
@@ -19,7 +19,7 @@ def spread_signals(mpc: LinearMPC, signals: dict[str, ArrayLike | None]) -> dict
 
     Raises
     ------
-    InvalidDataError
+    InputError
         An unknown name, a wrong shape, NaN, or a signal the controller was not built for.
     """
     N, nw = mpc.horizon, 0 if mpc.E is None else mpc.E.shape[1]
@@ -29,15 +29,15 @@ def spread_signals(mpc: LinearMPC, signals: dict[str, ArrayLike | None]) -> dict
         if value is None:
             continue
         if name not in shapes:
-            raise InvalidDataError(f"unknown signal {name!r}, expected some of {sorted(shapes)}.")
+            raise InputError(f"unknown signal {name!r}, expected some of {sorted(shapes)}.")
         if name == "w" and nw == 0:
-            raise InvalidDataError("w was given, but the controller has no disturbance matrix E.")
+            raise InputError("w was given, but the controller has no disturbance matrix E.")
         rows, n = shapes[name]
         array = as_floats(name, value)
         given[name] = as_array(name, np.tile(array, (rows, 1)) if array.ndim <= 1 else array, (rows, n)).ravel()
     if (mpc.rate_limit is not None) != ("u_prev" in given):
         got, cure = ("not given", "pass") if mpc.rate_limit is not None else ("given", "leave out")
-        raise InvalidDataError(f"u_prev was {got}: {cure} it, it belongs to a controller with a rate_limit.")
+        raise InputError(f"u_prev was {got}: {cure} it, it belongs to a controller with a rate_limit.")
     return given
 
 

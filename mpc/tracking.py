@@ -11,7 +11,7 @@ from scipy.linalg import null_space
 
 from mpc.checks import Array, as_array
 from mpc.dense_qp import DenseQP
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 from mpc.linear_mpc import LinearMPC
 from mpc.plan import Plan
 
@@ -35,7 +35,7 @@ class OffsetFreeMPC:
 
     Raises
     ------
-    InvalidDataError
+    InputError
         Wrong shapes, a gain outside (0, 1], or a target that is not determined.
 
     References
@@ -61,7 +61,7 @@ class OffsetFreeMPC:
         set_(self, "mpc", mpc)
         set_(self, "C", as_array("C", self.C, (None, mpc.nx)))
         if not 0 < self.gain <= 1:
-            raise InvalidDataError(f"gain is {self.gain}, expected a number in (0, 1].")
+            raise InputError(f"gain is {self.gain}, expected a number in (0, 1].")
         nw = mpc.E.shape[1]
         estimate = np.zeros(nw) if self.disturbance is None else self.disturbance
         set_(self, "disturbance", as_array("disturbance", estimate, (nw,)))
@@ -96,7 +96,7 @@ class OffsetFreeMPC:
         rows = np.vstack([np.hstack([HX, np.zeros((len(HX), mpc.nu))]), np.hstack([np.zeros((len(HU), mpc.nx)), HU])])
         result = DenseQP(H, rows @ basis).solve(q, np.concatenate([hX, hU]) - rows @ particular, doubt=True)
         if result.infeasible:
-            raise InvalidDataError("no steady state lies in X and U under the estimated disturbance; expected one.")
+            raise InputError("no steady state lies in X and U under the estimated disturbance; expected one.")
         steady = particular + basis @ result.z
         return steady[: mpc.nx], steady[mpc.nx :]
 

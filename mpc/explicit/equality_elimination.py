@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from mpc.checks import Array
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 from mpc.parametric_qp import ParametricQP
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
@@ -43,7 +43,7 @@ def eliminate(problem: ParametricQP, pairs: list[tuple[int, int]]) -> tuple[Para
 
     Raises
     ------
-    InvalidDataError
+    InputError
         The equalities leave no freedom in z, or restrict θ itself.
     """
     first = [i for i, _ in pairs]
@@ -52,7 +52,7 @@ def eliminate(problem: ParametricQP, pairs: list[tuple[int, int]]) -> tuple[Para
     T: Array = np.asarray(np.linalg.lstsq(G, right, rcond=None)[0], dtype=np.float64)
     gap = float(np.abs(G @ T - right).max()) / max(1.0, float(np.abs(right).max()))
     if N.shape[1] == 0 or gap > 1e-9:
-        raise InvalidDataError(
+        raise InputError(
             f"the equality in constraints {pairs[0][0]} and {pairs[0][1]} "
             + ("leaves no input free" if gap <= 1e-9 else "cannot be met by the inputs for every parameter")
             + ": lengthen the horizon, or give the set a width."

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
-from mpc.exceptions import InfeasibleError, InvalidDataError
+from mpc.exceptions import InfeasibleError, InputError
 from mpc.explicit.mpqp import MPQPStatus, Partition
 from mpc.explicit.search_tree import Ints, SearchTree, build_tree, locate
 from mpc.relaxation import nearest_points
@@ -144,7 +144,7 @@ class ExplicitMPC:
 
         Raises
         ------
-        InvalidDataError
+        InputError
             Wrong shape, or NaN.
         """
         from mpc.explicit.kernels.search import apply
@@ -201,9 +201,9 @@ class ExplicitMPC:
         single = points.ndim == 1
         points = points[None] if single else points
         if points.ndim != 2 or points.shape[1] != self.nt:
-            raise InvalidDataError(f"theta has shape {np.shape(theta)}, expected ({self.nt},) or (n, {self.nt}).")
+            raise InputError(f"theta has shape {np.shape(theta)}, expected ({self.nt},) or (n, {self.nt}).")
         if not np.isfinite(points).all():
-            raise InvalidDataError(f"theta is not finite in row {int(np.argwhere(~np.isfinite(points))[0, 0])}.")
+            raise InputError(f"theta is not finite in row {int(np.argwhere(~np.isfinite(points))[0, 0])}.")
         return points, single
 
     def _scaled(self, points: Array) -> Array:
@@ -214,7 +214,7 @@ def default_parameters(mpc: LinearMPC, problem: ParametricQP) -> Polytope:
     """Parameters of interest where none are named: X, or X × U when the last input is a parameter."""
     names = [name for name, _ in problem.parameters]
     if mpc.X is None or set(names) - {"x", "u_prev"} or ("u_prev" in names and mpc.U is None):
-        raise InvalidDataError(f"theta_set is missing: pass a bounded Polytope of the parameters {names}.")
+        raise InputError(f"theta_set is missing: pass a bounded Polytope of the parameters {names}.")
     if names == ["x"]:
         return mpc.X
     from invariant_sets import Polytope

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mpc.checks import Array, as_halfspaces
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 from mpc.explicit.equality_elimination import eliminate, equality_pairs
 from mpc.explicit.scaled_qp import LeastDistance, least_distance
 from mpc.parametric_qp import ParametricQP
@@ -125,7 +125,7 @@ def solve_mpqp(
 
     Raises
     ------
-    InvalidDataError
+    InputError
         `theta_set` has the wrong dimension, is empty, flat or unbounded.
 
     References
@@ -137,7 +137,7 @@ def solve_mpqp(
     start = time.perf_counter()
     TA, Tb = as_halfspaces("theta_set", theta_set, problem.nt)
     if not max_regions >= 1 or not time_limit > 0:
-        raise InvalidDataError(f"max_regions and time_limit must be positive, got {max_regions} and {time_limit}.")
+        raise InputError(f"max_regions and time_limit must be positive, got {max_regions} and {time_limit}.")
     pairs = equality_pairs(problem)
     if pairs:
         return _with_equalities(problem, pairs, theta_set, compiled, max_regions, time_limit, start)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_array
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 
 if TYPE_CHECKING:
     from mpc.explicit.explicit import ExplicitMPC
@@ -45,9 +45,9 @@ def plot_explicit(
     import matplotlib.pyplot as plt
 
     if what not in ("regions", "law", "value"):
-        raise InvalidDataError(f"what is {what!r}, expected 'regions', 'law' or 'value'.")
+        raise InputError(f"what is {what!r}, expected 'regions', 'law' or 'value'.")
     if len({*axes}) != 2 or len(axes) != 2 or not all(0 <= i < law.nt for i in axes):
-        raise InvalidDataError(f"axes are {axes}, expected two different numbers below {law.nt}, one per parameter.")
+        raise InputError(f"axes are {axes}, expected two different numbers below {law.nt}, one per parameter.")
     ax = plt.subplots(layout="constrained")[1] if ax is None else ax
     p = law.partition
     base = p.centre if at is None else as_array("at", at, (law.nt,))

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from mpc.checks import Array
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 from mpc.parametric_qp import ParametricQP
 from mpc.relaxation import box_of
 
@@ -75,7 +75,7 @@ def least_distance(problem: ParametricQP, TA: Array, Tb: Array) -> LeastDistance
     set_rows = np.vstack([np.hstack([TA * half, -(Tb - TA @ centre)[:, None]]), -rows[empty]])
     norm = np.linalg.norm(set_rows[:, :-1], axis=1)
     if (set_rows[norm == 0, -1] > 0).any():
-        raise InvalidDataError("theta_set is empty: it has a row 0 <= b with b < 0, or a constraint no input reaches.")
+        raise InputError("theta_set is empty: it has a row 0 <= b with b < 0, or a constraint no input reaches.")
     set_rows = set_rows[norm > 0] / norm[norm > 0, None]
     origin = np.flatnonzero(~empty)
     M, D = M[origin] / length[origin, None], D[origin] / length[origin, None]
@@ -114,7 +114,7 @@ def _bounding_box(A: Array, b: Array) -> tuple[Array, Array]:
     flat = np.flatnonzero(high - low <= 1e-9 * np.maximum(np.abs(low), np.abs(high)))
     if len(flat):
         j = int(flat[0])
-        raise InvalidDataError(
+        raise InputError(
             f"theta_set is empty or flat: parameter {j} lies in [{low[j]:.6g}, {high[j]:.6g}]; expected full dimension."
         )
     return low, high
@@ -130,6 +130,6 @@ def _box_by_linear_programs(A: Array, b: Array) -> tuple[Array, Array]:
             result = linprog(sign * np.eye(n)[j], A_ub=A, b_ub=b, bounds=(None, None))
             if result.status != 0:
                 trouble = "empty" if result.status == 2 else f"unbounded in parameter {j}"
-                raise InvalidDataError(f"theta_set is {trouble}; expected a bounded set of full dimension.")
+                raise InputError(f"theta_set is {trouble}; expected a bounded set of full dimension.")
             box[side, j] = sign * result.fun
     return box[0], box[1]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 from mpc.explicit.mpqp import MPQPStatus, Partition
 from mpc.explicit.search_tree import SearchTree
 from mpc.parametric_qp import Constraint, ParametricQP
@@ -53,13 +53,13 @@ def load_explicit(path: Path) -> ExplicitMPC:
         text: dict[str, Any] = json.loads(manifest.read_text())
         if not isinstance(text, dict) or text.get("format") != _FORMAT:
             got = text.get("format") if isinstance(text, dict) else None
-            raise InvalidDataError(f"{manifest} has format {got!r}, expected {_FORMAT!r}.")
+            raise InputError(f"{manifest} has format {got!r}, expected {_FORMAT!r}.")
         with arrays.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return _assemble(text, {name: file[name] for name in file.files})
-    except InvalidDataError:
+    except InputError:
         raise
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InvalidDataError(f"{manifest} and {arrays.name} cannot be read: {error!r}. Save it again.") from error
+        raise InputError(f"{manifest} and {arrays.name} cannot be read: {error!r}. Save it again.") from error
 
 
 def _files(path: Path) -> tuple[Path, Path]:

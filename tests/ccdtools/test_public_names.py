@@ -33,5 +33,5 @@ def test_importing_ccdtools_loads_neither_torch_nor_casadi():
 
 def test_every_error_of_the_packages_has_one_base():
     assert issubclass(ccdtools.InputError, ccdtools.CCDError)
-    assert issubclass(learning.exceptions.DataError, learning.LearningError)
+    assert issubclass(learning.exceptions.InputError, learning.LearningError)
     assert issubclass(learning.exceptions.CheckpointError, learning.LearningError)

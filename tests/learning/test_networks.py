@@ -6,7 +6,7 @@ import torch
 from toys import agent
 
 from learning import ActorCritic, LearningError, NetworkConfig
-from learning.exceptions import DataError
+from learning.exceptions import InputError
 from learning.networks import FeedForward
 
 
@@ -112,7 +112,7 @@ def test_a_network_rebuilt_from_its_shape_takes_the_same_weights():
     ],
 )
 def test_bad_shapes_and_bounds_are_refused_in_one_line(make, message):
-    with pytest.raises(DataError, match=message) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         make()
     assert isinstance(caught.value, LearningError)
     assert isinstance(caught.value, ValueError)

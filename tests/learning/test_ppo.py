@@ -9,7 +9,7 @@ from scipy.linalg import solve_discrete_are
 from toys import DoubleIntegrator, agent
 
 from learning import PPO, PPOConfig, collect, gae, train
-from learning.exceptions import DataError
+from learning.exceptions import InputError
 from learning.ppo import ppo_loss, prepare
 
 NEVER = torch.zeros(3, 1, dtype=torch.bool)
@@ -295,5 +295,5 @@ def test_ppo_alone_closes_most_of_the_gap_between_doing_nothing_and_lqr():
     ],
 )
 def test_a_discount_that_cannot_be_bootstrapped_is_refused(options, message):
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(InputError, match=message):
         PPOConfig(**options)

@@ -6,7 +6,7 @@ import torch
 from scipy.stats import binom, norm
 
 from learning import QuantileConfig, fit_quantiles
-from learning.exceptions import DataError
+from learning.exceptions import InputError
 from learning.quantile import QuantileNetwork, _last_parts, pinball
 
 LEVELS = (0.1, 0.5, 0.9)
@@ -184,7 +184,7 @@ def test_a_constant_feature_or_target_is_no_division_by_zero():
     ],
 )
 def test_levels_without_a_median_or_order_are_refused(make, message):
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(InputError, match=message):
         make()
 
 
@@ -200,5 +200,5 @@ def test_levels_without_a_median_or_order_are_refused(make, message):
     ],
 )
 def test_bad_samples_are_refused_in_one_line(x, y, stretches, message):
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(InputError, match=message):
         fit_quantiles(x, y, stretches=stretches, rng=np.random.default_rng(0))

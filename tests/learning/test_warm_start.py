@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from learning import CloningConfig, NetworkConfig, fit_actor_critic
-from learning.exceptions import DataError
+from learning.exceptions import InputError
 
 K = np.array([[0.6, -0.3]])
 SHORT = CloningConfig(steps=600, batch=256, learning_rate=1e-2)
@@ -105,5 +105,5 @@ def test_cloning_leaves_the_data_and_the_global_generator_alone():
     ],
 )
 def test_bad_data_is_refused_in_one_line(change, message):
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(InputError, match=message):
         cloned(*change(*data(10)))

@@ -10,7 +10,7 @@ import pytest
 from plants import box, double_integrator, suspension
 from random_problems import random_plant
 
-from mpc import InvalidDataError, LinearMPC
+from mpc import InputError, LinearMPC
 
 CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 WARNINGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
@@ -144,20 +144,20 @@ def test_compiled_library_is_callable_from_python(explicit_laws, tmp_path):
     ],
 )
 def test_unknown_options_are_refused(explicit_laws, options, message, tmp_path):
-    with pytest.raises(InvalidDataError, match=message):
+    with pytest.raises(InputError, match=message):
         explicit_laws[0].to_c(tmp_path, **options)
 
 
 def test_regions_that_no_hyperplane_separates_are_refused(explicit_laws, tmp_path):
     law = explicit_laws[0]
     leaf = replace(law.tree, nodes=np.array([[-1, 0, len(law)]]), leaf_regions=np.arange(len(law)))
-    with pytest.raises(InvalidDataError, match="no separating hyperplane; use method='sequential'"):
+    with pytest.raises(InputError, match="no separating hyperplane; use method='sequential'"):
         replace(law, tree=leaf).to_c(tmp_path)
 
 
 def test_a_tree_of_an_incomplete_partition_is_refused(tmp_path):
     A, B = double_integrator()
     law = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=5, X=box([5, 5]), U=box([1])).explicit(max_regions=7)
-    with pytest.raises(InvalidDataError, match="needs a complete partition, got REGION_LIMIT"):
+    with pytest.raises(InputError, match="needs a complete partition, got REGION_LIMIT"):
         law.to_c(tmp_path)
     assert law.to_c(tmp_path, method="sequential").regions == 7

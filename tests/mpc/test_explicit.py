@@ -10,7 +10,7 @@ from plants import SUSPENSION, box, double_integrator, suspension
 from random_problems import random_plant
 
 from invariant_sets import Polytope
-from mpc import ExplicitMPC, InfeasibleError, InvalidDataError, LinearMPC, MPQPStatus
+from mpc import ExplicitMPC, InfeasibleError, InputError, LinearMPC, MPQPStatus
 
 mpl.use("Agg")
 
@@ -112,7 +112,7 @@ def test_saved_and_loaded_law_is_the_same(law, tmp_path):
     assert loaded.partition.problem.labels == law.partition.problem.labels
     assert loaded.status is MPQPStatus.COMPLETE
     manifest.write_text(manifest.read_text().replace("explicit-mpc/1", "explicit-mpc/0"))
-    with pytest.raises(InvalidDataError, match="has format 'explicit-mpc/0'"):
+    with pytest.raises(InputError, match="has format 'explicit-mpc/0'"):
         ExplicitMPC.load(tmp_path / "laws" / "integrator")
 
 
@@ -129,12 +129,12 @@ def test_damaged_files_are_refused(law, tmp_path):
     content = arrays.read_bytes()
     for damage in (b"", content[:100], content[: len(content) // 2]):
         arrays.write_bytes(damage)
-        with pytest.raises(InvalidDataError, match="cannot be read"):
+        with pytest.raises(InputError, match="cannot be read"):
             ExplicitMPC.load(tmp_path / "law")
     arrays.write_bytes(content)
     for damage in ("{", "[]", '{"format": "explicit-mpc/1"}'):
         manifest.write_text(damage)
-        with pytest.raises(InvalidDataError):
+        with pytest.raises(InputError):
             ExplicitMPC.load(tmp_path / "law")
 
 
@@ -189,7 +189,7 @@ def test_plots_return_artists(law, what):
 
 
 def test_plot_of_an_unknown_thing_is_refused(law):
-    with pytest.raises(InvalidDataError, match="expected 'regions', 'law' or 'value'"):
+    with pytest.raises(InputError, match="expected 'regions', 'law' or 'value'"):
         law.plot("volume")
 
 
@@ -203,17 +203,17 @@ def test_a_section_of_a_law_of_four_states_can_be_drawn():
 
 
 def test_bad_input_is_refused(online, law):
-    with pytest.raises(InvalidDataError, match=r"theta has shape \(3,\), expected \(2,\) or \(n, 2\)"):
+    with pytest.raises(InputError, match=r"theta has shape \(3,\), expected \(2,\) or \(n, 2\)"):
         law([1.0, 2.0, 3.0])
-    with pytest.raises(InvalidDataError, match="theta is not finite in row 1"):
+    with pytest.raises(InputError, match="theta is not finite in row 1"):
         law([[0.0, 0.0], [np.nan, 0.0]])
-    with pytest.raises(InvalidDataError, match="theta must be an array of real numbers"):
+    with pytest.raises(InputError, match="theta must be an array of real numbers"):
         law("here")
-    with pytest.raises(InvalidDataError, match="max_regions and time_limit must be positive, got nan"):
+    with pytest.raises(InputError, match="max_regions and time_limit must be positive, got nan"):
         online.explicit(max_regions=np.nan)
-    with pytest.raises(InvalidDataError, match=r"axes are \(0, 2\), expected two different numbers below 2"):
+    with pytest.raises(InputError, match=r"axes are \(0, 2\), expected two different numbers below 2"):
         law.plot(axes=(0, 2))
-    with pytest.raises(InvalidDataError, match="theta_set is missing"):
+    with pytest.raises(InputError, match="theta_set is missing"):
         LinearMPC(online.A, online.B, Q=np.eye(2), R=[[1.0]], horizon=2, U=box([1])).explicit()
     with pytest.raises(InfeasibleError, match="no region"):
         online.explicit(Polytope.from_bounds([90, 90], [99, 99]))

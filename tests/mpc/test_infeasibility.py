@@ -5,7 +5,7 @@ import pytest
 from plants import box, double_integrator
 from random_problems import random_plant
 
-from mpc import InvalidDataError, LinearMPC
+from mpc import InputError, LinearMPC
 from mpc.dense_qp import DenseQP
 
 
@@ -84,7 +84,7 @@ def test_unstable_plants_over_long_horizons_are_explained(horizon):
 
 
 def test_numbers_beyond_any_scale_are_refused(integrator):
-    with pytest.raises(InvalidDataError, match="too large"):
+    with pytest.raises(InputError, match="too large"):
         integrator.explain([1e308, 1e308])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plants import SUSPENSION, box, double_integrator, suspension
 
-from mpc import InvalidDataError, LinearMPC, NotConvexError, Status, lqr
+from mpc import InputError, LinearMPC, NotConvexError, Status, lqr
 
 
 def reference_plan(mpc, x0, *, terminal=None, rate=None, u_prev=None, x_ref=0.0, w=None, blocks=()):
@@ -259,7 +259,7 @@ def test_a_batch_with_a_rate_limit_takes_one_last_input_per_state():
     each = [limited(x, u_prev=u) for x, u in zip(X, last)]
     np.testing.assert_allclose(limited(X, u_prev=last), each)
     np.testing.assert_allclose(limited(X[0], u_prev=0.9), each[0])  # one input: a number will do
-    with pytest.raises(InvalidDataError, match=r"u_prev has shape \(2, 1\), expected \(3, 1\)"):
+    with pytest.raises(InputError, match=r"u_prev has shape \(2, 1\), expected \(3, 1\)"):
         limited(X, u_prev=last[:2])
 
 
@@ -272,29 +272,29 @@ def empty_interval():
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        ({"horizon": 0}, InvalidDataError, "horizon must be an integer >= 1, got 0"),
-        ({"horizon": 2.5}, InvalidDataError, r"got 2\.5"),
-        ({"horizon": np.nan}, InvalidDataError, "got nan"),
-        ({"horizon": np.inf}, InvalidDataError, "got inf"),
-        ({"horizon": None}, InvalidDataError, "got None"),
-        ({"Q": "large"}, InvalidDataError, "Q must be an array of real numbers"),
-        ({"Q": [[1, 0], [1]]}, InvalidDataError, "Q must be an array of real numbers"),
-        ({"Q": 1j * np.eye(2)}, InvalidDataError, "Q must be an array of real numbers: got complex"),
-        ({"X": np.eye(2)}, InvalidDataError, "X must be a Polytope"),
-        ({"X": box([5, 5, 5])}, InvalidDataError, r"X.A has shape \(6, 3\), expected \(any, 2\)"),
-        ({"U": box([np.nan])}, InvalidDataError, r"U.b is not finite"),
-        ({"U": empty_interval()}, InvalidDataError, "U is empty"),
+        ({"horizon": 0}, InputError, "horizon must be an integer >= 1, got 0"),
+        ({"horizon": 2.5}, InputError, r"got 2\.5"),
+        ({"horizon": np.nan}, InputError, "got nan"),
+        ({"horizon": np.inf}, InputError, "got inf"),
+        ({"horizon": None}, InputError, "got None"),
+        ({"Q": "large"}, InputError, "Q must be an array of real numbers"),
+        ({"Q": [[1, 0], [1]]}, InputError, "Q must be an array of real numbers"),
+        ({"Q": 1j * np.eye(2)}, InputError, "Q must be an array of real numbers: got complex"),
+        ({"X": np.eye(2)}, InputError, "X must be a Polytope"),
+        ({"X": box([5, 5, 5])}, InputError, r"X.A has shape \(6, 3\), expected \(any, 2\)"),
+        ({"U": box([np.nan])}, InputError, r"U.b is not finite"),
+        ({"U": empty_interval()}, InputError, "U is empty"),
         ({"P": -np.eye(2)}, NotConvexError, "P has a negative direction"),
         ({"Q": [0, 0], "R": [0], "P": np.zeros((2, 2))}, NotConvexError, "condensed Hessian is not positive"),
-        ({"blocks": (3, 3)}, InvalidDataError, "sum to the horizon 10"),
-        ({"blocks": (np.nan, 10)}, InvalidDataError, "sum to the horizon 10"),
-        ({"blocks": (2.5, 7.5)}, InvalidDataError, "sum to the horizon 10"),
-        ({"blocks": 9}, InvalidDataError, "sum to the horizon 10"),
-        ({"rate_limit": -1.0}, InvalidDataError, "rate_limit must be positive"),
-        ({"rate_limit": [1.0, 2.0]}, InvalidDataError, r"rate_limit has shape \(2,\), expected \(1,\)"),
-        ({"soft": (-1.0, 1.0)}, InvalidDataError, "soft must not be negative"),
-        ({"soft": (1.0, 0.0)}, InvalidDataError, "soft must be positive"),
-        ({"E": np.ones((3, 1))}, InvalidDataError, "E has shape"),
+        ({"blocks": (3, 3)}, InputError, "sum to the horizon 10"),
+        ({"blocks": (np.nan, 10)}, InputError, "sum to the horizon 10"),
+        ({"blocks": (2.5, 7.5)}, InputError, "sum to the horizon 10"),
+        ({"blocks": 9}, InputError, "sum to the horizon 10"),
+        ({"rate_limit": -1.0}, InputError, "rate_limit must be positive"),
+        ({"rate_limit": [1.0, 2.0]}, InputError, r"rate_limit has shape \(2,\), expected \(1,\)"),
+        ({"soft": (-1.0, 1.0)}, InputError, "soft must not be negative"),
+        ({"soft": (1.0, 0.0)}, InputError, "soft must be positive"),
+        ({"E": np.ones((3, 1))}, InputError, "E has shape"),
     ],
 )
 def test_bad_controllers_are_refused(change, error, message):
@@ -320,7 +320,7 @@ def test_bad_controllers_are_refused(change, error, message):
 )
 def test_bad_states_are_refused(integrator, x, signals, message):
     for ask in (integrator.solve, integrator, integrator.explain):
-        with pytest.raises(InvalidDataError, match=message):
+        with pytest.raises(InputError, match=message):
             ask(x, **signals)
 
 
@@ -331,10 +331,10 @@ def test_a_pickled_controller_works_elsewhere(integrator):
 
 
 def test_unknown_signals_and_a_missing_last_input_are_refused(integrator):
-    with pytest.raises(InvalidDataError, match="unknown signal 'ref'"):
+    with pytest.raises(InputError, match="unknown signal 'ref'"):
         integrator.solve_many([[1.0, 0.0]], ref=[1.0])
     limited = LinearMPC(integrator.A, integrator.B, Q=[1, 1], R=[1], horizon=3, rate_limit=0.1)
-    with pytest.raises(InvalidDataError, match="u_prev was not given: pass it"):
+    with pytest.raises(InputError, match="u_prev was not given: pass it"):
         limited([1.0, 0.0])
     assert repr(limited) == "LinearMPC(2 states, 1 inputs, N=3, 3 variables, 6 constraints)"
 

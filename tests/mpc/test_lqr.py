@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from plants import double_integrator, suspension
 
-from mpc import InvalidDataError, NotConvexError, NotStabilisableError, lqr
+from mpc import InputError, NotConvexError, NotStabilisableError, lqr
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -55,13 +55,13 @@ def test_a_mode_on_the_unit_circle_without_cost_is_refused():
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        ({"A": [[1.0, np.nan], [0.0, 1.0]]}, InvalidDataError, r"A is not finite at index \(0, 1\)"),
-        ({"A": np.ones((2, 3))}, InvalidDataError, r"A has shape \(2, 3\), expected a square"),
-        ({"A": "x"}, InvalidDataError, "A must be an array of real numbers"),
-        ({"B": np.ones((3, 1))}, InvalidDataError, r"B has shape \(3, 1\), expected \(2, any\)"),
-        ({"B": np.ones((2, 0))}, InvalidDataError, "at least one input"),
-        ({"B": None}, InvalidDataError, "B is missing"),
-        ({"Q": np.eye(3)}, InvalidDataError, r"Q has shape \(3, 3\), expected \(2, 2\)"),
+        ({"A": [[1.0, np.nan], [0.0, 1.0]]}, InputError, r"A is not finite at index \(0, 1\)"),
+        ({"A": np.ones((2, 3))}, InputError, r"A has shape \(2, 3\), expected a square"),
+        ({"A": "x"}, InputError, "A must be an array of real numbers"),
+        ({"B": np.ones((3, 1))}, InputError, r"B has shape \(3, 1\), expected \(2, any\)"),
+        ({"B": np.ones((2, 0))}, InputError, "at least one input"),
+        ({"B": None}, InputError, "B is missing"),
+        ({"Q": np.eye(3)}, InputError, r"Q has shape \(3, 3\), expected \(2, 2\)"),
         ({"Q": [[1.0, 2.0], [0.0, 1.0]]}, NotConvexError, "Q is not symmetric"),
         ({"Q": np.diag([1.0, -1.0])}, NotConvexError, "Q has a negative direction"),
         ({"R": [[-1.0]]}, NotConvexError, "R has a negative direction"),
@@ -76,5 +76,5 @@ def test_bad_input_is_named(change, error, message):
 
 def test_a_continuous_state_space_is_refused():
     A, B = double_integrator()
-    with pytest.raises(InvalidDataError, match="expected a discrete-time system"):
+    with pytest.raises(InputError, match="expected a discrete-time system"):
         lqr(control.ss(A, B, np.eye(2), 0), Q=np.eye(2), R=[[1.0]])

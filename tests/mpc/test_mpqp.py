@@ -5,7 +5,7 @@ import pytest
 from plants import box, double_integrator, suspension
 from random_problems import random_plant
 
-from mpc import InvalidDataError, LinearMPC, MPQPStatus, solve_mpqp
+from mpc import InputError, LinearMPC, MPQPStatus, solve_mpqp
 from mpc.dense_qp import DenseQP
 
 
@@ -243,7 +243,7 @@ def with_bounds(A, b):
     ],
 )
 def test_bad_parameter_sets_are_refused(theta_set, message):
-    with pytest.raises(InvalidDataError, match=message):
+    with pytest.raises(InputError, match=message):
         solve_mpqp(integrator(2, 0.1).build(), theta_set)
 
 
@@ -267,11 +267,11 @@ def test_terminal_equality_is_eliminated():
 def test_an_equality_that_leaves_no_freedom_is_refused_by_name():
     for N, message in ((2, "leaves no input free"), (1, "cannot be met by the inputs")):
         mpc = integrator(N, 0.1, terminal_set=box([0.0, 0.0]))
-        with pytest.raises(InvalidDataError, match=message):
+        with pytest.raises(InputError, match=message):
             solve_mpqp(mpc.build(), mpc.X)
 
 
 def test_limits_must_be_positive():
     mpc = integrator(2, 0.1)
-    with pytest.raises(InvalidDataError, match="max_regions and time_limit must be positive"):
+    with pytest.raises(InputError, match="max_regions and time_limit must be positive"):
         solve_mpqp(mpc.build(), mpc.X, max_regions=0)

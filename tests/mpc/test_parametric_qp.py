@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plants import SUSPENSION, box, double_integrator, suspension
 
-from mpc import InvalidDataError, LinearMPC
+from mpc import InputError, LinearMPC
 
 
 @pytest.fixture
@@ -69,12 +69,12 @@ def test_long_unstable_horizons_keep_a_good_condition():
 
 
 def test_wrong_names_are_refused(mpc):
-    with pytest.raises(InvalidDataError, match="unknown parameter 'y'"):
+    with pytest.raises(InputError, match="unknown parameter 'y'"):
         mpc.build("y")
-    with pytest.raises(InvalidDataError, match="cannot fix"):
+    with pytest.raises(InputError, match="cannot fix"):
         mpc.build().fix(w=[0.0])
-    with pytest.raises(InvalidDataError, match=r"got parameters \['x'\], expected \['w', 'x'\]"):
+    with pytest.raises(InputError, match=r"got parameters \['x'\], expected \['w', 'x'\]"):
         mpc.build("w").theta(x=np.zeros(4))
     A, B = double_integrator()
-    with pytest.raises(InvalidDataError, match="unknown parameter 'w'"):
+    with pytest.raises(InputError, match="unknown parameter 'w'"):
         LinearMPC(A, B, Q=[1, 1], R=[1], horizon=2).build("w")

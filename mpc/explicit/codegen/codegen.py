@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mpc.checks import Array
-from mpc.exceptions import InvalidDataError
+from mpc.exceptions import InputError
 from mpc.explicit.codegen.c_source import HEADER, LAW_DOUBLE, LAW_FLOAT, SEQUENTIAL, SOURCE, TREE, real, table
 from mpc.explicit.mpqp import MPQPStatus
 from mpc.explicit.search_tree import Ints, distinct_planes
@@ -78,13 +78,13 @@ def write_c(
 
     Raises
     ------
-    InvalidDataError
+    InputError
         An unknown option, or a tree for a partition that is incomplete or that no hyperplane separates.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise InvalidDataError(f"name is {name!r}, expected a C identifier.")
+        raise InputError(f"name is {name!r}, expected a C identifier.")
     if method not in ("tree", "sequential") or scalar not in _TOLERANCE:
-        raise InvalidDataError(
+        raise InputError(
             f"got method {method!r} and scalar {scalar!r}, expected 'tree' or 'sequential', 'double' or 'float'."
         )
     law_text, numbers = _law_tables(law, scalar)
@@ -134,7 +134,7 @@ Parts = tuple[str, int, int, int, int]  # C text, hyperplanes, operations, compa
 def _tree(law: ExplicitMPC, number: Ints, scalar: str) -> Parts:
     """Tables of the search tree, and the border of the partition that decides what is outside."""
     if law.status is not MPQPStatus.COMPLETE:
-        raise InvalidDataError(f"a tree needs a complete partition, got {law.status.name}; use method='sequential'.")
+        raise InputError(f"a tree needs a complete partition, got {law.status.name}; use method='sequential'.")
     plane, below, above, root, depth = _compact(law, number)
     border = _unscaled(law, law.tree.border)
     planes = _unscaled(law, law.tree.planes)
@@ -161,7 +161,7 @@ def _compact(law: ExplicitMPC, number: Ints) -> tuple[Ints, Ints, Ints, int, int
         if plane < 0:
             held = np.unique(number[tree.leaf_regions[a:b]])
             if len(held) > 1:
-                raise InvalidDataError("some regions share no separating hyperplane; use method='sequential'.")
+                raise InputError("some regions share no separating hyperplane; use method='sequential'.")
             empty[i] = len(held) == 0
             target[i] = -1 - (held[0] if len(held) else 0)
         elif empty[a] or empty[b]:
