@@ -174,7 +174,7 @@ Found = tuple[MPQPStatus, list[tuple[int, ...]], Array, np.ndarray[Any, np.dtype
 
 
 def _explore(data: LeastDistance, max_regions: int, deadline: float) -> Found:
-    from mpc.explicit.explicit.kernels import exploration as kernels
+    from mpc.explicit.kernels import exploration as kernels
 
     m, n = data.D.shape[0], data.D.shape[1] - 1
     capacity = 1024

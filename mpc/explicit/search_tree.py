@@ -63,7 +63,7 @@ def build_tree(partition: Partition, laws: Ints) -> SearchTree:
     Tøndel, Johansen and Bemporad, *Evaluation of piecewise affine control via binary search tree*, Automatica 39(5),
     2003. Hyperplanes are chosen by the sides of whole regions; a child keeps the regions that meet its polytope.
     """
-    from mpc.explicit.explicit.kernels import search as kernels
+    from mpc.explicit.kernels import search as kernels
 
     rows = partition.scaled_rows
     planes = distinct_planes(rows)
@@ -84,7 +84,7 @@ def sides_of_regions(
     partition: Partition, planes: Array, centres: Array | None = None
 ) -> np.ndarray[Any, np.dtype[np.uint8]]:
     """On which side of each hyperplane each region lies, (n_planes, n_regions): 1 below, 2 above, 3 both."""
-    from mpc.explicit.explicit.kernels import search as kernels
+    from mpc.explicit.kernels import search as kernels
 
     rows = partition.scaled_rows
     centres = kernels.centres_of(rows, partition.offsets) if centres is None else centres
@@ -105,7 +105,7 @@ def locate(tree: SearchTree, partition: Partition, points: Array) -> tuple[Ints,
 
     An outside point gets a region near by.
     """
-    from mpc.explicit.explicit.kernels import search as kernels
+    from mpc.explicit.kernels import search as kernels
 
     rows = partition.scaled_rows
     region, distance = np.empty(len(points), dtype=np.int64), np.empty(len(points))
