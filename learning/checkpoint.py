@@ -18,14 +18,25 @@ _KINDS: dict[str, Any] = {"ActorCritic": ActorCritic, "QuantileNetwork": Quantil
 
 
 def save(path: str | Path, network: ActorCritic | QuantileNetwork, extra: dict[str, Any] | None = None) -> None:
-    """Write a network and JSON-able `extra` values to one safetensors file."""
+    """Write a network and JSON-able `extra` values to one safetensors file; missing folders are made.
+
+    Raises
+    ------
+    CheckpointError
+        If the file cannot be written.
+    """
+    path = Path(path)
     header = {"format": FORMAT, "kind": type(network).__name__, "shape": network.shape(), "extra": extra or {}}
     tensors = {name: value.detach().contiguous() for name, value in network.state_dict().items()}
-    save_file(tensors, str(path), metadata={"ccdtools": json.dumps(header)})
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_file(tensors, str(path), metadata={"ccdtools": json.dumps(header)})
+    except (OSError, SafetensorError) as error:
+        raise CheckpointError(path, error, "a file that can be written") from None
 
 
 def load(path: str | Path) -> tuple[Any, dict[str, Any]]:
-    """The network of a file, and its `extra` values.
+    """Return the network of a file, and its `extra` values.
 
     Raises
     ------
@@ -38,21 +49,20 @@ def load(path: str | Path) -> tuple[Any, dict[str, Any]]:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
-        raise CheckpointError(f"{path}: got {error}, expected a file written by ccdtools.") from None
+        raise CheckpointError(path, error, "a file written by ccdtools") from None
     header = _header(metadata.get("ccdtools", "{}"))
     if header.get("format") != FORMAT or header.get("kind") not in _KINDS:
-        raise CheckpointError(
-            f"{path}: got format {header.get('format')!r} of {header.get('kind')!r}, expected {FORMAT!r}."
-        )
+        raise CheckpointError(path, f"format {header.get('format')!r} of {header.get('kind')!r}", repr(FORMAT))
     try:
         network = _KINDS[header["kind"]].from_shape(header["shape"])
         network.load_state_dict(tensors)
         return network.eval(), dict(header["extra"])
     except (RuntimeError, KeyError, IndexError, TypeError, ValueError):
-        raise CheckpointError(f"{path}: got tensors that do not fit the header, expected an intact file.") from None
+        raise CheckpointError(path, "tensors that do not fit the header", "an intact file") from None
 
 
 def _header(text: str) -> dict[str, Any]:
+    """Return the header as a dictionary, empty where it is not one."""
     try:
         header = json.loads(text)
     except ValueError:

@@ -18,7 +18,7 @@ class InputError(LearningError, ValueError):
         What to do about it; may be empty.
     """
 
-    def __init__(self, argument: str, got: object = None, expected: object = None, cure: str = "") -> None:
+    def __init__(self, argument: str, got: object, expected: object, cure: str = "") -> None:
         super().__init__(argument, got, expected, cure)  # all of them, so that the exception can be pickled
         self.argument = argument
         self.got = got
@@ -26,10 +26,25 @@ class InputError(LearningError, ValueError):
         self.cure = cure
 
     def __str__(self) -> str:
-        if self.expected is None:
-            return self.argument
         return f"{self.argument}: got {self.got}, expected {self.expected}." + (f" {self.cure}" if self.cure else "")
 
 
 class CheckpointError(LearningError):
-    """A file that is not a saved network, or one of another version."""
+    """A file that is not a saved network, or one of another version.
+
+    Attributes
+    ----------
+    path : str
+        The file.
+    got, expected : str
+        What the file holds, and what would have been accepted.
+    """
+
+    def __init__(self, path: object, got: object, expected: object) -> None:
+        super().__init__(str(path), str(got), str(expected))
+        self.path = str(path)
+        self.got = str(got)
+        self.expected = str(expected)
+
+    def __str__(self) -> str:
+        return f"{self.path}: got {self.got}, expected {self.expected}."

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
+from learning.checks import as_floats, as_sizes, check_number
 from learning.exceptions import InputError
 
 LEAK = 0.01  # slope of the clip outside its range while cloning, so that a saturated output can still come back
@@ -39,11 +40,8 @@ class NetworkConfig:
     std_network: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "hidden", tuple(int(h) for h in self.hidden))
-        if not self.hidden or min(self.hidden) < 1:
-            raise InputError(f"hidden: got {self.hidden}, expected at least one layer of at least one neuron.")
-        if not self.initial_std > 0:
-            raise InputError(f"initial_std: got {self.initial_std}, expected a positive number.")
+        object.__setattr__(self, "hidden", as_sizes(self.hidden, "hidden"))
+        check_number(self.initial_std, "initial_std")
 
 
 class FeedForward(nn.Module):
@@ -109,9 +107,11 @@ class ActorCritic(nn.Module):
             ("observation", observation_lower, observation_upper),
             ("action", action_lower, action_upper),
         ):
-            low, high = (np.asarray(b, dtype=float).reshape(-1) for b in (low, high))
+            low = as_floats(low, f"{name}_lower").reshape(-1)
+            high = as_floats(high, f"{name}_upper").reshape(-1)
             if low.shape != high.shape or not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
-                raise InputError(f"{name} bounds: got {low} and {high}, expected finite lower < upper.")
+                names = f"{name}_lower, {name}_upper"
+                raise InputError(names, f"{low} and {high}", "finite lower < upper of one length")
             self.register_buffer(f"{name}_offset", torch.tensor((low + high) / 2, dtype=torch.float32))
             self.register_buffer(f"{name}_scale", torch.tensor((high - low) / 2, dtype=torch.float32))
         self.register_buffer("value_offset", torch.zeros(()))

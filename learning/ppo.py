@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import trange
 
-from learning.exceptions import InputError
+from learning.checks import check_count, check_number
 from learning.networks import ActorCritic
 from learning.rollout import Rollout, VectorEnv, collect
 
@@ -66,10 +66,19 @@ class PPOConfig:
     critic_only: int = 5
 
     def __post_init__(self) -> None:
-        if not 0 < self.gamma < 1:
-            raise InputError(f"gamma: got {self.gamma}, expected 0 < gamma < 1 (time limits are bootstrapped).")
-        if not 0 <= self.lam <= 1:
-            raise InputError(f"lam: got {self.lam}, expected 0 ≤ lam ≤ 1.")
+        check_number(self.gamma, "gamma", 0, 1)  # below one, because time limits are bootstrapped
+        check_number(self.lam, "lam", 0, 1, closed=True)
+        check_number(self.clip, "clip", 0, 1)
+        for name in ("passes", "minibatch"):
+            check_count(getattr(self, name), name)
+        check_count(self.critic_only, "critic_only", 0)
+        for name in ("learning_rate", "value_rate", "value_coefficient"):
+            check_number(getattr(self, name), name, closed=True)
+        check_number(self.max_gradient, "max_gradient")
+        if self.kl_limit != float("inf"):  # infinite: no limit
+            check_number(self.kl_limit, "kl_limit", closed=True)
+        if self.final_std is not None:
+            check_number(self.final_std, "final_std")
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +135,8 @@ def gae(
 @torch.no_grad()
 def prepare(agent: ActorCritic, rollout: Rollout, config: PPOConfig) -> Batch:
     """Advantages (normalised, outliers limited to ±5 standard deviations) and value targets of a rollout."""
-    values, successors = agent.value(rollout.observations), agent.value(rollout.successors)
+    values = agent.value(rollout.observations)
+    successors = agent.value(rollout.successors)
     raw = gae(
         rollout.rewards, values, successors, rollout.terminated, rollout.truncated,
         gamma=config.gamma, lam=config.lam,
@@ -165,14 +175,19 @@ class PPO:
     """
 
     def __init__(self, agent: ActorCritic, config: PPOConfig) -> None:
-        self.agent, self.config = agent, config
+        self.agent = agent
+        self.config = config
         self.actor_optimiser = torch.optim.Adam(agent.actor_parameters(), lr=config.learning_rate)
         self.critic_optimiser = torch.optim.Adam(agent.value_network.parameters(), lr=config.value_rate)
 
     def update(self, rollout: Rollout, *, generator: torch.Generator, actor: bool = True) -> UpdateStatistics:
         """One update on one rollout; `actor=False` trains the critic only."""
-        batch, agent, config = prepare(self.agent, rollout, self.config), self.agent, self.config
-        n, kl, passes = len(batch.targets), 0.0, 0
+        agent = self.agent
+        config = self.config
+        batch = prepare(agent, rollout, config)
+        n = len(batch.targets)
+        kl = 0.0
+        passes = 0
         variance = batch.targets.var().item()
         with torch.no_grad():
             residual = (batch.targets - agent.value(batch.observations)).var().item()
@@ -185,7 +200,8 @@ class PPO:
                 if actor and divergences[-1] < 1.5 * config.kl_limit:
                     self._step(self.actor_optimiser, surrogate, agent.actor_parameters())
                 self._step(self.critic_optimiser, value_loss, list(agent.value_network.parameters()))
-            kl, passes = float(np.mean(divergences)), passes + 1
+            kl = float(np.mean(divergences))
+            passes += 1
             if actor and kl > config.kl_limit:
                 break
         return UpdateStatistics(kl, 1.0 - residual / variance if variance > 0 else float("nan"), passes)
@@ -223,6 +239,8 @@ def train(
     The rates fall linearly to a tenth, the exploration geometrically to `config.final_std`.
     """
     config = config or PPOConfig()
+    check_count(iterations, "iterations")
+    check_count(steps, "steps")
     ppo = PPO(agent, config)
     first_std = agent.log_std.exp().mean().item()
     for k in trange(iterations, desc="PPO", disable=not progress, leave=False):

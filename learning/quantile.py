@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from tqdm import trange
 
+from learning.checks import ROUNDING, as_floats, as_sizes, check_count, check_generator, check_number
 from learning.exceptions import InputError
 from learning.networks import FeedForward
 
@@ -53,12 +54,18 @@ class QuantileConfig:
     calibration: float = 0.2
 
     def __post_init__(self) -> None:
-        levels = np.asarray(self.levels, dtype=float)
-        middle = len(levels) // 2
-        if len(levels) % 2 == 0 or not (np.diff(levels) > 0).all() or not 0 < levels[0] <= levels[-1] < 1:
-            raise InputError(f"levels: got {self.levels}, expected an odd number of increasing levels in (0, 1).")
-        if levels[middle] != 0.5:
-            raise InputError(f"levels: got {levels[middle]} in the middle, expected the median 0.5.")
+        levels = as_floats(self.levels, "levels")
+        odd = levels.ndim == 1 and len(levels) % 2 == 1
+        if not odd or not (np.diff(levels) > 0).all() or not 0 < levels[0] <= levels[-1] < 1:
+            raise InputError("levels", self.levels, "an odd number of increasing levels in (0, 1)")
+        if levels[len(levels) // 2] != 0.5:
+            raise InputError("levels", f"{levels[len(levels) // 2]:g} in the middle", "the median 0.5")
+        object.__setattr__(self, "hidden", as_sizes(self.hidden, "hidden"))
+        for name in ("steps", "batch"):
+            check_count(getattr(self, name), name)
+        check_number(self.learning_rate, "learning_rate")
+        check_number(self.weight_decay, "weight_decay", closed=True)
+        check_number(self.calibration, "calibration", 0.0, 0.9, closed=True)
 
 
 class QuantileNetwork(nn.Module):
@@ -78,7 +85,8 @@ class QuantileNetwork(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, levels: Sequence[float], hidden: Sequence[int], *, seed: int = 0):
         super().__init__()
-        self.levels, self.hidden = tuple(levels), tuple(hidden)
+        self.levels = tuple(levels)
+        self.hidden = tuple(hidden)
         self.outputs = outputs
         self.register_buffer("input_offset", torch.zeros(inputs))
         self.register_buffer("input_scale", torch.ones(inputs))
@@ -161,14 +169,16 @@ def fit_quantiles(
         On mismatched, too few (under 20) or non-finite samples.
     """
     config = config or QuantileConfig()
-    x, y = np.asarray(inputs, dtype=float), np.asarray(targets, dtype=float)
+    rng = check_generator(rng)
+    x = as_floats(inputs, "inputs")
+    y = as_floats(targets, "targets")
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
-        raise InputError(f"inputs, targets: got shapes {x.shape} and {y.shape}, expected (n, d), (n, m), n ≥ 20.")
+        raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", "(n, d), (n, m), n ≥ 20")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise InputError("inputs, targets: got values that are not finite, expected finite samples.")
-    lengths = [len(x)] if stretches is None else list(stretches)
+        raise InputError("inputs, targets", "values that are not finite", "finite samples")
+    lengths = [len(x)] if stretches is None else [check_count(length, "stretches") for length in stretches]
     if sum(lengths) != len(x):
-        raise InputError(f"stretches: got lengths that sum to {sum(lengths)}, expected {len(x)}.")
+        raise InputError("stretches", f"lengths that sum to {sum(lengths)}", f"{len(x)}, the number of samples")
     held = _last_parts(lengths, config.calibration)
     network = QuantileNetwork(x.shape[1], y.shape[1], config.levels, config.hidden, seed=int(rng.integers(2**31)))
     _set_scales(network, x, y)
@@ -178,18 +188,27 @@ def fit_quantiles(
 
 
 def _last_parts(lengths: Sequence[int], fraction: float) -> NDArray[np.bool_]:
+    """Return a mask of the samples that end each stretch."""
     parts = [np.arange(n) >= n - round(fraction * n) for n in lengths]
     return np.concatenate(parts)
 
 
+def _spread(samples: Array) -> Array:
+    """Return the standard deviation of each column, 1 where the column is constant but for rounding."""
+    deviation = samples.std(axis=0)
+    constant = deviation <= ROUNDING * np.abs(samples).max(axis=0)
+    return np.where(constant, 1.0, deviation)
+
+
 def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:
+    """Write the location, spread and range of the data into the network."""
     for name, value in (
         ("input_offset", x.mean(axis=0)),
-        ("input_scale", np.maximum(x.std(axis=0), 1e-12)),
+        ("input_scale", _spread(x)),
         ("input_lower", x.min(axis=0)),
         ("input_upper", x.max(axis=0)),
         ("output_offset", y.mean(axis=0)),
-        ("output_scale", np.maximum(y.std(axis=0), 1e-12)),
+        ("output_scale", _spread(y)),
     ):
         getattr(network, name).copy_(torch.tensor(value, dtype=torch.float32))
 
@@ -199,7 +218,8 @@ def _descend(network, train, validation, config: QuantileConfig, rng: np.random.
     (X, Y), (Xv, Yv) = ([torch.tensor(a, dtype=torch.float32) for a in pair] for pair in (train, validation))
     optimiser = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)
-    best, kept = np.inf, None
+    best = np.inf
+    kept = None
     for step in trange(1, config.steps + 1, desc="quantiles", disable=not progress, leave=False):
         i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
         loss = (pinball(Y[i], network(X[i]), config.levels) / network.output_scale).sum()
@@ -212,7 +232,8 @@ def _descend(network, train, validation, config: QuantileConfig, rng: np.random.
             with torch.no_grad():
                 score = (pinball(Yv, network(Xv), config.levels) / network.output_scale).sum().item()
             if score < best:
-                best, kept = score, {name: value.clone() for name, value in network.state_dict().items()}
+                best = score
+                kept = {name: value.clone() for name, value in network.state_dict().items()}
     if kept is not None:
         network.load_state_dict(kept)
 

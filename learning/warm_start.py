@@ -9,6 +9,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
+from learning.checks import ROUNDING, as_floats, check_count, check_generator, check_number
 from learning.exceptions import InputError
 from learning.networks import LEAK, ActorCritic, NetworkConfig
 
@@ -33,6 +34,11 @@ class CloningConfig:
     batch: int = 1024
     learning_rate: float = 4e-3
 
+    def __post_init__(self) -> None:
+        check_count(self.steps, "steps")
+        check_count(self.batch, "batch")
+        check_number(self.learning_rate, "learning_rate")
+
 
 def fit_actor_critic(
     inputs: ArrayLike,
@@ -46,7 +52,7 @@ def fit_actor_critic(
     config: CloningConfig | None = None,
     progress: bool = False,
 ) -> ActorCritic:
-    """An actor and a critic fitted to an expert, in its own units.
+    """Return an actor and a critic fitted to an expert's data, which stay in their own units.
 
     Parameters
     ----------
@@ -73,13 +79,14 @@ def fit_actor_critic(
         On empty, mismatched or non-finite data.
     """
     config = config or CloningConfig()
+    rng = check_generator(rng)
     x, u, v = _checked(inputs, actions, values)
     lower, upper = input_bounds if input_bounds is not None else _range(x)
     agent = ActorCritic(lower, upper, *action_bounds, config=network, seed=int(rng.integers(2**31)))
     known = np.isfinite(v)
     if known.any():
         agent.value_offset.fill_(float(np.median(v[known])))
-        agent.value_scale.fill_(max(float(np.std(v[known])), 1e-9))
+        agent.value_scale.fill_(_spread(v[known]))
     X, U, V = (torch.tensor(a, dtype=torch.float32) for a in (x, u, np.nan_to_num(v)))
     K = torch.tensor(known)
     parameters = [*agent.mean_network.parameters(), *agent.value_network.parameters()]
@@ -99,17 +106,27 @@ def fit_actor_critic(
 
 
 def _checked(inputs: ArrayLike, actions: ArrayLike, values: ArrayLike) -> tuple[Array, Array, Array]:
-    x, u, v = np.asarray(inputs, float), np.asarray(actions, float), np.asarray(values, float).reshape(-1)
+    """Return the expert's data as float arrays of matching lengths."""
+    x = as_floats(inputs, "inputs")
+    u = as_floats(actions, "actions")
+    v = as_floats(values, "values").reshape(-1)
     if x.ndim != 2 or u.ndim != 2 or not len(x) == len(u) == len(v) or len(x) == 0:
-        raise InputError(
-            f"inputs, actions, values: got shapes {x.shape}, {u.shape}, {v.shape}, expected (n, n_obs), (n, nu), (n,)."
-        )
+        shapes = f"shapes {x.shape}, {u.shape}, {v.shape}"
+        raise InputError("inputs, actions, values", shapes, "(n, n_obs), (n, nu), (n,)")
     if not (np.isfinite(x).all() and np.isfinite(u).all()):
-        raise InputError("inputs, actions: got values that are not finite, expected finite samples.")
+        raise InputError("inputs, actions", "values that are not finite", "finite samples")
     return x, u, v
 
 
 def _range(x: Array) -> tuple[Array, Array]:
-    lower, upper = x.min(axis=0), x.max(axis=0)
-    flat = upper - lower < 1e-12
+    """Return the bounds (lower, upper) of the samples, one apart from a coordinate that is constant."""
+    lower = x.min(axis=0)
+    upper = x.max(axis=0)
+    flat = upper - lower <= ROUNDING * np.maximum(np.abs(lower), np.abs(upper))
     return np.where(flat, lower - 1, lower), np.where(flat, upper + 1, upper)
+
+
+def _spread(values: Array) -> float:
+    """Return the standard deviation of the values, 1 where they are constant but for rounding."""
+    deviation = float(np.std(values))
+    return deviation if deviation > ROUNDING * float(np.abs(values).max()) else 1.0

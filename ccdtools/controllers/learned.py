@@ -102,7 +102,7 @@ def load_policy(path: str | Path) -> LearnedPolicy:
     """
     agent, extra = checkpoint.load(path)
     if not isinstance(agent, ActorCritic) or "design" not in extra:
-        raise CheckpointError(f"{path}: got a {type(agent).__name__} without a design, expected a saved policy.")
+        raise CheckpointError(path, f"a {type(agent).__name__} without a design", "a saved policy")
     return LearnedPolicy(agent, extra["design"])
 
 

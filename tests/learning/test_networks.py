@@ -104,11 +104,11 @@ def test_a_network_rebuilt_from_its_shape_takes_the_same_weights():
     [
         (lambda: NetworkConfig(()), r"hidden: got \(\), expected at least one layer"),
         (lambda: NetworkConfig((8, 0)), r"hidden: got \(8, 0\)"),
-        (lambda: NetworkConfig(initial_std=0.0), "initial_std: got 0.0, expected a positive number"),
+        (lambda: NetworkConfig(initial_std=0.0), "initial_std: got 0.0, expected a finite number above 0"),
         (lambda: NetworkConfig(initial_std=float("nan")), "initial_std: got nan"),
-        (lambda: ActorCritic([1], [0], [-1], [1]), "observation bounds: got .* expected finite lower < upper"),
-        (lambda: ActorCritic([0], [1], [-np.inf], [1]), "action bounds: got .* expected finite lower < upper"),
-        (lambda: ActorCritic([0, 0], [1], [-1], [1]), "observation bounds"),
+        (lambda: ActorCritic([1], [0], [-1], [1]), "observation_upper: got .* expected finite lower < upper"),
+        (lambda: ActorCritic([0], [1], [-np.inf], [1]), "action_upper: got .* expected finite lower < upper"),
+        (lambda: ActorCritic([0, 0], [1], [-1], [1]), "observation_lower, observation_upper"),
     ],
 )
 def test_bad_shapes_and_bounds_are_refused_in_one_line(make, message):

@@ -289,11 +289,16 @@ def test_ppo_alone_closes_most_of_the_gap_between_doing_nothing_and_lqr():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"gamma": 1.0}, "gamma: got 1.0, expected 0 < gamma < 1 .time limits are bootstrapped."),
+        ({"gamma": 1.0}, "gamma: got 1.0, expected a number from 0 to 1, both excluded"),
         ({"gamma": 0.0}, "gamma: got 0.0"),
-        ({"lam": 1.1}, "lam: got 1.1, expected 0 ≤ lam ≤ 1"),
+        ({"passes": 2.5}, "passes: got 2.5, expected an integer of at least 1"),
+        ({"minibatch": True}, "minibatch: got True"),
+        ({"learning_rate": -1e-3}, "learning_rate: got -0.001, expected a finite number at least 0"),
+        ({"kl_limit": "small"}, "kl_limit: got 'small'"),
+        ({"lam": 1.1}, "lam: got 1.1, expected a number from 0 to 1"),
     ],
 )
-def test_a_discount_that_cannot_be_bootstrapped_is_refused(options, message):
-    with pytest.raises(InputError, match=message):
+def test_settings_outside_their_range_are_refused(options, message):
+    with pytest.raises(InputError, match=message) as caught:
         PPOConfig(**options)
+    assert caught.value.argument in options

@@ -1,0 +1,63 @@
+"""Checks at the public door of `learning`: numbers, counts, arrays and generators, each refused by its name."""
+
+from __future__ import annotations
+
+import numbers
+from typing import Any
+
+import numpy as np
+
+from learning.exceptions import InputError
+
+Array = np.ndarray
+ROUNDING = 1e-9  # a column whose spread is below this part of its size is constant; networks work in single precision
+
+
+def check_count(value: Any, name: str, least: int = 1) -> int:
+    """Return an integer of at least `least`; a float or a bool is refused even where its value is whole."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Integral) or value < least:
+        raise InputError(name, repr(value), f"an integer of at least {least}")
+    return int(value)
+
+
+def check_number(value: Any, name: str, low: float = 0.0, high: float = np.inf, *, closed: bool = False) -> float:
+    """Return a finite number between `low` and `high`, both excluded unless `closed`."""
+    number = isinstance(value, numbers.Real) and not isinstance(value, (bool, np.bool_)) and np.isfinite(float(value))
+    inside = number and (low <= value <= high if closed else low < value < high)
+    if not inside:
+        raise InputError(name, repr(value), _interval(low, high, closed=closed))
+    return float(value)
+
+
+def _interval(low: float, high: float, *, closed: bool) -> str:
+    """Return an interval in words."""
+    relation = "at least" if closed else "above"
+    if np.isinf(high):
+        return f"a finite number {relation} {low:g}"
+    return f"a number from {low:g} to {high:g}" + ("" if closed else ", both excluded")
+
+
+def as_sizes(value: Any, name: str) -> tuple[int, ...]:
+    """Return the widths of hidden layers as a tuple of positive integers."""
+    try:
+        sizes = tuple(value)
+    except TypeError:
+        sizes = ()
+    if not sizes or any(isinstance(size, bool) or not isinstance(size, numbers.Integral) or size < 1 for size in sizes):
+        raise InputError(name, repr(value), "at least one layer of at least one neuron, such as (64, 64)")
+    return tuple(int(size) for size in sizes)
+
+
+def as_floats(value: Any, name: str) -> Array:
+    """Return a float array of any shape; text and ragged lists are refused."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(name, f"a {type(value).__name__} that is no array of numbers", "an array of numbers") from None
+
+
+def check_generator(rng: Any, name: str = "rng") -> np.random.Generator:
+    """Return the generator, or refuse a seed or None."""
+    if not isinstance(rng, np.random.Generator):
+        raise InputError(name, repr(rng), "a numpy.random.Generator", "Pass numpy.random.default_rng(0).")
+    return rng
