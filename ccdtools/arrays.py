@@ -1,10 +1,31 @@
-"""Array types of the package."""
+"""Array types, and what keeps the arrays of an object from being changed."""
 
+from __future__ import annotations
+
+import dataclasses
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
-Given: TypeAlias = Any
+ArrayField: TypeAlias = Any
 """A dataclass field that takes any array_like and holds an `Array` once the object exists."""
+
+
+def frozen(value: Any) -> Any:
+    """`value`, read-only if it is an array."""
+    if isinstance(value, np.ndarray):
+        value.setflags(write=False)
+    return value
+
+
+class Immutable:
+    """Base of the frozen dataclasses: copies and unpickled objects have read-only arrays too, and no stale caches."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, frozen(value))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Given
+from ccdtools.arrays import ArrayField
 from ccdtools.exceptions import InputError
 
 
@@ -28,8 +28,8 @@ class QuadraticObjective:
         If a weight is not square, not symmetric, not finite or not definite as stated.
     """
 
-    Q: Given
-    R: Given
+    Q: ArrayField
+    R: ArrayField
 
     def __post_init__(self) -> None:
         for name, strict in (("Q", False), ("R", True)):

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ccdtools.arrays import Array, Given
+from ccdtools.arrays import Array, ArrayField
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
@@ -31,7 +31,7 @@ class Scenarios(Protocol):
 class FixedStart:
     """Every run from one state `x0` (nx,), with fresh disturbances."""
 
-    x0: Given
+    x0: ArrayField
     disturbance: Disturbance
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Given
+from ccdtools.arrays import Array, ArrayField
 from ccdtools.exceptions import InputError
 
 
@@ -42,9 +42,9 @@ class LinearFeedback:
         Input bounds, in the units of u.
     """
 
-    K: Given
-    lower: Given = field(default_factory=lambda: np.array(-np.inf))
-    upper: Given = field(default_factory=lambda: np.array(np.inf))
+    K: ArrayField
+    lower: ArrayField = field(default_factory=lambda: np.array(-np.inf))
+    upper: ArrayField = field(default_factory=lambda: np.array(np.inf))
 
     def __post_init__(self) -> None:
         K = np.atleast_2d(np.array(self.K, dtype=float))

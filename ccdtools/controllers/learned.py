@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Given
+from ccdtools.arrays import Array, ArrayField
 from ccdtools.exceptions import InputError
 from learning import checkpoint
 from learning.exceptions import CheckpointError
@@ -31,7 +31,7 @@ class LearnedPolicy:
     """
 
     agent: ActorCritic
-    design: Given
+    design: ArrayField
     rng: np.random.Generator | None = None
 
     def __post_init__(self) -> None:

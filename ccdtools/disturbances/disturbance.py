@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ccdtools.arrays import Array, Given
+from ccdtools.arrays import Array, ArrayField
 from ccdtools.exceptions import InputError
 
 
@@ -23,8 +23,8 @@ class Disturbance(Protocol):
 class Gaussian:
     """Independent normal noise with standard deviations `std` (nw,) and `mean` (nw,), zero by default."""
 
-    std: Given
-    mean: Given = 0.0
+    std: ArrayField
+    mean: ArrayField = 0.0
 
     def __post_init__(self) -> None:
         std = np.array(self.std, dtype=float).reshape(-1)
@@ -41,8 +41,8 @@ class Gaussian:
 class Uniform:
     """Independent uniform noise between `lower` and `upper` (nw,)."""
 
-    lower: Given
-    upper: Given
+    lower: ArrayField
+    upper: ArrayField
 
     def __post_init__(self) -> None:
         lower, upper = (np.array(b, dtype=float).reshape(-1) for b in (self.lower, self.upper))
@@ -71,7 +71,7 @@ class Sum:
 class Recorded:
     """A recorded signal (T, nw) or (T,): one run replays it from its start, several take seeded windows of it."""
 
-    signal: Given
+    signal: ArrayField
 
     def __post_init__(self) -> None:
         signal = np.array(self.signal, dtype=float)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
-from ccdtools.arrays import Array, Given
+from ccdtools.arrays import Array, ArrayField
 from ccdtools.exceptions import InputError
 
 
@@ -33,8 +33,8 @@ class DesignSpace:
     """
 
     names: Sequence[str]
-    lower: Given
-    upper: Given
+    lower: ArrayField
+    upper: ArrayField
     units: Sequence[str] = field(default=())
 
     def __post_init__(self) -> None:

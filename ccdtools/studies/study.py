@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ccdtools.arrays import Array, Given
+from ccdtools.arrays import Array, ArrayField
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.disturbances.disturbance import Disturbance
@@ -40,7 +40,7 @@ class RealPlant:
 
     plant: Plant
     disturbance: Disturbance
-    x0: Given
+    x0: ArrayField
     runs: int
     steps: int
 
@@ -83,12 +83,12 @@ class Study:
     U: Polytope
     objective: QuadraticObjective
     disturbance: Disturbance
-    x0: Given
-    p0: Given
+    x0: ArrayField
+    p0: ArrayField
     real: RealPlant
     steps: int = 100
     disturbance_unit: str = "-"
-    quantile_weight: Given = None
+    quantile_weight: ArrayField = None
     paper_networks: tuple[int, ...] = (32, 32, 16, 16)
     samples: int = 1000
 

@@ -1,0 +1,204 @@
+"""Arguments checked at the public door: each function returns the value in its final type, or raises an `InputError`."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array, frozen
+from ccdtools.exceptions import InputError
+
+LONGEST = 60  # characters of a value in a message
+
+
+def shown(value: Any) -> str:
+    """A value in few words: itself if it is short, else its type or shape."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, np.ndarray) and value.ndim > 0:
+        return f"an array of shape {value.shape}" if value.size > 6 else _one_line(value.tolist())
+    if isinstance(value, bool | numbers.Number | str | np.generic | os.PathLike):
+        return _one_line(value)
+    if isinstance(value, list | tuple | dict | set):
+        return _one_line(value)
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    return f"a {type(value).__name__}"
+
+
+def _one_line(value: Any) -> str:
+    """`repr` on one line, cut where it is long."""
+    text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
+    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
+
+
+def as_floats(argument: str, value: Any, *, expected: str = "numbers") -> Array:
+    """A new float64 array of `value`; text, None, complex numbers and objects are refused."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            array = np.asarray(value)
+    except (TypeError, ValueError, RuntimeError, Warning, NotImplementedError):
+        raise InputError(argument, shown(value), expected) from None
+    if array.dtype.kind not in "iuf":
+        raise InputError(argument, shown(value), expected)
+    return np.array(array, dtype=float)
+
+
+def as_array(argument: str, value: Any, *shapes: tuple[int | str, ...]) -> Array:
+    """A read-only float64 array of finite numbers whose shape is one of `shapes`; a word stands for any length ≥ 1."""
+    wanted = " or ".join(_shape_text(shape) for shape in shapes)
+    array = as_floats(argument, value, expected=f"numbers of shape {wanted}" if shapes else "numbers")
+    if shapes and not any(_fits(array.shape, shape) for shape in shapes):
+        raise InputError(argument, f"shape {array.shape}", wanted)
+    return frozen(finite(argument, array))
+
+
+def finite(argument: str, array: Array) -> Array:
+    """`array`, if all of it is finite."""
+    if not np.isfinite(array).all():
+        raise InputError(argument, "a value that is not finite", "finite numbers")
+    return array
+
+
+def as_vector(argument: str, value: Any, size: int | None = None, *, of: str = "") -> Array:
+    """A read-only vector of `size` finite numbers; a single number is a vector of one."""
+    array = np.atleast_1d(as_floats(argument, value))
+    if array.ndim != 1 or (size is not None and len(array) != size):
+        one = f"{size} number{'' if size == 1 else 's'}" if size is not None else "a vector of numbers"
+        raise InputError(argument, f"shape {array.shape}", one + (f", {of}" if of else ""))
+    return frozen(finite(argument, array))
+
+
+def as_weight(argument: str, value: Any, size: int | None = None, *, definite: bool = False) -> Array:
+    """A read-only symmetric positive semidefinite (or definite) matrix; a single number is a matrix of one."""
+    M = np.atleast_2d(as_floats(argument, value))
+    n = len(M) if size is None else size
+    if M.shape != (n, n):
+        raise InputError(argument, f"shape {M.shape}", "a square matrix" if size is None else f"({n}, {n})")
+    finite(argument, M)
+    extent = float(np.abs(M).max(initial=0.0))
+    if (np.abs(M - M.T) > 1e-9 * extent).any():
+        raise InputError(argument, "a matrix that is not symmetric", f"{argument} = {argument}ᵀ")
+    smallest = float(np.linalg.eigvalsh(M / extent)[0]) * extent if extent > 0 else 0.0
+    if smallest < -1e-12 * extent or (definite and smallest <= 0):
+        kind = "a positive definite matrix" if definite else "a positive semidefinite matrix"
+        raise InputError(argument, f"smallest eigenvalue {smallest:.3g}", kind)
+    return frozen(M)
+
+
+def as_count(argument: str, value: Any, *, least: int = 1) -> int:
+    """A whole number, at least `least`."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool | np.bool_)
+    if not whole or int(value) < least:
+        raise InputError(argument, shown(value), f"a whole number, at least {least}")
+    return int(value)
+
+
+def as_number(argument: str, value: Any, *, expected: str = "a finite number", low: float = -math.inf,
+              high: float = math.inf, strict: bool = False) -> float:  # fmt: skip
+    """A finite number between `low` and `high`; `strict` excludes both ends."""
+    real = isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
+    number = float(value) if real else math.nan
+    inside = low < number < high if strict else low <= number <= high
+    if not (math.isfinite(number) and inside):
+        raise InputError(argument, shown(value), expected)
+    return number
+
+
+def as_positive(argument: str, value: Any, *, unit: str = "") -> float:
+    """A finite number above zero."""
+    return as_number(argument, value, expected=f"a positive number{unit and f' [{unit}]'}", low=0.0, strict=True)
+
+
+def as_share(argument: str, value: Any) -> float:
+    """A fraction between 0 and 1, both excluded."""
+    return as_number(argument, value, expected="a fraction between 0 and 1", low=0.0, high=1.0, strict=True)
+
+
+def as_flag(argument: str, value: Any) -> bool:
+    """True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(argument, shown(value), "True or False")
+    return bool(value)
+
+
+def as_choice(argument: str, value: Any, choices: Sequence[str]) -> str:
+    """One of the words in `choices`."""
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(argument, shown(value), f"one of {', '.join(choices)}")
+    return value
+
+
+def as_names(argument: str, value: Any, size: int) -> tuple[str, ...]:
+    """As many words as `size`."""
+    if isinstance(value, str):
+        raise InputError(argument, shown(value), f"a list of {size} names")
+    try:
+        names = tuple(value)
+    except TypeError:
+        names = ()
+    if len(names) != size or not all(isinstance(name, str) for name in names):
+        raise InputError(argument, shown(value), f"{size} name{'' if size == 1 else 's'}")
+    return names
+
+
+def as_generator(argument: str, value: Any) -> np.random.Generator:
+    """A NumPy generator: a seed would start the same numbers again at every call."""
+    if not isinstance(value, np.random.Generator):
+        seed = value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else 0
+        cure = f"Pass rng=np.random.default_rng({seed})."
+        raise InputError(argument, shown(value), "a numpy.random.Generator", cure)
+    return value
+
+
+def as_instance(argument: str, value: Any, kind: type | tuple[type, ...], expected: str, cure: str = "") -> Any:
+    """`value`, if it is of that kind."""
+    if not isinstance(value, kind):
+        raise InputError(argument, shown(value), expected, cure)
+    return value
+
+
+def as_mapping(argument: str, value: Any, expected: str) -> dict[str, Any]:
+    """A new dictionary of a mapping from names."""
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise InputError(argument, shown(value), expected)
+    return dict(value)
+
+
+def has_method(argument: str, value: Any, method: str, expected: str) -> Any:
+    """`value`, if it is an object (not a class) with that method."""
+    if isinstance(value, type) or not callable(getattr(value, method, None)):
+        raise InputError(argument, shown(value), expected)
+    return value
+
+
+def writable_path(argument: str, value: Any) -> Path:
+    """The path of a file to write, if its folder exists."""
+    if not isinstance(value, str | os.PathLike) or not str(value):
+        raise InputError(argument, shown(value), "the path of a file")
+    path = Path(value)
+    if path.is_dir():
+        raise InputError(argument, f"{path}, which is a folder", "the path of a file")
+    if not path.absolute().parent.is_dir():
+        raise InputError(argument, str(path), "a path in a folder that exists", f"Make {path.parent} first.")
+    return path
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
+    """Whether a shape has the wanted lengths."""
+    return len(shape) == len(wanted) and all(
+        length >= 1 if isinstance(want, str) else length == want for length, want in zip(shape, wanted)
+    )
+
+
+def _shape_text(shape: tuple[int | str, ...]) -> str:
+    """The shape as it is written in a docstring."""
+    return f"({shape[0]},)" if len(shape) == 1 else f"({', '.join(str(length) for length in shape)})"
