@@ -1,19 +1,27 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SETUP := .venv/.ready
+KERNELS ?= Nehalem Sandybridge Haswell
+NO_ALGEBRA := notebook or benchmark or codegen or plotting or import or bad_input or wrong_calls
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: run test targets lint bench clean
+.PHONY: run test kernels targets lint bench clean
 .DELETE_ON_ERROR:
 
 run: $(SETUP)          ## the suspension study, start to report
 	$(BIN)/ccdtools run suspension $(ARGS)
 
-test: $(SETUP) lint    ## every check and test but the long studies
-	$(BIN)/python -m pytest -m "not slow"
+test: $(SETUP) lint    ## every check and test but the long studies, then the numerical packages on other processors
+	$(PYTEST) -m "not slow"
+	@$(MAKE) --no-print-directory kernels
+
+kernels: $(SETUP)      ## the numerical packages with the OpenBLAS kernels of other processors; KERNELS="Zen SkylakeX" for more
+	@for kernel in $(KERNELS); do echo "OpenBLAS kernels: $$kernel"; \
+	OPENBLAS_CORETYPE=$$kernel $(PYTEST) -m "not slow" -k "not ($(NO_ALGEBRA))" tests/invariant_sets tests/mpc || exit 1; done
 
 targets: $(SETUP)      ## the long studies: seeds 1 and 2 of every target, the whole drive with every seed
-	$(BIN)/python -m pytest -m slow
+	$(PYTEST) -m slow
 
 lint: $(SETUP)
 	$(BIN)/ruff check .
