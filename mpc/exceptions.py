@@ -1,5 +1,7 @@
 """The exceptions of `mpc`: misuse is raised, a numerical outcome is a status."""
 
+from __future__ import annotations
+
 import invariant_sets.exceptions as sets
 
 
@@ -12,7 +14,24 @@ class InputError(MPCError, sets.InputError):
 
 
 class NotConvexError(MPCError, ValueError):
-    """A weight or the condensed Hessian is not (semi)definite as required."""
+    """A weight or the condensed Hessian is not (semi)definite as required.
+
+    Attributes
+    ----------
+    argument : str
+        The weight, or "Hessian".
+    eigenvalue : float or None
+        Its smallest eigenvalue after scaling to a unit diagonal [-], where that is the trouble.
+    """
+
+    def __init__(self, message: str, argument: str = "", eigenvalue: float | None = None) -> None:
+        super().__init__(message, argument, eigenvalue)
+        self.message = message
+        self.argument = argument
+        self.eigenvalue = eigenvalue
+
+    def __str__(self) -> str:
+        return self.message
 
 
 class InfeasibleError(MPCError):
@@ -25,9 +44,13 @@ class NotStabilisableError(MPCError, ValueError):
     Attributes
     ----------
     eigenvalue : complex or None
-        The unstable eigenvalue of A that the input does not reach, where it is known.
+        The eigenvalue of A on or outside the unit circle that the input does not reach, where it is known.
     """
 
-    def __init__(self, message: str, eigenvalue: complex | None = None):
-        super().__init__(message)
+    def __init__(self, message: str, eigenvalue: complex | None = None) -> None:
+        super().__init__(message, eigenvalue)
+        self.message = message
         self.eigenvalue = eigenvalue
+
+    def __str__(self) -> str:
+        return self.message
