@@ -55,7 +55,10 @@ def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, ar
         raise InputError(f"dt: got {dt} s, expected a finite number > 0; pass the time step of the model")
     table = _read_table(path, argument)
     name = column if column is not None else table.only_value_column()
+    if _is_time(name):
+        table.fail(f"column '{name}', which holds the times, expected the column of the disturbance")
     values = table.column(name)
+    table.check_no_gap()
     for time_name in filter(_is_time, table.header):
         if time_name != name:
             _check_sampling(table, table.column(time_name), dt)
@@ -140,6 +143,17 @@ class _Table:
                 " expected one besides the time; name the column, or remove the others"
             )
         return names[0]
+
+    def check_no_gap(self) -> None:
+        """Raise if a blank line stands for a sample: dropped, it would shift the rest of the recording by one.
+
+        A time column shows by itself whether a sample is missing; blank lines after every row are double spacing.
+        """
+        steps = np.diff(self.lines)
+        if any(_is_time(name) for name in self.header) or steps.max() == steps.min():
+            return
+        line = self.lines[int(np.argmax(steps > steps.min()))] + 1
+        self.fail(f"a blank line {line}, expected one row per sample; fill in the sample, or remove the line")
 
     def column(self, name: str) -> Array:
         """The numbers of one column, every one finite."""

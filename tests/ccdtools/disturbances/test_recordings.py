@@ -63,6 +63,21 @@ def test_byte_order_mark_windows_line_ends_spaces_and_blank_lines_do_no_harm(wri
     np.testing.assert_array_equal(w, [1, 2])
 
 
+def test_a_blank_line_among_samples_without_times_is_refused(write):
+    with pytest.raises(InputError, match="a blank line 4, expected one row per sample"):
+        read_disturbance(write("dz_dt\n1\n2\n\n3\n"), dt=DT)
+
+
+def test_a_blank_line_among_samples_with_times_does_no_harm(write):
+    w = read_disturbance(write("time,dz_dt\n0,1\n0.05,2\n\n0.1,3\n"), dt=DT)
+    np.testing.assert_array_equal(w, [1, 2, 3])
+
+
+def test_the_times_are_not_the_disturbance(write):
+    with pytest.raises(InputError, match="column 'time', which holds the times"):
+        read_disturbance(write("time,dz_dt\n0,1\n0.05,2\n"), dt=DT, column="time")
+
+
 def test_speed_is_converted_from_km_per_hour(write):
     time, speed = read_speed(write("time,speed\n0,0\n1,36\n3,72\n"))
     np.testing.assert_array_equal(time, [0, 1, 3])
