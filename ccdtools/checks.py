@@ -1,4 +1,4 @@
-"""Arguments checked at the public door: each function returns the value in its final type, or raises an `InputError`."""
+"""Checks of arguments at the public door: each returns the value in its final type, or raises an `InputError`."""
 
 from __future__ import annotations
 

@@ -9,3 +9,7 @@ class CCDError(Exception):
 
 class InputError(CCDError, sets.InputError):
     """Bad input, in one line; carries `argument`, `got`, `expected` and `cure`, as in `invariant_sets`."""
+
+
+class SamplingWarning(UserWarning):
+    """A plant has a mode that its sampling time hardly resolves, or not at all, for some design of its box."""

@@ -14,7 +14,8 @@ _UNARY = {
     ca.OP_NEG: "negative", ca.OP_EXP: "exp", ca.OP_LOG: "log", ca.OP_SQRT: "sqrt", ca.OP_SQ: "square",
     ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TAN: "tan", ca.OP_ASIN: "arcsin", ca.OP_ACOS: "arccos",
     ca.OP_ATAN: "arctan", ca.OP_SINH: "sinh", ca.OP_COSH: "cosh", ca.OP_TANH: "tanh", ca.OP_FABS: "abs",
-    ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_INV: "reciprocal",
+    ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_INV: "reciprocal", ca.OP_ASINH: "arcsinh",
+    ca.OP_ACOSH: "arccosh", ca.OP_ATANH: "arctanh", ca.OP_LOG1P: "log1p", ca.OP_EXPM1: "expm1",
 }  # fmt: skip
 _BINARY: dict[int, Callable[[Any, Any], Any]] = {
     ca.OP_ADD: lambda a, b: a + b,
@@ -28,7 +29,11 @@ _LOGIC: dict[int, Callable[[Any, Any], Any]] = {
     ca.OP_AND: lambda a, b: (a != 0) & (b != 0),
     ca.OP_OR: lambda a, b: (a != 0) | (b != 0),
 }
-_BINARY_NAMED = {ca.OP_FMIN: "minimum", ca.OP_FMAX: "maximum", ca.OP_ATAN2: "arctan2"}
+_BINARY_NAMED = {
+    ca.OP_FMIN: "minimum", ca.OP_FMAX: "maximum", ca.OP_ATAN2: "arctan2", ca.OP_HYPOT: "hypot",
+    ca.OP_COPYSIGN: "copysign", ca.OP_FMOD: "fmod",
+}  # fmt: skip
+_ARITHMETIC = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_TWICE, ca.OP_NOT, ca.OP_IF_ELSE_ZERO, *_BINARY, *_LOGIC}
 _COMPARE: dict[int, Callable[[Any, Any], Any]] = {
     ca.OP_LT: lambda a, b: a < b,
     ca.OP_LE: lambda a, b: a <= b,
@@ -68,14 +73,14 @@ class Vectorised:
             for k in range(function.n_instructions())
         ]
         self._work_size = function.sz_w()
-        known = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_TWICE, ca.OP_NOT, ca.OP_IF_ELSE_ZERO}
-        known |= {*_UNARY, *_BINARY, *_BINARY_NAMED, *_COMPARE, *_LOGIC}
-        for op, *_ in self._tape:
-            if op not in known:
-                raise InputError(
-                    f"plant dynamics: got CasADi operation {op}, which has no array counterpart; expected arithmetic, "
-                    "powers, exp, log, sqrt, trigonometric and hyperbolic functions, abs, sign, min and max."
-                )
+        known = {*_ARITHMETIC, *_UNARY, *_BINARY_NAMED, *_COMPARE}
+        unknown = sorted({op for op, *_ in self._tape} - known)
+        if unknown:
+            names = [name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) in unknown]
+            raise InputError(
+                "dynamics", f"the CasADi operations {', '.join(names) or unknown}, which arrays do not have",
+                "arithmetic, powers, exp, log, sqrt, trigonometric and hyperbolic functions, abs, sign, min and max",
+            )  # fmt: skip
 
     def __call__(self, *arguments: Any) -> Any:
         """Values (..., n_out) at arguments of shape (..., n_i); leading shapes broadcast."""

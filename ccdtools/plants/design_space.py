@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
-from ccdtools.arrays import Array, ArrayField
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_names, as_vector
 from ccdtools.exceptions import InputError
 
+MAX_CORNERS = 10  # parameters of which every combination of bounds is looked at
+INTERIOR = 64  # seeded points inside the box, beside its centre and corners
 
-@dataclass(frozen=True, eq=False)
-class DesignSpace:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DesignSpace(Immutable):
     """Named design parameters with bounds and units.
 
     Parameters
@@ -29,7 +34,7 @@ class DesignSpace:
     Raises
     ------
     InputError
-        If the lengths differ, or a bound is not finite or not ordered.
+        If the lengths differ, a name repeats, or a bound is not finite or not ordered.
     """
 
     names: Sequence[str]
@@ -38,21 +43,28 @@ class DesignSpace:
     units: Sequence[str] = field(default=())
 
     def __post_init__(self) -> None:
-        lower, upper = (np.array(b, dtype=float).reshape(-1) for b in (self.lower, self.upper))
-        names = tuple(self.names)
-        units = tuple(self.units) or ("-",) * len(names)
-        if not len(names) == len(lower) == len(upper) == len(units):
-            raise InputError(
-                f"design space: got {len(names)} names, {len(lower)} lower bounds, {len(upper)} upper bounds "
-                f"and {len(units)} units, expected as many of each."
-            )
+        lower = as_vector("lower", self.lower)
+        upper = as_vector("upper", self.upper)
+        names = as_names("names", self.names, len(lower))
+        if len(upper) != len(lower):
+            raise InputError("upper", f"{len(upper)} bounds", f"{len(lower)}, as many as lower bounds")
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise InputError("names", f"{', '.join(repeated)} more than once", "a different name for every parameter")
         for name, low, high in zip(names, lower, upper):
-            if not (np.isfinite(low) and np.isfinite(high) and low < high):
-                raise InputError(f"design {name}: got bounds [{low:g}, {high:g}], expected finite lower < upper.")
-        for array in (lower, upper):
-            array.setflags(write=False)
+            if not low < high:
+                raise InputError("lower, upper", f"[{low:g}, {high:g}] for {name}", "finite lower < upper")
+        default = ("-",) * len(names)
+        units = (
+            default if isinstance(self.units, tuple) and not self.units else as_names("units", self.units, len(names))
+        )
         for key, value in {"names": names, "lower": lower, "upper": upper, "units": units}.items():
             object.__setattr__(self, key, value)
+
+    def __repr__(self) -> str:
+        boxes = (f"{name} in [{low:g}, {high:g}]{_unit(unit)}"
+                 for name, low, high, unit in zip(self.names, self.lower, self.upper, self.units))  # fmt: skip
+        return f"DesignSpace({', '.join(boxes)})"
 
     @property
     def dim(self) -> int:
@@ -61,57 +73,82 @@ class DesignSpace:
 
     def check(self, p: ArrayLike, *, argument: str = "design") -> Array:
         """`p` as an array (np,) or (n, np), if every row lies within the bounds; else an `InputError`."""
-        array = np.array(p, dtype=float)
-        if array.ndim == 0:
-            array = array.reshape(1)
-        if array.ndim > 2 or array.shape[-1] != self.dim:
-            raise InputError(
-                f"{argument}: got shape {array.shape}, expected {self.dim} values ({', '.join(self.names)})."
-            )
+        array = self._sized(p, argument)
         slack = 1e-9 * (self.upper - self.lower)
         outside = ~((array >= self.lower - slack) & (array <= self.upper + slack))
         if outside.any():
             i = int(np.argwhere(outside)[0][-1])
             value = array[outside][0]
-            unit = "" if self.units[i] == "-" else f" {self.units[i]}"
-            raise InputError(
-                f"{argument}: got {self.names[i]} = {value:g}, expected a value in "
-                f"[{self.lower[i]:g}, {self.upper[i]:g}]{unit}."
-            )
+            box = f"a value in [{self.lower[i]:g}, {self.upper[i]:g}]{_unit(self.units[i])}"
+            raise InputError(argument, f"{self.names[i]} = {value:g}", box)
         return np.clip(array, self.lower, self.upper)
+
+    def check_one(self, p: ArrayLike, *, argument: str = "design") -> Array:
+        """`p` as one design (np,) within the bounds; else an `InputError`."""
+        array = self.check(p, argument=argument)
+        if array.ndim != 1:
+            raise InputError(argument, f"shape {array.shape}", f"one design ({self.dim},)")
+        return frozen(array)
 
     def to_unit(self, p: ArrayLike) -> Array:
         """Designs mapped to the unit box, same shape."""
-        return (np.asarray(p, dtype=float) - self.lower) / (self.upper - self.lower)
+        return (self._sized(p, "p") - self.lower) / (self.upper - self.lower)
 
     def from_unit(self, v: ArrayLike) -> Array:
         """Points of the unit box mapped to designs, same shape; clipped to the bounds."""
-        v = np.clip(np.asarray(v, dtype=float), 0.0, 1.0)
+        v = np.clip(self._sized(v, "v"), 0.0, 1.0)
         return np.clip(self.lower + v * (self.upper - self.lower), self.lower, self.upper)
+
+    @property
+    def centre(self) -> Array:
+        """The design in the middle of the box, (np,)."""
+        return self.from_unit(np.full(self.dim, 0.5))
+
+    def spread(self) -> Array:
+        """The corners of the box, its centre and 64 seeded points inside, (n, np); corners of 10 parameters at most."""
+        if self.dim == 0:
+            return np.zeros((1, 0))
+        corners = np.array(list(product((0.0, 1.0), repeat=min(self.dim, MAX_CORNERS))))
+        corners = np.pad(corners, ((0, 0), (0, self.dim - corners.shape[1])), constant_values=0.5)
+        interior = self.latin_hypercube(INTERIOR, np.random.default_rng(0))
+        return np.vstack([self.from_unit(corners), self.centre[None], interior])
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
         """`n` designs spread by Latin hypercube sampling, (n, np)."""
-        return self.from_unit(qmc.LatinHypercube(self.dim, rng=rng).random(n))
+        n, rng = as_count("n", n), as_generator("rng", rng)
+        return self.from_unit(qmc.LatinHypercube(self.dim, rng=rng).random(n) if self.dim else np.zeros((n, 0)))
 
     def active_bounds(self, p: ArrayLike, *, tol: float = 1e-3) -> dict[str, str]:
         """Names of the parameters within `tol` (of the range) of a bound, with "lower" or "upper"."""
-        v = self.to_unit(p)
+        v = self.to_unit(as_vector("p", p, self.dim))
         active = {name: "lower" for name, vi in zip(self.names, v) if vi <= tol}
         return active | {name: "upper" for name, vi in zip(self.names, v) if vi >= 1 - tol}
 
     def as_dict(self, p: ArrayLike) -> dict[str, float]:
         """{name: value} of one design."""
-        return {name: float(value) for name, value in zip(self.names, np.asarray(p, dtype=float))}
+        return {name: float(value) for name, value in zip(self.names, as_vector("p", p, self.dim))}
 
     def from_dict(self, values: Mapping[str, float]) -> Array:
         """The design with the named values, (np,)."""
-        if set(values) != set(self.names):
-            raise InputError(f"design: got {sorted(values)}, expected {sorted(self.names)}.")
-        return self.check([values[name] for name in self.names])
+        given = as_mapping("values", values, f"{{name: value}} of {', '.join(self.names)}")
+        if set(given) != set(self.names):
+            raise InputError("values", sorted(given), sorted(self.names))
+        return self.check([given[name] for name in self.names], argument="values")
 
     def describe(self, p: ArrayLike) -> str:
         """One design as text, with units."""
-        return ", ".join(
-            f"{name} = {value:.6g}{'' if unit == '-' else ' ' + unit}"
-            for name, value, unit in zip(self.names, np.asarray(p, dtype=float), self.units)
-        )
+        values = zip(self.names, as_vector("p", p, self.dim), self.units)
+        return ", ".join(f"{name} = {value:.6g}{_unit(unit)}" for name, value, unit in values)
+
+    def _sized(self, p: ArrayLike, argument: str) -> Array:
+        """`p` as an array whose last axis holds the parameters; a single number is a design of one parameter."""
+        array = as_floats(argument, p)
+        array = array.reshape(1) if array.ndim == 0 else array
+        if array.ndim > 2 or array.shape[-1] != self.dim:
+            raise InputError(argument, f"shape {array.shape}", f"{self.dim} values ({', '.join(self.names)})")
+        return array
+
+
+def _unit(unit: str) -> str:
+    """The unit as it follows a number; nothing for a dimensionless one."""
+    return "" if unit == "-" else f" {unit}"

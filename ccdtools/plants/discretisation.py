@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,18 +14,37 @@ from numpy.typing import ArrayLike
 from scipy.linalg import matrix_balance
 
 from ccdtools.arrays import Array
+from ccdtools.checks import as_array, as_choice, as_floats, as_instance, as_positive, finite, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
+from ccdtools.plants.sampling_guard import warn_of_aliasing
+from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
 
 TAYLOR_DEGREE = 14  # with ‖M‖₁ ≤ 1/2 the first neglected term is (1/2)¹⁵/15! ≈ 2e-17
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LinearModel:
     """x⁺ = A(p) x + B(p) u + E(p) w, exact, symbolic and differentiable in p.
 
     Made by `discretise` or `LinearModel.from_state_space`.
+
+    Parameters
+    ----------
+    symbols : casadi.SX (np, 1)
+        The design p.
+    A, B, E : casadi.SX (nx, nx), (nx, nu) and (nx, nw)
+        Expressions in p.
+    dt : float
+        Sampling time [s].
+    design : DesignSpace or None
+        The box of designs; None where the model has none.
+
+    Raises
+    ------
+    InputError
+        If the shapes disagree, or a matrix is not finite somewhere in the box of designs.
     """
 
     symbols: ca.SX
@@ -35,8 +54,26 @@ class LinearModel:
     dt: float
     design: DesignSpace | None
 
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "symbols", as_symbols("symbols", self.symbols))
+        for name in ("A", "B", "E"):
+            M = as_expression(name, getattr(self, name))
+            check_known(name, M, symbols=self.symbols)
+            set_(self, name, M)
+        nx = self.A.shape[0]
+        if self.A.shape != (nx, nx) or nx == 0:
+            raise InputError("A", f"shape {self.A.shape}", "a square matrix (nx, nx)")
+        for name, M in (("B", self.B), ("E", self.E)):
+            if M.shape[0] != nx:
+                raise InputError(name, f"shape {M.shape}", f"{nx} rows, one per state")
+        set_(self, "dt", as_positive("dt", self.dt, unit="s"))
+        if self.design is not None:
+            as_instance("design", self.design, DesignSpace, "a DesignSpace or None")
+        check_finite(self.function, self.design, "the matrices")
+
     @classmethod
-    def from_state_space(cls, system, *, E: ArrayLike | None = None, dt: float | None = None) -> LinearModel:
+    def from_state_space(cls, system: Any, *, E: ArrayLike | None = None, dt: float | None = None) -> LinearModel:
         """The model of a `control.StateSpace`, without a design.
 
         Parameters
@@ -51,25 +88,41 @@ class LinearModel:
         Raises
         ------
         InputError
-            If a continuous system comes without a positive `dt`, or a discrete one with a different `dt`; or if
-            `E` has the wrong number of rows.
+            If `system` is no state space; a continuous system comes without a positive `dt`, or a discrete one with
+            a different `dt`; or if `E` has the wrong number of rows.
         """
-        A, B = (np.atleast_2d(np.asarray(M, dtype=float)) for M in (system.A, system.B))
-        E = np.zeros((len(A), 0)) if E is None else np.array(E, dtype=float, ndmin=1)
-        if len(E) != len(A):
-            raise InputError(f"E: got shape {E.shape}, expected {len(A)} rows, one per state.")
-        E = E.reshape(len(A), -1)
+        A, B = _state_space_matrices(system)
+        E = np.zeros((len(A), 0)) if E is None else as_floats("E", E)
+        E = E.reshape(len(E), -1) if E.ndim == 1 else E
+        if E.ndim != 2 or len(E) != len(A):
+            raise InputError("E", f"shape {E.shape}", f"{len(A)} rows, one per state")
+        finite("E", E)
         p = ca.SX(0, 1)
         constants = (ca.SX(ca.DM(A)), ca.SX(ca.DM(B)), ca.SX(ca.DM(E)) if E.size else ca.SX(len(A), 0))
         if system.dt:
             own = 1.0 if system.dt is True else float(system.dt)
-            if dt is not None and not math.isclose(own, dt):
-                raise InputError(f"dt: got {dt} for a system sampled at {own} s, expected {own} or nothing.")
+            if dt is not None and not math.isclose(own, as_positive("dt", dt, unit="s")):
+                raise InputError("dt", dt, f"{own} or nothing", f"The system is sampled at {own} s.")
             return cls(p, *constants, own, None)
         if dt is None:
-            raise InputError("dt: got nothing for a continuous system, expected a sampling time in seconds.")
-        dt = _positive(dt)
+            cure = "The system is continuous; to simulate it, sample it first: system.sample(dt)."
+            raise InputError("dt", "nothing", "a sampling time [s]", cure)
+        dt = as_positive("dt", dt, unit="s")
         return cls(p, *zero_order_hold(*constants, dt, symbols=p, design=None), dt, None)
+
+    def __repr__(self) -> str:
+        sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances, dt = {self.dt:g} s"
+        return f"LinearModel({sizes}, design: {self.design!r})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        packed = pack([self.symbols], [self.A, self.B, self.E])
+        return {"expressions": packed, "dt": self.dt, "design": self.design}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        (symbols,), (A, B, E) = unpack(state["expressions"])
+        values = {"symbols": symbols, "A": A, "B": B, "E": E, "dt": state["dt"], "design": state["design"]}
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
 
     @property
     def nx(self) -> int:
@@ -103,11 +156,14 @@ class LinearModel:
         Raises
         ------
         InputError
-            If a design has the wrong shape or lies outside its bounds.
+            If a design has the wrong shape, lies outside its bounds, or makes a matrix infinite.
         """
         p = self._checked(p)
         columns = self.nx + self.nu + self.nw
         stacked = np.asarray(self.function(np.atleast_2d(p).T), dtype=float)
+        if not np.isfinite(stacked).all():
+            where = f"a design at which the model is not finite: {p.tolist()}"
+            raise InputError("design", where, "one where A, B and E are finite", "Leave it out of the design bounds.")
         matrices = np.ascontiguousarray(stacked.reshape(self.nx, -1, columns).transpose(1, 0, 2))
         M = matrices if p.ndim == 2 else matrices[0]
         return (
@@ -118,7 +174,7 @@ class LinearModel:
 
     def derivatives(self, p: ArrayLike) -> tuple[Array, Array, Array]:
         """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) at a design (np,)."""
-        p = self._checked(p)
+        p = np.zeros(0) if self.design is None else self.design.check_one(p)
         J = np.asarray(self.jacobian(p), dtype=float)
         T = J.reshape(-1, self.nx, len(p)).transpose(1, 0, 2)
         return T[:, : self.nx], T[:, self.nx : self.nx + self.nu], T[:, self.nx + self.nu :]
@@ -136,12 +192,13 @@ class LinearModel:
         return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T
 
     def _checked(self, p: ArrayLike) -> Array:
+        """Designs within their bounds; nothing for a model without a design."""
         if self.design is None:
             return np.zeros(0)
         return self.design.check(p)
 
 
-def discretise(plant: Plant, dt: float | None = None) -> LinearModel:
+def discretise(plant: Plant, dt: float | None = None, *, sampling_guard: str = "warn") -> LinearModel:
     """The exact zero-order-hold model of a linear plant, symbolic in its design.
 
     Parameters
@@ -150,6 +207,8 @@ def discretise(plant: Plant, dt: float | None = None) -> LinearModel:
         Linear in x, u and w; any smooth dependence on p. A discrete plant is taken as it is.
     dt : float, optional
         Sampling time [s]; the plant's own by default.
+    sampling_guard : {"warn", "ignore"}
+        Whether a `SamplingWarning` says that some design has an oscillation near or beyond half the sampling rate.
 
     Returns
     -------
@@ -158,8 +217,8 @@ def discretise(plant: Plant, dt: float | None = None) -> LinearModel:
     Raises
     ------
     InputError
-        If the dynamics are not linear in (x, u, w), have a constant term, or a discrete plant is given
-        another `dt`.
+        If the dynamics are not linear in (x, u, w), have a constant term, are not finite over the whole box of
+        designs, or a discrete plant is given another `dt`.
 
     References
     ----------
@@ -167,29 +226,56 @@ def discretise(plant: Plant, dt: float | None = None) -> LinearModel:
     Moler and Van Loan, "Nineteen dubious ways …, twenty-five years later", SIAM Review 45, 2003, method 3
     (scaling and squaring), after balancing.
     """
-    dt = _positive(plant.dt if dt is None else dt)
-    z = ca.vertcat(plant.x, plant.u, plant.w)
-    M = ca.jacobian(plant.dynamics, z)
-    if ca.depends_on(M, z):
-        rows = [plant.state_names[i] for i in range(plant.nx) if ca.depends_on(ca.jacobian(plant.dynamics[i], z), z)]
-        raise InputError(f"plant: got dynamics nonlinear in x, u or w for {', '.join(rows)}, expected linear ones.")
-    rest = ca.Function("rest", [z, plant.p], [plant.dynamics])(ca.SX.zeros(z.shape), plant.p)
-    if not ca.simplify(rest).is_zero():
-        raise InputError("plant: got a constant term in the dynamics, expected linear ones; state it as a disturbance.")
-    nx, nu = plant.nx, plant.nu
-    A, B, E = M[:, :nx], M[:, nx : nx + nu], M[:, nx + nu :]
+    as_instance("plant", plant, Plant, "a Plant")
+    as_choice("sampling_guard", sampling_guard, ("warn", "ignore"))
+    dt = as_positive("dt", plant.dt if dt is None else dt, unit="s")
+    A, B, E = _linear_matrices(plant)
     if not plant.continuous:
         if not math.isclose(dt, plant.dt):
-            raise InputError(f"dt: got {dt} for a plant sampled at {plant.dt} s, expected {plant.dt} or nothing.")
+            raise InputError("dt", dt, f"{plant.dt} or nothing", f"The plant is discrete, sampled at {plant.dt} s.")
         return LinearModel(plant.p, A, B, E, dt, plant.design)
+    if sampling_guard == "warn":
+        warn_of_aliasing(ca.Function("A", [plant.p], [A]), plant.design, dt)
     A, B, E = zero_order_hold(A, B, E, dt, symbols=plant.p, design=plant.design)
     return LinearModel(plant.p, A, B, E, dt, plant.design)
 
 
-def _positive(dt: float) -> float:
-    if not (np.isfinite(dt) and dt > 0):
-        raise InputError(f"dt: got {dt}, expected a positive time in seconds.")
-    return float(dt)
+def _linear_matrices(plant: Plant) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """∂f/∂x, ∂f/∂u and ∂f/∂w of linear dynamics f, finite over the box of designs."""
+    z = ca.vertcat(plant.x, plant.u, plant.w)
+    M = ca.jacobian(plant.dynamics, z)
+    if ca.depends_on(M, z):
+        rows = [plant.state_names[i] for i in range(plant.nx) if ca.depends_on(ca.jacobian(plant.dynamics[i], z), z)]
+        raise InputError("plant", f"dynamics nonlinear in x, u or w for {', '.join(rows)}", "linear ones")
+    check_finite(ca.Function("M", [plant.p], [ca.densify(M)]), plant.design, "the dynamics")
+    rest = ca.Function("rest", [z, plant.p], [plant.dynamics])(ca.SX.zeros(z.shape), plant.p)
+    if not ca.simplify(rest).is_zero():
+        raise InputError("plant", "a constant term in the dynamics", "linear ones", "State it as a disturbance.")
+    nx, nu = plant.nx, plant.nu
+    return M[:, :nx], M[:, nx : nx + nu], M[:, nx + nu :]
+
+
+def check_finite(function: ca.Function, design: DesignSpace | None, what: str) -> None:
+    """Raise an `InputError` if `function` of the design is not finite at some sample of its box."""
+    for p in _points(design):
+        if not np.isfinite(np.asarray(function(p), dtype=float)).all():
+            where = design.describe(p) if design is not None else "the only design"
+            raise InputError(
+                "design", f"bounds that hold {where}, where {what} are not finite", "a box in which they are",
+                "Move the bounds, or look for a division by zero.",
+            )  # fmt: skip
+
+
+def _state_space_matrices(system: Any) -> tuple[Array, Array]:
+    """A (nx, nx) and B (nx, nu) of a `control.StateSpace`."""
+    if not all(hasattr(system, name) for name in ("A", "B", "dt")):
+        cure = "Convert it with control.ss(system)." if hasattr(system, "num") else ""
+        raise InputError("system", shown(system), "a control.StateSpace", cure)
+    A = as_array("system.A", np.atleast_2d(system.A), ("nx", "nx"))
+    B = as_array("system.B", np.atleast_2d(system.B), (len(A), "nu"))
+    if A.shape[0] != A.shape[1]:
+        raise InputError("system.A", f"shape {A.shape}", "a square matrix")
+    return A, B
 
 
 def zero_order_hold(
@@ -222,10 +308,10 @@ def expm(M: ca.SX, *, squarings: int) -> ca.SX:
 
 
 def _samples(function: ca.Function, design: DesignSpace | None) -> Array:
-    """`function` at the corners, the centre and seeded interior points of the design box, (n, rows, columns)."""
-    if design is None or design.dim == 0:
-        return np.asarray(function(np.zeros(0)), dtype=float)[None]
-    corners = np.array(list(product((0.0, 1.0), repeat=min(design.dim, 10))))
-    corners = np.pad(corners, ((0, 0), (0, design.dim - corners.shape[1])), constant_values=0.5)
-    points = np.vstack([corners, design.to_unit(design.latin_hypercube(64, np.random.default_rng(0)))])
-    return np.array([np.asarray(function(p), dtype=float) for p in design.from_unit(points)])
+    """`function` at samples of the design box, (n, rows, columns)."""
+    return np.array([np.asarray(function(p), dtype=float) for p in _points(design)])
+
+
+def _points(design: DesignSpace | None) -> Array:
+    """Samples of the box of designs; the empty design where there is none, (n, np)."""
+    return np.zeros((1, 0)) if design is None else design.spread()

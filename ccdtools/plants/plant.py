@@ -5,26 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from ccdtools.checks import as_count, as_flag, as_instance, as_names, as_positive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.symbols import as_expression, as_symbols, check_distinct, check_known, pack, unpack
 
 NATIVE_BATCH = 8  # below this, CasADi's own machine is faster than one array operation per instruction
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plant:
     """Dynamics as a CasADi expression in state, input, disturbance and design.
 
     Parameters
     ----------
     x, u, w, p : casadi.SX column symbols
-        State (nx), input (nu), disturbance (nw, may be empty: ``SX(0, 1)``), design (np).
-    dynamics : casadi.SX (nx, 1)
+        State (nx), input (nu), disturbance (nw), design (np). None or ``SX(0, 1)`` where there is none.
+    dynamics : casadi.SX (nx, 1), or a list of nx expressions
         dx/dt if `continuous`, else the next state.
     design : DesignSpace
         Bounds and units of p.
@@ -40,7 +43,8 @@ class Plant:
     Raises
     ------
     InputError
-        If a symbol is not symbolic, shapes disagree, or `dynamics` has other free symbols.
+        If a symbol is not symbolic or used twice, shapes disagree, `dynamics` has other free symbols or an operation
+        that arrays do not have.
     """
 
     x: ca.SX
@@ -56,28 +60,43 @@ class Plant:
     input_names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
+        set_ = object.__setattr__
         for name in ("x", "u", "w", "p"):
-            symbol = getattr(self, name)
-            if not isinstance(symbol, ca.SX) or not (symbol.is_empty() or symbol.is_valid_input()):
-                raise InputError(f"plant {name}: got {type(symbol).__name__}, expected a casadi.SX symbol (SX.sym).")
-        dynamics = ca.SX(self.dynamics)
-        if dynamics.shape != (self.nx, 1):
-            raise InputError(f"plant dynamics: got shape {dynamics.shape}, expected ({self.nx}, 1), one row per state.")
+            set_(self, name, as_symbols(name, getattr(self, name)))
+        check_distinct(x=self.x, u=self.u, w=self.w, p=self.p)
+        if self.nx == 0:
+            raise InputError("x", "no state", "at least one")
+        set_(self, "dynamics", as_expression("dynamics", self.dynamics))
+        if self.dynamics.shape != (self.nx, 1):
+            raise InputError("dynamics", f"shape {self.dynamics.shape}", f"({self.nx}, 1), one row per state")
+        check_known("dynamics", self.dynamics, x=self.x, u=self.u, w=self.w, p=self.p)
+        as_instance("design", self.design, DesignSpace, "a DesignSpace")
         if self.p.numel() != self.design.dim:
-            raise InputError(
-                f"plant p: got {self.p.numel()} symbols, expected {self.design.dim} ({', '.join(self.design.names)})."
-            )
-        if not (np.isfinite(self.dt) and self.dt > 0):
-            raise InputError(f"plant dt: got {self.dt}, expected a positive time in seconds.")
-        if self.substeps < 1:
-            raise InputError(f"plant substeps: got {self.substeps}, expected at least 1.")
-        known = ca.vertcat(self.x, self.u, self.w, self.p)
-        foreign = [s.name() for s in ca.symvar(dynamics) if not ca.depends_on(known, s)]
-        if foreign:
-            raise InputError(f"plant dynamics: got unknown symbols {foreign}, expected only those of x, u, w and p.")
-        object.__setattr__(self, "dynamics", ca.densify(dynamics))
-        object.__setattr__(self, "state_names", tuple(self.state_names) or _labels("x", self.nx))
-        object.__setattr__(self, "input_names", tuple(self.input_names) or _labels("u", self.nu))
+            names = ", ".join(self.design.names) or "none"
+            raise InputError("p", f"{self.p.numel()} symbols", f"{self.design.dim} ({names}), one per design parameter")
+        set_(self, "dt", as_positive("dt", self.dt, unit="s"))
+        set_(self, "continuous", as_flag("continuous", self.continuous))
+        set_(self, "substeps", as_count("substeps", self.substeps))
+        for name, letter, n in (("state_names", "x", self.nx), ("input_names", "u", self.nu)):
+            given = getattr(self, name)
+            set_(self, name, _labels(letter, n) if isinstance(given, tuple) and not given else as_names(name, given, n))
+        Vectorised(self.right_hand_side)  # refuses operations that have no array counterpart
+
+    def __repr__(self) -> str:
+        kind = f"continuous, sampled every {self.dt:g} s" if self.continuous else f"discrete, dt = {self.dt:g} s"
+        return f"Plant({self.nx} states, {self.nu} inputs, {self.nw} disturbances, {kind}, design: {self.design!r})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"expressions": pack([self.x, self.u, self.w, self.p], [self.dynamics])} | {
+            name: getattr(self, name)
+            for name in ("design", "dt", "continuous", "substeps", "state_names", "input_names")
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        symbols, (dynamics,) = unpack(state.pop("expressions"))
+        named = dict(zip(("x", "u", "w", "p"), symbols), dynamics=dynamics)
+        for name, value in (named | state).items():
+            object.__setattr__(self, name, value)
 
     @property
     def nx(self) -> int:
@@ -131,4 +150,5 @@ class Plant:
 
 
 def _labels(letter: str, n: int) -> tuple[str, ...]:
+    """Names such as x1, x2."""
     return tuple(f"{letter}{i + 1}" for i in range(n))

@@ -74,6 +74,8 @@ class Study:
         Hidden layers of the preset ``paper``.
     samples : int
         Latin hypercube samples of the initialisation.
+    sampling_guard : {"warn", "ignore"}
+        Whether a sampling time that does not resolve the plant is warned of, see `discretise`.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Study:
     quantile_weight: ArrayField = None
     paper_networks: tuple[int, ...] = (32, 32, 16, 16)
     samples: int = 1000
+    sampling_guard: str = "warn"
 
     def __post_init__(self) -> None:
         x0 = np.array(self.x0, dtype=float).reshape(-1)
@@ -102,7 +105,7 @@ class Study:
     @cached_property
     def model(self) -> LinearModel:
         """The exact discrete model, symbolic in the design."""
-        return discretise(self.plant)
+        return discretise(self.plant, sampling_guard=self.sampling_guard)
 
     @property
     def weight(self) -> Array:

@@ -74,12 +74,12 @@ def test_units_default_to_none():
         (lambda s: s.check([2e4]), r"design: got shape \(1,\), expected 2 values \(k, c\)"),
         (lambda s: s.check(2e4), r"design: got shape \(1,\), expected 2 values"),
         (lambda s: s.check(np.ones((2, 2, 2))), r"design: got shape \(2, 2, 2\)"),
-        (lambda s: s.from_dict({"k": 2e4}), r"design: got \['k'\], expected \['c', 'k'\]"),
-        (lambda s: s.from_dict({"k": 2e4, "c": 0}), "design: got c = 0"),
-        (lambda s: DesignSpace(["a"], [0, 1], [1]), "design space: got 1 names, 2 lower bounds, 1 upper bounds"),
-        (lambda s: DesignSpace(["a"], [1], [1]), r"design a: got bounds \[1, 1\], expected finite lower < upper"),
-        (lambda s: DesignSpace(["a"], [0], [np.inf]), r"design a: got bounds \[0, inf\]"),
-        (lambda s: DesignSpace(["a"], [np.nan], [1]), r"design a: got bounds \[nan, 1\]"),
+        (lambda s: s.from_dict({"k": 2e4}), r"values: got \['k'\], expected \['c', 'k'\]"),
+        (lambda s: s.from_dict({"k": 2e4, "c": 0}), "values: got c = 0"),
+        (lambda s: DesignSpace(["a"], [0, 1], [1]), r"names: got \['a'\], expected 2 names"),
+        (lambda s: DesignSpace(["a"], [1], [1]), r"lower, upper: got \[1, 1\] for a, expected finite lower < upper"),
+        (lambda s: DesignSpace(["a"], [0], [np.inf]), "upper: got a value that is not finite"),
+        (lambda s: DesignSpace(["a"], [np.nan], [1]), "lower: got a value that is not finite"),
     ],
 )
 def test_bad_designs_are_refused_in_one_line(space, call, message):

@@ -1,0 +1,101 @@
+"""Oscillations that a sampling time does not resolve, anywhere in the box of designs."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from ccdtools.arrays import Array, ArrayField, Immutable
+from ccdtools.exceptions import SamplingWarning
+from ccdtools.plants.design_space import DesignSpace
+
+SHARE = 0.8  # of half the sampling rate: oscillations above it have under 2.5 samples a period
+SAMPLES_PER_PERIOD = 10  # of the sampling time that is recommended instead
+DEAD = math.log(0.01)  # a mode that falls below 1 % within one sample leaves nothing to alias
+
+
+@dataclass(frozen=True, eq=False)
+class FastestMode(Immutable):
+    """The fastest oscillation in a box of designs.
+
+    Attributes
+    ----------
+    frequency : float
+        Damped frequency [Hz]; 0 where nothing oscillates.
+    design : (np,) array
+        Where it is reached.
+    dt : float
+        Sampling time [s] it was judged for.
+    """
+
+    frequency: float
+    design: ArrayField
+    dt: float
+
+    @property
+    def nyquist(self) -> float:
+        """Half the sampling rate [Hz]."""
+        return 0.5 / self.dt
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the oscillation stays below 0.8 of half the sampling rate."""
+        return self.frequency < SHARE * self.nyquist
+
+    @property
+    def better_dt(self) -> float:
+        """Sampling time [s] with ten samples a period of the oscillation, rounded down to one digit."""
+        wanted = 1 / (SAMPLES_PER_PERIOD * self.frequency) if self.frequency > 0 else self.dt
+        digit = 10.0 ** math.floor(math.log10(wanted))
+        return math.floor(wanted / digit * (1 + 1e-12)) * digit
+
+
+def fastest_mode(A: Callable[[Array], Array], design: DesignSpace, dt: float) -> FastestMode:
+    """The fastest oscillation of ẋ = A(p) x over the box: samples, then a local search from the fastest of them.
+
+    Parameters
+    ----------
+    A : callable
+        Design (np,) → state matrix (nx, nx).
+    design : DesignSpace
+    dt : float
+        Sampling time [s].
+    """
+
+    def frequency(v: Array) -> float:
+        """Fastest damped frequency [Hz] at a point of the unit box."""
+        modes = np.linalg.eigvals(np.asarray(A(design.from_unit(v)), dtype=float))
+        living = modes[modes.real * dt > DEAD]
+        return float(np.abs(living.imag).max(initial=0.0)) / (2 * np.pi)
+
+    points = design.to_unit(design.spread())
+    values = [frequency(v) for v in points]
+    fastest = points[int(np.argmax(values))]
+    found = max(values)
+    if design.dim:
+        bounds = [(0.0, 1.0)] * design.dim
+        search = minimize(lambda v: -frequency(v), fastest, method="Nelder-Mead", bounds=bounds,
+                          options={"maxfev": 60 * design.dim})  # fmt: skip
+        if -search.fun > found:
+            fastest, found = search.x, -float(search.fun)
+    return FastestMode(found, design.from_unit(fastest), dt)
+
+
+def warn_of_aliasing(A: Callable[[Array], Array], design: DesignSpace, dt: float) -> None:
+    """Issue a `SamplingWarning` if some design has an oscillation near or beyond half the sampling rate."""
+    mode = fastest_mode(A, design, dt)
+    if mode.resolved:
+        return
+    where = f" at {design.describe(mode.design)}" if design.dim else ""
+    warnings.warn(
+        f"dt = {dt:g} s samples at most {mode.nyquist:.3g} Hz, but the plant oscillates at {mode.frequency:.3g} Hz"
+        f"{where}: the samples do not show that oscillation as it is. Use dt = {mode.better_dt:g} s, or state that "
+        'this is intended with sampling_guard="ignore".',
+        SamplingWarning,
+        stacklevel=3,
+    )

@@ -1,0 +1,74 @@
+"""CasADi symbols and expressions: checked, and packed so that objects that hold them can be pickled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ccdtools.checks import shown
+from ccdtools.exceptions import InputError
+
+
+def as_symbols(argument: str, value: Any) -> ca.SX:
+    """A column of SX symbols; None is an empty one."""
+    if value is None:
+        return ca.SX(0, 1)
+    if not isinstance(value, ca.SX) or not (value.is_empty() or value.is_valid_input()):
+        got = f"a {type(value).__name__} that is not symbolic" if isinstance(value, ca.SX) else shown(value)
+        raise InputError(argument, got, "a casadi.SX symbol (SX.sym)")
+    if value.is_empty():
+        return ca.SX(0, 1)
+    if value.shape[1] != 1:
+        raise InputError(argument, f"shape {value.shape}", "a column of symbols (n, 1)")
+    return value
+
+
+def as_expression(argument: str, value: Any) -> ca.SX:
+    """A dense SX expression; a list of scalars is stacked to a column."""
+    try:
+        with np.errstate(all="ignore"):
+            expression = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
+            return ca.densify(ca.SX(expression))
+    except (NotImplementedError, TypeError, ValueError, RuntimeError):
+        raise InputError(argument, shown(value), "a casadi.SX expression, or a list of them") from None
+
+
+def check_distinct(**symbols: ca.SX) -> None:
+    """Raise an `InputError` if one symbol appears twice among the named columns."""
+    owner: dict[int, str] = {}
+    for name, column in symbols.items():
+        for symbol in elements(column):
+            key = symbol.element_hash()
+            if key in owner:
+                raise InputError(
+                    name, f"the symbol {symbol.name()} again, which is in {owner[key]}", "a symbol of its own"
+                )
+            owner[key] = name
+
+
+def check_known(argument: str, expression: ca.SX, **symbols: ca.SX) -> None:
+    """Raise an `InputError` if `expression` has free symbols that none of the named columns holds."""
+    known = {symbol.element_hash() for column in symbols.values() for symbol in elements(column)}
+    foreign = [symbol.name() for symbol in ca.symvar(expression) if symbol.element_hash() not in known]
+    if foreign:
+        raise InputError(argument, f"unknown symbols {foreign}", f"only those of {', '.join(symbols)}")
+
+
+def elements(column: ca.SX) -> list[ca.SX]:
+    """The scalar symbols of a column."""
+    return [] if column.is_empty() else ca.vertsplit(column)
+
+
+def pack(inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> dict[str, Any]:
+    """Expressions and their symbols as plain text."""
+    names = [[symbol.name() for symbol in elements(column)] for column in inputs]
+    return {"names": names, "function": ca.Function("packed", list(inputs), list(outputs)).serialize()}
+
+
+def unpack(packed: dict[str, Any]) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Fresh symbols of the same names, and the expressions in them."""
+    inputs = [ca.vertcat(*map(ca.SX.sym, names)) if names else ca.SX(0, 1) for names in packed["names"]]
+    return inputs, ca.Function.deserialize(packed["function"]).call(inputs)
