@@ -246,9 +246,13 @@ def _with_disturbance(study: Study, options: Options) -> Study:
     source: Any = None
     dt = study.plant.dt
     if options.disturbance is not None:
-        source = Recorded(read_disturbance(options.disturbance, dt=dt, column=options.column))
+        source = Recorded(read_disturbance(options.disturbance, dt=dt, column=options.column, argument="--disturbance"))
     elif options.road is not None and options.speed is not None:
-        source = Recorded(road_disturbance(*read_road(options.road), *read_speed(options.speed), dt=dt))
+        source = Recorded(
+            road_disturbance(
+                *read_road(options.road, argument="--road"), *read_speed(options.speed, argument="--speed"), dt=dt
+            )
+        )
     elif options.driver is not None:
         source = GeneratedRoad(options.driver, dt)  # type: ignore[arg-type]
     if source is None:

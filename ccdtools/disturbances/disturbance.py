@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_array, as_count, as_floats, as_generator, as_vector, finite, has_method, shown
 from ccdtools.exceptions import InputError
 
 
 class Disturbance(Protocol):
-    """Anything that draws disturbance sequences."""
+    """Anything that draws disturbance sequences; one that knows its number of channels has it as `nw`."""
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
@@ -20,66 +21,108 @@ class Disturbance(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Gaussian:
+class Gaussian(Immutable):
     """Independent normal noise with standard deviations `std` (nw,) and `mean` (nw,), zero by default."""
 
     std: ArrayField
     mean: ArrayField = 0.0
 
     def __post_init__(self) -> None:
-        std = np.array(self.std, dtype=float).reshape(-1)
-        if not (np.isfinite(std).all() and (std >= 0).all()):
-            raise InputError(f"disturbance std: got {std}, expected finite values ≥ 0.")
+        std = as_vector("std", self.std)
+        if (std < 0).any():
+            raise InputError("std", shown(std), "standard deviations ≥ 0")
+        mean = as_array("mean", self.mean, (), (1,), std.shape)
         object.__setattr__(self, "std", std)
+        object.__setattr__(self, "mean", frozen(np.broadcast_to(mean, std.shape).copy()))
+
+    @property
+    def nw(self) -> int:
+        """Number of channels."""
+        return len(self.std)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
+        _check_draw(runs, steps, rng)
         return self.mean + self.std * rng.standard_normal((runs, steps, len(self.std)))
 
 
 @dataclass(frozen=True, eq=False)
-class Uniform:
+class Uniform(Immutable):
     """Independent uniform noise between `lower` and `upper` (nw,)."""
 
     lower: ArrayField
     upper: ArrayField
 
     def __post_init__(self) -> None:
-        lower, upper = (np.array(b, dtype=float).reshape(-1) for b in (self.lower, self.upper))
-        if lower.shape != upper.shape or not (lower <= upper).all():
-            raise InputError(f"disturbance bounds: got {lower} and {upper}, expected lower ≤ upper, one per channel.")
+        lower = as_vector("lower", self.lower)
+        upper = as_vector("upper", self.upper, len(lower), of="as many as lower bounds")
+        if not (lower <= upper).all():
+            raise InputError("lower, upper", f"{shown(lower)} and {shown(upper)}", "lower ≤ upper")
         object.__setattr__(self, "lower", lower)
         object.__setattr__(self, "upper", upper)
 
+    @property
+    def nw(self) -> int:
+        """Number of channels."""
+        return len(self.lower)
+
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
+        _check_draw(runs, steps, rng)
         return rng.uniform(self.lower, self.upper, (runs, steps, len(self.lower)))
 
 
 @dataclass(frozen=True, eq=False)
-class Sum:
+class Sum(Immutable):
     """The sum of independent disturbances with the same channels."""
 
     terms: tuple[Disturbance, ...]
 
+    def __post_init__(self) -> None:
+        try:
+            terms = tuple(self.terms)
+        except TypeError:
+            terms = ()
+        if not terms:
+            raise InputError("terms", shown(self.terms), "a tuple of disturbances")
+        for term in terms:
+            has_method("terms", term, "sample", "disturbances, with a method sample(runs, steps, rng)")
+        _check_widths([term.nw for term in terms if hasattr(term, "nw")])
+        object.__setattr__(self, "terms", terms)
+
+    @property
+    def nw(self) -> int | None:
+        """Number of channels, if a term knows it."""
+        return next((term.nw for term in self.terms if getattr(term, "nw", None) is not None), None)
+
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
-        return np.sum([term.sample(runs, steps, rng) for term in self.terms], axis=0)
+        _check_draw(runs, steps, rng)
+        drawn = [term.sample(runs, steps, rng) for term in self.terms]
+        _check_widths([w.shape[-1] for w in drawn])
+        return np.sum(drawn, axis=0)
 
 
-@dataclass(frozen=True, eq=False)
-class Recorded:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recorded(Immutable):
     """A recorded signal (T, nw) or (T,): one run replays it from its start, several take seeded windows of it."""
 
     signal: ArrayField
 
     def __post_init__(self) -> None:
-        signal = np.array(self.signal, dtype=float)
+        signal = as_floats("signal", self.signal)
         signal = signal[:, None] if signal.ndim == 1 else signal
-        if signal.ndim != 2 or not np.isfinite(signal).all():
-            raise InputError(f"disturbance: got shape {signal.shape}, expected finite samples (T, nw).")
-        signal.setflags(write=False)
-        object.__setattr__(self, "signal", signal)
+        if signal.ndim != 2 or signal.size == 0:
+            raise InputError("signal", f"shape {signal.shape}", "samples (T,) or (T, nw)")
+        object.__setattr__(self, "signal", frozen(finite("signal", signal)))
+
+    def __repr__(self) -> str:
+        return f"Recorded({len(self.signal)} samples, {self.nw} channels)"
+
+    @property
+    def nw(self) -> int:
+        """Number of channels."""
+        return self.signal.shape[1]
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw).
@@ -89,8 +132,30 @@ class Recorded:
         InputError
             If the recording is shorter than `steps`.
         """
+        _check_draw(runs, steps, rng)
         spare = len(self.signal) - steps
         if spare < 0:
-            raise InputError(f"disturbance: got {len(self.signal)} samples, expected at least {steps}.")
+            raise InputError("steps", steps, f"at most {len(self.signal)}, the samples of the recording")
         starts = np.zeros(1, dtype=int) if runs == 1 else rng.integers(0, spare + 1, runs)
         return self.signal[starts[:, None] + np.arange(steps)]
+
+
+def check_channels(argument: str, disturbance: Any, nw: int) -> None:
+    """Raise an `InputError` unless `disturbance` draws sequences, of `nw` channels where it says how many."""
+    has_method(argument, disturbance, "sample", "a disturbance, with a method sample(runs, steps, rng)")
+    width = getattr(disturbance, "nw", None)
+    if width is not None and width != nw:
+        raise InputError(argument, f"{width} channels", f"{nw}, as many as the plant has disturbances")
+
+
+def _check_draw(runs: int, steps: int, rng: np.random.Generator) -> None:
+    """Raise an `InputError` unless the arguments of `sample` make sense."""
+    as_count("runs", runs)
+    as_count("steps", steps)
+    as_generator("rng", rng)
+
+
+def _check_widths(widths: list[int]) -> None:
+    """Raise an `InputError` if the terms of a sum have different numbers of channels."""
+    if len(set(widths)) > 1:
+        raise InputError("terms", f"disturbances of {', '.join(map(str, widths))} channels", "as many in each")

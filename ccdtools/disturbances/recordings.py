@@ -14,6 +14,7 @@ from typing import NoReturn, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ccdtools.checks import as_positive, shown
 from ccdtools.exceptions import InputError
 
 __all__ = ["read_disturbance", "read_road", "read_speed"]
@@ -26,7 +27,7 @@ SAMPLING_TOLERANCE = 1e-3  # relative to dt
 KMH = 1 / 3.6  # one km/h in m/s
 
 
-def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, argument: str = "--disturbance") -> Array:
+def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, argument: str = "path") -> Array:
     """The recorded disturbance, one value per time step.
 
     Parameters
@@ -51,12 +52,13 @@ def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, ar
     InputError
         If the file, the column, a cell, the sampling or `dt` is not as described.
     """
-    if not (math.isfinite(dt) and dt > 0):
-        raise InputError(f"dt: got {dt} s, expected a finite number > 0; pass the time step of the model")
+    as_positive("dt", dt, unit="s")
+    if column is not None and not isinstance(column, str):
+        raise InputError("column", shown(column), "the name of a column")
     table = _read_table(path, argument)
     name = column if column is not None else table.only_value_column()
     if _is_time(name):
-        table.fail(f"column '{name}', which holds the times, expected the column of the disturbance")
+        table.fail(f"column '{name}', which holds the times", "the column of the disturbance")
     values = table.column(name)
     table.check_no_gap()
     for time_name in filter(_is_time, table.header):
@@ -65,7 +67,7 @@ def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, ar
     return values
 
 
-def read_road(path: FilePath, *, argument: str = "--road") -> tuple[Array, Array]:
+def read_road(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
     """The recorded road: distance [m], strictly increasing, and elevation [m].
 
     Parameters
@@ -91,7 +93,7 @@ def read_road(path: FilePath, *, argument: str = "--road") -> tuple[Array, Array
     return distance, elevation
 
 
-def read_speed(path: FilePath, *, argument: str = "--speed") -> tuple[Array, Array]:
+def read_speed(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
     """The recorded speed: time [s], strictly increasing, and speed, converted from km/h to m/s.
 
     Parameters
@@ -116,7 +118,7 @@ def read_speed(path: FilePath, *, argument: str = "--speed") -> tuple[Array, Arr
     table.check_increasing("time", time)
     if (speed < 0).any():
         row = int(np.argmax(speed < 0))
-        table.fail(f"negative speed {speed[row]:g} km/h in line {table.lines[row]}, expected speed >= 0")
+        table.fail(f"negative speed {speed[row]:g} km/h in line {table.lines[row]}", "speeds ≥ 0")
     return time, speed * KMH
 
 
@@ -130,18 +132,18 @@ class _Table:
     rows: tuple[Sequence[str], ...]
     lines: tuple[int, ...]
 
-    def fail(self, text: str) -> NoReturn:
-        """Raise one line that names the argument and the file."""
-        raise InputError(f"{self.argument}: {self.path}: {text}")
+    def fail(self, got: str, expected: str, cure: str = "") -> NoReturn:
+        """Raise an `InputError` that names the argument and the file."""
+        raise InputError(self.argument, f"{self.path}: {got}", expected, cure)
 
     def only_value_column(self) -> str:
         """Name of the one column that is not the time."""
         names = [name for name in self.header if not _is_time(name)]
         if len(names) != 1:
             self.fail(
-                f"{len(names)} columns that could be the disturbance (found {_listed(self.header)}),"
-                " expected one besides the time; name the column, or remove the others"
-            )
+                f"{len(names)} columns that could be the disturbance (found {_listed(self.header)})",
+                "one besides the time", "Name the column, or remove the others.",
+            )  # fmt: skip
         return names[0]
 
     def check_no_gap(self) -> None:
@@ -153,13 +155,13 @@ class _Table:
         if any(_is_time(name) for name in self.header) or steps.max() == steps.min():
             return
         line = self.lines[int(np.argmax(steps > steps.min()))] + 1
-        self.fail(f"a blank line {line}, expected one row per sample; fill in the sample, or remove the line")
+        self.fail(f"a blank line {line}", "one row per sample", "Fill in the sample, or remove the line.")
 
     def column(self, name: str) -> Array:
         """The numbers of one column, every one finite."""
         if self.header.count(name) != 1:
             found = "several columns" if name in self.header else "no column"
-            self.fail(f"{found} '{name}', found {_listed(self.header)}; expected one header '{name}' in the first line")
+            self.fail(f"{found} '{name}' among {_listed(self.header)}", f"one header '{name}' in the first line")
         index = self.header.index(name)
         return np.array([self._number(row[index], name, line) for row, line in zip(self.rows, self.lines)])
 
@@ -169,39 +171,41 @@ class _Table:
         if (step <= 0).any():
             row = int(np.argmax(step <= 0)) + 1
             self.fail(
-                f"column '{name}' goes from {values[row - 1]:g} to {values[row]:g} in line {self.lines[row]},"
-                " expected strictly increasing values; sort the rows and remove duplicates"
-            )
+                f"column '{name}' going from {values[row - 1]:g} to {values[row]:g} in line {self.lines[row]}",
+                "strictly increasing values", "Sort the rows and remove duplicates.",
+            )  # fmt: skip
 
     def _number(self, cell: str, name: str, line: int) -> float:
+        """The finite number in a cell."""
         try:
             value = float(cell) if "_" not in cell else math.nan  # Python reads "1_0" as 10
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            self.fail(
-                f"{cell.strip()[:40]!r} in column '{name}', line {line}, expected a finite number;"
-                " fill or remove the row"
-            )
+            cell = repr(cell.strip()[:40])
+            self.fail(f"{cell} in column '{name}', line {line}", "a finite number", "Fill or remove the row.")
         return value
 
 
 def _read_table(path: FilePath, argument: str) -> _Table:
     """Header and rows of a CSV file with at least two rows of data."""
+    if not isinstance(path, str | PathLike) or not str(path):
+        raise InputError(argument, shown(path), "the path of a CSV file")
     path = Path(path)
     numbered = [(line, row) for line, row in _read_rows(path, argument) if any(cell.strip() for cell in row)]
     if not numbered:
-        raise InputError(f"{argument}: {path}: the file is empty, expected a CSV file: a header, then numbers")
+        raise InputError(argument, f"{path}, which is empty", "a CSV file: a header, then numbers")
     header = tuple(cell.strip() for cell in numbered[0][1])
-    lines, rows = tuple(line for line, _ in numbered[1:]), tuple(row for _, row in numbered[1:])
+    lines = tuple(line for line, _ in numbered[1:])
+    rows = tuple(row for _, row in numbered[1:])
     table = _Table(argument, path, header, rows, lines)
     if all(_is_number(name) for name in header):
-        table.fail(f"no header, the first line is {_listed(header)}; expected column names there")
+        table.fail(f"no header, but {_listed(header)} in the first line", "column names there")
     if len(rows) < 2:
-        table.fail(f"got {len(rows)} rows below the header ({_listed(header)}), expected at least 2")
+        table.fail(f"{len(rows)} rows below the header ({_listed(header)})", "at least 2")
     for line, row in zip(lines, rows):
         if len(row) != len(header):
-            table.fail(f"{len(row)} cells in line {line}, expected {len(header)} ({_listed(header)})")
+            table.fail(f"{len(row)} cells in line {line}", f"{len(header)} ({_listed(header)})")
     return table
 
 
@@ -212,13 +216,13 @@ def _read_rows(path: Path, argument: str) -> list[tuple[int, list[str]]]:
             reader = csv.reader(file)
             return [(reader.line_num, row) for row in reader]
     except FileNotFoundError:
-        raise InputError(f"{argument}: no such file: {path}; expected the path of a CSV file") from None
+        raise InputError(argument, f"{path}, which does not exist", "the path of a CSV file") from None
     except OSError as error:
         reason = error.strerror or type(error).__name__
-        raise InputError(f"{argument}: cannot read {path}: {reason}; expected a readable CSV file") from None
+        raise InputError(argument, f"{path}, which cannot be read ({reason})", "a readable CSV file") from None
     except (UnicodeDecodeError, csv.Error, ValueError) as error:
         reason = "not UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error)
-        raise InputError(f"{argument}: cannot read {path}: {reason}; expected a CSV file in UTF-8") from None
+        raise InputError(argument, f"{path}, which cannot be read ({reason})", "a CSV file in UTF-8") from None
 
 
 def _check_sampling(table: _Table, time: Array, dt: float) -> None:
@@ -229,18 +233,20 @@ def _check_sampling(table: _Table, time: Array, dt: float) -> None:
     if unequal.any() or typical <= 0:
         row = int(np.argmax(unequal | (step <= 0))) + 1
         table.fail(
-            f"unequal sampling: a step of {step[row - 1]:g} s in line {table.lines[row]},"
-            f" expected {dt:g} s throughout; resample the file at equal steps"
-        )
+            f"unequal sampling: a step of {step[row - 1]:g} s in line {table.lines[row]}",
+            f"{dt:g} s throughout", "Resample the file at equal steps.",
+        )  # fmt: skip
     if abs(typical - dt) > SAMPLING_TOLERANCE * dt:
-        table.fail(f"sampled every {typical:g} s, expected dt = {dt:g} s; resample the file at {dt:g} s")
+        table.fail(f"samples every {typical:g} s", f"dt = {dt:g} s", f"Resample the file at {dt:g} s.")
 
 
 def _is_time(name: str) -> bool:
+    """Whether a header names a column of times."""
     return re.sub(r"[\[(].*", "", name).strip().lower() in TIME_COLUMNS
 
 
 def _is_number(cell: str) -> bool:
+    """Whether a cell holds a number."""
     try:
         float(cell)
     except ValueError:
@@ -249,5 +255,6 @@ def _is_number(cell: str) -> bool:
 
 
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(repr(name[:40]) for name in names[:12])
-    return shown if len(names) <= 12 else f"{shown}, … ({len(names)} columns)"
+    """The first dozen names, as a message lists them."""
+    listed = ", ".join(repr(name[:40]) for name in names[:12])
+    return listed if len(names) <= 12 else f"{listed}, … ({len(names)} columns)"

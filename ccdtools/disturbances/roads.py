@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import lfilter
 
+from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_positive
 from ccdtools.exceptions import InputError
 
 __all__ = ["GeneratedRoad", "generate_road", "generate_speed", "road_disturbance"]
@@ -61,37 +62,31 @@ def road_disturbance(
     time, speed = _curve("time", time, "speed", speed)
     if (speed < 0).any():
         row = int(np.argmax(speed < 0))
-        raise InputError(
-            f"speed: got {speed[row]:g} m/s at index {row}, expected speed >= 0; this road has no way back"
-        )
-    instants = _instants(time, _positive("dt", dt), steps)
+        got = f"{speed[row]:g} m/s at index {row}"
+        raise InputError("speed", got, "speeds ≥ 0", "Driving backwards is not supported.")
+    instants = _instants(time, as_positive("dt", dt, unit="s"), steps)
     travelled = distance[0] + _travelled(time, speed, instants)
     if travelled[-1] > distance[-1] + 1e-9 * abs(travelled[-1]):
-        raise InputError(
-            f"road: got {distance[-1] - distance[0]:.6g} m, expected at least the"
-            f" {travelled[-1] - distance[0]:.6g} m of the drive of {len(instants) - 1} steps;"
-            " take a longer road, or fewer steps"
-        )
+        driven = f"at least the {travelled[-1] - distance[0]:.6g} m of the drive of {len(instants) - 1} steps"
+        cure = "Take a longer road, or fewer steps."
+        raise InputError("distance", f"a road of {distance[-1] - distance[0]:.6g} m", driven, cure)
     return np.diff(np.interp(travelled, distance, elevation)) / dt
 
 
 def _curve(x_name: str, x: ArrayLike, y_name: str, y: ArrayLike) -> tuple[Array, Array]:
     """Two finite vectors of one length, the first strictly increasing."""
-    x, y = np.array(x, dtype=float), np.array(y, dtype=float)
+    x, y = as_floats(x_name, x), as_floats(y_name, y)
     if x.ndim != 1 or x.shape != y.shape or len(x) < 2:
-        raise InputError(
-            f"{x_name}, {y_name}: got shapes {x.shape} and {y.shape}, expected two vectors of one length >= 2"
-        )
+        shapes = f"shapes {x.shape} and {y.shape}"
+        raise InputError(f"{x_name}, {y_name}", shapes, "two vectors of one length, at least 2")
     for name, values in ((x_name, x), (y_name, y)):
         if not np.isfinite(values).all():
             row = int(np.argmin(np.isfinite(values)))
-            raise InputError(f"{name}: got {values[row]} at index {row}, expected finite numbers; fill or remove it")
+            raise InputError(name, f"{values[row]} at index {row}", "finite numbers", "Fill or remove it.")
     if (np.diff(x) <= 0).any():
         row = int(np.argmax(np.diff(x) <= 0)) + 1
-        raise InputError(
-            f"{x_name}: got {x[row - 1]:g} then {x[row]:g} at index {row}, expected strictly increasing"
-            " values; sort them and remove duplicates"
-        )
+        got = f"{x[row - 1]:g} then {x[row]:g} at index {row}"
+        raise InputError(x_name, got, "strictly increasing values", "Sort them and remove duplicates.")
     return x, y
 
 
@@ -100,16 +95,13 @@ def _instants(time: Array, dt: float, steps: int | None) -> Array:
     duration = time[-1] - time[0]
     available = math.floor(duration / dt * (1 + 1e-9))
     if available < 1:
-        raise InputError(
-            f"time: got {duration:.6g} s, expected at least one step of {dt:g} s; take a longer speed record"
-        )
-    steps = available if steps is None else steps
-    if steps != int(steps) or steps < 1 or steps > available:
-        raise InputError(
-            f"steps: got {steps} of {dt:g} s, expected a whole number from 1 to {available}, as many as the"
-            f" {duration:.6g} s of speed cover; take a longer speed record, or fewer steps"
-        )
-    return np.minimum(time[0] + dt * np.arange(int(steps) + 1), time[-1])
+        longer = "Take a longer speed record."
+        raise InputError("time", f"{duration:.6g} s", f"at least one step of {dt:g} s", longer)
+    steps = available if steps is None else as_count("steps", steps)
+    if steps > available:
+        most = f"at most {available}, as many as the {duration:.6g} s of speed cover"
+        raise InputError("steps", f"{steps} of {dt:g} s", most, "Take a longer speed record, or fewer steps.")
+    return np.minimum(time[0] + dt * np.arange(steps + 1), time[-1])
 
 
 def _travelled(time: Array, speed: Array, instants: Array) -> Array:
@@ -186,7 +178,8 @@ def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0
     ----------
     ISO 8608:2016, section 5 and annex C (spectrum and classes of road roughness; here −2 as its exponent).
     """
-    intervals = math.ceil(_positive("length", length) / _positive("spacing", spacing) - 1e-9)
+    intervals = math.ceil(as_positive("length", length, unit="m") / as_positive("spacing", spacing, unit="m") - 1e-9)
+    as_generator("rng", rng)
     distance = spacing * np.arange(intervals + 1, dtype=np.float64)
     return distance, _rough(intervals + 1, spacing, rng) + _obstacles(distance, rng)
 
@@ -260,10 +253,9 @@ def generate_speed(
     InputError
         If `driver` is unknown, or `duration` or `dt` is not a finite number > 0.
     """
-    if driver not in STYLES:
-        raise InputError(f"driver: got {driver!r}, expected one of {', '.join(map(repr, get_args(Driver)))}")
-    style = STYLES[driver]
-    intervals = math.ceil(_positive("duration", duration) / _positive("dt", dt) - 1e-9)
+    style = STYLES[as_choice("driver", driver, get_args(Driver))]
+    as_generator("rng", rng)
+    intervals = math.ceil(as_positive("duration", duration, unit="s") / as_positive("dt", dt, unit="s") - 1e-9)
     time = dt * np.arange(intervals + 1, dtype=np.float64)
     knots, aims = _plan(time[-1], style, rng)
     return time, np.interp(time, knots, aims)
@@ -284,12 +276,6 @@ def _plan(duration: float, style: Style, rng: np.random.Generator) -> tuple[Arra
     return np.array(knots), np.array(aims)
 
 
-def _positive(name: str, value: float) -> float:
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(f"{name}: got {value}, expected a finite number > 0")
-    return value
-
-
 @dataclass(frozen=True)
 class GeneratedRoad:
     """A disturbance ż₀ [m/s]: a fresh road and a driver of a given style for every run.
@@ -305,11 +291,19 @@ class GeneratedRoad:
     dt: float = 0.05
 
     def __post_init__(self) -> None:
-        if self.driver not in get_args(Driver):
-            raise InputError(f"driver: got {self.driver!r}, expected one of {', '.join(get_args(Driver))}.")
+        as_choice("driver", self.driver, get_args(Driver))
+        as_positive("dt", self.dt, unit="s")
+
+    @property
+    def nw(self) -> int:
+        """Number of channels."""
+        return 1
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, 1)."""
+        as_count("runs", runs)
+        as_count("steps", steps)
+        as_generator("rng", rng)
         return np.stack([self._drive(steps, child) for child in rng.spawn(runs)])[:, :, None]
 
     def _drive(self, steps: int, rng: np.random.Generator) -> Array:

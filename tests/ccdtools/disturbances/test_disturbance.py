@@ -56,15 +56,15 @@ def test_the_generator_decides(disturbance):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Gaussian([-1.0]), "disturbance std: got .* expected finite values ≥ 0"),
-        (lambda: Gaussian([np.nan]), "disturbance std"),
-        (lambda: Uniform([1.0], [0.0]), "disturbance bounds: got .* expected lower ≤ upper, one per channel"),
-        (lambda: Uniform([0.0], [1.0, 2.0]), "disturbance bounds"),
-        (lambda: Recorded([1.0, np.nan]), r"disturbance: got shape \(2, 1\), expected finite samples \(T, nw\)"),
-        (lambda: Recorded(np.zeros((2, 2, 2))), r"disturbance: got shape \(2, 2, 2\)"),
+        (lambda: Gaussian([-1.0]), "std: got .* expected standard deviations ≥ 0"),
+        (lambda: Gaussian([np.nan]), "std: got a value that is not finite"),
+        (lambda: Uniform([1.0], [0.0]), "lower, upper: got .* expected lower ≤ upper"),
+        (lambda: Uniform([0.0], [1.0, 2.0]), "upper: got shape"),
+        (lambda: Recorded([1.0, np.nan]), "signal: got a value that is not finite"),
+        (lambda: Recorded(np.zeros((2, 2, 2))), r"signal: got shape \(2, 2, 2\)"),
         (
             lambda: Recorded(np.zeros(3)).sample(1, 4, np.random.default_rng(0)),
-            "disturbance: got 3 samples, expected at least 4",
+            "steps: got 4, expected at most 3",
         ),
     ],
 )

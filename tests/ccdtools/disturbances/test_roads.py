@@ -178,7 +178,7 @@ def test_a_generated_drive_of_15000_steps_yields_15000_values():
 
 def test_a_road_shorter_than_the_drive_is_refused():
     with pytest.raises(
-        InputError, match=r"^road: got 79 m, expected at least the 80 m of the drive of 80 st"
+        InputError, match=r"^distance: got a road of 79 m, expected at least the 80 m of the drive of 80 st"
     ):
         road_disturbance([0.0, 79.0], [0.0, 0.0], *CRUISE, dt=DT)
 
@@ -186,18 +186,18 @@ def test_a_road_shorter_than_the_drive_is_refused():
 @pytest.mark.parametrize("steps", [81, 0, -1, 2.5])
 def test_steps_that_the_speed_does_not_cover_are_refused(steps):
     with pytest.raises(
-        InputError, match=rf"^steps: got {steps} of 0.05 s, expected a whole number from 1 to 80"
+        InputError, match=rf"^steps: got {steps}( of 0.05 s, expected at most 80|, expected a whole number, at least 1)"
     ):
         road_disturbance(*SLOPE, *CRUISE, dt=DT, steps=steps)
 
 
 def test_a_speed_shorter_than_one_step_is_refused():
-    with pytest.raises(InputError, match=r"^time: got 4 s, expected at least one step of 5 s; take a longer"):
+    with pytest.raises(InputError, match=r"^time: got 4 s, expected at least one step of 5 s. Take a longer"):
         road_disturbance(*SLOPE, *CRUISE, dt=5.0)
 
 
 def test_a_negative_speed_is_refused():
-    with pytest.raises(InputError, match=r"^speed: got -1 m/s at index 1, expected speed >= 0; this"):
+    with pytest.raises(InputError, match=r"^speed: got -1 m/s at index 1, expected speeds ≥ 0. Driving backwards"):
         road_disturbance(*SLOPE, [0.0, 1.0], [1.0, -1.0], dt=DT)
 
 
@@ -224,7 +224,7 @@ def test_arrays_of_other_shapes_are_refused(z):
 
 
 def test_an_unknown_driver_is_refused():
-    with pytest.raises(InputError, match=r"^driver: got 'sleepy', expected one of 'mild', 'aggressive'$"):
+    with pytest.raises(InputError, match=r"^driver: got 'sleepy', expected one of mild, aggressive.$"):
         generate_speed(5.0, rng=np.random.default_rng(0), driver="sleepy")
 
 
@@ -237,5 +237,5 @@ def test_lengths_durations_and_steps_must_be_positive_numbers(bad):
         "duration": lambda: generate_speed(bad, rng=rng),
         "dt": lambda: road_disturbance(*SLOPE, *CRUISE, dt=bad),
     }.items():
-        with pytest.raises(InputError, match=rf"^{name}: got {bad}, expected a finite number > 0"):
+        with pytest.raises(InputError, match=rf"^{name}: got {bad}, expected a positive number"):
             call()
