@@ -9,19 +9,22 @@ termination.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
-from invariant_sets.engine.invariance import Limits, largest_invariant_set
+from invariant_sets.engine.inner_sets import Limits
+from invariant_sets.engine.invariance import Task, largest_invariant_set
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult
-from invariant_sets.system_checks import checked_system
+from invariant_sets.system_checks import checked_system, disturbance_vertices
+from invariant_sets.time_limits import Deadline, check_time_limit
 from invariant_sets.validation import check_count, check_tolerance
 
 
 def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E: Any = None,
                                   W: Polytope | None = None, tol: float = 1e-7, max_iterations: int = 500,
-                                  max_facets: int = 1000) -> SetResult:
+                                  max_facets: int = 1000, time_limit: float | None = None) -> SetResult:
     """Return the maximal (robust) control invariant set of x⁺ = A x + B u + E w in X, with u in U, w in W.
 
     Parameters
@@ -40,6 +43,9 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E
         Largest relative gap between `outer` and `set`.
     max_iterations, max_facets : int
         Caps of the recursion.
+    time_limit : float, optional
+        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT, `set` is
+        an invariant inner set and `outer` what the recursion had reached.
 
     Returns
     -------
@@ -54,14 +60,7 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E
 
     Notes
     -----
-    1. Coordinates are shifted to an equilibrium inside X and U and scaled by the bounding boxes. A bounded X
-       without an equilibrium holds no control invariant set. Flat sets are solved on their affine hull.
-    2. Unstable modes are bounded first (`unstable_modes`); without that the recursion creeps and stops outside.
-    3. Ω ← Pre(Ω) ∩ Ω until no row cuts by more than 1e-11: `outer`.
-    4. (1 − tol/10) Ω is invariant with room to spare, because inputs scale with the state; LPs at its vertices say
-       so. Where they do not, or with disturbances, which do not scale, the recursion is repeated from Ω for a
-       contraction factor just below one, which ends in an exactly invariant set.
-    5. Where a cap comes first, an invariant set of a linear feedback is grown from inside instead.
+    The recipe stands in `engine.invariance`.
 
     Assumes data of moderate condition; |λ| < 1 + 1e-6 is not treated as unstable. Invariance tolerance: 1e-9 of the
     extent of the set; what was measured is in the certificate.
@@ -71,14 +70,26 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E
     Bertsekas (1972), IEEE TAC 17(5); Blanchini, Miani (2015), sections 5.1 and 5.2; Hu, Lin (2001), Control Systems
     with Actuator Saturation, chapter 2.
     """
-    return within(A, B, X, U, E, W, tol, max_iterations, max_facets)
+    return largest_invariant_set(control_task(A, B, X, U, Options(tol, max_iterations, max_facets, time_limit), E=E, W=W))
 
 
-def within(A: Any, B: Any, X: Polytope, U: Polytope, E: Any, W: Polytope | None, tol: float, max_iterations: int,
-           max_facets: int, guess: Polytope | None = None) -> SetResult:
-    """Return the maximal control invariant set in X ∩ guess; see `maximal_control_invariant_set`."""
+@dataclass(frozen=True)
+class Options:
+    """The caller's tolerance and caps, as given; checked when a task is made of them."""
+
+    tol: Any = 1e-7
+    max_iterations: Any = 500
+    max_facets: Any = 1000
+    time_limit: Any = None
+
+    def limits(self) -> Limits:
+        """Return the limits, the time counted from now; raise `InputError` where one is no proper number."""
+        return Limits(check_tolerance(self.tol), check_count(self.max_iterations, "max_iterations", 1),
+                      check_count(self.max_facets, "max_facets", 1), Deadline.after(check_time_limit(self.time_limit)))
+
+
+def control_task(A: Any, B: Any, X: Polytope, U: Polytope, options: Options, *, E: Any = None,
+                 W: Polytope | None = None) -> Task:
+    """Return the checked task of `maximal_control_invariant_set`, or raise `InputError`."""
     A, B, E = checked_system(A, B, X, U, E, W)
-    limits = Limits(check_tolerance(tol), check_count(max_iterations, "max_iterations", 1),
-                    check_count(max_facets, "max_facets", 1))
-    disturbances = None if E is None or W is None else W.vertices @ E.T
-    return largest_invariant_set(LinearSystem(A, B, disturbances), X, U, limits, guess)
+    return Task(LinearSystem(A, B, disturbance_vertices(E, W)), X, U, options.limits())

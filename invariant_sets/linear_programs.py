@@ -61,10 +61,9 @@ def _from_highs(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
                          options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10})
         if answer.status == 0:
             return float(answer.fun), np.asarray(answer.x)
-        if answer.status == 2:
-            return np.inf, None
-        if answer.status == 3:
-            return -np.inf, None
+        if answer.status in (2, 3):
+            zero = linprog(0 * c, A_ub=A, b_ub=b, bounds=(None, None), method="highs-ds")
+            return (np.inf if zero.status == 2 else -np.inf), None
     if _has_ray(c, A) and inscribed_ball(A, b, cap=1.0)[0] >= 0:
         return -np.inf, None
     raise NumericalError(f"A linear program with {A.shape[0]} rows in {A.shape[1]} variables could not be "

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from invariant_sets.engine.predecessor import project_rows
 from invariant_sets.exceptions import InputError
 from invariant_sets.interior_form import FLAT, Body, unit_rows
 from invariant_sets.linear_programs import inscribed_ball
+from invariant_sets.projection import project_rows
 from invariant_sets.validation import as_floats, as_matrix, as_vector, check_finite
 
 if TYPE_CHECKING:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from invariant_sets.control_invariant import within
+from invariant_sets.control_invariant import Options, control_task
+from invariant_sets.engine.invariance import largest_invariant_set
 from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
@@ -192,8 +193,9 @@ class ParametricSet:
         if not isinstance(answer, tuple) or len(answer) not in (2, 3):
             raise InputError(f"matrices must return a tuple (A, B) or (A, B, E), got {type(answer).__name__}.")
         E = answer[2] if len(answer) == 3 and self.W is not None else None
-        return within(answer[0], answer[1], self.X, self.U, E, self.W, self.tol, self.max_iterations, self.max_facets,
-                      guess)
+        options = Options(self.tol, self.max_iterations, self.max_facets)
+        task = control_task(answer[0], answer[1], self.X, self.U, options, E=E, W=self.W)
+        return largest_invariant_set(task, guess)
 
     def _neighbour(self, p: Array) -> tuple[SetResult, float] | None:
         """Return the nearest known result that was slow to find, and its relative distance in p."""

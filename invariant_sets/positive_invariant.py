@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from invariant_sets.control_invariant import Options
 from invariant_sets.engine.certificate import control_violation
-from invariant_sets.engine.invariance import Limits, largest_invariant_set
+from invariant_sets.engine.invariance import Task, largest_invariant_set
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set
-from invariant_sets.system_checks import check_set, checked_disturbance, checked_state_matrix
+from invariant_sets.system_checks import check_set, checked_disturbance, checked_state_matrix, disturbance_vertices
 from invariant_sets.validation import as_matrix, check_count, check_tolerance
 
 Array = np.ndarray
@@ -22,7 +23,7 @@ _NO_INPUT = Polytope(np.zeros((0, 1)), np.zeros(0), np.ones((1, 1)), np.zeros(1)
 
 def maximal_positively_invariant_set(A: Any, X: Polytope, *, C: Any = None, E: Any = None, W: Polytope | None = None,
                                      tol: float = 1e-7, max_iterations: int = 500,
-                                     max_facets: int = 1000) -> SetResult:
+                                     max_facets: int = 1000, time_limit: float | None = None) -> SetResult:
     """Return the largest set of states whose trajectories x⁺ = A x + E w keep C x in X for ever.
 
     Parameters
@@ -41,6 +42,8 @@ def maximal_positively_invariant_set(A: Any, X: Polytope, *, C: Any = None, E: A
         Largest relative gap between `outer` and `set`.
     max_iterations, max_facets : int
         Caps of the recursion.
+    time_limit : float, optional
+        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT.
 
     Returns
     -------
@@ -71,10 +74,9 @@ def maximal_positively_invariant_set(A: Any, X: Polytope, *, C: Any = None, E: A
         check_set(X, "X", len(C))
         X = X.preimage(C)
     E = checked_disturbance(E, W, len(A))
-    limits = Limits(check_tolerance(tol), check_count(max_iterations, "max_iterations", 1),
-                    check_count(max_facets, "max_facets", 1))
-    disturbances = None if E is None or W is None else W.vertices @ E.T
-    return largest_invariant_set(LinearSystem(A, np.zeros((len(A), 1)), disturbances), X, _NO_INPUT, limits)
+    system = LinearSystem(A, np.zeros((len(A), 1)), disturbance_vertices(E, W))
+    options = Options(tol, max_iterations, max_facets, time_limit)
+    return largest_invariant_set(Task(system, X, _NO_INPUT, options.limits()))
 
 
 def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = None, eps: float = 1e-2,
@@ -139,8 +141,8 @@ def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = Non
         approximate = _rakovic if solid else _from_outside
         R, gap, steps, status = approximate(local, vertices, eps, max_iterations, max_facets)
         R = R.affine_map(Q, rest)
-    violation, points = control_violation(A, np.zeros((len(A), 1)), R, _NO_INPUT, noise)
-    certificate = Certificate(violation, gap, points)
+    check = control_violation(LinearSystem(A, np.zeros((len(A), 1)), noise), R, _NO_INPUT)
+    certificate = Certificate(check.violation, gap, check.points)
     if not certificate.holds:
         return no_set(len(A), steps, R, Status.NOT_CERTIFIED)
     return SetResult(R, R, status, steps, certificate)

@@ -8,29 +8,35 @@ Control for Linear and Hybrid Systems, section 10.1.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from invariant_sets.engine.certificate import control_violation
-from invariant_sets.engine.predecessor import project_rows
+from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.engine.steps import Step, backward_step, forward_step
+from invariant_sets.engine.trajectories import Trajectories, inner_hull
 from invariant_sets.operations import same_space
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set
-from invariant_sets.system_checks import check_set, checked_state_matrix, checked_system
+from invariant_sets.system_checks import check_set, checked_state_matrix, checked_system, disturbance_vertices
+from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached, check_time_limit
 from invariant_sets.validation import check_count
 
 Array = np.ndarray
+_EXACT_SHARE = 0.8  # of the time limit for the exact recursion; the rest is for an inner set
+_GRACE = 0.3  # seconds after the limit in which an inner set may still be found
 
 
-def predecessor_set(A: Any, B: Any, S: Polytope, U: Polytope, *, X: Polytope | None = None, E: Any = None,
-                    W: Polytope | None = None) -> SetResult:
+def predecessor_set(A: Any, B: Any, S: Polytope, U: Polytope | None, *, X: Polytope | None = None, E: Any = None,
+                    W: Polytope | None = None, time_limit: float | None = None) -> SetResult:
     """Return {x in X : some u in U has A x + B u + E w in S for all w in W}, the one-step predecessor of S.
 
     Parameters
     ----------
     A, B : (nx, nx) and (nx, nu) arrays
-        Dynamics.
+        Dynamics; B and U may both be None for a system without input.
     S, U : Polytope
         Target and input set.
     X : Polytope, optional
@@ -39,6 +45,8 @@ def predecessor_set(A: Any, B: Any, S: Polytope, U: Polytope, *, X: Polytope | N
         Disturbance matrix; the identity if W is given without it.
     W : Polytope, optional
         Bounded disturbance set.
+    time_limit : float, optional
+        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT.
 
     Raises
     ------
@@ -53,17 +61,17 @@ def predecessor_set(A: Any, B: Any, S: Polytope, U: Polytope, *, X: Polytope | N
     A = checked_state_matrix(A)
     check_set(S, "S", len(A))
     X = _whole_space(S) if X is None else X
-    return controllable_set(A, B, X, U, S, 1, E=E, W=W)
+    return controllable_set(A, B, X, U, S, 1, E=E, W=W, time_limit=time_limit)
 
 
-def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope, target: Polytope, steps: int, *, E: Any = None,
-                     W: Polytope | None = None) -> SetResult:
+def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope | None, target: Polytope, steps: int, *, E: Any = None,
+                     W: Polytope | None = None, time_limit: float | None = None) -> SetResult:
     """Return the states in X that inputs in U can steer into `target` in exactly `steps` steps, staying in X.
 
     Parameters
     ----------
     A, B : (nx, nx) and (nx, nu) arrays
-        Dynamics x⁺ = A x + B u + E w.
+        Dynamics; B and U may both be None for a system without input x⁺ = A x + B u + E w.
     X, U, target : Polytope
         State, input and target sets.
     steps : int
@@ -72,6 +80,9 @@ def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope, target: Polytope,
         Disturbance matrix; the identity if W is given without it.
     W : Polytope, optional
         Bounded disturbance set; the input may depend on the state, not on w.
+    time_limit : float, optional
+        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT and `set` an inner set,
+        the hull of states of single trajectories (empty with a disturbance).
 
     Returns
     -------
@@ -87,29 +98,34 @@ def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope, target: Polytope,
     ----------
     Borrelli, Bemporad, Morari (2017), algorithm 10.3; robust: algorithm 10.5. Tolerance 1e-9 of the set's extent.
     """
+    A, B, U = _with_inputs(A, B, U)
     A, B, E = checked_system(A, B, X, U, E, W)
     check_set(target, "target", len(A))
     steps = check_count(steps, "steps")
-    noise = None if E is None or W is None else W.vertices @ E.T
-    S, violation, points = (target if steps else target.intersection(X).minimal()), -np.inf, 0
-    for step in range(1, steps + 1):
-        previous = S.intersection(X) if step > 1 else S
-        S = _predecessor(A, B, S, U, X, noise)
-        if S.is_empty:
-            return no_set(len(A), step)
-        worst, checked = _miss(A, B, S, U, previous, noise)
-        violation, points = max(violation, worst), points + checked
-    return _result(S, steps, violation, points)
+    deadline = Deadline.after(check_time_limit(time_limit))
+    system = LinearSystem(A, B, disturbance_vertices(E, W))
+    if steps == 0:
+        return _exact(target.intersection(X).minimal(), 0, Certificate(0.0, 0.0, 0))
+
+    def step_back(S: Polytope, deadline: Deadline) -> Step:
+        return backward_step(system, S, X, U, deadline)
+
+    progress = _repeat(step_back, target, steps, deadline.part(_EXACT_SHARE))
+    if isinstance(progress, SetResult):
+        return progress
+    states = (X,) * steps + (target,)
+    inner = None if W is not None else inner_hull(Trajectories(A, B, states, U), 0, _last_part(deadline))
+    return _interrupted(inner, X.minimal(), progress)
 
 
-def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope, steps: int, *, X: Polytope | None = None,
-                  E: Any = None, W: Polytope | None = None) -> SetResult:
+def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope | None, steps: int, *, X: Polytope | None = None,
+                  E: Any = None, W: Polytope | None = None, time_limit: float | None = None) -> SetResult:
     """Return the states that x⁺ = A x + B u + E w can reach from `start` in exactly `steps` steps.
 
     Parameters
     ----------
     A, B : (nx, nx) and (nx, nu) arrays
-        Dynamics.
+        Dynamics; B and U may both be None for a system without input.
     start, U : Polytope
         Initial and input sets.
     steps : int
@@ -120,6 +136,9 @@ def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope, steps: int, *, X
         Disturbance matrix; the identity if W is given without it.
     W : Polytope, optional
         Bounded disturbance set; the disturbance may be any in W.
+    time_limit : float, optional
+        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT and `set` an inner set,
+        the hull of states of single trajectories.
 
     Returns
     -------
@@ -136,56 +155,92 @@ def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope, steps: int, *, X
     ----------
     Borrelli, Bemporad, Morari (2017), section 10.1.1. Tolerance 1e-9 of the set's extent.
     """
+    A, B, U = _with_inputs(A, B, U)
     A, B, E = checked_system(A, B, start, U, E, W, state_set="start")
     X = _whole_space(start) if X is None else same_space(start, X, "X")
     steps = check_count(steps, "steps")
-    R, violation, points = start.intersection(X), -np.inf, 0
-    moves = U.affine_map(B)
-    if E is not None and W is not None:
-        moves = moves.minkowski_sum(W.affine_map(E))
-    for step in range(1, steps + 1):
-        image = R.affine_map(A).minkowski_sum(moves).minimal()
-        if image.intersection(X).is_empty:
-            return no_set(len(A), step)
-        if len(image.b):
-            exact = R._supports(image.A @ A) + moves._supports(image.A)
-            excess = (exact - image.b) / image._row_scales[0]
-            violation, points = max(violation, float(excess.max())), points + len(image.b)
-        R = image.intersection(X)
-    if R.is_empty:
-        return no_set(len(A), steps)
-    return _result(R.minimal(), steps, violation, points)
+    deadline = Deadline.after(check_time_limit(time_limit))
+    system = LinearSystem(A, B, disturbance_vertices(E, W))
+    first = start.intersection(X).minimal()
+    if steps == 0 or first.is_empty or U.is_empty:
+        return no_set(len(A), 0) if U.is_empty else _exact(first, 0, Certificate(0.0, 0.0, 0))
+
+    def step_ahead(R: Polytope, deadline: Deadline) -> Step:
+        moves = U.affine_map(B)
+        if E is not None and W is not None:
+            moves = moves.minkowski_sum(W.affine_map(E))
+        return _within(forward_step(system, R, moves, deadline), X)
+
+    progress = _repeat(step_ahead, first, steps, deadline.part(_EXACT_SHARE))
+    if isinstance(progress, SetResult):
+        return progress
+    states = (first,) + (X,) * steps
+    inner = inner_hull(Trajectories(A, B, states, U), steps, _last_part(deadline))
+    return _interrupted(inner, X, progress)
 
 
-def _result(S: Polytope, steps: int, violation: float, points: int) -> SetResult:
+@dataclass(frozen=True)
+class _Progress:
+    """Where a recursion was stopped by a limit."""
+
+    steps: int
+    status: Status
+
+
+def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int,
+            deadline: Deadline) -> SetResult | _Progress:
+    """Return the result of so many steps from S, each checked, or where a limit stopped it."""
+    violation, missing, points = -np.inf, 0.0, 0
+    for k in range(1, steps + 1):
+        try:
+            deadline.check()
+            done = step(S, deadline)
+        except LimitReached as limit:
+            late = isinstance(limit, TimeLimitReached)
+            return _Progress(k - 1, Status.TIME_LIMIT if late else Status.FACET_LIMIT)
+        S = done.set
+        if S.is_empty:
+            return no_set(S.dim, k)
+        violation, missing, points = max(violation, done.violation), max(missing, done.missing), points + done.points
+    return _exact(S, steps, Certificate(violation, max(missing, 0.0), points, missing=missing))
+
+
+def _within(step: Step, X: Polytope) -> Step:
+    """Return the step with its set cut by X, which leaves what was checked of it as it is."""
+    cut = step.set.intersection(X).minimal() if len(X.b) + len(X.b_eq) else step.set
+    return Step(cut, step.violation, step.missing, step.points)
+
+
+def _exact(S: Polytope, steps: int, certificate: Certificate) -> SetResult:
+    """Return the result of all steps: CONVERGED if the certificate holds and nothing is missing."""
     if S.is_empty:
         return no_set(S.dim, steps)
-    certificate = Certificate(violation, 0.0, points)
     if not certificate.holds:
         return no_set(S.dim, steps, S, Status.NOT_CERTIFIED)
-    return SetResult(S, S, Status.CONVERGED, steps, certificate)
+    maximal = certificate.gap <= certificate.tolerance
+    return SetResult(S, S, Status.CONVERGED if maximal else Status.NOT_MAXIMAL, steps, certificate)
+
+
+def _last_part(deadline: Deadline) -> Deadline:
+    """Return the deadline for the inner set: what is left, and a little more."""
+    return Deadline.after(_GRACE + max(deadline.left, 0.0)) if np.isfinite(deadline.end) else Deadline.after(1.0)
+
+
+def _interrupted(inner: Polytope | None, outer: Polytope, progress: _Progress) -> SetResult:
+    """Return what there is at a limit: the hull of states of whole trajectories, or no set."""
+    if inner is None:
+        return no_set(outer.dim, progress.steps, outer, progress.status)
+    return SetResult(inner, outer, progress.status, progress.steps, Certificate(0.0, np.inf, len(inner.vertices)))
+
+
+def _with_inputs(A: Any, B: Any, U: Any) -> tuple[Any, Any, Any]:
+    """Return A, B and U, with a single input that is always zero where both B and U are None."""
+    if B is not None or U is not None:
+        return A, B, U
+    A = checked_state_matrix(A)
+    return A, np.zeros((len(A), 1)), Polytope(np.zeros((0, 1)), np.zeros(0), np.ones((1, 1)), np.zeros(1))
 
 
 def _whole_space(S: Polytope) -> Polytope:
+    """Return the whole space that S lies in."""
     return Polytope(np.zeros((0, S.dim)), np.zeros(0))
-
-
-def _predecessor(A: Array, B: Array, S: Polytope, U: Polytope, X: Polytope, noise: Array | None) -> Polytope:
-    """Return Pre(S) ∩ X: lift to (x, u), let the lifted body scale itself, eliminate u."""
-    n = len(A)
-    if noise is not None:
-        S = S.pontryagin_difference(Polytope.from_vertices(noise))
-    lifted = S.preimage(np.hstack([A, B])).intersection(X.cartesian_product(U))
-    body = lifted._body
-    if body is None:
-        return Polytope(np.zeros((1, n)), [-1.0])
-    if body.basis.shape[1] < lifted.dim:
-        return lifted.projection(np.arange(n)).minimal()
-    F, g = project_rows(body.F, body.g, n)  # a full-dimensional body has a diagonal basis
-    F = F / np.diag(body.basis)[:n]
-    return Polytope(F, g + F @ body.centre[:n]).minimal()
-
-
-def _miss(A: Array, B: Array, S: Polytope, U: Polytope, target: Polytope, noise: Array | None) -> tuple[float, int]:
-    """Return by how much the worst vertex of S misses `target` under the best input."""
-    return control_violation(A, B, S, U, noise, target=target)

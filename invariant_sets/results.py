@@ -21,8 +21,12 @@ class Status(Enum):
                        "invariant. Increase `max_iterations` or `tol`.")
     FACET_LIMIT = ("The set needs more facets than `max_facets`, or than Qhull can resolve: `set` is invariant (or "
                    "empty) but not the extremal one. Increase `max_facets` or `tol`.")
-    NOT_CERTIFIED = ("The certificate failed, so `set` is empty and only `outer` holds. The data are badly scaled or "
-                     "a mode is nearly marginal: rescale, or increase `tol`.")
+    TIME_LIMIT = ("The time limit came first: `set` is invariant (or empty) but not the extremal one, and "
+                  "`certificate.gap` says how far `outer` is from it. Increase `time_limit` or `tol`.")
+    NOT_CERTIFIED = ("The check of the result failed, so `set` is empty and only `outer` holds. The data are badly "
+                     "scaled or a mode is nearly marginal: rescale, or increase `tol`.")
+    NOT_MAXIMAL = ("`set` is invariant, but one more backward step would enlarge it by `certificate.missing`, so "
+                   "neither it nor `outer` is known to be the maximal one. Rescale the data, or increase `tol`.")
     OUTER_ONLY = ("X is unbounded and the recursion has not ended in an invariant set: only `outer` holds. "
                   "Intersect X with a box.")
 
@@ -40,24 +44,31 @@ class Certificate:
     ----------
     violation : float
         Largest amount by which a successor leaves the set, relative to the range of the violated row over the
-        bounding box of the set [-]. Negative: every successor lies inside.
+        bounding box of the set [-]. Negative: every successor lies inside. inf: nothing was checked.
     gap : float
         Least g with outer ⊆ (1 + g) set, about the equilibrium [-]. inf if not known.
     points : int
         Number of vertices or facets checked.
     tolerance : float
         Violation that still counts as none [-].
+    outside : float
+        Largest amount by which the set leaves X, relative as above [-].
+    missing : float
+        Largest amount by which one more backward step would enlarge the set, relative as above [-]; inf if it was
+        not checked, because the set is not claimed to be maximal.
     """
 
     violation: float
     gap: float
     points: int
     tolerance: float = INVARIANT
+    outside: float = 0.0
+    missing: float = np.inf
 
     @property
     def holds(self) -> bool:
-        """Whether the set has the property at the stated tolerance."""
-        return self.violation <= self.tolerance
+        """Whether the set has the property, inside X, at the stated tolerance."""
+        return bool(np.isfinite(self.violation) and max(self.violation, self.outside) <= self.tolerance)
 
 
 @dataclass(frozen=True)
@@ -84,9 +95,19 @@ class SetResult:
     iterations: int
     certificate: Certificate
 
+    @property
+    def is_bounded(self) -> bool:
+        """Whether the set fits into a box; an unbounded one has directions that the constraints never see."""
+        return self.set.is_bounded
+
+    def __repr__(self) -> str:
+        kind = "empty" if self.set.is_empty else "bounded" if self.is_bounded else "unbounded"
+        return (f"SetResult({self.status.name}, {kind} set of dimension {self.set.dim}, {len(self.set.b)} inequalities, "
+                f"{self.iterations} steps, violation {self.certificate.violation:.1e}, gap {self.certificate.gap:.1e})")
+
 
 def no_set(nx: int, iterations: int, outer: Polytope | None = None, status: Status = Status.EMPTY) -> SetResult:
     """Return a result with the empty set; `outer` too unless given."""
     nothing = Polytope(np.zeros((1, nx)), [-1.0])
     gap = 0.0 if status is Status.EMPTY else np.inf
-    return SetResult(nothing, nothing if outer is None else outer, status, iterations, Certificate(-np.inf, gap, 0))
+    return SetResult(nothing, nothing if outer is None else outer, status, iterations, Certificate(np.inf, gap, 0))

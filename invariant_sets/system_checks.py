@@ -17,7 +17,7 @@ def checked_state_matrix(A: Any) -> Array:
     """Return the square matrix A (nx, nx), or raise `InputError`."""
     A = as_matrix(A, "A")
     if A.shape[0] != A.shape[1] or A.shape[0] == 0:
-        raise InputError(f"A has shape {A.shape}, expected a square matrix (nx, nx).")
+        raise InputError("A", f"shape {A.shape}", "a square matrix (nx, nx)")
     return A
 
 
@@ -25,7 +25,7 @@ def checked_input_matrix(B: Any, nx: int) -> Array:
     """Return B (nx, nu), or raise `InputError`."""
     B = as_matrix(B, "B", rows=nx)
     if B.shape[1] == 0:
-        raise InputError(f"B has shape {B.shape}, expected at least one column; use a zero column for no input.")
+        raise InputError("B", f"shape {B.shape}", "at least one column", "Use a zero column for no input.")
     return B
 
 
@@ -33,12 +33,12 @@ def checked_disturbance(E: Any, W: Any, nx: int) -> Array | None:
     """Return E (nx, nw), the identity if only W is given, None if neither is; or raise `InputError`."""
     if W is None:
         if E is not None:
-            raise InputError("E is given without W; give the disturbance set W too.")
+            raise InputError("E", "a matrix without W", "both or neither", "Give the disturbance set W too.")
         return None
     E = np.eye(nx) if E is None else as_matrix(E, "E", rows=nx)
     check_set(W, "W", E.shape[1])
     if W.is_empty or not W.is_bounded:
-        raise InputError(f"W is {'empty' if W.is_empty else 'unbounded'}, expected a bounded, nonempty set.")
+        raise InputError("W", "an empty set" if W.is_empty else "an unbounded set", "a bounded, nonempty set")
     return E
 
 
@@ -52,9 +52,14 @@ def checked_system(A: Any, B: Any, X: Any, U: Any, E: Any, W: Any, *,
     return A, B, checked_disturbance(E, W, len(A))
 
 
+def disturbance_vertices(E: Array | None, W: Polytope | None) -> Array | None:
+    """Return the vertices (k, nx) of E W, None without a disturbance."""
+    return None if E is None or W is None else W.vertices @ E.T
+
+
 def check_set(value: Any, name: str, dim: int) -> None:
     """Raise `InputError` unless `value` is a `Polytope` of dimension `dim`."""
     if not isinstance(value, Polytope):
-        raise InputError(f"{name} must be a Polytope, got {type(value).__name__}.")
+        raise InputError(name, type(value).__name__, "a Polytope")
     if value.dim != dim:
-        raise InputError(f"{name} has dimension {value.dim}, expected {dim}.")
+        raise InputError(name, f"a set of dimension {value.dim}", f"dimension {dim}")

@@ -1,42 +1,67 @@
-"""Independent check of invariance: one small linear program at every vertex, measured by its own witness."""
+"""Independent checks of a set: is it invariant, inside X, bounded as said, and is anything missing?
+
+They share nothing with the recursion but the linear programs: the set is taken as the rows and vertices that the user
+gets, in the units of the user.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import daqp
 import numpy as np
 
-from invariant_sets.engine.predecessor import predecessor_rows
-from invariant_sets.interior_form import unit_rows
+from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
+from invariant_sets.projection import project_rows, unit
+from invariant_sets.time_limits import NO_DEADLINE, Deadline
 
 Array = np.ndarray
-_DOUBTFUL = 1e-12
+Rows = tuple[Array, Array]
+_DOUBTFUL = 1e-12  # relative violation above which the answer of DAQP is asked for a second time
+_IN_INPUT_SET = 1e-9  # of the extent of U: a witness may leave it by this
+_EVERY = 50  # linear programs between two looks at the clock
 
 
-def control_violation(A: Array, B: Array, C: Polytope, U: Polytope, disturbances: Array | None = None, *,
-                      target: Polytope | None = None) -> tuple[float, int]:
-    """Return by how much the worst vertex of C leaves `target` (C itself) under the best input, and the count.
+@dataclass(frozen=True)
+class Check:
+    """Largest relative violation found [-] and the number of vertices or facets looked at."""
+
+    violation: float
+    points: int
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """The input u = centre + gain (x − equilibrium)."""
+
+    gain: Array
+    equilibrium: Array
+    centre: Array
+
+
+def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target: Polytope | None = None,
+                      deadline: Deadline = NO_DEADLINE) -> Check:
+    """Return by how much the worst vertex of C leaves `target` (C itself) under the best input in U.
 
     Parameters
     ----------
-    A, B : arrays
-        Dynamics x⁺ = A x + B u + w.
+    system : LinearSystem
+        Dynamics.
     C, U : Polytope
         State and input sets, not empty.
-    disturbances : (k, nx) array, optional
-        Vertices of E W.
     target : Polytope, optional
         Where the successors must lie; C if left out.
+    deadline : Deadline
+        When to stop, by `TimeLimitReached`.
 
     Returns
     -------
-    violation : float
-        max over vertices x of min over u in U of max over facets i and disturbances w of
-        (fᵢᵀ(A x + B u + w) − gᵢ) / (range of fᵢ over the bounding box of C). By convexity it bounds the
+    Check
+        The violation is max over vertices x of min over u in U of max over facets i and disturbances w of
+        (fᵢᵀ(A x + B u + w) − gᵢ) / (range of fᵢ over the bounding box of the target). By convexity it bounds the
         violation on all of C. Unbounded sets are checked at the facets of their predecessor set instead.
-    points : int
-        Number of vertices (or facets) checked.
 
     Notes
     -----
@@ -44,63 +69,127 @@ def control_violation(A: Array, B: Array, C: Polytope, U: Polytope, disturbances
     error can make the result too large, never too small.
     """
     target = C if target is None else target
-    if not C.is_bounded:
-        return _facet_violation(A, B, C, U, disturbances, target)
-    F, g = relative_rows(target)
+    F, g = tightened_rows(target, system.disturbances)
     if not len(g):
-        return -np.inf, len(C.vertices)
-    if disturbances is not None:
-        g = g - (F @ disturbances.T).max(axis=1)
+        return Check(0.0, 0)
+    if not C.is_bounded:
+        return _violation_at_facets(system, C, U, (F, g), deadline)
     body = U._body
     assert body is not None
-    slope, room = F @ B @ body.basis, g - C.vertices @ (F @ A).T - F @ B @ body.centre
-    H, h = body.F, body.g
+    slope = F @ system.B @ body.basis
+    room = g - C.vertices @ (F @ system.A).T - F @ system.B @ body.centre
+    if slope.shape[1] == 0:
+        return Check(float((-room).max()), len(room))
+    return Check(_least_violation(slope, room, (body.F, body.g), deadline), len(room))
+
+
+def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline) -> float:
+    """Return the largest over k of min over v in the inputs of max (slope v − room_k), from the minimisers found."""
+    H, h = inputs
     nu = H.shape[1]
-    if nu == 0:
-        return float((-room).max()), len(room)
-    rows = np.ascontiguousarray(np.block([[slope, -np.ones((len(F), 1))], [H, np.zeros((len(H), 1))]]))
+    rows = np.ascontiguousarray(np.block([[slope, -np.ones((len(slope), 1))], [H, np.zeros((len(H), 1))]]))
     cost = np.zeros(nu + 1)
     cost[nu] = 1.0
     witnesses = np.zeros((len(room), nu))
     for k in range(len(room)):
+        if k % _EVERY == 0:
+            deadline.check()
         v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=1e-11)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
-    leaves = _leaves(witnesses, slope, room, H, h)
+    leaves = _violations(witnesses, slope, room, inputs)
     for k in map(int, np.flatnonzero(leaves > _DOUBTFUL)):  # DAQP may stop early: ask the checked solver
         v = minimise(cost, rows, np.concatenate([room[k], h]))[1]
         if v is not None:
-            leaves[k] = min(leaves[k], _leaves(v[None, :nu], slope, room[k:k + 1], H, h)[0])
-    return float(leaves.max()), len(room)
+            leaves[k] = min(leaves[k], _violations(v[None, :nu], slope, room[k:k + 1], inputs)[0])
+    return float(leaves.max())
 
 
-def relative_rows(C: Polytope) -> tuple[Array, Array]:
-    """Return all rows of C as inequalities, divided by their range over its bounding box."""
-    scale, scale_eq = C._row_scales
+def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
+    """Return the violation of each witness (k, nu), infinite if it is not in U itself."""
+    with np.errstate(invalid="ignore"):
+        inside = (v @ inputs[0].T - inputs[1] <= _IN_INPUT_SET).all(axis=1)
+        return np.where(inside, (v @ slope.T - room).max(axis=1), np.inf)
+
+
+def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feedback,
+                       deadline: Deadline = NO_DEADLINE) -> Check:
+    """Return by how much C leaves itself, or the inputs leave U, under a feedback: one linear program a row."""
+    closed = system.A + system.B @ law.gain
+    shift = system.B @ (law.centre - law.gain @ law.equilibrium)
+    F, g = tightened_rows(C, system.disturbances)
+    H, h = relative_rows(U)
+    rows = np.vstack([F @ closed, H @ law.gain])
+    right = np.append(g - F @ shift, h - H @ (law.centre - law.gain @ law.equilibrium))
+    worst = -np.inf
+    for i in range(0, len(rows), _EVERY):
+        deadline.check()
+        worst = max(worst, float((C.support(rows[i:i + _EVERY]) - right[i:i + _EVERY]).max()))
+    return Check(worst, len(rows))
+
+
+def outside(C: Polytope, X: Polytope) -> float:
+    """Return by how much C leaves X, relative to the range of the row of X over the bounding box of C."""
+    F, g = relative_rows(X, C)
+    if not len(g):
+        return 0.0
+    return float(((F @ C.vertices.T).max(axis=1) - g).max() if C.is_bounded else (C.support(F) - g).max())
+
+
+def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadline: Deadline = NO_DEADLINE) -> float:
+    """Return by how much one more backward step would enlarge C, relative to the range of each row of C.
+
+    For every row f of C one linear program: max fᵀx over x in X and u in U with A x + B u + w in C for all w. A set
+    that has collapsed, or was cut too far, shows here.
+    """
+    state, inputs = X._body, U._body
+    assert state is not None
+    assert inputs is not None
+    F, g = relative_rows(C)
+    T, t = tightened_rows(C, system.disturbances)
+    N, M = state.basis, inputs.basis
+    k, q = N.shape[1], M.shape[1]
+    rows = np.block([
+        [state.F, np.zeros((len(state.g), q))], [np.zeros((len(inputs.g), k)), inputs.F],
+        [T @ system.A @ N, T @ system.B @ M]])
+    drift = system.A @ state.centre + system.B @ inputs.centre
+    rows, right = unit(rows, np.concatenate([state.g, inputs.g, t - T @ drift]))
+    worst = -np.inf
+    for i, f in enumerate(F):
+        if i % _EVERY == 0:
+            deadline.check()
+        local = np.append(f @ N, np.zeros(q))
+        size = float(np.linalg.norm(local))
+        value = -size * minimise(-local / size, rows, right)[0] if size > 0.0 else 0.0
+        worst = max(worst, value + float(f @ state.centre - g[i]))
+    return worst
+
+
+def relative_rows(C: Polytope, over: Polytope | None = None) -> Rows:
+    """Return all rows of C as inequalities, divided by their range over the bounding box of C (or of another set)."""
+    scale, scale_eq = C._row_scales if over is None else over._scales_along(C)
+    scale, scale_eq = np.where(scale > 0.0, scale, 1.0), np.where(scale_eq > 0.0, scale_eq, 1.0)
     F = np.vstack([C.A / scale[:, None], C.A_eq / scale_eq[:, None], -C.A_eq / scale_eq[:, None]])
     return F, np.concatenate([C.b / scale, C.b_eq / scale_eq, -C.b_eq / scale_eq])
 
 
-def _leaves(v: Array, slope: Array, room: Array, H: Array, h: Array) -> Array:
-    """Return the violation of each witness (k, nu), infinite if it is not in U itself."""
-    with np.errstate(invalid="ignore"):
-        inside = (v @ H.T - h <= 1e-9).all(axis=1)
-        return np.where(inside, (v @ slope.T - room).max(axis=1), np.inf)
+def tightened_rows(C: Polytope, disturbances: Array | None) -> Rows:
+    """Return the relative rows of C ⊖ E W."""
+    F, g = relative_rows(C)
+    return F, g if disturbances is None or not len(g) else g - (F @ disturbances.T).max(axis=1)
 
 
-def _facet_violation(A: Array, B: Array, C: Polytope, U: Polytope, disturbances: Array | None,
-                     target: Polytope) -> tuple[float, int]:
-    """Return by how much C leaves the predecessor set of `target`, by one LP a facet."""
-    F, g = relative_rows(target)
-    if not len(g):
-        return -np.inf, 0
+def _violation_at_facets(system: LinearSystem, C: Polytope, U: Polytope, target: Rows, deadline: Deadline) -> Check:
+    """Return by how much C leaves the predecessor set of the target rows, by one LP a facet."""
     body = U._body
     assert body is not None
-    H = np.hstack([np.zeros((len(body.g), len(A))), body.F])
-    R, r = predecessor_rows(F, g - F @ B @ body.centre, A, B @ body.basis, H, body.g, disturbances)
-    R, r = unit_rows(R, r)
-    if R is None:
-        return np.inf, 0
+    F, g = target
+    N = C._body.basis  # type: ignore[union-attr]
+    centre = C._body.centre  # type: ignore[union-attr]
+    rows = np.vstack([np.hstack([F @ system.A @ N, F @ system.B @ body.basis]),
+                      np.hstack([np.zeros((len(body.g), N.shape[1])), body.F])])
+    right = np.append(g - F @ (system.A @ centre + system.B @ body.centre), body.g)
+    R, r = project_rows(rows, right, N.shape[1], deadline=deadline)
     if not len(r):
-        return -np.inf, 0
-    scale = np.abs(R) @ (2 * np.linalg.norm(C._body.basis, axis=1))  # type: ignore[union-attr]
-    return float(((C._supports(R) - r) / scale).max()), len(r)
+        return Check(0.0, 0)
+    values = np.array([-minimise(-row, C._body.F, C._body.g)[0] for row in R])  # type: ignore[union-attr]
+    return Check(float(((values - r) / 2.0).max()), len(r))

@@ -1,87 +1,108 @@
-"""The engine behind every maximal invariant set: outer recursion, inner candidates, certificate.
+"""The engine behind every maximal invariant set.
+
+1. `local_problem`: coordinates are shifted to an equilibrium inside X and U and scaled by the extents of X. A bounded X
+   without an equilibrium holds no invariant set. Flat sets are solved on their affine hull.
+2. `unstable_modes`: unstable modes are bounded first; without that the recursion creeps and stops outside.
+3. `recursion`: Ω ← Pre(Ω) ∩ Ω until no row cuts any more. This is `outer`. A set that has become small or flat is taken
+   back to 1.
+4. `inner_sets`: (1 − tol/10) Ω is invariant with room to spare, because inputs scale with the state. Disturbances do not
+   scale; there the recursion is repeated from Ω for a contraction factor just below one. Where a cap came first, the
+   invariant set of a linear feedback is grown from inside.
+5. `certificate`: only a set that passes its check at every vertex (or facet) is returned, and only one that one more
+   backward step does not enlarge is called maximal.
 
 References
 ----------
 Bertsekas (1972), IEEE TAC 17(5). Blanchini (1994), Ultimate boundedness control for uncertain discrete-time systems
-via set-induced Lyapunov functions, IEEE TAC 39(2): contraction makes the recursion end in an invariant set.
+via set-induced Lyapunov functions, IEEE TAC 39(2).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invariant_sets.engine.certificate import control_violation
+from invariant_sets.engine import certificate
+from invariant_sets.engine.inner_sets import Candidate, Limits, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
-from invariant_sets.engine.predecessor import predecessor_rows
 from invariant_sets.engine.recursion import Outcome, Region, Shape, iterate
 from invariant_sets.engine.unstable_modes import unstable_bounds
+from invariant_sets.exceptions import NumericalError
 from invariant_sets.interior_form import FLAT, unit_rows
 from invariant_sets.linear_programs import inscribed_ball
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import INVARIANT, Certificate, SetResult, Status, no_set
+from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
 
 Array = np.ndarray
 _STOP = 1e-11  # the outer recursion has converged if no row cuts more, relative to the set
-_CENTRAL = 1e-9  # rows this close to the equilibrium pass through it
+_OUTER_SHARE = 0.5  # of the time limit for the outer recursion; the rest is for inner sets and their certificate
+_INNER_SHARE = 0.6  # of the time left for inner sets; the rest is for the certificate
+_GRACE = 0.75  # seconds after the limit in which a feedback's set may still be found
+_MISSING = 1e-8  # relative enlargement by a backward step that rounding may cause
 
 
 @dataclass(frozen=True)
-class Limits:
-    """When to stop.
+class Task:
+    """What is asked for: the largest set in X that inputs in U can keep the state in, within limits."""
 
-    Attributes
-    ----------
-    tol : float
-        Largest relative gap between the outer and the inner set [-].
-    iterations, facets : int
-        Caps.
-    """
-
-    tol: float
-    iterations: int
-    facets: int
+    system: LinearSystem
+    X: Polytope
+    U: Polytope
+    limits: Limits
 
 
-def largest_invariant_set(system: LinearSystem, X: Polytope, U: Polytope, limits: Limits,
-                          guess: Polytope | None = None) -> SetResult:
+def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResult:
     """Return the largest set in X (and in a full-dimensional `guess`) that some u in U can keep the state in.
 
     The input does not know w. The set is rescaled when it has become small, and solved on its affine hull when
     it has become flat.
     """
-    nx, iterations, widest = len(system.A), 0, _extent(X)
+    limits, X, nx = task.limits, task.X, task.X.dim
+    iterations, widest = 0, _extent(X)
+    outer_deadline = limits.deadline.part(_OUTER_SHARE)
     for _ in range(4 * nx + 8):
-        problem = localise(system, X, U, widest)
-        if problem is None:
-            return no_set(nx, iterations)
-        if isinstance(problem, Polytope):
-            X = problem
+        localised = localise(task.system, X, task.U, widest)
+        if localised.flatter is not None:
+            X = localised.flatter
             continue
-        if problem.basis.shape[1] == 0:
-            return _point(system, problem, X, U, iterations)
+        problem = localised.problem
+        if problem is None:
+            return _nothing(task, iterations)
+        if problem.frame.basis.shape[1] == 0:
+            return _point(task, problem, X, iterations)
         start = _bounded_modes(problem, _start(problem, X))
         if guess is not None and start.shape is Shape.SOLID:
             start, guess = _guessed(problem, start, guess), None
-        outcome = Outcome(start, 0, False, np.inf)
+        outcome = Outcome(start, 0)
         if start.shape is Shape.SOLID and not start.is_small:
             steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
-            outcome = iterate(start, _predecessor(problem), _STOP, max(steps, 1), limits.facets)
+            caps = replace(limits.caps(_STOP, max(steps, 1)), deadline=outer_deadline)
+            outcome = iterate(start, predecessor_of(problem, deadline=outer_deadline), caps)
         iterations += outcome.iterations
-        region = outcome.region.tidy()
+        region = outcome.region if outcome.limit is not None else outcome.region.tidy()
         if region.shape is Shape.EMPTY:
-            return no_set(nx, iterations)
-        capped = iterations >= limits.iterations or outcome.too_many_facets
-        smaller = problem.polytope(region.F, region.g, region.V)
+            return _nothing(task, iterations)
+        capped = iterations >= limits.iterations or outcome.limit is not None
         if region.shape is Shape.SOLID and (outcome.converged or capped) and not region.is_small:
-            return _finish(system, problem, U, outcome, region, iterations, limits)
+            return _finish(task, problem, replace(outcome, region=region, iterations=iterations))
+        smaller = problem.frame.polytope(region.F, region.g, region.V)
         X = _flattened(smaller, widest) if region.is_small else smaller
-    return no_set(nx, iterations, X, Status.ITERATION_LIMIT if X.is_bounded else Status.OUTER_ONLY)
+        if limits.deadline.passed:
+            break
+    return no_set(nx, iterations, X, _unfinished(limits, X.is_bounded))
+
+
+def _unfinished(limits: Limits, bounded: bool) -> Status:
+    """Return the status of a recursion that has not ended."""
+    if limits.deadline.passed:
+        return Status.TIME_LIMIT
+    return Status.ITERATION_LIMIT if bounded else Status.OUTER_ONLY
 
 
 def _extent(X: Polytope) -> Array:
+    """Return the half width (nx,) of X in every coordinate, zero if empty."""
     body = X._body
     return np.zeros(X.dim) if body is None else np.linalg.norm(body.basis, axis=1)
 
@@ -97,21 +118,23 @@ def _flattened(X: Polytope, widest: Array) -> Polytope:
 
 
 def _start(problem: LocalProblem, X: Polytope) -> Region:
+    """Return the state set as a region, with its vertices where it is bounded."""
+    F, g = problem.states
     if not problem.bounded:
-        return Region(problem.F, problem.g, None)
-    inverse = (np.linalg.inv if problem.basis.shape[0] == problem.basis.shape[1] else np.linalg.pinv)(problem.basis)
-    return Region(problem.F, problem.g, (X.vertices - problem.centre) @ inverse.T)
+        return Region(F, g, None)
+    return Region(F, g, (X.vertices - problem.frame.centre) @ problem.frame.back.T)
 
 
 def _guessed(problem: LocalProblem, region: Region, guess: Polytope) -> Region:
-    rows, right = unit_rows(guess.A @ problem.basis, guess.b - guess.A @ problem.centre)
-    return region.cut(rows, right)
+    """Return the region cut by the rows of a guess."""
+    return region.cut(*problem.frame.rows_of(guess))
 
 
 def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
-    if problem.inputs is None or not problem.shifted:
+    """Return the region cut by the bounds on the unstable modes."""
+    if problem.input_moves is None or not problem.at_equilibrium:
         return region
-    D, d, group = unstable_bounds(problem.A, problem.inputs, problem.disturbances)
+    D, d, group = unstable_bounds(problem.dynamics.A, problem.input_moves, problem.dynamics.disturbances)
     if not len(d):
         return region
     norms = np.linalg.norm(D, axis=1)
@@ -122,142 +145,102 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
     return region.cut(D[cutting], d[cutting]) if cutting.any() else region
 
 
-def _predecessor(problem: LocalProblem, factor: float = 1.0):
-    def rows(F: Array, g: Array, fresh: Array | None = None):
-        target = factor * g - F @ problem.drift if problem.drift.any() else factor * g
-        return predecessor_rows(F, target, problem.A, problem.B, problem.H, problem.h, problem.disturbances,
-                                fresh)
-
-    return rows
-
-
-def _finish(system: LinearSystem, problem: LocalProblem, U: Polytope, outcome: Outcome, region: Region,
-            iterations: int, limits: Limits) -> SetResult:
+def _finish(task: Task, problem: LocalProblem, outcome: Outcome) -> SetResult:
     """Return the result: an inner set that passes the certificate, beside the outer one."""
-    outer = problem.polytope(region.F, region.g, region.V)
+    region, limits = outcome.region, task.limits
+    outer = problem.frame.polytope(region.F, region.g, region.V)
     status = Status.CONVERGED
     if not outcome.converged:
-        status = Status.FACET_LIMIT if outcome.too_many_facets else Status.ITERATION_LIMIT
+        status = outcome.limit or Status.ITERATION_LIMIT
         status = status if problem.bounded else Status.OUTER_ONLY
-    for candidate, steps in _candidates(problem, outcome, region, limits):
-        iterations += steps
-        inner = problem.polytope(candidate.F, candidate.g, candidate.V)
-        violation, points = control_violation(system.A, system.B, inner, U, system.disturbances)
-        if violation <= INVARIANT:
-            gap = _gap(region, candidate)
-            if gap <= limits.tol * (1 + 1e-6) + INVARIANT:
-                status = Status.CONVERGED
-            elif status is Status.CONVERGED:
-                status = Status.ITERATION_LIMIT
-            return SetResult(inner, outer, status, iterations, Certificate(violation, gap, points))
+    inside = replace(limits, deadline=limits.deadline.part(_INNER_SHARE))
+    steps = outcome.iterations
+    for candidate in candidates(problem, outcome, region, inside):
+        steps += candidate.steps
+        result = _certified(task, problem, region, candidate, limits.deadline)
+        if result is not None:
+            return _with_status(task, result, outer, status, steps)
+    if status in (Status.TIME_LIMIT, Status.FACET_LIMIT):
+        grace = Deadline.after(max(limits.deadline.left, 0.0) + _GRACE)
+        for candidate in feedback_sets(problem, region, replace(limits, deadline=grace)):
+            result = _certified(task, problem, region, candidate, grace)
+            if result is not None:
+                return _with_status(task, result, outer, status, steps)
     if status is Status.CONVERGED:
         status = Status.NOT_CERTIFIED if problem.bounded else Status.OUTER_ONLY
-    return no_set(len(system.A), iterations, outer, status)
+    return no_set(task.X.dim, steps, outer, status)
 
 
-def _candidates(problem: LocalProblem, outcome: Outcome, region: Region,
-                limits: Limits) -> Iterator[tuple[Region, int]]:
-    """Yield inner regions and the steps they cost, the best first."""
-    scales = problem.disturbances is None and problem.shifted
-    if scales and outcome.converged:
-        yield _shrunk(region, limits.tol / 10), 0
-    if problem.shifted and outcome.converged and limits.tol > 0:
-        for delta in (limits.tol / 100, limits.tol / 10000):
-            yield from _contracted(problem, region, delta, limits)
-    if outcome.converged:
-        yield region, 0
-        return
-    if scales and problem.bounded:
-        for part in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1):
-            yield _shrunk(region, part), 0
-    if problem.shifted and problem.bounded:
-        yield from _grown(problem, region, limits)
-        for delta in (1e-3, 1e-2, 0.1):
-            yield from _contracted(problem, region, delta, limits)
+@dataclass(frozen=True)
+class _Inner:
+    """An inner set that has passed the check of invariance, and its gap."""
+
+    C: Polytope
+    check: certificate.Check
+    gap: float
+    outside: float
 
 
-def _shrunk(region: Region, part: float) -> Region:
-    V = None if region.V is None else (1 - part) * region.V
-    return Region(region.F, (1 - part) * region.g, V, minimal=region.minimal)
-
-
-def _contracted(problem: LocalProblem, region: Region, delta: float, limits: Limits) -> Iterator[tuple[Region, int]]:
-    again = iterate(region, _predecessor(problem, 1 - delta), 1 / (1 - delta) - 1, max(limits.iterations // 4, 20),
-                    limits.facets)
-    if again.converged and again.region.shape is Shape.SOLID:
-        yield again.region.tidy(), again.iterations
-
-
-def _grown(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[tuple[Region, int]]:
-    """Grow the positively invariant set of a linear-quadratic feedback by predecessor sets, all of them invariant."""
-    K = _feedback(problem)
-    if K is None:
-        return
-    k = problem.A.shape[0]
-    closed = problem.A + problem.B @ K
-    rows, right = unit_rows(problem.H @ np.vstack([np.eye(k), K]), problem.h)
-    if rows is None:
-        return
-    seed = region.cut(rows, right)
-    if seed.shape is not Shape.SOLID:
-        return
-
-    def closed_loop(F: Array, g: Array, fresh: Array | None = None):
-        F, g = (F, g) if fresh is None else (F[fresh], g[fresh])
-        reach = 0.0 if problem.disturbances is None else (F @ problem.disturbances.T).max(axis=1)
-        return F @ closed, g * (1 - 1e-9) - reach
-
-    inside = iterate(seed, closed_loop, 1e-9, limits.iterations, limits.facets)
-    if not inside.converged or inside.region.shape is not Shape.SOLID:
-        return
-    grown, steps = inside.region, 0
-    for _ in range(limits.iterations):
-        R, r = unit_rows(*_predecessor(problem)(grown.F, grown.g))
-        larger = region.cut(R, r) if R is not None and len(r) else region
-        if larger.shape is not Shape.SOLID or len(larger.g) > limits.facets:
-            break
-        steps += 1
-        finished = _gap(larger, grown) <= limits.tol / 10
-        grown = larger.tidy()
-        if finished:
-            break
-    yield grown, steps
-    yield inside.region.tidy(), 0
-
-
-def _feedback(problem: LocalProblem) -> Array | None:
-    """Return a stabilising feedback K (q, k) of the local problem, or None."""
-    from scipy.linalg import solve_discrete_are
-
-    k, q = problem.A.shape[0], problem.B.shape[1]
-    if q == 0:
-        return None
+def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Candidate,
+               deadline: Deadline) -> _Inner | None:
+    """Return the candidate as a set if it is invariant, inside X, and the check ends in time; None otherwise."""
+    found = candidate.region
+    C = problem.frame.polytope(found.F, found.g, found.V)
     try:
-        P = solve_discrete_are(problem.A, problem.B, np.eye(k), np.eye(q))
-    except (np.linalg.LinAlgError, ValueError):
+        if candidate.gain is not None and found.V is None:
+            check = certificate.feedback_violation(task.system, C, task.U, _law(problem, candidate.gain), deadline)
+        else:
+            check = certificate.control_violation(task.system, C, task.U, deadline=deadline)
+        if not check.violation <= INVARIANT:
+            return None
+        beyond = certificate.outside(C, task.X)
+    except LimitReached:
         return None
-    return -np.linalg.solve(np.eye(q) + problem.B.T @ P @ problem.B, problem.B.T @ P @ problem.A)
+    return _Inner(C, check, gap(region, found), beyond) if beyond <= INVARIANT else None
 
 
-def _gap(outer: Region, inner: Region) -> float:
-    """Return the least gap with outer ⊆ (1 + gap) inner."""
-    if not len(inner.g):
-        return 0.0
-    excess = outer.reach(inner.F) - inner.g
-    passing = inner.g <= _CENTRAL
-    if (excess[passing] > _CENTRAL).any():
-        return np.inf
-    return float(max(0.0, (excess[~passing] / inner.g[~passing]).max(initial=0.0)))
+def _law(problem: LocalProblem, gain: Array) -> certificate.Feedback:
+    """Return the feedback v = gain y in the units of x and u."""
+    law = problem.input_map
+    return certificate.Feedback((law.states + law.inputs @ gain) @ problem.frame.back, problem.frame.centre, law.offset)
 
 
-def _point(system: LinearSystem, problem: LocalProblem, X: Polytope, U: Polytope, iterations: int) -> SetResult:
+def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
+    """Return the result with the status that its gap and the check for missing states deserve."""
+    small = inner.gap <= task.limits.tol * (1 + 1e-6) + INVARIANT
+    absent = np.inf
+    if small:
+        try:
+            absent = certificate.missing(task.system, inner.C, task.X, task.U, task.limits.deadline)
+        except (LimitReached, NumericalError) as error:
+            status = Status.TIME_LIMIT if isinstance(error, TimeLimitReached) else Status.NOT_CERTIFIED
+        else:
+            status = Status.CONVERGED if absent <= 2 * task.limits.tol + _MISSING else Status.NOT_MAXIMAL
+    elif status is Status.CONVERGED:
+        status = Status.ITERATION_LIMIT
+    proof = Certificate(inner.check.violation, inner.gap, inner.check.points, outside=inner.outside, missing=absent)
+    return SetResult(inner.C, outer, status, steps, proof)
+
+
+def _nothing(task: Task, iterations: int) -> SetResult:
+    """Return the empty result, after a second look: an equilibrium would be an invariant set by itself."""
+    nx, nu = task.X.dim, task.U.dim
+    if task.system.disturbances is None and not task.X.is_empty and not task.U.is_empty:
+        still = Polytope(np.zeros((0, nx + nu)), np.zeros(0),
+                         np.hstack([np.eye(nx) - task.system.A, -task.system.B]), np.zeros(nx))
+        if not task.X.cartesian_product(task.U).intersection(still).is_empty:
+            return no_set(nx, iterations, task.X, Status.NOT_CERTIFIED)
+    return no_set(nx, iterations)
+
+
+def _point(task: Task, problem: LocalProblem, X: Polytope, iterations: int) -> SetResult:
     """Return X itself, a single point, if some input keeps the state there."""
-    H, h = unit_rows(problem.H, problem.h)
+    H, h = unit_rows(*problem.joint)
     feasible = H is not None and (not len(h) or inscribed_ball(H, h, cap=1.0)[0] >= -FLAT)
-    if not feasible or not problem.shifted:
-        return no_set(len(system.A), iterations)
-    point = Polytope.from_vertices(problem.centre[None])
-    violation, points = control_violation(system.A, system.B, point, U, system.disturbances)
-    if violation > INVARIANT:
-        return no_set(len(system.A), iterations, X, Status.NOT_CERTIFIED)
-    return SetResult(point, X, Status.CONVERGED, iterations, Certificate(violation, 0.0, points))
+    if not feasible or not problem.at_equilibrium:
+        return _nothing(task, iterations)
+    point = Polytope.from_vertices(problem.frame.centre[None])
+    check = certificate.control_violation(task.system, point, task.U)
+    if check.violation > INVARIANT:
+        return no_set(task.X.dim, iterations, X, Status.NOT_CERTIFIED)
+    return SetResult(point, X, Status.CONVERGED, iterations, Certificate(check.violation, 0.0, check.points))

@@ -1,26 +1,29 @@
 """The problem in coordinates that suit the arithmetic: an equilibrium at 0, sets of order one, nothing flat.
 
-A flat state set is kept only by inputs that keep the state on its affine hull. Those are found here, so that the
-recursion sees a full-dimensional problem with constraints on state and input together.
-
-References
-----------
-Basile, Marro (1969), Controlled and conditioned invariant subspaces in linear system theory, JOTA 3(5).
+A flat state set is kept only by inputs that keep the state on its affine hull (`flat_hull`), so that the recursion
+sees a full-dimensional problem with constraints on state and input together.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invariant_sets.engine.flat_hull import InputMap, Motion, stay_on_hull
 from invariant_sets.interior_form import Body, normals, null_space
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.polytope import Polytope
+from invariant_sets.projection import unit
 from invariant_sets.validation import frozen
 
 Array = np.ndarray
+Rows = tuple[Array, Array]
 _ROUND = 1e-8  # relative size below which a coefficient of an equality is rounding
+_NEEDLE = 0.03  # ratio of the smallest to the largest width below which the coordinates are made round
+_ZERO_ROW = 1e-12  # a row of this norm, where others have norm one, says nothing about a variable
+_EQUILIBRIUM = 1e-13  # residual of the origin below which it is an equilibrium
+_WELL_INSIDE = 0.02  # the origin is kept as the equilibrium if it is this far from every row of X
 
 
 @dataclass(frozen=True)
@@ -33,52 +36,32 @@ class LinearSystem:
 
 
 @dataclass(frozen=True)
-class LocalProblem:
-    """y⁺ = A y + B v + drift + w with x = centre + basis y, {F y <= g} and {H [y; v] <= h}.
-
-    Attributes
-    ----------
-    centre, basis : (n,) and (n, k) arrays
-        Back to x.
-    A, B, drift : arrays
-        Dynamics; drift is zero if y = 0 is an equilibrium.
-    F, g : arrays
-        State set, rows of unit norm.
-    H, h : arrays
-        Joint rows on (y, v).
-    inputs : (m, k) array or None
-        Vertices of B V where V does not depend on y and is bounded.
-    disturbances : (q, k) array or None
-        Vertices of the disturbance, about its mean.
-    bounded, shifted : bool
-        Whether the state set is bounded, and whether y = 0 is an equilibrium.
-    """
+class Frame:
+    """x = centre + basis y, with y (k,) and the columns of the basis spanning the hull of the state set."""
 
     centre: Array
     basis: Array
-    A: Array
-    B: Array
-    drift: Array
-    F: Array
-    g: Array
-    H: Array
-    h: Array
-    inputs: Array | None
-    disturbances: Array | None
-    bounded: bool
-    shifted: bool
 
-    def polytope(self, F: Array, g: Array, V: Array | None) -> Polytope:
-        """Return {x : F y <= g}, with its vertices filled in if V holds those of y."""
+    @property
+    def back(self) -> Array:
+        """The matrix (k, n) that takes x − centre to y."""
+        square = self.basis.shape[0] == self.basis.shape[1]
+        return np.linalg.inv(self.basis) if square else np.linalg.pinv(self.basis)
+
+    def rows_of(self, P: Polytope) -> Rows:
+        """Return the inequalities of P as unit rows on y; those that do not depend on y are left out."""
+        F, g = P.A @ self.basis, P.b - P.A @ self.centre
+        norms = np.linalg.norm(F, axis=1)
+        used = norms > _ZERO_ROW * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
+        return unit(F[used], g[used])
+
+    def polytope(self, F: Array, g: Array, V: Array | None = None) -> Polytope:
+        """Return {x : F y <= g} on the hull, with its vertices filled in if V holds those of y."""
         n, k = self.basis.shape
-        if k == n:
-            rows, normal = F @ np.linalg.inv(self.basis), np.zeros((0, n))
-        else:
-            rows, normal = F @ np.linalg.pinv(self.basis), normals(self.basis)
-        norms = np.linalg.norm(rows, axis=1)
-        norms[norms == 0] = 1.0
-        rows = rows / norms[:, None]
-        P = Polytope(rows, g / norms + rows @ self.centre, normal, normal @ self.centre)
+        rows = F @ self.back
+        normal = normals(self.basis) if k < n else np.zeros((0, n))
+        rows, right = unit(rows, g)
+        P = Polytope(rows, right + rows @ self.centre, normal, normal @ self.centre)
         if V is not None:
             if k == 2:
                 middle = V.mean(axis=0)
@@ -87,136 +70,200 @@ class LocalProblem:
         return P
 
 
-def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> LocalProblem | Polytope | None:
-    """Return the problem in local coordinates, a flatter X to try instead, or None if no state can stay in X.
+@dataclass(frozen=True)
+class Dynamics:
+    """y⁺ = A y + B v + drift + w, with w in the hull of the rows of `disturbances`; drift is 0 at an equilibrium."""
 
-    `units` (nx,) is the extent of the first state set: a flat one has no size across its hull.
+    A: Array
+    B: Array
+    drift: Array
+    disturbances: Array | None
+
+
+@dataclass(frozen=True)
+class LocalProblem:
+    """Dynamics and constraints in local coordinates y and v.
+
+    Attributes
+    ----------
+    frame : Frame
+        Back to x.
+    dynamics : Dynamics
+        The motion of y.
+    states : (F, g)
+        State set F y <= g, rows of unit norm.
+    joint : (H, h)
+        Rows H [y; v] <= h.
+    input_moves : (m, k) array or None
+        Vertices of B V where V does not depend on y and is bounded.
+    input_map : InputMap
+        Back to u.
+    bounded, at_equilibrium : bool
+        Whether the state set is bounded, and whether y = 0 is an equilibrium.
     """
+
+    frame: Frame
+    dynamics: Dynamics
+    states: Rows
+    joint: Rows
+    input_moves: Array | None
+    input_map: InputMap
+    bounded: bool
+    at_equilibrium: bool
+
+
+@dataclass(frozen=True)
+class Localised:
+    """The problem in local coordinates, or a flatter X to try instead, or neither: then no state can stay in X."""
+
+    problem: LocalProblem | None = None
+    flatter: Polytope | None = None
+
+
+def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Localised:
+    """Return the problem in local coordinates; `units` (nx,) is the extent of the first state set."""
     state, inputs = X._body, U._body
     if state is None or inputs is None:
-        return None
-    N, M = state.basis, inputs.basis
-    mean = np.zeros(len(N)) if system.disturbances is None else system.disturbances.mean(axis=0)
+        return Localised()
+    frame, states = _round_frame(X, state)
+    mean = np.zeros(X.dim) if system.disturbances is None else system.disturbances.mean(axis=0)
     spread = None if system.disturbances is None else system.disturbances - mean
-    AN, BM = system.A @ N, system.B @ M
-    drift = system.A @ state.centre + system.B @ inputs.centre + mean - state.centre
-    Hx, Hu, h = np.zeros((len(inputs.g), N.shape[1])), inputs.F, inputs.g
-    flat = N.shape[1] < len(N)
+    motion = Motion(system.A @ frame.basis, system.B @ inputs.basis,
+                    system.A @ frame.centre + system.B @ inputs.centre + mean - frame.centre,
+                    np.zeros((len(inputs.g), frame.basis.shape[1])), inputs.F, inputs.g,
+                    InputMap(inputs.centre, np.zeros((U.dim, frame.basis.shape[1])), inputs.basis))
+    flat = frame.basis.shape[1] < X.dim
     if flat:
-        size = np.maximum(np.abs(system.A) @ np.abs(N).sum(axis=1), units)  # what counts as zero
-        size = np.maximum(size, np.abs(system.B) @ np.abs(M).sum(axis=1))
-        kept = _stay_on_hull(normals(N), AN, BM, drift, spread, Hu, h, size)
-        if kept is None or (isinstance(kept, tuple) and len(kept) == 2):
-            if kept is None:
-                return None
-            P, s = kept
-            back = P @ np.linalg.pinv(N)
-            return X.intersection(Polytope(np.zeros((0, len(N))), np.zeros(0), back, s + back @ state.centre))
-        AN, BM, drift, Hx, Hu, h = kept
-    inverse = np.linalg.pinv(N) if flat else np.linalg.inv(N)
-    A, B, drift = inverse @ AN, inverse @ BM, inverse @ drift
-    w = None if spread is None else spread @ inverse.T
-    H = np.hstack([Hx, Hu])
-    vertices = _input_vertices(U, inputs, state, H, h, flat)
-    problem = LocalProblem(state.centre, N, A, B, drift, state.F, state.g, H, h, vertices, w, state.bounded, False)
-    return _at_equilibrium(problem, system, X)
+        size = np.maximum(np.abs(system.A) @ np.abs(frame.basis).sum(axis=1), units)
+        size = np.maximum(size, np.abs(system.B) @ np.abs(inputs.basis).sum(axis=1))
+        answer = stay_on_hull(motion, frame.basis, spread, size)
+        if answer.rows is not None:
+            return Localised(flatter=_with_equalities(X, frame, answer.rows, answer.values))
+        if answer.motion is None:
+            return Localised()
+        motion = answer.motion
+    back = frame.back
+    dynamics = Dynamics(back @ motion.states, back @ motion.inputs, back @ motion.drift,
+                        None if spread is None else spread @ back.T)
+    joint = np.hstack([motion.state_rows, motion.input_rows]), motion.right
+    problem = LocalProblem(frame, dynamics, states, joint, None, motion.input_map, state.bounded, at_equilibrium=False)
+    vertices = _joint_input_corners(problem) if flat else _input_corners(U, inputs)
+    return Localised(_at_equilibrium(problem, vertices, system))
 
 
-def _input_vertices(U: Polytope, inputs: Body, state: Body, H: Array, h: Array, flat: bool) -> Array | None:
-    """Return vertices of a set that holds every local input v; None if there is none."""
+def _with_equalities(X: Polytope, frame: Frame, rows: Array, values: Array | None) -> Polytope:
+    """Return the part of X where rows y = values."""
+    back = rows @ np.linalg.pinv(frame.basis)
+    return X.intersection(Polytope(np.zeros((0, X.dim)), np.zeros(0), back, values + back @ frame.centre))
+
+
+def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
+    """Return coordinates in which X has extents of one, also where it is a slanted needle, and its rows in them."""
+    frame, rows = Frame(state.centre, state.basis), (state.F, state.g)
     k = state.basis.shape[1]
-    q = H.shape[1] - k
+    if not state.bounded or k < 2 or k > 4:
+        return frame, rows
+    Y = (X.vertices - state.centre) @ frame.back.T
+    middle = (Y.max(axis=0) + Y.min(axis=0)) / 2
+    widths, axes = np.linalg.eigh((Y - middle).T @ (Y - middle) / len(Y))
+    if widths[0] > _NEEDLE**2 * widths[-1]:
+        return frame, rows
+    turn = axes * np.sqrt(np.maximum(widths, 1e-24 * widths[-1]))
+    return Frame(state.centre, state.basis @ turn), unit(state.F @ turn, state.g)
+
+
+def _input_corners(U: Polytope, inputs: Body) -> Array | None:
+    """Return the vertices (m, q) of the local input set, None if it is unbounded."""
+    if inputs.basis.shape[1] == 0:
+        return np.zeros((1, 0))
+    return (U.vertices - inputs.centre) @ np.linalg.pinv(inputs.basis).T if inputs.bounded else None
+
+
+def _joint_input_corners(problem: LocalProblem) -> Array | None:
+    """Return the corners (m, q) of a box that holds every input that some state allows; None if there is none."""
+    k = problem.frame.basis.shape[1]
+    q = problem.joint[0].shape[1] - k
     if q == 0:
         return np.zeros((1, 0))
-    if not inputs.bounded or (flat and not state.bounded):
+    if not problem.bounded:
         return None
-    if not flat:
-        return (U.vertices - inputs.centre) @ np.linalg.pinv(inputs.basis).T
-    rows = np.vstack([np.hstack([state.F, np.zeros((len(state.F), q))]), H])
-    norms = np.linalg.norm(rows, axis=1)
-    used = norms > 1e-12
+    rows, right = _lifted(problem)
     axes = np.hstack([np.zeros((q, k)), np.eye(q)])
-    reach = maximise_rows(np.vstack([axes, -axes]), rows[used] / norms[used, None],
-                          np.append(state.g, h)[used] / norms[used])
+    reach = maximise_rows(np.vstack([axes, -axes]), rows, right)
     if not np.isfinite(reach).all():
         return None
     corners = np.array(np.meshgrid(*zip(-reach[q:], reach[:q]), indexing="ij")).reshape(q, -1)
     return corners.T.copy()
 
 
-def _stay_on_hull(normal: Array, AN: Array, BM: Array, drift: Array, spread: Array | None, Hu: Array,
-                  h: Array, size: Array):
-    """Return the problem whose inputs keep the state on the hull; (P, s) with P y = s if it must be flatter; None."""
-    P, Q, s = normal @ AN, normal @ BM, -normal @ drift
-    size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), 1e-300)
-    if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > _ROUND * np.maximum(
-            size, np.abs(spread).max() + 1e-300)).any():
-        return None
-    P, Q, s = P / size[:, None], Q / size[:, None], s / size
-    left, values, vt = np.linalg.svd(Q, full_matrices=True)
-    rank = int((values > _ROUND).sum())
-    rest_P, rest_s = left[:, rank:].T @ P, left[:, rank:].T @ s
-    bound = np.abs(rest_P).max(axis=1, initial=0.0) > _ROUND
-    if (np.abs(rest_s[~bound]) > _ROUND).any():
-        return None
-    if bound.any():
-        return rest_P[bound], rest_s[bound]
-    pseudo = vt[:rank].T @ (left[:, :rank].T / values[:rank, None])
-    G = vt[rank:].T
-    return (AN - BM @ pseudo @ P, BM @ G, drift + BM @ pseudo @ s, -Hu @ pseudo @ P, Hu @ G, h - Hu @ pseudo @ s)
+def _lifted(problem: LocalProblem) -> Rows:
+    """Return all rows on (y, v), of unit norm; those that say nothing are left out."""
+    F, g = problem.states
+    H, h = problem.joint
+    rows = np.vstack([np.hstack([F, np.zeros((len(F), H.shape[1] - F.shape[1]))]), H])
+    used = np.linalg.norm(rows, axis=1) > _ZERO_ROW
+    return unit(rows[used], np.append(g, h)[used])
 
 
-def _at_equilibrium(problem: LocalProblem, system: LinearSystem, X: Polytope) -> LocalProblem | None:
+def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: LinearSystem) -> LocalProblem | None:
     """Return the problem about an equilibrium inside both sets; None if a bounded one has none.
 
     A nonempty compact convex control invariant set holds an equilibrium (Kakutani's theorem on x ↦ successors).
     """
-    k, q = problem.A.shape[0], problem.B.shape[1]
-    found = _origin(problem, system) if problem.basis.shape[0] == k else None
-    if found is None:
-        rows = np.vstack([np.hstack([problem.F, np.zeros((len(problem.F), q))]), problem.H])
-        right = np.append(problem.g, problem.h)
-        matrix = np.hstack([np.eye(k) - problem.A, -problem.B])
-        found = _inner_solution(matrix, problem.drift, rows, right)
-    if found is None:
-        return None if problem.bounded else problem
-    y, v = found[:k], found[k:]
-    vertices = None if problem.inputs is None else (problem.inputs - v) @ problem.B.T
-    return LocalProblem(problem.centre + problem.basis @ y, problem.basis, problem.A, problem.B, np.zeros(k),
-                        problem.F, problem.g - problem.F @ y, problem.H, problem.h - problem.H @ found, vertices,
-                        problem.disturbances, problem.bounded, True)
+    k = problem.dynamics.A.shape[0]
+    full = problem.frame.basis.shape[0] == k
+    point = _origin(problem, system) if full else None
+    if point is None:
+        point = _inner_equilibrium(problem)
+    if point is None:
+        moves = None if vertices is None else vertices @ problem.dynamics.B.T
+        return None if problem.bounded else replace(problem, input_moves=moves)
+    y, v = point[:k], point[k:]
+    return replace(
+        problem, frame=Frame(problem.frame.centre + problem.frame.basis @ y, problem.frame.basis),
+        dynamics=replace(problem.dynamics, drift=np.zeros(k)),
+        states=(problem.states[0], problem.states[1] - problem.states[0] @ y),
+        joint=(problem.joint[0], problem.joint[1] - problem.joint[0] @ point),
+        input_moves=None if vertices is None else (vertices - v) @ problem.dynamics.B.T,
+        input_map=problem.input_map.about(y, v), at_equilibrium=True)
 
 
 def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
     """Return x = 0, u = 0 in local coordinates if it is an equilibrium well inside both sets."""
     if system.disturbances is not None and np.abs(system.disturbances.mean(axis=0)).max() > 0:
         return None
-    y = -np.linalg.solve(problem.basis, problem.centre)
-    residual = (np.eye(len(y)) - problem.A) @ y - problem.drift
-    q = problem.B.shape[1]
-    v = np.linalg.lstsq(problem.B, residual, rcond=None)[0] if q else np.zeros(0)
+    y = -np.linalg.solve(problem.frame.basis, problem.frame.centre)
+    dynamics = problem.dynamics
+    residual = y - dynamics.A @ y - dynamics.drift
+    q = dynamics.B.shape[1]
+    v = np.linalg.lstsq(dynamics.B, residual, rcond=None)[0] if q else np.zeros(0)
     # any v with B v = residual will do as u = 0 does not change the state
-    found = np.append(y, v)
-    if np.abs(residual - problem.B @ v).max() > 1e-13 * max(1.0, np.abs(y).max()):
+    point = np.append(y, v)
+    if np.abs(residual - dynamics.B @ v).max() > _EQUILIBRIUM * max(1.0, np.abs(y).max()):
         return None
-    inside = (problem.g - problem.F @ y).min(initial=1.0) > 0.02
-    inside = inside and (problem.h - problem.H @ found).min(initial=1.0) > 0
-    return found if inside else None
+    inside = (problem.states[1] - problem.states[0] @ y).min(initial=1.0) > _WELL_INSIDE
+    inside = inside and (problem.joint[1] - problem.joint[0] @ point).min(initial=1.0) > 0
+    return point if inside else None
 
 
-def _inner_solution(matrix: Array, right_side: Array, rows: Array, right: Array) -> Array | None:
-    """Return z with matrix z = right_side, deep inside rows z <= right; None if there is none."""
-    z, *_ = np.linalg.lstsq(matrix, right_side, rcond=1e-12)
-    if np.abs(matrix @ z - right_side).max(initial=0.0) > _ROUND * max(1.0, np.abs(right_side).max(initial=0.0)):
+def _inner_equilibrium(problem: LocalProblem) -> Array | None:
+    """Return an equilibrium (y, v) deep inside all rows; None if there is none."""
+    dynamics = problem.dynamics
+    matrix = np.hstack([np.eye(len(dynamics.A)) - dynamics.A, -dynamics.B])
+    scale = 1.0 / np.maximum(np.linalg.norm(matrix, axis=0), 1.0)  # strong inputs need only a small part of U
+    rows, right = _lifted(problem)
+    matrix, rows = matrix * scale, rows * scale
+    z, *_ = np.linalg.lstsq(matrix, dynamics.drift, rcond=1e-12)
+    worst = np.abs(matrix @ z - dynamics.drift).max(initial=0.0)
+    if worst > _ROUND * max(1.0, np.abs(dynamics.drift).max(initial=0.0)):
         return None
     null = null_space(matrix)
-    room = right - rows @ z
-    slope = rows @ null
+    room, slope = right - rows @ z, rows @ null
     norms = np.linalg.norm(slope, axis=1)
-    moving = norms > 1e-12
+    moving = norms > _ZERO_ROW
     if (room[~moving] < -_ROUND).any():
         return None
     if not moving.any():
-        return z
+        return scale * z
     radius, t = inscribed_ball(slope[moving] / norms[moving, None], room[moving] / norms[moving], cap=1.0)
-    return None if radius < -_ROUND else z + null @ t
+    return None if radius < -_ROUND else scale * (z + null @ t)

@@ -8,16 +8,21 @@ from enum import Enum
 
 import numpy as np
 
-from invariant_sets import hulls as rep
+from invariant_sets import hulls
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.interior_form import FLAT, unit_rows
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
+from invariant_sets.projection import needed_rows
+from invariant_sets.results import Status
+from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, TimeLimitReached
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
-SMALL = 0.05
-_ROUND = 200  # rows cut at a time
-CUT = 1e-12  # a row that cuts less off a set of order one is noise
+Predecessor = Callable[[Rows, Array | None], Rows]
+_SMALL = 0.1  # width below which a set that began with width two is rescaled
+_CUT_AT_ONCE = 200  # rows
+CUT = 1e-12  # a row that cuts less off a set of order one is rounding
+_PRODUCT = 60_000  # rows times vertices of one matrix product
 
 
 class Shape(Enum):
@@ -31,14 +36,14 @@ class Shape(Enum):
 
 @dataclass(frozen=True)
 class Region:
-    """{F y <= g}, with its vertices V where bounded.
+    """{F y <= g}, with its vertices V where bounded and few enough.
 
     Attributes
     ----------
     F, g : (m, n) and (m,) arrays
         Rows of unit norm.
     V : (k, n) array or None
-        Vertices; None if unbounded.
+        Vertices; None if unbounded, or if the region is kept by its rows alone.
     shape : Shape
         If not SOLID, V is not kept up to date.
     minimal : bool
@@ -51,16 +56,23 @@ class Region:
     shape: Shape = Shape.SOLID
     minimal: bool = False
 
-    def reach(self, rows: Array) -> Array:
+    def reach(self, rows: Array, deadline: Deadline = NO_DEADLINE) -> Array:
         """Return the support of the region along each row, (k,)."""
+        if not len(rows):
+            return np.zeros(0)
         if self.V is not None:
-            step = max(1, 60_000 // len(self.V))
-            parts = [(rows[i:i + step] @ self.V.T).max(axis=1) for i in range(0, len(rows), step)]
-            return np.concatenate(parts) if parts else np.zeros(0)
-        return maximise_rows(rows, self.F, self.g) if len(self.g) else np.full(len(rows), np.inf)
+            step = max(1, _PRODUCT // len(self.V))
+            return np.concatenate([(rows[i:i + step] @ self.V.T).max(axis=1) for i in range(0, len(rows), step)])
+        if not len(self.g):
+            return np.full(len(rows), np.inf)
+        parts = []
+        for i in range(0, len(rows), 20):
+            deadline.check()
+            parts.append(maximise_rows(rows[i:i + 20], self.F, self.g))
+        return np.concatenate(parts)
 
-    def cut(self, R: Array, r: Array) -> Region:
-        """Return the region intersected with {R y <= r} (unit rows)."""
+    def cut(self, R: Array, r: Array, deadline: Deadline = NO_DEADLINE) -> Region:
+        """Return the region intersected with {R y <= r} (unit rows); raise `LimitReached` if that takes too long."""
         F, g = np.vstack([self.F, R]), np.append(self.g, r)
         middle, radius = np.zeros(F.shape[1]), 0.01
         if self.V is None or g.min() < radius:
@@ -69,10 +81,11 @@ class Region:
                 return Region(F, g, None, Shape.EMPTY if radius < -FLAT else Shape.FLAT)
         room = g - F @ middle
         if self.V is None:
-            kept = rep.irredundant_rows(F, room)
+            kept = _irredundant(F, room, deadline)
             return Region(F[kept], g[kept], None, minimal=True)
+        deadline.check_hull(len(g), F.shape[1])
         try:
-            kept, V = rep.facets_and_vertices(F, room, merge=False)
+            kept, V = hulls.facets_and_vertices(F, room, merge=False)
         except NumericalError:  # thinner than Qhull can resolve, or too many coplanar facets
             return Region(F, g, None, Shape.FLAT if radius < 1e-6 else Shape.UNRESOLVED)
         return Region(F[kept], g[kept], V + middle, minimal=True)
@@ -80,14 +93,19 @@ class Region:
     @property
     def is_small(self) -> bool:
         """Whether it is so much smaller than one in some coordinate that it should be rescaled."""
-        return self.V is not None and bool((self.V.max(axis=0) - self.V.min(axis=0) < 2 * SMALL).any())
+        return self.V is not None and bool((self.V.max(axis=0) - self.V.min(axis=0) < _SMALL).any())
 
-    def tidy(self) -> Region:
+    def tidy(self, deadline: Deadline = NO_DEADLINE) -> Region:
         """Return the region without redundant rows and repeated vertices."""
         if self.shape is not Shape.SOLID:
             return self
-        region = self if self.minimal or not len(self.g) else self.cut(self.F[:0], self.g[:0])
-        return region if region.V is None else replace(region, V=rep.merge_points(region.V))
+        region = self if self.minimal or not len(self.g) else self.cut(self.F[:0], self.g[:0], deadline)
+        return region if region.V is None else replace(region, V=hulls.merge_points(region.V))
+
+
+def _irredundant(F: Array, g: Array, deadline: Deadline) -> Array:
+    """Return the indices of the rows that the set needs, weakly redundant ones left out."""
+    return hulls.irredundant_rows(F, g) if F.shape[1] <= 4 else needed_rows(F, g, deadline)
 
 
 @dataclass(frozen=True)
@@ -102,21 +120,37 @@ class Outcome:
         Steps taken.
     converged : bool
         Whether no row cuts more than the tolerance any more.
-    cut : float
-        Largest relative cut of the last step.
-    too_many_facets : bool
-        Whether the cap on the number of facets stopped it.
+    limit : Status or None
+        The cap on time or facets that stopped it.
     """
 
     region: Region
     iterations: int
-    converged: bool
-    cut: float
-    too_many_facets: bool = False
+    converged: bool = False
+    limit: Status | None = None
 
 
-def iterate(region: Region, predecessor: Callable[[Array, Array, Array | None], Rows], stop: float, limit: int,
-            max_facets: int) -> Outcome:
+@dataclass(frozen=True)
+class Caps:
+    """When a recursion stops.
+
+    Attributes
+    ----------
+    stop : float
+        It has converged when no row cuts more than this part of its right-hand side.
+    iterations, facets : int
+        Most steps, and most facets.
+    deadline : Deadline
+        Latest end.
+    """
+
+    stop: float
+    iterations: int
+    facets: int
+    deadline: Deadline = NO_DEADLINE
+
+
+def iterate(region: Region, predecessor: Predecessor, caps: Caps) -> Outcome:
     """Return the end of Ω ← predecessor(Ω) ∩ Ω from `region`.
 
     Parameters
@@ -124,39 +158,46 @@ def iterate(region: Region, predecessor: Callable[[Array, Array, Array | None], 
     region : Region
         Where to start: a superset of the answer, or of the part of it that is wanted.
     predecessor : callable
-        (F, g, fresh) → rows (R, r) of the predecessor set, not necessarily of unit norm; those that follow from
-        the `fresh` rows of (F, g) suffice, because what followed from the others was cut off a step before.
-    stop : float
-        It has converged when no row cuts more than this part of its right-hand side.
-    limit, max_facets : int
-        Caps of the number of steps and of facets.
+        ((F, g), fresh) → rows (R, r) of the predecessor set; those that follow from the `fresh` rows of (F, g)
+        suffice, because what followed from the others was cut off a step before.
+    caps : Caps
+        When to stop.
     """
-    cut, fresh = np.inf, None
-    for iteration in range(1, limit + 1):
-        R, r = unit_rows(*predecessor(region.F, region.g, fresh))
-        if R is None:
-            return Outcome(Region(region.F, region.g, None, Shape.EMPTY), iteration, True, 0.0)
-        if region.V is None and len(r):
-            R, r = _worth_testing(region, R, r)
-        reach = region.reach(R)
-        cutting = reach > r + CUT
-        if not cutting.any():
-            return Outcome(region, iteration, True, 0.0)
-        cut = float(((reach - r)[cutting] / np.maximum(np.abs(r[cutting]), 1e-3)).max())
-        previous = region
-        region = _cut_in_rounds(region, R[cutting], r[cutting], reach[cutting] - r[cutting])
-        fresh = _new_rows(region, previous)
-        if region.shape is Shape.UNRESOLVED:
-            return Outcome(previous, iteration, False, cut, too_many_facets=True)
-        if region.shape is not Shape.SOLID:
-            return Outcome(region, iteration, False, cut)
-        if cut <= stop:
-            return Outcome(region, iteration, True, cut)
-        if region.is_small:
-            return Outcome(region, iteration, False, cut)
-        if len(region.g) > max_facets:
-            return Outcome(region, iteration, False, cut, too_many_facets=True)
-    return Outcome(region, limit, False, cut)
+    fresh = None
+    for iteration in range(1, caps.iterations + 1):
+        try:
+            caps.deadline.check()
+            smaller, cut = _one_step(region, predecessor, fresh, caps.deadline)
+        except LimitReached as limit:
+            late = isinstance(limit, TimeLimitReached)
+            return Outcome(region, iteration - 1, limit=Status.TIME_LIMIT if late else Status.FACET_LIMIT)
+        if smaller.shape is Shape.UNRESOLVED:
+            return Outcome(region, iteration, limit=Status.FACET_LIMIT)
+        if smaller is region or smaller.shape is not Shape.SOLID:
+            return Outcome(smaller, iteration, converged=smaller is region)
+        fresh, region = _new_rows(smaller, region), smaller
+        if cut <= caps.stop or region.is_small:
+            return Outcome(region, iteration, converged=cut <= caps.stop)
+        if len(region.g) > caps.facets:
+            return Outcome(region, iteration, limit=Status.FACET_LIMIT)
+    return Outcome(region, caps.iterations)
+
+
+def _one_step(region: Region, predecessor: Predecessor, fresh: Array | None,
+              deadline: Deadline) -> tuple[Region, float]:
+    """Return predecessor(region) ∩ region, and the largest relative cut; the same region where nothing was cut."""
+    R, r = unit_rows(*predecessor((region.F, region.g), fresh))
+    if R is None:
+        return Region(region.F, region.g, None, Shape.EMPTY), 0.0
+    if region.V is None and len(r):
+        R, r = _worth_testing(region, R, r, deadline)
+    reach = region.reach(R, deadline)
+    cutting = reach > r + CUT
+    if not cutting.any():
+        return region, 0.0
+    depth = (reach - r)[cutting]
+    cut = float((depth / np.maximum(np.abs(r[cutting]), 1e-3)).max())
+    return _cut_in_rounds(region, R[cutting], r[cutting], depth, deadline), cut
 
 
 def _new_rows(region: Region, previous: Region) -> Array:
@@ -165,25 +206,25 @@ def _new_rows(region: Region, previous: Region) -> Array:
     return np.array([row.tobytes() not in known for row in np.column_stack([region.F, region.g])], dtype=bool)
 
 
-def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array) -> Region:
+def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: Deadline) -> Region:
     """Return the region cut by all rows, the deepest first: they make most of the others redundant."""
     while len(r) and region.shape is Shape.SOLID:
-        first = np.argsort(-depth)[:_ROUND]
-        region = region.cut(R[first], r[first])
+        first = np.argsort(-depth)[:_CUT_AT_ONCE]
+        region = region.cut(R[first], r[first], deadline)
         if len(first) == len(r) or region.shape is not Shape.SOLID:
             break
-        depth = region.reach(R) - r
+        depth = region.reach(R, deadline) - r
         left = depth > CUT
         R, r, depth = R[left], r[left], depth[left]
     return region
 
 
-def _worth_testing(region: Region, R: Array, r: Array) -> Rows:
-    """Drop the new rows that Qhull finds redundant, before one LP is spent on each."""
+def _worth_testing(region: Region, R: Array, r: Array, deadline: Deadline) -> Rows:
+    """Drop the new rows that are redundant beside the others, before one LP is spent on each."""
     F, g = np.vstack([region.F, R]), np.append(region.g, r)
     radius, middle = inscribed_ball(F, g, cap=1.0)
     if radius <= FLAT:
         return R, r
-    kept = rep.irredundant_rows(F, g - F @ middle)
+    kept = needed_rows(F, g - F @ middle, deadline)
     new = kept[kept >= len(region.g)] - len(region.g)
     return R[new], r[new]

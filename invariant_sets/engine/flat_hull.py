@@ -1,0 +1,101 @@
+"""The inputs that keep the state on a flat affine hull: what a set without thickness asks of the input.
+
+References
+----------
+Basile, Marro (1969), Controlled and conditioned invariant subspaces in linear system theory, JOTA 3(5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from invariant_sets.interior_form import normals
+
+Array = np.ndarray
+_ROUND = 1e-8  # relative size below which a coefficient of an equality is rounding
+
+
+@dataclass(frozen=True)
+class InputMap:
+    """u = offset + states y + inputs v, the way back from local coordinates to the input."""
+
+    offset: Array
+    states: Array
+    inputs: Array
+
+    def about(self, y: Array, v: Array) -> InputMap:
+        """Return the same map where y and v are counted from this point."""
+        return InputMap(self.offset + self.states @ y + self.inputs @ v, self.states, self.inputs)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """x⁺ − centre = states y + inputs v + drift, with joint rows `state_rows` y + `input_rows` v <= right.
+
+    Attributes
+    ----------
+    states, inputs, drift : (n, k), (n, q) and (n,) arrays
+        Where the state goes, in the units of x.
+    state_rows, input_rows, right : (m, k), (m, q) and (m,) arrays
+        Constraints on both together.
+    input_map : InputMap
+        The input that belongs to y and v.
+    """
+
+    states: Array
+    inputs: Array
+    drift: Array
+    state_rows: Array
+    input_rows: Array
+    right: Array
+    input_map: InputMap
+
+
+@dataclass(frozen=True)
+class OnHull:
+    """What it takes to stay on the hull: the inputs that do (`motion`), or further equalities on y, or neither.
+
+    Attributes
+    ----------
+    motion : Motion or None
+        The motion under the inputs that keep the state on the hull.
+    rows, values : arrays or None
+        Equalities rows y = values that y has to meet before any input can.
+    """
+
+    motion: Motion | None = None
+    rows: Array | None = None
+    values: Array | None = None
+
+
+def stay_on_hull(motion: Motion, basis: Array, spread: Array | None, size: Array) -> OnHull:
+    """Return what keeps the successors on the hull that the columns of `basis` span.
+
+    `spread` (k, n) are the vertices of the disturbance about its mean, `size` (n,) what counts as one in each
+    coordinate of x. A disturbance that leaves the hull leaves nothing.
+    """
+    normal = normals(basis)
+    P, Q, s = normal @ motion.states, normal @ motion.inputs, -normal @ motion.drift
+    size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), 1e-300)
+    if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > _ROUND * np.maximum(
+            size, np.abs(spread).max() + 1e-300)).any():
+        return OnHull()
+    P, Q, s = P / size[:, None], Q / size[:, None], s / size
+    left, values, vt = np.linalg.svd(Q, full_matrices=True)
+    rank = int((values > _ROUND).sum())
+    rest_P, rest_s = left[:, rank:].T @ P, left[:, rank:].T @ s
+    bound = np.abs(rest_P).max(axis=1, initial=0.0) > _ROUND
+    if (np.abs(rest_s[~bound]) > _ROUND).any():
+        return OnHull()
+    if bound.any():
+        return OnHull(rows=rest_P[bound], values=rest_s[bound])
+    pseudo = vt[:rank].T @ (left[:, :rank].T / values[:rank, None])  # v = pseudo (s − P y) + free v'
+    fixed, follow, free = pseudo @ s, -pseudo @ P, vt[rank:].T
+    law = motion.input_map
+    return OnHull(Motion(
+        states=motion.states + motion.inputs @ follow, inputs=motion.inputs @ free,
+        drift=motion.drift + motion.inputs @ fixed, state_rows=motion.state_rows + motion.input_rows @ follow,
+        input_rows=motion.input_rows @ free, right=motion.right - motion.input_rows @ fixed,
+        input_map=InputMap(law.offset + law.inputs @ fixed, law.states + law.inputs @ follow, law.inputs @ free)))

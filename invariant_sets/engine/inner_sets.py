@@ -1,0 +1,219 @@
+"""Invariant sets inside the outer one, the best first: shrunk, contracted, or grown from that of a linear feedback.
+
+References
+----------
+Blanchini (1994), Ultimate boundedness control for uncertain discrete-time systems via set-induced Lyapunov functions,
+IEEE TAC 39(2): contraction makes the recursion end in an invariant set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from invariant_sets.engine.local_problem import LocalProblem
+from invariant_sets.engine.predecessor import predecessor_rows
+from invariant_sets.engine.recursion import Caps, Outcome, Predecessor, Region, Rows, Shape, iterate
+from invariant_sets.interior_form import unit_rows
+from invariant_sets.time_limits import Deadline, LimitReached
+
+Array = np.ndarray
+_CENTRAL = 1e-9  # of the extent: rows this close to the equilibrium pass through it
+_CLOSED_LOOP_MARGIN = 1e-9  # relative contraction per step asked of a closed loop, against rounding
+_INPUT_WEIGHTS = (1.0, 1e-2, 1e2, 1e4)  # of the linear-quadratic feedbacks tried where no better set is known
+_SHRUNK = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # parts taken off an outer set that has not converged
+_CONTRACTIONS = (1e-3, 1e-2, 0.1)  # per step, where the outer set has not converged
+_VERTEX_DIM = 4  # beyond, closed-loop sets are kept by their rows alone
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When to stop.
+
+    Attributes
+    ----------
+    tol : float
+        Largest relative gap between the outer and the inner set [-].
+    iterations, facets : int
+        Caps.
+    deadline : Deadline
+        Latest end.
+    """
+
+    tol: float
+    iterations: int
+    facets: int
+    deadline: Deadline
+
+    def caps(self, stop: float, iterations: int | None = None) -> Caps:
+        """Return the caps of one recursion."""
+        return Caps(stop, self.iterations if iterations is None else iterations, self.facets, self.deadline)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A region that should be invariant, the steps it took, and the local feedback that keeps it so where known."""
+
+    region: Region
+    steps: int = 0
+    gain: Array | None = None
+
+
+def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadline | None = None) -> Predecessor:
+    """Return the map from rows to the rows of the predecessor set of factor · {F y <= g}, tightened by disturbances."""
+    dynamics = problem.dynamics
+    limit = Deadline() if deadline is None else deadline
+
+    def rows(target: Rows, fresh: Array | None = None) -> Rows:
+        F, g = target
+        g = factor * g
+        if dynamics.drift.any():
+            g = g - F @ dynamics.drift
+        if dynamics.disturbances is not None:
+            g = g - (F @ dynamics.disturbances.T).max(axis=1, initial=-np.inf)
+        return predecessor_rows((F, g), dynamics.A, dynamics.B, problem.joint, fresh=fresh, deadline=limit)
+
+    return rows
+
+
+def candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits: Limits) -> Iterator[Candidate]:
+    """Yield inner regions, the best first; those that would exceed a limit are left out."""
+    scales = problem.dynamics.disturbances is None and problem.at_equilibrium
+    if outcome.converged:
+        if scales:
+            yield Candidate(shrunk(region, limits.tol / 10))
+        if problem.at_equilibrium and limits.tol > 0:
+            for delta in (limits.tol / 100, limits.tol / 10000):
+                yield from _contracted(problem, region, delta, limits)
+        yield Candidate(region)
+        return
+    if not problem.bounded:
+        return
+    if scales:
+        for part in _SHRUNK:
+            yield Candidate(shrunk(region, part))
+    if problem.at_equilibrium:
+        yield from _grown(problem, region, limits)
+        for delta in _CONTRACTIONS:
+            yield from _contracted(problem, region, delta, limits)
+
+
+def shrunk(region: Region, part: float) -> Region:
+    """Return (1 − part) times the region."""
+    V = None if region.V is None else (1 - part) * region.V
+    return Region(region.F, (1 - part) * region.g, V, minimal=region.minimal)
+
+
+def _contracted(problem: LocalProblem, region: Region, delta: float, limits: Limits) -> Iterator[Candidate]:
+    """Yield the largest set that contracts by 1 − delta in each step, where the recursion ends."""
+    again = iterate(region, predecessor_of(problem, 1 - delta, limits.deadline),
+                    limits.caps(1 / (1 - delta) - 1, max(limits.iterations // 4, 20)))
+    if again.converged and again.region.shape is Shape.SOLID:
+        yield Candidate(again.region.tidy(), again.iterations)
+
+
+def _grown(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[Candidate]:
+    """Yield the set of a feedback grown by predecessor sets, all of them invariant; then that set itself."""
+    seeds = list(feedback_sets(problem, region, limits))
+    if not seeds:
+        return
+    best = min(seeds, key=lambda seed: gap(region, seed.region))
+    try:
+        grown, steps = _grow(problem, region, best.region, limits)
+        if steps:
+            yield Candidate(grown, steps)
+    except LimitReached:
+        pass
+    yield from sorted(seeds, key=lambda seed: gap(region, seed.region))
+
+
+def _grow(problem: LocalProblem, region: Region, seed: Region, limits: Limits) -> tuple[Region, int]:
+    """Return the seed after as many predecessor steps as the limits allow, and their number."""
+    grown, steps = seed, 0
+    half = limits.deadline.part(0.5)
+    predecessor = predecessor_of(problem, deadline=half)
+    for _ in range(limits.iterations):
+        try:
+            half.check()
+            R, r = unit_rows(*predecessor((grown.F, grown.g), None))
+            larger = region.cut(R, r, half) if R is not None and len(r) else region
+        except LimitReached:
+            break
+        if larger.shape is not Shape.SOLID or len(larger.g) > limits.facets:
+            break
+        steps += 1
+        finished = gap(larger, grown) <= limits.tol / 10
+        grown = larger.tidy()
+        if finished:
+            break
+    return grown, steps
+
+
+def feedback_sets(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[Candidate]:
+    """Yield the positively invariant sets in the region of linear-quadratic feedbacks, one or more."""
+    for weight in _INPUT_WEIGHTS:
+        K = _feedback(problem, weight)
+        if K is None:
+            continue
+        try:
+            candidate = _closed_loop_set(problem, region, K, limits)
+        except LimitReached:
+            return
+        if candidate is not None:
+            yield candidate
+            if region.V is not None and len(K[0]) <= _VERTEX_DIM:
+                return  # small enough to be grown
+
+
+def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Limits) -> Candidate | None:
+    """Return the largest set in the region that v = K y keeps, None if the recursion does not end."""
+    k = len(problem.dynamics.A)
+    closed = problem.dynamics.A + problem.dynamics.B @ K
+    noise = problem.dynamics.disturbances
+    rows, right = unit_rows(problem.joint[0] @ np.vstack([np.eye(k), K]), problem.joint[1])
+    if rows is None:
+        return None
+    seed = region if k <= _VERTEX_DIM else Region(region.F, region.g, None)
+    seed = seed.cut(rows, right, limits.deadline)
+    if seed.shape is not Shape.SOLID:
+        return None
+
+    def backwards(target: Rows, fresh: Array | None) -> Rows:
+        F, g = target if fresh is None else (target[0][fresh], target[1][fresh])
+        reach = 0.0 if noise is None else (F @ noise.T).max(axis=1)
+        return F @ closed, g * (1 - _CLOSED_LOOP_MARGIN) - reach
+
+    ended = iterate(seed, backwards, limits.caps(_CLOSED_LOOP_MARGIN))
+    if not ended.converged or ended.region.shape is not Shape.SOLID:
+        return None
+    return Candidate(ended.region.tidy(limits.deadline), ended.iterations, K)
+
+
+def _feedback(problem: LocalProblem, weight: float) -> Array | None:
+    """Return a stabilising feedback K (q, k) of the local problem, None if none was found."""
+    from scipy.linalg import solve_discrete_are
+
+    A, B = problem.dynamics.A, problem.dynamics.B
+    k, q = B.shape
+    if q == 0:
+        return np.zeros((0, k)) if weight == 1.0 else None
+    try:
+        P = solve_discrete_are(A, B, np.eye(k), weight * np.eye(q))
+        K = -np.linalg.solve(weight * np.eye(q) + B.T @ P @ B, B.T @ P @ A)
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    stable = np.isfinite(K).all() and np.abs(np.linalg.eigvals(A + B @ K)).max() < 1.0
+    return K if stable else None
+
+
+def gap(outer: Region, inner: Region) -> float:
+    """Return the least gap with outer ⊆ (1 + gap) inner."""
+    if not len(inner.g):
+        return 0.0
+    excess = outer.reach(inner.F) - inner.g
+    passing = inner.g <= _CENTRAL
+    if (excess[passing] > _CENTRAL).any():
+        return np.inf
+    return float(max(0.0, (excess[~passing] / inner.g[~passing]).max(initial=0.0)))

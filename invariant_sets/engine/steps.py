@@ -1,0 +1,168 @@
+"""One step back and one step ahead of a set, each with its own check: nothing too many, nothing missing.
+
+References
+----------
+Blanchini, Miani (2015), Set-Theoretic Methods in Control, section 5.1. Borrelli, Bemporad, Morari (2017), Predictive
+Control for Linear and Hybrid Systems, section 10.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from invariant_sets.engine.certificate import control_violation, relative_rows
+from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.exceptions import NumericalError
+from invariant_sets.linear_programs import minimise
+from invariant_sets.polytope import Polytope
+from invariant_sets.projection import project_rows, unit
+from invariant_sets.results import INVARIANT
+from invariant_sets.time_limits import NO_DEADLINE, Deadline
+
+Array = np.ndarray
+_WIDER = 1e-6  # of its width: by how much the box of the useful inputs is enlarged
+_EVERY = 50  # linear programs between two looks at the clock
+_REACH = 4.0  # largest coordinate of a bounded body, whose extents are about one
+
+
+@dataclass(frozen=True)
+class Step:
+    """The set after one step and what was checked of it.
+
+    Attributes
+    ----------
+    set : Polytope
+        The set, without redundant rows.
+    violation, missing : float
+        By how much the worst vertex should not be in it, and by how much it should be larger, relative to its extent.
+    points : int
+        Vertices or facets checked.
+    """
+
+    set: Polytope
+    violation: float
+    missing: float
+    points: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether the set is right to the tolerance of every certificate."""
+        return max(self.violation, self.missing) <= INVARIANT
+
+
+def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
+                  deadline: Deadline = NO_DEADLINE) -> Step:
+    """Return {x in X : some u in U has A x + B u + w in S for all w}.
+
+    It is found in one of two ways that share no arithmetic, by elimination of the inputs from the lifted set or by
+    the sum of S and the moves of the inputs; the second is tried where the first does not pass its check.
+    """
+    n = len(system.A)
+    tight = S if system.disturbances is None else S.pontryagin_difference(Polytope.from_vertices(system.disturbances))
+    lifted = tight.preimage(np.hstack([system.A, system.B])).intersection(X.cartesian_product(U))
+    if lifted.is_empty:
+        return Step(Polytope(np.zeros((1, n)), [-1.0]), 0.0, 0.0, 0)
+    ways: list[Callable[[], Polytope | None]] = [
+        lambda: _by_elimination(lifted, n, deadline), lambda: _by_sum(system, tight, X, U, lifted, deadline)]
+    if system.B.shape[1] > 1:
+        ways.reverse()
+    best: Step | None = None
+    for way in ways:
+        try:
+            P = way()
+            if P is None or P.is_empty:
+                continue
+            check = control_violation(system, P, U, target=S, deadline=deadline)
+            step = Step(P, check.violation, _too_small(P, lifted, n, deadline), check.points)
+        except NumericalError:
+            continue
+        if step.holds:
+            return step
+        if best is None or max(step.violation, step.missing) < max(best.violation, best.missing):
+            best = step
+    return Step(X, np.inf, 0.0, 0) if best is None else best
+
+
+def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
+    """Return the projection of the lifted set on x, by Fourier–Motzkin in coordinates of extent one."""
+    body = lifted._body
+    assert body is not None
+    if body.basis.shape[1] < lifted.dim:
+        return lifted.projection(np.arange(n)).minimal()
+    reach = np.full(lifted.dim, _REACH if body.bounded else np.inf)
+    F, g = project_rows(body.F, body.g, n, reach=reach, deadline=deadline)  # a full-dimensional body has a diagonal basis
+    F = F / np.diag(body.basis)[:n]
+    return Polytope(F, g + F @ body.centre[:n]).minimal()
+
+
+def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
+            deadline: Deadline) -> Polytope | None:
+    """Return {x : A x in S ⊕ (−B U)} ∩ X through the hull of sums of vertices; None where a set is unbounded."""
+    n = len(system.A)
+    lower, upper = lifted.bounding_box()
+    slack = _WIDER * np.maximum(upper - lower, 0.0)[n:]
+    useful = U.intersection(Polytope.from_bounds(lower[n:] - slack, upper[n:] + slack))  # strong inputs hide S
+    if not (S.is_bounded and useful.is_bounded) or useful.is_empty:
+        return None
+    deadline.check_hull(len(S.vertices) * len(useful.vertices), n)
+    return S.minkowski_sum(useful.affine_map(-system.B)).preimage(system.A).intersection(X).minimal()
+
+
+def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> float:
+    """Return by how much the lifted set reaches beyond a facet of P, relative to the range of the facet over P."""
+    body = lifted._body
+    assert body is not None
+    F, g = relative_rows(P)
+    worst = 0.0
+    for i, f in enumerate(F):
+        if i % _EVERY == 0:
+            deadline.check()
+        local = body.basis[:n].T @ f
+        size = float(np.linalg.norm(local))
+        beyond = -size * minimise(-local / size, body.F, body.g)[0] if size > 0.0 else 0.0
+        worst = max(worst, beyond + float(f @ body.centre[:n] - g[i]))
+    return worst
+
+
+def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: Deadline = NO_DEADLINE) -> Step:
+    """Return A R ⊕ moves."""
+    n = len(system.A)
+    if R.is_bounded and moves.is_bounded:
+        deadline.check_hull(len(R.vertices) * len(moves.vertices), n)
+    image = R.affine_map(system.A).minkowski_sum(moves).minimal()
+    if image.is_empty or not len(image.b) + len(image.b_eq):
+        return Step(image, 0.0, 0.0, 0)
+    F, g = relative_rows(image)
+    exact = R.support(F @ system.A) + moves.support(F)
+    missing = float((exact - g).max())
+    violation = float((g - exact).max())
+    if image.is_bounded:
+        violation = max(violation, _unreached(system, image, R, moves, deadline))
+    return Step(image, violation, missing, len(g))
+
+
+def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polytope, deadline: Deadline) -> float:
+    """Return how far the worst vertex of the image is from A R ⊕ moves, relative to the extent of the image."""
+    start, move = R._body, moves._body
+    assert start is not None
+    assert move is not None
+    n, k, q = len(system.A), start.basis.shape[1], move.basis.shape[1]
+    width = np.ptp(image.vertices, axis=0)
+    width = np.where(width > 0.0, width, max(width.max(), 1e-300))
+    to = np.hstack([system.A @ start.basis, move.basis]) / width[:, None]
+    at = (system.A @ start.centre + move.centre) / width
+    rows = np.vstack([
+        np.column_stack([to, -np.ones(n)]), np.column_stack([-to, -np.ones(n)]),
+        np.column_stack([start.F, np.zeros((len(start.g), q + 1))]),
+        np.column_stack([np.zeros((len(move.g), k)), move.F, np.zeros(len(move.g))])])
+    cost = np.append(np.zeros(k + q), 1.0)
+    worst = 0.0
+    for i, v in enumerate(image.vertices / width):
+        if i % _EVERY == 0:
+            deadline.check()
+        scaled, right = unit(rows, np.concatenate([v - at, at - v, start.g, move.g]))
+        worst = max(worst, minimise(cost, scaled, right)[0])
+    return worst

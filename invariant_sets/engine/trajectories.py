@@ -1,0 +1,85 @@
+"""Points of a controllable or reachable set found one by one, from whole trajectories: inner sets for a time limit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from invariant_sets.exceptions import NumericalError
+from invariant_sets.linear_programs import minimise
+from invariant_sets.polytope import Polytope
+from invariant_sets.projection import unit
+from invariant_sets.time_limits import Deadline
+
+Array = np.ndarray
+_MOST_POINTS = 200
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """All x₀, …, x_N of x⁺ = A x + B u with sets on the states at each time and on the inputs.
+
+    Attributes
+    ----------
+    A, B : arrays
+        Dynamics.
+    states : tuple of Polytope
+        Sets of x₀, …, x_N.
+    U : Polytope
+        Input set.
+    """
+
+    A: Array
+    B: Array
+    states: tuple[Polytope, ...]
+    U: Polytope
+
+
+def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polytope | None:
+    """Return the hull of extreme states at time `at` (0 or N), as many as the deadline allows; None if there is none.
+
+    One linear program a point, in the coordinates of the bodies of x₀ and U. Every point belongs to a trajectory that
+    respects all sets, so their hull is inside the set of all such states.
+    """
+    first, inputs = trajectories.states[0]._body, trajectories.U._body
+    if first is None or inputs is None:
+        return None
+    n, k, q = len(first.centre), first.basis.shape[1], inputs.basis.shape[1]
+    steps = len(trajectories.states) - 1
+    maps, offsets = [np.hstack([first.basis, np.zeros((n, steps * q))])], [first.centre]
+    for step in range(steps):
+        moved = trajectories.A @ maps[-1]
+        moved[:, k + step * q:k + (step + 1) * q] += trajectories.B @ inputs.basis
+        maps.append(moved)
+        offsets.append(trajectories.A @ offsets[-1] + trajectories.B @ inputs.centre)
+    rows = [np.hstack([np.zeros((steps * len(inputs.g), k)), np.kron(np.eye(steps), inputs.F)])]
+    right = [np.tile(inputs.g, steps)]
+    for S, M, c in zip(trajectories.states, maps, offsets):
+        F, g = np.vstack([S.A, S.A_eq, -S.A_eq]), np.concatenate([S.b, S.b_eq, -S.b_eq])
+        rows.append(F @ M)
+        right.append(g - F @ c)
+    R, r = np.vstack(rows), np.concatenate(right)
+    used = np.linalg.norm(R, axis=1) > 0.0
+    points = _extreme_points(maps[at], offsets[at], unit(R[used], r[used]), deadline)
+    return Polytope.from_vertices(np.array(points)) if points else None
+
+
+def _extreme_points(M: Array, c: Array, rows: tuple[Array, Array], deadline: Deadline) -> list[Array]:
+    """Return extreme states M z + c over the rows, along the axes and then along random directions."""
+    n = len(c)
+    rng = np.random.default_rng(0)
+    directions = np.vstack([np.eye(n), -np.eye(n), rng.standard_normal((_MOST_POINTS, n))])
+    points: list[Array] = []
+    for d in directions / np.maximum(np.abs(M).sum(axis=1), 1e-300):
+        if deadline.passed:
+            break
+        cost = d @ M
+        size = float(np.linalg.norm(cost))
+        try:
+            z = minimise(-cost / size, *rows)[1] if size > 0.0 else None
+        except NumericalError:
+            continue
+        if z is not None:
+            points.append(M @ z + c)
+    return points

@@ -1,0 +1,166 @@
+"""Projections by Fourier–Motzkin elimination that keep their digits, and the rows that a set needs.
+
+Every combination of two rows is formed with weights of at most one, so that rounding stays that of the data; rows
+that the box of the set keeps away from it are dropped, since they could never touch it.
+
+References
+----------
+Ziegler (1995), Lectures on Polytopes, section 1.2: Fourier–Motzkin elimination.
+Clarkson (1994), More output-sensitive geometric algorithms, FOCS: redundancy by linear programs over the needed rows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from invariant_sets.hulls import strongly_irredundant_rows
+from invariant_sets.linear_programs import inscribed_ball, minimise
+from invariant_sets.time_limits import MOST_ROWS, NO_DEADLINE, Deadline, SizeLimitReached
+
+Array = np.ndarray
+_FEW = 40  # below so many rows, removing redundancy costs more than it saves
+_ZERO_COEFFICIENT = 1e-12  # of a unit row: smaller ones are rounding
+_ZERO_ROW = 1e-13  # norm of a combination of two unit rows that is nothing but rounding
+_REDUNDANT = 1e-12  # a row that cuts less than this off a set of extent one is redundant
+_THIN = 1e-7  # radius below which rows are not judged from an inner point
+_QHULL_DIM = 4  # up to here Qhull finds the needed rows quicker than linear programs
+
+
+def project_rows(R: Array, r: Array, keep: int, *, reach: Array | None = None,
+                 deadline: Deadline = NO_DEADLINE) -> tuple[Array, Array]:
+    """Return unit rows of the projection of {R z <= r} on its first `keep` coordinates.
+
+    Parameters
+    ----------
+    R, r : (m, k) and (m,) arrays
+        Rows in coordinates in which the extents of the set are about one.
+    keep : int
+        Number of coordinates that stay.
+    reach : (k,) array, optional
+        Largest |z| in the set, inf where unknown: rows that cannot touch this box are dropped.
+    deadline : Deadline
+        When to stop.
+
+    Returns
+    -------
+    (q, keep) and (q,) arrays
+        A set without points gives the row 0 x <= −1.
+
+    Raises
+    ------
+    LimitReached
+        If the time limit comes first, or more than `MOST_ROWS` rows were needed.
+    """
+    reach = np.full(R.shape[1], np.inf) if reach is None else reach
+    R, r = unit(R, r)
+    for k in range(R.shape[1] - 1, keep - 1, -1):
+        R, r = eliminate_last(R, r)
+        R, r = without_far_rows(R, r, reach[:k])
+        if k > keep:
+            R, r = _needed(R, r, deadline)
+    return R, r
+
+
+def unit(R: Array, r: Array) -> tuple[Array, Array]:
+    """Return the rows with unit norm; rows of norm zero stay as they are."""
+    norms = np.linalg.norm(R, axis=1)
+    norms[norms == 0.0] = 1.0
+    return R / norms[:, None], r / norms
+
+
+def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Array, Array]:
+    """Return unit rows of the projection of {R z <= r} (unit rows) that drops the last coordinate.
+
+    With `fresh`, a (m,) mask, only the rows that follow from at least one fresh row are returned.
+    """
+    last = R[:, -1]
+    rest = np.column_stack([R[:, :-1], r])
+    up, down = last > _ZERO_COEFFICIENT, last < -_ZERO_COEFFICIENT
+    level = ~(up | down)
+    if fresh is None:
+        rows = [rest[level], _combined(rest[up], last[up], rest[down], -last[down])]
+    else:
+        new_up, new_down, old_up = up & fresh, down & fresh, up & ~fresh
+        rows = [rest[level & fresh], _combined(rest[new_up], last[new_up], rest[down], -last[down]),
+                _combined(rest[old_up], last[old_up], rest[new_down], -last[new_down])]
+    return _without_zero_rows(np.vstack(rows))
+
+
+def _combined(high: Array, above: Array, low: Array, below: Array) -> Array:
+    """Return every row of `high` with every row of `low`, weighted so that their last coefficients cancel."""
+    if len(high) * len(low) > MOST_ROWS:
+        raise SizeLimitReached(f"an elimination with {len(high)} times {len(low)} rows")
+    larger = np.maximum(above[:, None], below[None, :])
+    first, second = below[None, :] / larger, above[:, None] / larger
+    return (first[:, :, None] * high[:, None, :] + second[:, :, None] * low[None, :, :]).reshape(-1, high.shape[1])
+
+
+def _without_zero_rows(rows: Array) -> tuple[Array, Array]:
+    """Return unit rows (R, r); 0 x <= negative becomes the only row."""
+    R, r = rows[:, :-1], rows[:, -1]
+    norms = np.linalg.norm(R, axis=1)
+    zero = norms <= _ZERO_ROW
+    if zero.any():
+        if (r[zero] < -1e3 * _ZERO_ROW * (1.0 + np.abs(r).max())).any():
+            return np.zeros((1, R.shape[1])), np.array([-1.0])
+        R, r, norms = R[~zero], r[~zero], norms[~zero]
+    return R / norms[:, None], r / norms
+
+
+def without_far_rows(R: Array, r: Array, reach: Array) -> tuple[Array, Array]:
+    """Return the rows that can touch the box |z| <= reach, which holds the set.
+
+    Dropping all others at once changes nothing: on the way out of the set the first row crossed is crossed inside
+    the box.
+    """
+    with np.errstate(invalid="ignore"):
+        products = np.abs(R) * reach
+    products[R == 0.0] = 0.0
+    touching = r <= products.sum(axis=1) * (1.0 + 1e-9)
+    return R[touching], r[touching]
+
+
+def _needed(R: Array, r: Array, deadline: Deadline) -> tuple[Array, Array]:
+    """Return the rows that matter, judged from an inner point; all of them where the set is thin or the rows few."""
+    if len(r) <= _FEW:
+        return R, r
+    radius, middle = inscribed_ball(R, r, cap=1.0)
+    if radius <= _THIN:
+        return R, r
+    kept = needed_rows(R, r - R @ middle, deadline)
+    return R[kept], r[kept]
+
+
+def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
+    """Return the indices of the rows that {F y <= g} needs (unit rows, g > 0), weakly redundant ones perhaps too."""
+    if F.shape[1] <= _QHULL_DIM:
+        return strongly_irredundant_rows(F, g)
+    needed = np.zeros(len(g), bool)
+    needed[_hit_by_rays(F, g, F)] = True
+    open_rows = ~needed
+    for i in np.argsort(g, kind="stable"):
+        while open_rows[i]:
+            deadline.check()
+            others = np.flatnonzero(needed)
+            rows, right = np.vstack([F[others], F[i]]), np.append(g[others], g[i] + 1.0)
+            value, y = minimise(-F[i], rows, right)
+            if y is None or -value <= g[i] + _REDUNDANT:
+                open_rows[i] = False
+                continue
+            hit = _hit_by_rays(F, g, y[None])[0]
+            if needed[hit]:  # rounding: keep the row rather than ask for ever
+                hit = i
+            needed[hit], open_rows[hit] = True, False
+    return np.flatnonzero(needed)
+
+
+def _hit_by_rays(F: Array, g: Array, directions: Array) -> Array:
+    """Return the first row that each ray from 0 crosses."""
+    hits = []
+    step = max(1, 2_000_000 // len(F))
+    for start in range(0, len(directions), step):
+        slope = directions[start:start + step] @ F.T
+        with np.errstate(divide="ignore"):
+            distance = np.where(slope > 0.0, g / np.where(slope > 0.0, slope, 1.0), np.inf)
+        hits.append(distance.argmin(axis=1))
+    return np.unique(np.concatenate(hits))

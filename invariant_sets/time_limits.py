@@ -1,0 +1,101 @@
+"""Time limits that hold: a deadline that is handed down, and what a convex hull is expected to cost before it is begun.
+
+References
+----------
+Buchta, Müller, Tichy (1985), Stochastical approximation of convex bodies, Mathematische Annalen 271: facets of the hull
+of random points on a sphere, from which the cost of a hull is estimated.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from invariant_sets.exceptions import InputError, InvariantSetsError
+
+_FACETS_PER_POINT = (1.0, 1.0, 1.0, 2.0, 7.0, 30.0, 170.0, 1000.0, 6000.0)  # by dimension, of points on a sphere
+_SECONDS_PER_FACET = 3e-5  # Qhull on a slow core, degenerate points included
+MOST_HULL_FACETS = 1_000_000  # about 1 GB in Qhull: more is refused whatever the time
+MOST_ROWS = 400_000  # of one elimination, about 50 MB
+
+
+class LimitReached(InvariantSetsError):
+    """A cap came before the end of a computation; caught inside the package and turned into a status."""
+
+
+class TimeLimitReached(LimitReached):
+    """The time limit came, or would come before the next step ends."""
+
+
+class SizeLimitReached(LimitReached):
+    """The next step would need more rows or facets than fit."""
+
+
+@dataclass(frozen=True)
+class Deadline:
+    """The moment at which a computation has to end.
+
+    Attributes
+    ----------
+    end : float
+        On the clock of `time.perf_counter` [s]; inf if there is no limit.
+    """
+
+    end: float = float("inf")
+
+    @classmethod
+    def after(cls, seconds: float | None) -> Deadline:
+        """Return the deadline so many seconds from now; None is no limit."""
+        return cls() if seconds is None else cls(time.perf_counter() + seconds)
+
+    @property
+    def left(self) -> float:
+        """Seconds that are left; negative once it has passed."""
+        return self.end - time.perf_counter()
+
+    @property
+    def passed(self) -> bool:
+        """Whether no time is left."""
+        return self.left <= 0.0
+
+    def part(self, share: float) -> Deadline:
+        """Return the deadline at which this share of the time left will have gone."""
+        left = self.left
+        return self if left == float("inf") else Deadline(self.end - (1.0 - share) * max(left, 0.0))
+
+    def check(self) -> None:
+        """Raise `TimeLimitReached` if it has passed."""
+        if self.passed:
+            raise TimeLimitReached("the time limit has passed")
+
+    def check_hull(self, points: int, dim: int) -> None:
+        """Raise `LimitReached` if the hull of so many points would take longer than is left, or too much memory."""
+        facets = hull_facets(points, dim)
+        if facets > MOST_HULL_FACETS:
+            raise SizeLimitReached(f"a hull of {points} points in {dim} dimensions has about {facets:.0e} facets")
+        if facets * _SECONDS_PER_FACET > self.left:
+            raise TimeLimitReached(f"a hull of {points} points in {dim} dimensions takes longer than is left")
+
+
+NO_DEADLINE = Deadline()
+
+
+def hull_facets(points: int, dim: int) -> float:
+    """Return how many facets the hull of so many points is expected to have."""
+    if dim < len(_FACETS_PER_POINT):
+        return points * _FACETS_PER_POINT[dim]
+    return points * _FACETS_PER_POINT[-1] * 7.0 ** (dim - len(_FACETS_PER_POINT) + 1)
+
+
+def check_time_limit(value: Any) -> float | None:
+    """Return `time_limit` as seconds, None for no limit; raise `InputError` unless it is a number above 0."""
+    if value is None:
+        return None
+    try:
+        seconds = float("nan") if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        seconds = float("nan")
+    if not seconds > 0.0:
+        raise InputError("time_limit", repr(value)[:60], "a number of seconds above 0, or None for no limit")
+    return seconds
