@@ -230,7 +230,7 @@ def positive_case(seed: int, held_out: bool = False) -> tuple[Case, Array, Rows]
     A *= min(1.0, 0.98 / max(np.abs(np.linalg.eigvals(A)).max(), 1e-9))
     C = rng.normal(size=(outputs, n))
     if rng.random() < 0.25:  # a mode that no output sees
-        values, left = np.linalg.eig(A.T)
+        values = np.linalg.eigvals(A.T)
         hidden = int(np.flatnonzero(np.abs(values.imag) < 1e-12)[0]) if (np.abs(values.imag) < 1e-12).any() else -1
         if hidden >= 0:
             right = np.linalg.eig(A)[1][:, np.argmin(np.abs(np.linalg.eig(A)[0] - values[hidden]))].real
@@ -252,10 +252,12 @@ def controllable_case(seed: int, held_out: bool = False) -> Case:
         target = box(-rng.uniform(0.1, 1, n), rng.uniform(0.1, 1, n))
     else:
         F = rng.normal(size=(2 * n + 1, n))
-        target = np.vstack([F, *box(-np.ones(n), np.ones(n))[:1]]), np.append(rng.uniform(0.3, 1, 2 * n + 1), np.ones(2 * n))
+        around = box(-np.ones(n), np.ones(n))
+        target = np.vstack([F, around[0]]), np.append(rng.uniform(0.3, 1, 2 * n + 1), around[1])
     decades = 2.0 * (seed % 3)
-    return Case(A, B, X, dressed(rng, input_rows(rng, m), 2.0), target, spread(rng, n, decades), spread(rng, m, decades),
-                int(rng.integers(1, 5 if n < 4 else 3)))
+    U = dressed(rng, input_rows(rng, m), 2.0)
+    state_units, input_units = spread(rng, n, decades), spread(rng, m, decades)
+    return Case(A, B, X, U, target, state_units, input_units, int(rng.integers(1, 5 if n < 4 else 3)))
 
 
 def control_case(seed: int, held_out: bool = False) -> Case:
@@ -357,7 +359,8 @@ def judge_control(case: Case, result: SetResult, seconds: float, limit: float, r
         if back > reach * (1 + 1e-5) + CLOSE:
             return f"outer too small by {back / reach - 1:.1e}"
         mine = exit_of(C, start, direction)
-        if result.status is Status.CONVERGED and not _leaves(case, start + 1.001 * mine * direction, 0.001 * mine, back - mine):
+        beyond = start + 1.001 * mine * direction
+        if result.status is Status.CONVERGED and not _leaves(case, beyond, 0.001 * mine, back - mine):
             return "too small"
     return ""
 
@@ -372,7 +375,8 @@ def _leaves(case: Case, x: Array, margin: float, back: float) -> bool:
         room = g - F[:, :n] @ x
         if steps * (len(case.X[1]) + len(case.U[1])) * steps * case.B.shape[1] > 4e7:
             break
-        if linprog(np.zeros(F.shape[1] - n), A_ub=F[:, n:], b_ub=room, bounds=(None, None), method="highs-ds").status == 2:
+        answer = linprog(np.zeros(F.shape[1] - n), A_ub=F[:, n:], b_ub=room, bounds=(None, None), method="highs-ds")
+        if answer.status == 2:
             return True
     return True  # not settled in that many steps, but the backward steps above add nothing
 

@@ -3,10 +3,11 @@
 from invariant_sets.admissible_inputs import AdmissibleInputs
 from invariant_sets.control_invariant import maximal_control_invariant_set
 from invariant_sets.exceptions import InvariantSetsError
+from invariant_sets.minimal_robust import minimal_robust_positively_invariant_set
 from invariant_sets.parametric import ParametricSet
 from invariant_sets.plotting import plot_family, plot_polytope
 from invariant_sets.polytope import Polytope
-from invariant_sets.positive_invariant import maximal_positively_invariant_set, minimal_robust_positively_invariant_set
+from invariant_sets.positive_invariant import maximal_positively_invariant_set
 from invariant_sets.reachability import controllable_set, predecessor_set, reachable_set
 from invariant_sets.results import Certificate, SetResult, Status
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import daqp
@@ -9,16 +11,21 @@ import numpy as np
 
 from invariant_sets.engine.certificate import relative_rows
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
+from invariant_sets.input_intervals import Intervals
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
-from invariant_sets.system_checks import checked_system
+from invariant_sets.system_checks import checked_system, disturbance_vertices
 from invariant_sets.validation import as_batch, as_vector, frozen
 
 Array = np.ndarray
 _TOLERANCE = 1e-9  # of the extent of S: a smaller violation counts as admissible
 _LARGE = 1e150  # beyond this the arithmetic is clipped, so that a diverged state cannot raise
+_FAR_PROPOSAL = 1e6  # half widths of U: a proposal further away is moved to here along its direction
+_IN_INPUT_SET = 1e-8  # half widths of U: by how much a solver's answer may leave U
+_SOLVER = 1e-10  # primal tolerance handed to DAQP
 
 
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class AdmissibleInputs:
     """The set {u in U : A x + B u + E w in S for every w in W}, as a function of the state x.
 
@@ -55,30 +62,28 @@ class AdmissibleInputs:
     projection of a proposed input on those that keep the state in an invariant set.
     """
 
+    S: Polytope
+    U: Polytope
+    _rows: _LocalRows = field(repr=False)
+
     def __init__(self, A: Any, B: Any, S: Polytope, U: Polytope, *, E: Any = None, W: Polytope | None = None) -> None:
         A, B, E = checked_system(A, B, S, U, E, W, state_set="S")
         if U.is_empty:
             raise EmptySetError("U is empty; no input can be admissible.")
         if not U.is_bounded:
             raise UnboundedError("U is unbounded, expected a bounded input set.")
-        body = U._body
-        assert body is not None
-        self._A, self._B, self.S, self.U = frozen(A), frozen(B), S, U
-        self._middle, self._size = body.centre, body.basis  # u = middle + size v
-        self._back = np.linalg.pinv(body.basis)
-        F, g = relative_rows(S)
-        if E is not None and W is not None:
-            g = g - (F @ E @ W.vertices.T).max(axis=1)
-        self._next, self._slope, self._room = -F @ A, F @ B @ self._size, g - F @ B @ self._middle
-        self._H, self._h = body.F, body.g
-        self._rows = np.ascontiguousarray(np.vstack([self._slope, self._H]))
+        for name, value in (("S", S), ("U", U), ("_rows", _local_rows(A, B, S, U, disturbance_vertices(E, W)))):
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        nx, nu = self._rows.after.shape[1], self.U.dim
+        return f"AdmissibleInputs(nx={nx}, nu={nu}, {len(self._rows.room)} rows of S, {len(self.U.b)} rows of U)"
 
     def at(self, x: Any) -> Polytope:
         """Return the admissible inputs at one state x (nx,) as a `Polytope`, possibly empty."""
-        x = as_vector(x, "x", size=self._A.shape[0])
-        rooms = self._rooms(x[None])[0]
-        rows = self._slope @ self._back
-        return self.U.intersection(Polytope(rows, rooms + rows @ self._middle))
+        x = as_vector(x, "x", size=self._rows.after.shape[1])
+        rows = self._rows.slope @ self._rows.back
+        return self.U.intersection(Polytope(rows, self._rows.rooms(x[None])[0] + rows @ self._rows.middle))
 
     def project(self, x: Any, u_proposed: Any) -> tuple[Array, Any]:
         """Return the admissible input nearest to a proposed one, and whether there is any.
@@ -103,75 +108,184 @@ class AdmissibleInputs:
         One input: a closed-form interval. Several: one QP a state (DAQP). It raises for wrong shapes, NaN
         and infinity only.
         """
-        nx, nu = self._B.shape
-        states, single = as_batch(x, "x", nx)
-        proposed, _ = as_batch(u_proposed, "u_proposed", nu)
-        if len(states) != len(proposed):
-            raise InputError(f"u_proposed has {len(proposed)} rows, expected {len(states)} as in x.")
-        with np.errstate(over="ignore"):
-            wanted = np.clip((proposed - self._middle) @ self._back.T, -_LARGE, _LARGE)
-        rooms = self._rooms(states)
-        v, admissible = self._intervals(rooms, wanted) if self._slope.shape[1] == 1 else self._programs(rooms, wanted)
-        for k in np.flatnonzero(~admissible):
-            v[k] = self._least_violation(rooms[k], wanted[k])
-            admissible[k] = (self._slope @ v[k] - rooms[k]).max(initial=-np.inf) <= _TOLERANCE  # DAQP may have given up
-        u = self._middle + v @ self._size.T
+        rows = self._rows
+        states, single = as_batch(x, "x", rows.after.shape[1])
+        proposed = _proposals(u_proposed, self.U.dim, len(states))
+        rooms, wanted = rows.rooms(states), rows.local(proposed)
+        if rows.slope.shape[1] == 1:
+            low, high = rows.interval
+            slope = np.broadcast_to(rows.slope[:, 0], rooms.shape)
+            values, violation = Intervals(slope, rooms, low, high).nearest(wanted[:, 0])
+            v, admissible = values[:, None], violation <= _TOLERANCE
+        else:
+            v, admissible = _by_programs(rows, rooms, wanted)
+        u = rows.middle + v @ rows.size.T
         return (u[0], bool(admissible[0])) if single else (u, admissible)
 
-    def _rooms(self, states: Array) -> Array:
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class AdmissibleInputFamily:
+    """The admissible inputs of several plants at once: state i is filtered by filter i.
+
+    Parameters
+    ----------
+    filters : sequence of AdmissibleInputs
+        One a plant (a design, say), all with the same numbers of states and inputs.
+
+    Raises
+    ------
+    InputError
+        If there is none, one is of another type, or the numbers of states and inputs differ.
+    """
+
+    filters: tuple[AdmissibleInputs, ...]
+    _slope: Array
+    _room: Array
+    _after: Array
+
+    def __init__(self, filters: Sequence[AdmissibleInputs]) -> None:
+        filters = tuple(filters)
+        if not filters or not all(isinstance(one, AdmissibleInputs) for one in filters):
+            raise InputError("filters", f"{len(filters)} values", "one or more AdmissibleInputs")
+        shapes = {(one._rows.after.shape[1], one.U.dim) for one in filters}
+        if len(shapes) > 1:
+            raise InputError("filters", f"(nx, nu) of {sorted(shapes)}", "the same in all")
+        object.__setattr__(self, "filters", filters)
+        most = max(len(one._rows.room) for one in filters)
+        slope, after = np.zeros((len(filters), most)), np.zeros((len(filters), most, next(iter(shapes))[0]))
+        room = np.full((len(filters), most), _LARGE)  # a filter with fewer rows gets rows that never matter
+        for i, one in enumerate(filters):
+            count = len(one._rows.room)
+            slope[i, :count] = one._rows.slope[:, 0] if one._rows.slope.shape[1] else 0.0
+            room[i, :count], after[i, :count] = one._rows.room, one._rows.after
+        for name, array in (("_slope", slope), ("_room", room), ("_after", after)):
+            object.__setattr__(self, name, frozen(array))
+
+    def __repr__(self) -> str:
+        return f"AdmissibleInputFamily({len(self.filters)} filters, nx={self._after.shape[2]})"
+
+    def project(self, x: Any, u_proposed: Any) -> tuple[Array, Array]:
+        """Return, for each filter, the admissible input nearest to a proposed one, and whether there is any.
+
+        Parameters
+        ----------
+        x, u_proposed : (k, nx) and (k, nu) arrays
+            State and proposed input of each of the k filters; finite.
+
+        Returns
+        -------
+        u, admissible : (k, nu) array and (k,) array of bools
+            As `AdmissibleInputs.project`. One input is done for all filters at once.
+        """
+        states, _ = as_batch(x, "x", self._after.shape[2])
+        if len(states) != len(self.filters):
+            raise InputError("x", f"{len(states)} rows", f"{len(self.filters)}, one a filter")
+        proposed = _proposals(u_proposed, self.filters[0].U.dim, len(states))
+        if any(one._rows.slope.shape[1] != 1 for one in self.filters):
+            answers = [one.project(*pair) for one, *pair in zip(self.filters, states, proposed)]
+            return np.array([u for u, _ in answers]), np.array([admissible for _, admissible in answers])
+        with np.errstate(over="ignore", invalid="ignore"):
+            rooms = self._room + np.einsum("kmn,kn->km", self._after, states)
+        rooms = np.clip(np.nan_to_num(rooms, nan=-_LARGE), -_LARGE, _LARGE)
+        wanted = np.array([one._rows.local(u[None])[0, 0] for one, u in zip(self.filters, proposed)])
+        ends = np.array([one._rows.interval for one in self.filters])
+        v, violation = Intervals(self._slope, rooms, ends[:, 0], ends[:, 1]).nearest(wanted)
+        u = np.array([one._rows.middle + one._rows.size[:, 0] * value for one, value in zip(self.filters, v)])
+        return u, violation <= _TOLERANCE
+
+
+@dataclass(frozen=True)
+class _LocalRows:
+    """Rows of S and U on v, with u = middle + size v: slope v <= room + after x, H v <= h."""
+
+    middle: Array
+    size: Array
+    back: Array
+    after: Array
+    slope: Array
+    room: Array
+    H: Array
+    h: Array
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Smallest and largest v of a single input."""
+        ends, side = self.h / self.H[:, 0], self.H[:, 0]
+        return float(ends[side < 0].max()), float(ends[side > 0].min())
+
+    def rooms(self, states: Array) -> Array:
         """Return what is left of each row of S before the input acts, (k, m)."""
         with np.errstate(over="ignore", invalid="ignore"):
-            rooms = self._room + states @ self._next.T
+            rooms = self.room + states @ self.after.T
         return np.clip(np.nan_to_num(rooms, nan=-_LARGE), -_LARGE, _LARGE)
 
-    def _intervals(self, rooms: Array, wanted: Array) -> tuple[Array, Array]:
-        slope = self._slope[:, 0]
-        up, down = slope > 1e-14, slope < -1e-14
-        low = float((self._h / self._H[:, 0])[self._H[:, 0] < 0].max())
-        high = float((self._h / self._H[:, 0])[self._H[:, 0] > 0].min())
-        lower = (rooms[:, down] / slope[down]).max(axis=1, initial=low)
-        upper = (rooms[:, up] / slope[up]).min(axis=1, initial=high)
-        # at the nearest input, is every row met to the tolerance?
-        middle = (lower + upper) / 2
-        lower, upper = np.where(lower > upper, middle, lower), np.where(lower > upper, middle, upper)
-        v = np.clip(np.clip(wanted[:, 0], lower, upper), low, high)
-        violation = (v[:, None] * slope - rooms).max(axis=1, initial=-np.inf)
-        return v[:, None], violation <= _TOLERANCE
+    def local(self, u: Array) -> Array:
+        """Return inputs (k, nu) as v (k, q)."""
+        with np.errstate(over="ignore"):
+            return np.clip((u - self.middle) @ self.back.T, -_LARGE, _LARGE)
 
-    def _programs(self, rooms: Array, wanted: Array) -> tuple[Array, Array]:
-        v, admissible = np.zeros(wanted.shape), np.zeros(len(rooms), bool)
-        for k in range(len(rooms)):
-            nearest = self._nearest(rooms[k] + 0.5 * _TOLERANCE, wanted[k])
-            if nearest is not None:
-                v[k] = nearest
-                admissible[k] = (self._slope @ nearest - rooms[k]).max(initial=-np.inf) <= _TOLERANCE
-        return v, admissible
 
-    def _nearest(self, room: Array, wanted: Array) -> Array | None:
-        """Return the point of U nearest to `wanted` with slope·v <= room, or None."""
-        if not len(wanted):
-            return wanted
-        reach = np.abs(wanted).max()
-        target = wanted if reach < 1e6 else wanted / reach * 1e6
-        v, _, flag, _ = daqp.solve(np.eye(len(target)), -target, self._rows, np.append(room, self._h),
-                                   primal_tol=1e-10)
-        return np.array(v) if flag == 1 and (self._H @ v - self._h).max(initial=0.0) <= 1e-8 else None
+def _local_rows(A: Array, B: Array, S: Polytope, U: Polytope, disturbances: Array | None) -> _LocalRows:
+    """Return the rows of S and U in coordinates in which U has extents of one."""
+    body = U._body
+    assert body is not None
+    F, g = relative_rows(S)
+    if disturbances is not None and len(g):
+        g = g - (F @ disturbances.T).max(axis=1)
+    arrays = (body.centre, body.basis, np.linalg.pinv(body.basis), -F @ A, F @ B @ body.basis, g - F @ B @ body.centre,
+              body.F, body.g)
+    return _LocalRows(*(frozen(np.array(array)) for array in arrays))
 
-    def _least_violation(self, room: Array, wanted: Array) -> Array:
-        """Return the input in U whose largest scaled violation is least."""
-        nu = len(wanted)
-        if nu == 0 or not len(room):
-            return wanted
-        shift = room.min()
-        spread = max(1.0, float(np.minimum(room - shift, _LARGE).max()))
-        rows = np.block([[self._slope / spread, -np.ones((len(room), 1))], [self._H, np.zeros((len(self._H), 1))]])
-        norms = np.linalg.norm(rows, axis=1)
-        right = np.append((room - shift) / spread, self._h) / norms
-        cost = np.zeros(nu + 1)
-        cost[nu] = 1.0
-        value, best = minimise(cost, rows / norms[:, None], right)
-        if best is None:  # pragma: no cover - U is nonempty and bounded, so a minimiser exists
-            return self._nearest(np.full(len(room), _LARGE), wanted)  # type: ignore[return-value]
-        allowed = room - shift + (value + 1e-9) * spread
-        nearest = self._nearest(allowed, wanted)
-        return best[:nu] if nearest is None else nearest
+
+def _proposals(value: Any, nu: int, count: int) -> Array:
+    """Return the proposed inputs (count, nu), or raise `InputError`."""
+    proposed, _ = as_batch(value, "u_proposed", nu)
+    if len(proposed) != count:
+        raise InputError("u_proposed", f"{len(proposed)} rows", f"{count} as in x")
+    return proposed
+
+
+def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, Array]:
+    """Return the nearest admissible v (k, q), by one QP a state, and whether it is admissible."""
+    v, admissible = np.zeros(wanted.shape), np.zeros(len(rooms), bool)
+    for k, room in enumerate(rooms):
+        nearest = _nearest(rows, room + 0.5 * _TOLERANCE, wanted[k])
+        if nearest is None or not _meets(rows, nearest, room):
+            nearest = _least_violation(rows, room, wanted[k])
+        v[k], admissible[k] = nearest, _meets(rows, nearest, room)
+    return v, admissible
+
+
+def _meets(rows: _LocalRows, v: Array, room: Array) -> bool:
+    """Return whether v meets all rows of S to the tolerance."""
+    return bool((rows.slope @ v - room).max(initial=-np.inf) <= _TOLERANCE)
+
+
+def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
+    """Return the point of U nearest to `wanted` with slope·v <= room, None if DAQP finds none."""
+    if not len(wanted):
+        return wanted
+    reach = np.abs(wanted).max()
+    target = wanted if reach < _FAR_PROPOSAL else wanted / reach * _FAR_PROPOSAL
+    program = np.vstack([rows.slope, rows.H])  # a new array: DAQP wants one that it could write to
+    v, _, flag, _ = daqp.solve(np.eye(len(target)), -target, program, np.append(room, rows.h), primal_tol=_SOLVER)
+    return np.array(v) if flag == 1 and (rows.H @ v - rows.h).max(initial=0.0) <= _IN_INPUT_SET else None
+
+
+def _least_violation(rows: _LocalRows, room: Array, wanted: Array) -> Array:
+    """Return the input in U whose largest scaled violation is least."""
+    nu = len(wanted)
+    if nu == 0 or not len(room):
+        return wanted
+    shift = room.min()
+    spread = max(1.0, float(np.minimum(room - shift, _LARGE).max()))
+    matrix = np.block([[rows.slope / spread, -np.ones((len(room), 1))], [rows.H, np.zeros((len(rows.H), 1))]])
+    norms = np.linalg.norm(matrix, axis=1)
+    right = np.append((room - shift) / spread, rows.h) / norms
+    cost = np.zeros(nu + 1)
+    cost[nu] = 1.0
+    value, best = minimise(cost, matrix / norms[:, None], right)
+    if best is None:  # pragma: no cover - U is nonempty and bounded, so a minimiser exists
+        return np.zeros(nu)
+    nearest = _nearest(rows, room - shift + (value + _TOLERANCE) * spread, wanted)
+    return best[:nu] if nearest is None else nearest

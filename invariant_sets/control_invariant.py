@@ -70,7 +70,8 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E
     Bertsekas (1972), IEEE TAC 17(5); Blanchini, Miani (2015), sections 5.1 and 5.2; Hu, Lin (2001), Control Systems
     with Actuator Saturation, chapter 2.
     """
-    return largest_invariant_set(control_task(A, B, X, U, Options(tol, max_iterations, max_facets, time_limit), E=E, W=W))
+    options = Options(tol, max_iterations, max_facets, time_limit)
+    return largest_invariant_set(control_task(A, B, X, U, options, E=E, W=W))
 
 
 @dataclass(frozen=True)

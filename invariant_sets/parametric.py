@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ Array = np.ndarray
 _SLOW = 20  # steps: a neighbour that took more is worth starting from; below, a cold start is quicker
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class ParametricSet:
     """The maximal control invariant sets C(p) of x⁺ = A(p) x + B(p) u [+ E(p) w], computed when asked for.
 
@@ -34,6 +36,8 @@ class ParametricSet:
         Passed to `maximal_control_invariant_set`, as are the next two.
     max_iterations, max_facets : int
         Caps for one design.
+    time_limit : float, optional
+        Latest end of the computation for one design, in seconds; no limit if left out.
     warm_start : bool
         Whether to start from the set of the nearest design known, where that one took more than 20 steps.
 
@@ -51,19 +55,33 @@ class ParametricSet:
     Blanchini, Miani (2015), Set-Theoretic Methods in Control, chapter 5: convexity of invariant sets.
     """
 
-    def __init__(self, matrices: Callable[[Array], tuple[Any, ...]], X: Polytope, U: Polytope, *,
-                 W: Polytope | None = None, tol: float = 1e-7, max_iterations: int = 500, max_facets: int = 1000,
-                 warm_start: bool = True) -> None:
-        if not callable(matrices):
-            raise InputError(f"matrices must be a callable p -> (A, B), got {type(matrices).__name__}.")
-        for name, value in (("X", X), ("U", U), *((("W", W),) if W is not None else ())):
+    matrices: Callable[[Array], tuple[Any, ...]]
+    X: Polytope
+    U: Polytope
+    _: KW_ONLY
+    W: Polytope | None = None
+    tol: float = 1e-7
+    max_iterations: int = 500
+    max_facets: int = 1000
+    time_limit: float | None = None
+    warm_start: bool = True
+    _results: dict[bytes, SetResult] = field(default_factory=dict, init=False)
+    _slow: list[tuple[Array, SetResult]] = field(default_factory=list, init=False)
+
+    def __post_init__(self) -> None:
+        if not callable(self.matrices):
+            raise InputError("matrices", type(self.matrices).__name__, "a callable p -> (A, B)")
+        for name, value in (("X", self.X), ("U", self.U), *((("W", self.W),) if self.W is not None else ())):
             check_set(value, name, getattr(value, "dim", 0))
-        self.matrices, self.X, self.U, self.W, self.warm_start = matrices, X, U, W, warm_start
-        self.tol = check_tolerance(tol)
-        self.max_iterations = check_count(max_iterations, "max_iterations", 1)
-        self.max_facets = check_count(max_facets, "max_facets", 1)
-        self._results: dict[bytes, SetResult] = {}
-        self._slow: list[tuple[Array, SetResult]] = []
+        self._options.limits()  # raises where one of them is no proper number
+
+    def __repr__(self) -> str:
+        return (f"ParametricSet(nx={self.X.dim}, nu={self.U.dim}, {'robust' if self.W is not None else 'nominal'}, "
+                f"{len(self._results)} designs known)")
+
+    @property
+    def _options(self) -> Options:
+        return Options(self.tol, self.max_iterations, self.max_facets, self.time_limit)
 
     def result(self, p: Any) -> SetResult:
         """Return the whole result, with status and certificate, at one design p (np,)."""
@@ -92,13 +110,13 @@ class ParametricSet:
         """
         designs = as_matrix(designs, "designs") + 0.0
         if isinstance(n_jobs, bool) or not isinstance(n_jobs, int) or n_jobs == 0:
-            raise InputError(f"n_jobs must be an integer other than 0, got {n_jobs!r}.")
+            raise InputError("n_jobs", repr(n_jobs)[:60], "an integer other than 0")
         missing = [p for p in np.unique(designs, axis=0) if p.tobytes() not in self._results]
         if n_jobs != 1 and len(missing) > 1:
             from joblib import Parallel, delayed
 
-            found = Parallel(n_jobs=n_jobs)(delayed(self._cold)(p) for p in missing)
-            self._results.update((p.tobytes(), result) for p, result in zip(missing, found))
+            computed = Parallel(n_jobs=n_jobs)(delayed(self._cold)(p) for p in missing)
+            self._results.update((p.tobytes(), result) for p, result in zip(missing, computed))
         return [self.result(p) for p in designs]
 
     def contains(self, x: Any, p: Any, tol: float = 1e-9) -> Any:
@@ -130,7 +148,7 @@ class ParametricSet:
         if len(designs) == 1:
             designs = np.broadcast_to(designs, (count, designs.shape[1]))
         if len(designs) != count:
-            raise InputError(f"p has {len(designs)} rows, expected {count} as in x, or one.")
+            raise InputError("p", f"{len(designs)} rows", f"{count} as in x, or one")
         unique, group = np.unique(designs, axis=0, return_inverse=True)
         order = np.argsort(group.ravel(), kind="stable")
         ends = np.cumsum(np.bincount(group.ravel(), minlength=len(unique)))
@@ -168,7 +186,7 @@ class ParametricSet:
         p = as_vector(p, "p")
         step = check_tolerance(step, "step")
         if not 0 < step < 1:
-            raise InputError(f"step must lie between 0 and 1, got {step}.")
+            raise InputError("step", step, "a number between 0 and 1")
         gradient = np.empty(len(p))
         for i, value in enumerate(p):
             h = step * (abs(value) if value != 0 else 1.0)
@@ -191,10 +209,9 @@ class ParametricSet:
     def _cold(self, p: Array, guess: Polytope | None = None) -> SetResult:
         answer = self.matrices(p)
         if not isinstance(answer, tuple) or len(answer) not in (2, 3):
-            raise InputError(f"matrices must return a tuple (A, B) or (A, B, E), got {type(answer).__name__}.")
+            raise InputError("matrices", f"a value of type {type(answer).__name__}", "a tuple (A, B) or (A, B, E)")
         E = answer[2] if len(answer) == 3 and self.W is not None else None
-        options = Options(self.tol, self.max_iterations, self.max_facets)
-        task = control_task(answer[0], answer[1], self.X, self.U, options, E=E, W=self.W)
+        task = control_task(answer[0], answer[1], self.X, self.U, self._options, E=E, W=self.W)
         return largest_invariant_set(task, guess)
 
     def _neighbour(self, p: Array) -> tuple[SetResult, float] | None:

@@ -81,8 +81,8 @@ def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope | None, target: Po
     W : Polytope, optional
         Bounded disturbance set; the input may depend on the state, not on w.
     time_limit : float, optional
-        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT and `set` an inner set,
-        the hull of states of single trajectories (empty with a disturbance).
+        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT and
+        `set` an inner set, the hull of states of single trajectories (empty with a disturbance).
 
     Returns
     -------
@@ -137,8 +137,8 @@ def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope | None, steps: in
     W : Polytope, optional
         Bounded disturbance set; the disturbance may be any in W.
     time_limit : float, optional
-        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT and `set` an inner set,
-        the hull of states of single trajectories.
+        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT and
+        `set` an inner set, the hull of states of single trajectories.
 
     Returns
     -------

@@ -102,7 +102,7 @@ class SetResult:
 
     def __repr__(self) -> str:
         kind = "empty" if self.set.is_empty else "bounded" if self.is_bounded else "unbounded"
-        return (f"SetResult({self.status.name}, {kind} set of dimension {self.set.dim}, {len(self.set.b)} inequalities, "
+        return (f"SetResult({self.status.name}, {kind} set of dimension {self.set.dim}, {len(self.set.b)} rows, "
                 f"{self.iterations} steps, violation {self.certificate.violation:.1e}, gap {self.certificate.gap:.1e})")
 
 

@@ -93,8 +93,8 @@ def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
     if body.basis.shape[1] < lifted.dim:
         return lifted.projection(np.arange(n)).minimal()
     reach = np.full(lifted.dim, _REACH if body.bounded else np.inf)
-    F, g = project_rows(body.F, body.g, n, reach=reach, deadline=deadline)  # a full-dimensional body has a diagonal basis
-    F = F / np.diag(body.basis)[:n]
+    F, g = project_rows(body.F, body.g, n, reach=reach, deadline=deadline)
+    F = F / np.diag(body.basis)[:n]  # the basis of a full-dimensional body is diagonal
     return Polytope(F, g + F @ body.centre[:n]).minimal()
 
 

@@ -1,11 +1,15 @@
 """The inputs that keep the next state in a set."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize_scalar
 from set_plants import ILLUSTRATIVE_U, ILLUSTRATIVE_X, SUSPENSION_U, SUSPENSION_X, illustrative, suspension
 
 from invariant_sets import AdmissibleInputs, Polytope, maximal_control_invariant_set
+from invariant_sets.admissible_inputs import AdmissibleInputFamily
 
 
 @pytest.fixture
@@ -119,3 +123,27 @@ def test_random_filters_agree_with_a_linear_program(seed):
         bounds = list(zip(lower / us, upper / us))
         answer = linprog(np.zeros(m), A_ub=S.A @ B * us / size[:, None], b_ub=right, bounds=bounds)
         assert (answer.status == 0) == admissible[k]
+
+
+@pytest.mark.parametrize("inputs", [1, 2])
+def test_a_family_of_filters_gives_what_each_filter_gives_alone(inputs, rng):
+    filters = []
+    for _ in range(6):
+        A, B = rng.normal(size=(3, 3)), rng.normal(size=(3, inputs))
+        S = Polytope.from_vertices(rng.normal(size=(rng.integers(6, 15), 3)))
+        filters.append(AdmissibleInputs(A, B, S, Polytope.from_bounds(-np.ones(inputs), rng.uniform(0.1, 2, inputs))))
+    x, proposed = rng.normal(size=(6, 3)), rng.normal(size=(6, inputs)) * 3
+    u, admissible = AdmissibleInputFamily(filters).project(x, proposed)
+    for k, one in enumerate(filters):
+        alone, verdict = one.project(x[k], proposed[k])
+        np.testing.assert_allclose(u[k], alone, atol=1e-12)
+        assert admissible[k] == verdict
+
+
+def test_a_filter_is_read_only_and_survives_pickle_and_deepcopy(one_input):
+    inputs = one_input[3]
+    with pytest.raises(AttributeError):
+        inputs.S = inputs.U
+    for twin in (pickle.loads(pickle.dumps(inputs)), copy.deepcopy(inputs)):
+        np.testing.assert_array_equal(twin.project([1.0, 1.0], [3.0])[0], inputs.project([1.0, 1.0], [3.0])[0])
+    assert len(repr(inputs)) < 100

@@ -121,3 +121,11 @@ def test_a_facet_limit_returns_a_robust_set_and_the_excess_reached():
     assert result.status is Status.FACET_LIMIT
     assert stays(A3, result.set, W.vertices) <= 1e-9
     assert result.certificate.gap > 1e-4
+
+
+def test_caps_too_small_for_any_robust_set_are_a_status_and_no_exception():
+    result = minimal_robust_positively_invariant_set([[0.5, 99], [0, 0.5]], box([-1, -1], [1, 1]), max_iterations=1,
+                                                     max_facets=4)
+    assert result.status in (Status.ITERATION_LIMIT, Status.FACET_LIMIT)
+    assert result.set.is_empty
+    assert not result.certificate.holds

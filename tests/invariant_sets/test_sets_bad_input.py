@@ -22,6 +22,7 @@ from invariant_sets import (
     predecessor_set,
     reachable_set,
 )
+from invariant_sets.admissible_inputs import AdmissibleInputFamily
 
 box = Polytope.from_bounds
 A, B = np.array([[1.2, 0.5], [0.0, 0.8]]), np.array([[0.5], [1.0]])
@@ -55,20 +56,27 @@ CALLS = {
     "scale": (P.scale, {"factor": 2.0}),
     "sample": (P.sample, {"n": 3, "rng": RNG}),
     "control invariant": (maximal_control_invariant_set,
-                          {**dynamics, "X": X, "U": U, **robust, "tol": 1e-7, "max_iterations": 9, "max_facets": 99}),
+                          {**dynamics, "X": X, "U": U, **robust, "tol": 1e-7, "max_iterations": 9, "max_facets": 99,
+                           "time_limit": 60.0}),
     "positively invariant": (maximal_positively_invariant_set,
                              {"A": STABLE, "X": X, "C": np.eye(2), **robust, "tol": 1e-7, "max_iterations": 9,
-                              "max_facets": 99}),
+                              "max_facets": 99, "time_limit": 60.0}),
     "minimal robust": (minimal_robust_positively_invariant_set,
-                       {"A": STABLE, "W": W, "E": np.eye(2), "eps": 0.1, "max_iterations": 99, "max_facets": 99}),
-    "predecessor": (predecessor_set, {**dynamics, "S": X, "U": U, "X": X, **robust}),
-    "controllable": (controllable_set, {**dynamics, "X": X, "U": U, "target": X, "steps": 2, **robust}),
-    "reachable": (reachable_set, {**dynamics, "start": X, "U": U, "steps": 2, "X": X, **robust}),
+                       {"A": STABLE, "W": W, "E": np.eye(2), "eps": 0.1, "max_iterations": 99, "max_facets": 99,
+                        "time_limit": 60.0}),
+    "predecessor": (predecessor_set, {**dynamics, "S": X, "U": U, "X": X, **robust, "time_limit": 60}),
+    "controllable": (controllable_set, {**dynamics, "X": X, "U": U, "target": X, "steps": 2, **robust,
+                                       "time_limit": 60}),
+    "reachable": (reachable_set, {**dynamics, "start": X, "U": U, "steps": 2, "X": X, **robust, "time_limit": 60}),
     "AdmissibleInputs": (AdmissibleInputs, {**dynamics, "S": X, "U": U, **robust}),
+    "AdmissibleInputFamily": (AdmissibleInputFamily, {"filters": [FILTER, FILTER]}),
+    "family project": (AdmissibleInputFamily([FILTER] * 3).project,
+                       {"x": np.zeros((3, 2)), "u_proposed": np.zeros((3, 1))}),
     "project": (FILTER.project, {"x": np.zeros((3, 2)), "u_proposed": np.zeros((3, 1))}),
     "admissible at": (FILTER.at, {"x": np.zeros(2)}),
     "ParametricSet": (ParametricSet, {"matrices": illustrative, "X": X, "U": U, "W": W, "tol": 1e-7,
-                                      "max_iterations": 9, "max_facets": 99}),
+                                      "max_iterations": 9, "max_facets": 99,
+                           "time_limit": 60.0}),
     "family at": (FAMILY.at, {"p": np.ones(1)}),
     "family result": (FAMILY.result, {"p": np.ones(1)}),
     "family compute": (FAMILY.compute, {"designs": np.ones((2, 1)), "n_jobs": 1}),
@@ -123,6 +131,10 @@ def bad_values(name, value, function):
         yield from (("NaN", np.nan), ("text", "x"), ("matrix", np.eye(2)))
     elif name == "matrices":
         yield "no callable", np.eye(2)
+    elif name == "filters":
+        yield from (("none", []), ("sets", [U]))
+    elif name == "time_limit":
+        yield from (("negative", -1.0), ("zero", 0), ("NaN", np.nan), ("text", "soon"))
     elif name == "n_jobs":
         yield from (("zero", 0), ("text", "2"))
 
@@ -168,13 +180,13 @@ def test_every_public_function_is_in_the_table():
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    ({"A": np.ones((2, 3))}, r"A has shape \(2, 3\), expected a square matrix"),
+    ({"A": np.ones((2, 3))}, r"A: got shape \(2, 3\), expected a square matrix"),
     ({"B": np.ones((3, 1))}, r"B has shape \(3, 1\), expected \(2, n\)"),
-    ({"B": np.ones((2, 0))}, "use a zero column for no input"),
-    ({"W": box([-1], [1])}, "W has dimension 1, expected 2"),
-    ({"W": box([0, 0], [np.inf, 1])}, "W is unbounded, expected a bounded"),
-    ({"W": box([1, 1], [0, 0])}, "W is empty, expected a bounded"),
-    ({"W": None, "E": np.eye(2)}, "E is given without W"),
+    ({"B": np.ones((2, 0))}, "Use a zero column for no input"),
+    ({"W": box([-1], [1])}, "W: got a set of dimension 1, expected dimension 2"),
+    ({"W": box([0, 0], [np.inf, 1])}, "W: got an unbounded set, expected a bounded"),
+    ({"W": box([1, 1], [0, 0])}, "W: got an empty set, expected a bounded"),
+    ({"W": None, "E": np.eye(2)}, "E: got a matrix without W"),
     ({"tol": -1.0}, r"tol must be a finite number >= 0, got -1.0"),
 ])
 def test_messages_say_what_was_got_and_expected(arguments, message):
@@ -194,12 +206,10 @@ def test_other_messages():
         (lambda: P.slice([0, 1], [0, 0]), "fixes all 2 coordinates"),
         (lambda: AdmissibleInputs(A, B, X, box([1], [0])), "no input can be admissible"),
         (lambda: AdmissibleInputs(A, B, X, box([0], [np.inf])), "U is unbounded"),
-        (lambda: FILTER.project(np.zeros((2, 2)), np.zeros((3, 1))), "u_proposed has 3 rows, expected 2"),
-        (lambda: FAMILY.contains(np.zeros((2, 2)), np.ones((3, 1))), "p has 3 rows, expected 2"),
-        (lambda: ParametricSet(lambda p: A, X, U).at([1.0]), "must return a tuple"),
+        (lambda: FILTER.project(np.zeros((2, 2)), np.zeros((3, 1))), "u_proposed: got 3 rows, expected 2"),
+        (lambda: FAMILY.contains(np.zeros((2, 2)), np.ones((3, 1))), "p: got 3 rows, expected 2"),
+        (lambda: ParametricSet(lambda p: A, X, U).at([1.0]), "expected a tuple"),
         (lambda: minimal_robust_positively_invariant_set(A, W), "spectral radius 1.2, expected less than 1"),
-        (lambda: minimal_robust_positively_invariant_set([[0.5, 99], [0, 0.5]], W, max_iterations=1, max_facets=4),
-         "too small"),
         (lambda: plot_polytope(box([1], [0])), "nothing to draw"),
         (lambda: plot_polytope(box([0, 0], [np.inf, 1])), "unbounded"),
         (lambda: plot_polytope(np.eye(2)), "must be a Polytope"),

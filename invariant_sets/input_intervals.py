@@ -1,0 +1,76 @@
+"""One input at many states: the nearest point of an interval of admissible inputs, or the least violation.
+
+Everything is vectorised over the states, in units in which a violation of one is "the extent of the set away".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+Array = np.ndarray
+_FLAT = 1e-14  # slope below which the input does not move a row
+_HALVINGS = 110  # of the level: from the largest double that is used down to rounding
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Rows slope·v <= room at k states, with lower <= v <= upper.
+
+    Attributes
+    ----------
+    slope, room : (k, m) arrays
+        Rows at each state; finite.
+    lower, upper : float or (k,) array
+        Bounds of the input.
+    """
+
+    slope: Array
+    room: Array
+    lower: float | Array
+    upper: float | Array
+
+    def nearest(self, wanted: Array) -> tuple[Array, Array]:
+        """Return the inputs (k,) that are nearest to the wanted ones (k,), and how far each leaves its worst row.
+
+        Where no input meets all rows, the one with the least violation, and nearest to the wanted one among those.
+        """
+        low, high = self._at_level(np.zeros(len(self.room)))
+        level = np.zeros(len(self.room))
+        empty = np.flatnonzero(low > high)
+        if len(empty):
+            ends = [np.broadcast_to(end, len(self.room))[empty] for end in (self.lower, self.upper)]
+            stuck = Intervals(self.slope[empty], self.room[empty], *ends)
+            level[empty] = stuck._least_level()
+            low, high = self._at_level(level)
+        middle = np.clip((low + high) / 2, self.lower, self.upper)
+        low, high = np.where(low > high, middle, low), np.where(low > high, middle, high)
+        v = np.clip(np.clip(wanted, low, high), self.lower, self.upper)
+        return v, self.violation(v)
+
+    def violation(self, v: Array) -> Array:
+        """Return how far each input leaves its worst row; negative inside."""
+        return (self.slope * v[:, None] - self.room).max(axis=1, initial=-np.inf)
+
+    def _at_level(self, level: Array) -> tuple[Array, Array]:
+        """Return the ends of {v : slope v <= room + level}; the lower is above the upper where it is empty."""
+        room = self.room + level[:, None]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            bound = room / self.slope
+        high = np.where(self.slope > _FLAT, bound, np.inf).min(axis=1, initial=np.inf)
+        low = np.where(self.slope < -_FLAT, bound, -np.inf).max(axis=1, initial=-np.inf)
+        return np.maximum(low, self.lower), np.minimum(high, self.upper)
+
+    def _least_level(self) -> Array:
+        """Return the least violation that some input has, at the moving rows, by bisection from above."""
+        middle = np.reshape(np.asarray(self.lower + self.upper) / 2, (-1, 1))
+        moving = np.where(np.abs(self.slope) > _FLAT, self.slope * middle - self.room, -np.inf)
+        top = np.maximum(moving.max(axis=1, initial=0.0), 0.0)
+        bottom = np.zeros(len(top))
+        for _ in range(_HALVINGS):
+            middle = (bottom + top) / 2
+            low, high = self._at_level(middle)
+            fits = low <= high
+            top, bottom = np.where(fits, middle, top), np.where(fits, bottom, middle)
+        return top

@@ -1,0 +1,219 @@
+"""The smallest robust invariant set: what a bounded disturbance can do to a stable loop.
+
+References
+----------
+Raković, Kerrigan, Kouramas, Mayne (2005), Invariant approximations of the minimal robust positively invariant
+set, IEEE TAC 50(3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from invariant_sets.control_invariant import Options
+from invariant_sets.engine.certificate import control_violation
+from invariant_sets.engine.inner_sets import Limits
+from invariant_sets.engine.invariance import Task, largest_invariant_set
+from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.exceptions import InputError
+from invariant_sets.polytope import Polytope
+from invariant_sets.positive_invariant import NO_INPUT
+from invariant_sets.results import Certificate, SetResult, Status, no_set
+from invariant_sets.system_checks import checked_disturbance, checked_state_matrix, disturbance_vertices
+from invariant_sets.time_limits import LimitReached, TimeLimitReached
+from invariant_sets.validation import check_tolerance
+
+Array = np.ndarray
+_SERIES = 5000  # terms of a sum of supports at most
+_SERIES_END = 1e-13  # of the sum: a term smaller than this ends it
+_MOVED = 1e-9  # of the largest: directions in which the disturbance drives the state less are not moved at all
+_LEAST_ALPHA = 1e-12  # the set is scaled by at least this much, against rounding
+_SUM_SHARE = 0.6  # of the time limit for the partial sums; the rest is for a set from outside and the certificate
+
+
+def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = None, eps: float = 1e-2,
+                                            max_iterations: int = 500, max_facets: int = 2000,
+                                            time_limit: float | None = None) -> SetResult:
+    """Return a robust positively invariant outer approximation of the smallest one, ⊕ᵢ AⁱEW.
+
+    Parameters
+    ----------
+    A : (nx, nx) array
+        State matrix, strictly stable.
+    W : Polytope
+        Bounded disturbance set, not empty; it need not hold the origin, and may be flat.
+    E : (nx, nw) array, optional
+        Disturbance matrix; the identity if left out.
+    eps : float
+        Largest relative excess: set ⊆ (1 + eps)·(minimal set), about the mean trajectory's rest point.
+    max_iterations, max_facets : int
+        Caps on the number of terms and of facets.
+    time_limit : float, optional
+        Latest end, in seconds from the call; no limit if left out. At the limit `set` is robust, but not the smallest.
+
+    Returns
+    -------
+    SetResult
+        `set` = `outer`, robust positively invariant at every vertex unless the status is NOT_CERTIFIED;
+        `certificate.gap` is the excess reached, inf if not known.
+
+    Raises
+    ------
+    InputError
+        If A is not strictly stable, shapes do not match or W is empty or unbounded.
+
+    Notes
+    -----
+    (1 − α)⁻¹ ⊕_{i<s} AⁱW is robust positively invariant if AˢW ⊆ αW, and exceeds the minimal set by at most
+    α/(1 − α). It needs W to be full-dimensional with 0 inside: W is shifted to a centre. Where EW is flat, or a cap
+    comes before AˢW begins to shrink, the largest robust set in a box around the answer is iterated as
+    R ← A R ⊕ E W, which keeps robust invariance, and compared with the partial sum, which is inside.
+
+    References
+    ----------
+    Raković, Kerrigan, Kouramas, Mayne (2005), Invariant approximations of the minimal robust positively invariant
+    set, IEEE TAC 50(3), theorem 1.
+    """
+    A = checked_state_matrix(A)
+    if W is None:
+        raise InputError("W", "None", "a Polytope")
+    E = checked_disturbance(E, W, len(A))
+    limits = replace(Options(0.0, max_iterations, max_facets, time_limit).limits(), tol=check_tolerance(eps, "eps"))
+    radius = float(np.abs(np.linalg.eigvals(A)).max())
+    if radius >= 1.0:
+        raise InputError("A", f"spectral radius {radius:.6g}", "less than 1", "Close a stabilising loop first.")
+    noise = disturbance_vertices(E, W)
+    centre = W.affine_map(E)._body.centre  # type: ignore[union-attr]
+    rest = np.linalg.solve(np.eye(len(A)) - A, centre)
+    Q = _moving_subspace(A, noise - centre)
+    if Q.shape[1] == 0:
+        found = _Approximation(Polytope.from_vertices(rest[None]), 0.0, 0, Status.CONVERGED)
+    else:
+        found = _approximated(Q.T @ A @ Q, (noise - centre) @ Q, limits)
+        if found.set is None:
+            return no_set(len(A), found.steps, Polytope(np.zeros((0, len(A))), np.zeros(0)), found.status)
+        found = replace(found, set=found.set.affine_map(Q, rest))
+    check = control_violation(LinearSystem(A, np.zeros((len(A), 1)), noise), found.set, NO_INPUT)
+    certificate = Certificate(check.violation, found.gap, check.points)
+    if not certificate.holds:
+        return no_set(len(A), found.steps, found.set, Status.NOT_CERTIFIED)
+    return SetResult(found.set, found.set, found.status, found.steps, certificate)
+
+
+@dataclass(frozen=True)
+class _Approximation:
+    """A robust set (None if there is none yet), its relative excess, the terms it took, and how that ended."""
+
+    set: Any
+    gap: float
+    steps: int
+    status: Status
+
+
+def _approximated(A: Array, W: Array, limits: Limits) -> _Approximation:
+    """Return the scaled partial sum where W is full-dimensional and begins to shrink, else the set from outside."""
+    if Polytope.from_vertices(W).affine_dim == len(A):
+        found = _scaled_sum(A, W, limits)
+        if found is not None:
+            return found
+    return _from_outside(A, W, limits)
+
+
+def _moving_subspace(A: Array, W: Array) -> Array:
+    """Return an orthonormal basis (n, k) of what W, A W, A² W, … span: the minimal set is flat elsewhere."""
+    scale = np.abs(W).max(initial=0.0)
+    if scale == 0.0:
+        return np.zeros((len(A), 0))
+    blocks = [W.T / scale]
+    for _ in range(len(A) - 1):
+        blocks.append(A @ blocks[-1])
+        size = np.abs(blocks[-1]).max()
+        blocks[-1] = blocks[-1] / size if size > _MOVED else 0 * blocks[-1]
+    left, values, _ = np.linalg.svd(np.hstack(blocks), full_matrices=False)
+    return left[:, values > _MOVED * values.max()]
+
+
+def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
+    """Return the scaled partial sum for vertices W of a full-dimensional set with 0 inside; None if no term shrinks."""
+    hull = Polytope.from_vertices(W)
+    target = max(limits.tol / (1 + limits.tol), _LEAST_ALPHA)
+    partial, image, status = hull, W, Status.ITERATION_LIMIT
+    alpha, best, terms = np.inf, hull, 0
+    deadline = limits.deadline.part(_SUM_SHARE)
+    for s in range(1, limits.iterations + 1):
+        image = image @ A.T
+        shrunk = float(((hull.A @ image.T).max(axis=1) / hull.b).max())
+        if shrunk < alpha:
+            alpha, best, terms = shrunk, partial, s
+        if shrunk <= target:
+            status = Status.CONVERGED
+            break
+        try:
+            deadline.check_hull(len(partial.vertices) * len(image), len(A))
+            partial = Polytope.from_vertices((partial.vertices[:, None] + image[None]).reshape(-1, len(A)))
+        except LimitReached as limit:
+            status = _status_of(limit)
+            break
+        if len(partial.b) > limits.facets:
+            status = Status.FACET_LIMIT
+            break
+    if alpha >= 1:
+        return None
+    alpha = max(alpha, 0.0) + _LEAST_ALPHA
+    return _Approximation(best.scale(1 / (1 - alpha)), alpha / (1 - alpha), terms, status)
+
+
+def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
+    """Iterate R ← A R ⊕ W from the largest robust set in a box around the answer; every iterate is robust."""
+    eye = np.eye(len(A))
+    upper, lower = _sum_of_supports(eye, A, W, _SERIES), -_sum_of_supports(-eye, A, W, _SERIES)
+    margin = 0.25 * (upper - lower) + 0.01 * (upper - lower).max()
+    noise = Polytope.from_vertices(W)
+    box = Polytope.from_bounds(lower - margin, upper + margin)
+    task = Task(LinearSystem(A, np.zeros((len(A), 1)), noise.vertices), box, NO_INPUT, replace(limits, tol=1e-7))
+    first = largest_invariant_set(task)
+    if first.set.is_empty:
+        return _Approximation(None, np.inf, first.iterations, first.status)
+    R, gap = first.set, np.inf
+    partial, image = noise, W  # a partial sum, inside the minimal set
+    for extra in range(limits.iterations + 1):
+        steps, gap = first.iterations + extra, min(gap, _excess(R, partial))
+        if gap <= limits.tol:
+            return _Approximation(R, gap, steps, Status.CONVERGED)
+        try:
+            limits.deadline.check_hull(max(len(R.vertices), len(partial.vertices)) * len(W), len(A))
+        except LimitReached as limit:
+            return _Approximation(R, gap, steps, _status_of(limit))
+        grown, image = R.affine_map(A).minkowski_sum(noise), image @ A.T
+        partial = Polytope.from_vertices((partial.vertices[:, None] + image[None]).reshape(-1, len(A)))
+        if max(len(grown.b), len(partial.b)) > limits.facets:
+            return _Approximation(R, gap, steps, Status.FACET_LIMIT)
+        R = grown
+    return _Approximation(R, gap, first.iterations + limits.iterations, Status.ITERATION_LIMIT)
+
+
+def _status_of(limit: LimitReached) -> Status:
+    """Return the status that belongs to a cap."""
+    return Status.TIME_LIMIT if isinstance(limit, TimeLimitReached) else Status.FACET_LIMIT
+
+
+def _excess(R: Polytope, partial: Polytope) -> float:
+    """Return the least g with R ⊆ (1 + g) partial, inf while the partial sum is flat; 0 is inside both."""
+    if partial.affine_dim < partial.dim or partial.b.min() <= 0:
+        return np.inf
+    return max(0.0, float((R._supports(partial.A) / partial.b).max() - 1.0))
+
+
+def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
+    """Return Σ_i max_w dᵀAⁱw for every row d of D, from below: the terms after the last are left out."""
+    total, directions = np.zeros(len(D)), np.array(D)
+    for _ in range(terms):
+        step = (directions @ W.T).max(axis=1)
+        total += step
+        if np.abs(directions).max() * np.abs(W).max() <= _SERIES_END * np.abs(total).max():
+            break
+        directions = directions @ A
+    return total
