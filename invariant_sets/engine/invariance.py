@@ -3,8 +3,8 @@
 1. `local_problem`: coordinates are shifted to an equilibrium inside X and U and scaled by the extents of X. A bounded X
    without an equilibrium holds no invariant set. Flat sets are solved on their affine hull.
 2. `unstable_modes`: unstable modes are bounded first; without that the recursion creeps and stops outside.
-3. `recursion`: Ω ← Pre(Ω) ∩ Ω until no row cuts any more. This is `outer`. A set that has become small or flat is
-   taken back to 1.
+3. `recursion`: Ω ← Pre(Ω) ∩ Ω until no row cuts any more. This is `outer`. A set that has become small or flat
+   is taken back to 1.
 4. `inner_sets`: (1 − tol/10) Ω is invariant with room to spare, because inputs scale with the state. Disturbances do not
    scale; there the recursion is repeated from Ω for a contraction factor just below one. Where a cap came first, the
    invariant set of a linear feedback is grown from inside.
