@@ -16,17 +16,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.reinforcement import CoDesignConfig, codesign_ppo
+from ccdtools.co_design.reinforcement import CoDesignConfig
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.simulation import simulate
 from ccdtools.statistics import paired_difference
 from ccdtools.studies import Generations, RunFolder, Study, configuration, load_study
-from ccdtools.studies.generations import updated_problem
 from ccdtools.twin.deployment import deploy
+from ccdtools.twin.replay import updated_problem
 from ccdtools.twin.twin import DigitalTwin
 from learning import PPOConfig, fit_actor_critic, train
 from learning.networks import ActorCritic
@@ -130,7 +131,7 @@ def first_codesign(name: str, seed: int, x0=None, p0=None) -> Against:
     """The first co-design from a start."""
     study = load_study(name).started(x0=x0, p0=p0)
     problem = study.problem()
-    result = codesign_ppo(problem, agent=cloned(name, seed), design=study.p0, rng=np.random.default_rng(1000 + seed))
+    result = codesign(problem, agent=cloned(name, seed), design=study.p0, rng=np.random.default_rng(1000 + seed))
     reached = against_lqr(problem, result.agent, result.design)
     return replace(reached, best=best_over_designs(problem)) if problem.design.dim == 1 else reached
 
@@ -170,7 +171,7 @@ def after_one_update(seed: int) -> Against:
         x0=study.x0, limit=problem.limit,
     )  # fmt: skip
     twin = DigitalTwin(study.model).update(log, weight=study.weight, rng=rng)
-    result = codesign_ppo(
+    result = codesign(
         updated_problem(problem, twin), agent=agent, design=design, rng=rng, config=CoDesignConfig(design_rate=0.0)
     )
     return against_lqr(problem, result.agent, design, plant=real.plant, disturbance=real.disturbance)

@@ -1,64 +1,138 @@
 """Control co-design: a plant's physical parameters and its controller, designed together.
 
-`ccdtools.studies` runs case studies; everything below it is callable alone.
+Everything that the README and the notebooks use is here, and is loaded when it is asked for. `ccdtools.studies` runs
+whole case studies.
 """
 
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ccdtools.co_design.expert import expert_dataset
+    from ccdtools.co_design.codesign import codesign
+    from ccdtools.co_design.expert import expert_dataset, feasible_sets
     from ccdtools.co_design.objective import QuadraticObjective
-    from ccdtools.co_design.problem import CoDesignProblem
-    from ccdtools.co_design.solve import codesign
+    from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+    from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
+    from ccdtools.co_design.result import CoDesignResult
+    from ccdtools.controllers.baselines import baselines, saturated_lqr
+    from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
     from ccdtools.controllers.learned import LearnedPolicy, load_policy
-    from ccdtools.exceptions import CCDError, InputError
+    from ccdtools.controllers.signals import Reference
+    from ccdtools.disturbances.disturbance import Gaussian, Recorded, Sum, Uniform
+    from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
+    from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
+    from ccdtools.exceptions import CCDError, InputError, SamplingWarning
     from ccdtools.plants.design_space import DesignSpace
     from ccdtools.plants.discretisation import LinearModel, discretise
     from ccdtools.plants.plant import Plant
-    from ccdtools.simulation import simulate
-    from ccdtools.twin.deployment import deploy
+    from ccdtools.simulation import Scenario, simulate
+    from ccdtools.studies.comparison import compare
+    from ccdtools.studies.study import RealPlant, Study
+    from ccdtools.trajectory import Trajectory
+    from ccdtools.twin.deployment import OnlineConfig, deploy, deploy_and_update
+    from ccdtools.twin.replay import replay_problem, updated_problem
     from ccdtools.twin.twin import DigitalTwin
 
 __all__ = [
+    "PID",
     "CCDError",
+    "CoDesignConfig",
     "CoDesignProblem",
+    "CoDesignResult",
     "DesignSpace",
     "DigitalTwin",
+    "FixedStart",
+    "Gaussian",
+    "GeneratedRoad",
     "InputError",
     "LearnedPolicy",
+    "LinearFeedback",
     "LinearModel",
+    "OnlineConfig",
+    "Passive",
     "Plant",
     "QuadraticObjective",
+    "RealPlant",
+    "Recorded",
+    "Reference",
+    "SamplingWarning",
+    "Scenario",
+    "Study",
+    "Sum",
+    "Trajectory",
+    "Uniform",
+    "baselines",
     "codesign",
+    "compare",
     "deploy",
+    "deploy_and_update",
     "discretise",
     "expert_dataset",
+    "feasible_sets",
     "load_policy",
+    "read_disturbance",
+    "read_road",
+    "read_speed",
+    "replay_problem",
+    "road_disturbance",
+    "saturated_lqr",
     "simulate",
+    "updated_problem",
 ]
 
 _HOMES = {
+    "PID": "controllers.controllers",
     "CCDError": "exceptions",
+    "CoDesignConfig": "co_design.reinforcement.ppo",
     "CoDesignProblem": "co_design.problem",
+    "CoDesignResult": "co_design.result",
     "DesignSpace": "plants.design_space",
     "DigitalTwin": "twin.twin",
+    "FixedStart": "co_design.problem",
+    "Gaussian": "disturbances.disturbance",
+    "GeneratedRoad": "disturbances.roads",
     "InputError": "exceptions",
     "LearnedPolicy": "controllers.learned",
+    "LinearFeedback": "controllers.controllers",
     "LinearModel": "plants.discretisation",
+    "OnlineConfig": "twin.deployment",
+    "Passive": "controllers.controllers",
     "Plant": "plants.plant",
     "QuadraticObjective": "co_design.objective",
-    "codesign": "co_design.solve",
+    "RealPlant": "studies.study",
+    "Recorded": "disturbances.disturbance",
+    "Reference": "controllers.signals",
+    "SamplingWarning": "exceptions",
+    "Scenario": "simulation",
+    "Study": "studies.study",
+    "Sum": "disturbances.disturbance",
+    "Trajectory": "trajectory",
+    "Uniform": "disturbances.disturbance",
+    "baselines": "controllers.baselines",
+    "codesign": "co_design.codesign",
+    "compare": "studies.comparison",
     "deploy": "twin.deployment",
+    "deploy_and_update": "twin.deployment",
     "discretise": "plants.discretisation",
     "expert_dataset": "co_design.expert",
+    "feasible_sets": "co_design.expert",
     "load_policy": "controllers.learned",
+    "read_disturbance": "disturbances.recordings",
+    "read_road": "disturbances.recordings",
+    "read_speed": "disturbances.recordings",
+    "replay_problem": "twin.replay",
+    "road_disturbance": "disturbances.roads",
+    "saturated_lqr": "controllers.baselines",
     "simulate": "simulation",
+    "updated_problem": "twin.replay",
 }
 
 
 def __getattr__(name: str) -> Any:
     """Public names, loaded when asked for: the command line's --help must not wait for torch."""
+    if name == "__version__":
+        return version("ccdtools")
     if name not in _HOMES:
         raise AttributeError(f"module 'ccdtools' has no attribute {name!r}")
     return getattr(import_module(f"ccdtools.{_HOMES[name]}"), name)

@@ -10,15 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
-from ccdtools.arrays import Array
-from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_array, as_count, as_floats, as_generator, finite, shown
 from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.signals import Driver, Reference, Surroundings
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.discretisation import LinearModel
+from ccdtools.trajectory import Trajectory
 
 Step = Callable[[Array, Array, Array], Array]
+LIMIT = 1e6  # on |x|, where no divergence limit is given
 
 
 class Simulable(Protocol):
@@ -54,51 +57,68 @@ class Simulable(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """Closed-loop runs.
+@dataclass(frozen=True, eq=False, repr=False)
+class Scenario(Immutable):
+    """A plant with initial states and disturbances: what every controller meets alike.
 
-    Attributes
+    Parameters
     ----------
-    states : (n, T + 1, nx) array
-    inputs : (n, T, nu) array
-        Inputs as applied.
-    disturbances : (n, T, nw) array
-    diverged_at : (n,) int array
-        First step after which a run had left `limit`, or −1. Such a run is stopped there: its later states
-        repeat the last one and its later inputs are zero.
-    design : (np,) array
-    dt : float
-        Sampling time [s].
+    plant : Plant, LinearModel or TwinPlant
+    x0 : (nx,) or (n, nx) array_like
+        Initial states, one per run.
+    disturbance : (T, nw) or (n, T, nw) array_like
+        Its length is that of the runs.
+    reference : Reference or (nx,) or (T, nx) array_like, optional
+        What tracking controllers follow.
+    output : (ny, nx) array_like, optional
+        Measured outputs, for controllers that need them.
+
+    Raises
+    ------
+    InputError
+        If the shapes disagree with each other or with the plant.
     """
 
-    states: Array
-    inputs: Array
-    disturbances: Array
-    diverged_at: NDArray[np.int64]
-    design: Array
-    dt: float
+    plant: Any
+    x0: ArrayField
+    disturbance: ArrayField
+    reference: Reference | ArrayField = None
+    output: ArrayField = None
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        plant = as_simulable(self.plant)
+        w = as_floats("disturbance", self.disturbance)
+        steps = w.shape[-2] if w.ndim > 1 else len(np.atleast_1d(w))
+        x0, w = _runs(plant, self.x0, self.disturbance, max(steps, 1))
+        for name, value in (("plant", plant), ("x0", frozen(x0)), ("disturbance", frozen(w)),
+                            ("reference", _reference(plant, self.reference)),
+                            ("output", _output(plant, self.output))):  # fmt: skip
+            set_(self, name, value)
+
+    def __repr__(self) -> str:
+        return f"Scenario({type(self.plant).__name__}, {len(self.x0)} runs of {self.steps} steps)"
 
     @property
-    def diverged(self) -> NDArray[np.bool_]:
-        """Runs that left the divergence limit, (n,)."""
-        return self.diverged_at >= 0
+    def steps(self) -> int:
+        """Length of the runs."""
+        return self.disturbance.shape[1]
 
-    @property
-    def time(self) -> Array:
-        """Sample times [s], (T + 1,)."""
-        return self.dt * np.arange(self.states.shape[1], dtype=float)
+    def first(self, runs: int, steps: int | None = None) -> Scenario:
+        """The first so many runs of it, and of these the first so many steps."""
+        length = self.steps if steps is None else as_count("steps", steps)
+        w = self.disturbance[: as_count("runs", runs), :length]
+        return Scenario(self.plant, self.x0[:runs], w, self.reference, self.output)
 
-    def rewards(self, objective: QuadraticObjective) -> Array:
-        """Rewards (n, T); zero after a run was stopped."""
-        rewards = objective.rewards(self.states[:, 1:], self.inputs)
-        steps = np.arange(rewards.shape[1])
-        over = self.diverged[:, None] & (steps > self.diverged_at[:, None])
-        return np.where(over, 0.0, rewards)
-
-    def returns(self, objective: QuadraticObjective) -> Array:
-        """Undiscounted returns (n,); read them together with `diverged`."""
-        return self.rewards(objective).sum(axis=1)
+    def run(
+        self, controller: Controller, *, design: ArrayLike | None = None, limit: ArrayLike | None = None,
+        progress: bool = False,
+    ) -> Trajectory:  # fmt: skip
+        """Its closed-loop trajectories under a controller; see `simulate`."""
+        return simulate(
+            self.plant, controller, x0=self.x0, steps=self.steps, disturbance=self.disturbance, design=design,
+            limit=limit, reference=self.reference, output=self.output, progress=progress,
+        )  # fmt: skip
 
 
 def simulate(
@@ -110,6 +130,8 @@ def simulate(
     disturbance: ArrayLike | Disturbance | None = None,
     design: ArrayLike | None = None,
     limit: ArrayLike | None = None,
+    reference: Reference | ArrayLike | None = None,
+    output: ArrayLike | None = None,
     rng: np.random.Generator | None = None,
     progress: bool = False,
 ) -> Trajectory:
@@ -120,7 +142,8 @@ def simulate(
     plant : Plant, LinearModel, TwinPlant or control.StateSpace
         A StateSpace must be discrete.
     controller : callable
-        (n, nx) → (n, nu). One with memory has ``reset(n)``, called once at the start.
+        (n, nx) → (n, nu). One that needs more than the state, or has memory, is served as
+        `ccdtools.controllers.controllers` says; the one given is not changed.
     x0 : (nx,) or (n, nx) array_like
         Initial states.
     steps : int
@@ -128,9 +151,13 @@ def simulate(
     disturbance : (T, nw) or (n, T, nw) array_like, or Disturbance, optional
         Held over each sample; a `Disturbance` is sampled with `rng`. Zero by default.
     design : (np,) array_like
-        Required when the plant has design parameters.
+        Required when the plant has design parameters; for a `LearnedPolicy`, its own.
     limit : (nx,) array_like, optional
         Divergence limit on |x|; a run beyond it, or not finite, is stopped and counted. 1e6 by default.
+    reference : Reference, or (nx,) or (T, nx) array_like, optional
+        State reference for controllers that track one; `Reference(x, u)` where an input belongs to it.
+    output : (ny, nx) array_like, optional
+        Matrix C of the measured output y = C x, for controllers that need it; the state itself by default.
     rng : numpy.random.Generator, optional
         Required by a random disturbance.
     progress : bool
@@ -139,33 +166,34 @@ def simulate(
     Raises
     ------
     InputError
-        On wrong shapes, a missing design or generator, or a controller that returns the wrong shape or NaN.
+        On wrong shapes, a missing design, reference or generator, a policy for another design, or a controller that
+        returns the wrong shape or NaN.
     """
-    if not hasattr(plant, "stepper"):
-        plant = LinearModel.from_state_space(plant)
+    plant = as_simulable(plant)
     p = _design(plant, design)
-    if steps < 1:
-        raise InputError(f"steps: got {steps}, expected at least 1.")
-    x, w = _scenarios(plant, x0, disturbance, steps, rng)
-    n = len(x)
+    _check_own_design(controller, p, plant.design)
+    steps = as_count("steps", steps)
+    x, w = _runs(plant, x0, _drawn(plant, x0, disturbance, steps, rng), steps)
     bound = _bound(limit, plant.nx)
+    surroundings = Surroundings(w, _reference(plant, reference), _output(plant, output))
+    driver = Driver(controller, surroundings, len(x), plant.nu)
+    return _run(plant, driver, x, w, p, bound, progress)
+
+
+def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: Array, progress: bool) -> Trajectory:
+    """The trajectories from x (n, nx) under w (n, T, nw)."""
+    n, steps = w.shape[:2]
     edge = np.minimum(bound, np.finfo(float).max)
     step = plant.stepper(p, batch=n)
-    reset = getattr(controller, "reset", None)
-    if reset is not None:
-        reset(n)
     states = np.empty((n, steps + 1, plant.nx))
     inputs = np.zeros((n, steps, plant.nu))
     diverged_at = np.full(n, -1)
     states[:, 0] = x
     for k in trange(steps, desc="simulating", disable=not progress, leave=False):
         running = diverged_at < 0
-        u = np.asarray(controller(x), dtype=float)
-        if u.shape != (n, plant.nu):
-            raise InputError(f"controller: got inputs of shape {u.shape}, expected ({n}, {plant.nu}).")
-        if not np.isfinite(u[running]).all():
-            raise InputError(f"controller: got an input that is not finite at step {k}, expected finite ones.")
+        u = _checked_inputs(driver(k, x), running, plant.nu, k)
         inputs[:, k] = np.where(running[:, None], u, 0.0)
+        driver.remember(inputs[:, k])
         x_next = step(x, u, w[:, k])
         left = running & ~(np.isfinite(x_next) & (np.abs(x_next) <= bound)).all(axis=1)
         diverged_at[left] = k
@@ -175,48 +203,108 @@ def simulate(
     return Trajectory(states, inputs, w, diverged_at, p, plant.dt)
 
 
+def _checked_inputs(u: Any, running: NDArray[np.bool_], nu: int, k: int) -> Array:
+    """What a controller returned, as inputs (n, nu), finite for the runs that are not lost."""
+    try:
+        u = np.asarray(u, dtype=float)
+    except (TypeError, ValueError, RuntimeError):
+        raise InputError("controller", f"{shown(u)} as its inputs", f"an array ({len(running)}, {nu})") from None
+    if u.shape != (len(running), nu):
+        raise InputError("controller", f"inputs of shape {u.shape}", f"({len(running)}, {nu})")
+    if not np.isfinite(u[running]).all():
+        raise InputError("controller", f"an input that is not finite at step {k}", "finite ones")
+    return u
+
+
+def as_simulable(plant: Any) -> Simulable:
+    """`plant`, if `simulate` can step it; a discrete `control.StateSpace` as a `LinearModel`."""
+    if isinstance(plant, type):
+        raise InputError("plant", shown(plant), "an object of it")
+    if hasattr(plant, "stepper"):
+        return plant
+    if not all(hasattr(plant, name) for name in ("A", "B", "dt")):
+        cure = "Convert it with control.ss." if hasattr(plant, "num") else ""
+        raise InputError("plant", shown(plant), "a Plant, a LinearModel, a TwinPlant or a control.StateSpace", cure)
+    return LinearModel.from_state_space(plant)
+
+
 def _design(plant: Simulable, design: ArrayLike | None) -> Array:
+    """The design (np,) to simulate at; empty for a plant without one."""
     if plant.design is None or plant.design.dim == 0:
+        if design is not None and np.size(design) > 0:
+            raise InputError("design", shown(design), "nothing, because the plant has no design parameters")
         return np.zeros(0)
     if design is None:
-        raise InputError(f"design: got nothing, expected values for {', '.join(plant.design.names)}.")
-    p = plant.design.check(design)
-    if p.ndim != 1:
-        raise InputError(f"design: got shape {p.shape}, expected one design ({plant.design.dim},).")
-    return p
+        raise InputError("design", "nothing", f"values for {', '.join(plant.design.names)}")
+    return plant.design.check_one(design)
+
+
+def _check_own_design(controller: Any, p: Array, space: DesignSpace | None) -> None:
+    """Raise an `InputError` if the controller was made for another design of this plant."""
+    own = getattr(controller, "design", None)
+    if own is None or space is None or isinstance(controller, type):
+        return
+    if np.shape(own) != p.shape or not np.allclose(space.to_unit(own), space.to_unit(p), rtol=0, atol=1e-6):
+        raise InputError(
+            "design", shown(p), f"{shown(np.asarray(own))}, the design of the policy",
+            "Use LearnedPolicy(policy.agent, design) for another.",
+        )  # fmt: skip
 
 
 def _bound(limit: ArrayLike | None, nx: int) -> Array:
-    bound = np.asarray(1e6 if limit is None else limit, dtype=float)
+    """The divergence limit (nx,)."""
+    bound = as_floats("limit", LIMIT if limit is None else limit)
     if bound.shape not in ((), (1,), (nx,)) or not (bound > 0).all():
-        raise InputError(f"limit: got {bound} of shape {bound.shape}, expected ({nx},) positive numbers.")
+        raise InputError("limit", f"{bound.tolist()} of shape {bound.shape}", f"({nx},) positive numbers")
     return np.broadcast_to(bound, (nx,))
 
 
-def _scenarios(plant, x0, disturbance, steps, rng) -> tuple[Array, Array]:
-    x = np.atleast_2d(np.array(x0, dtype=float))
-    if x.ndim != 2 or x.shape[1] != plant.nx:
-        raise InputError(f"x0: got shape {np.shape(x0)}, expected ({plant.nx},) or (n, {plant.nx}).")
-    if not np.isfinite(x).all():
-        raise InputError("x0: got a value that is not finite, expected finite states.")
+def _reference(plant: Simulable, reference: Reference | ArrayLike | None) -> Reference | None:
+    """The reference, if its sizes are those of the plant."""
+    if reference is None:
+        return None
+    reference = reference if isinstance(reference, Reference) else Reference(reference)
+    reference.check(plant.nx, plant.nu)
+    return reference
+
+
+def _output(plant: Simulable, output: ArrayLike | None) -> Array | None:
+    """The output matrix (ny, nx)."""
+    return None if output is None else as_array("output", output, ("ny", plant.nx))
+
+
+def _drawn(plant: Simulable, x0: ArrayLike, disturbance: Any, steps: int, rng: Any) -> Any:
+    """The disturbance as an array; sampled if it is a `Disturbance`, zero if there is none."""
     if disturbance is None:
-        w = np.zeros((1, steps, plant.nw))
-    elif hasattr(disturbance, "sample"):
-        if rng is None:
-            raise InputError("rng: got nothing, expected a numpy Generator to sample the disturbance.")
-        w = disturbance.sample(len(x), steps, rng)
-    else:
-        w = np.array(disturbance, dtype=float)
-        if w.ndim == 1 and plant.nw == 1:
-            w = w[:, None]
-        if w.ndim == 2:
-            w = w[None]
+        return np.zeros((1, steps, plant.nw))
+    if not hasattr(disturbance, "sample"):
+        return disturbance
+    if isinstance(disturbance, type):
+        raise InputError("disturbance", shown(disturbance), "an object of it")
+    return disturbance.sample(len(_states(plant, x0)), steps, as_generator("rng", rng))
+
+
+def _states(plant: Simulable, x0: ArrayLike) -> Array:
+    """Initial states (n, nx)."""
+    given = as_floats("x0", x0)
+    x = np.atleast_2d(given)
+    if x.ndim != 2 or x.shape[1] != plant.nx or len(x) == 0:
+        raise InputError("x0", f"shape {given.shape}", f"({plant.nx},) or (n, {plant.nx})")
+    return finite("x0", x)
+
+
+def _runs(plant: Simulable, x0: ArrayLike, disturbance: ArrayLike, steps: int) -> tuple[Array, Array]:
+    """Initial states (n, nx) and disturbances (n, T, nw), as many of each."""
+    x = _states(plant, x0)
+    w = as_floats("disturbance", disturbance)
+    if w.ndim == 1 and plant.nw == 1:
+        w = w[:, None]
+    if w.ndim == 2:
+        w = w[None]
     if w.ndim != 3 or w.shape[1] < steps or w.shape[2] != plant.nw or (len(w) > 1 and 1 < len(x) != len(w)):
-        raise InputError(
-            f"disturbance: got shape {np.shape(w)}, expected ({steps}, {plant.nw}) or ({len(x)}, {steps}, {plant.nw})."
-        )
-    if not np.isfinite(w).all():
-        raise InputError("disturbance: got a value that is not finite, expected finite samples.")
+        expected = f"({steps}, {plant.nw}) or ({len(x)}, {steps}, {plant.nw})"
+        raise InputError("disturbance", f"shape {np.shape(w)}", expected)
+    finite("disturbance", w)
     n = max(len(x), len(w))
     return (
         np.ascontiguousarray(np.broadcast_to(x, (n, plant.nx))),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
+from ccdtools.checks import as_floats
 from ccdtools.exceptions import InputError
 
 
@@ -32,9 +33,9 @@ class PairedDifference:
 
 def summarise(values: ArrayLike) -> Summary:
     """Statistics of independent values (n,), by Student's t."""
-    v = np.asarray(values, dtype=float)
+    v = as_floats("values", values)
     if v.ndim != 1:
-        raise InputError(f"values: got shape {v.shape}, expected (n,).")
+        raise InputError("values", f"shape {v.shape}", "(n,)")
     if len(v) == 0:
         return Summary(np.nan, np.nan, np.nan, 0, (np.nan, np.nan))
     std = float(v.std(ddof=1)) if len(v) > 1 else float("nan")
@@ -44,14 +45,15 @@ def summarise(values: ArrayLike) -> Summary:
 
 def paired_difference(a: ArrayLike, b: ArrayLike) -> PairedDifference:
     """Mean of a − b over pairs (n,), with its interval."""
-    first, second = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    first, second = as_floats("a", a), as_floats("b", b)
     if first.shape != second.shape:
-        raise InputError(f"pairs: got {first.shape} and {second.shape}, expected as many of each.")
+        raise InputError("a, b", f"shapes {first.shape} and {second.shape}", "as many of each")
     summary = summarise(first - second)
     return PairedDifference(summary.mean, summary.ci95)
 
 
 def _interval(mean: float, std: float, n: int) -> tuple[float, float]:
+    """The 95 % interval of a mean of n values by Student's t; NaN below two."""
     if n < 2:
         return (float("nan"), float("nan"))
     half = float(stats.t.ppf(0.975, n - 1)) * std / float(np.sqrt(n))

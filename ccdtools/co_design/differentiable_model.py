@@ -53,16 +53,13 @@ class Stepper:
     B: Tensor
     E: Tensor
     p: Tensor
-    Q: Tensor
-    R: Tensor
     limit: Tensor
 
     @classmethod
     def at(cls, problem: CoDesignProblem, p: Tensor) -> Stepper:
         """The model at design `p` (np,), differentiable in it."""
         A, B, E = matrices(problem.model, p)
-        constants = [p.new_tensor(M.tolist()) for M in (problem.objective.Q, problem.objective.R, problem.limit)]
-        return cls(problem, A, B, E, p, *constants)
+        return cls(problem, A, B, E, p, p.new_tensor(problem.limit.tolist()))
 
     def __call__(self, x: Tensor, e: Tensor, u: Tensor, w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Next states (n, nx), next errors (n, nx) and rewards (n,)."""
@@ -74,8 +71,7 @@ class Stepper:
         else:
             e, penalty = discrepancy.advance(e, x, u, self.p, w)
             x_next = x_next + e
-        reward = -((x_next @ self.Q) * x_next).sum(-1) - ((u @ self.R) * u).sum(-1) - penalty
-        return x_next, e, reward
+        return x_next, e, self.problem.objective.rewards(x_next, u) - penalty
 
     def left(self, x: Tensor) -> Tensor:
         """Runs beyond the divergence limit, (n,) bool."""
@@ -110,6 +106,18 @@ def returns(problem: CoDesignProblem, agent: ActorCritic, p: Tensor, x0: Tensor,
         x, e = x_next, e_next
         running = running & ~step.left(x.detach())
     return total, ~running
+
+
+def returns_at(
+    problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: tuple[Tensor, Tensor]
+) -> tuple[Tensor, Tensor]:
+    """`returns` at a point `v` (np,) of the unit box, on scenarios (x0, w)."""
+    return returns(problem, agent, to_design(problem, v), *scenarios)
+
+
+def mean_return(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tensor:
+    """Mean undiscounted return of the mean policy at a point `v` (np,) of the unit box; differentiable."""
+    return returns_at(problem, agent, v, scenarios)[0].mean()
 
 
 def scenario_tensors(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:

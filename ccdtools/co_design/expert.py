@@ -1,4 +1,4 @@
-"""Step 0: what an expert would do, over the whole box of states and designs.
+"""What an expert would do, over the whole box of states and designs.
 
 References
 ----------
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 from tqdm import tqdm, trange
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_share
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
@@ -30,8 +30,8 @@ FEWEST_DESIGNS = 12
 TAIL = 400  # further steps that the values look ahead; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated
 
 
-@dataclass(frozen=True, eq=False)
-class ExpertData:
+@dataclass(frozen=True, eq=False, repr=False)
+class ExpertData(Immutable):
     """Samples (x, p) → (u, V) of an expert.
 
     Attributes
@@ -53,9 +53,17 @@ class ExpertData:
     acceptance: float
     diverged: float
 
+    def __post_init__(self) -> None:
+        for name in ("inputs", "actions", "values"):
+            object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=float)))
+
+    def __repr__(self) -> str:
+        return f"ExpertData({len(self.inputs)} samples, {self.acceptance:.0%} feasible, {self.diverged:.1%} diverged)"
+
 
 def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
     """X_fea(p): the maximal control invariant set of every design, computed when asked for."""
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     return ParametricSet(lambda p: problem.model.matrices(p)[:2], problem.X, problem.U)
 
 
@@ -100,14 +108,16 @@ def expert_dataset(
     Raises
     ------
     InputError
-        If `expert` is unknown, or no candidate is feasible.
+        If an argument is of the wrong kind or out of range, or no candidate is feasible.
     """
-    if expert not in EXPERTS:
-        raise InputError(f"expert: got {expert!r}, expected one of {', '.join(EXPERTS)}.")
-    if samples < 1:
-        raise InputError(f"samples: got {samples}, expected at least 1.")
-    sets = sets or feasible_sets(problem)
-    designs = min(samples, designs or _affordable_designs(problem, sets))
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    samples = as_count("samples", samples)
+    as_generator("rng", rng)
+    as_choice("expert", expert, EXPERTS)
+    gamma = as_share("gamma", gamma)
+    horizon = as_count("horizon", horizon)
+    sets = as_instance("sets", sets or feasible_sets(problem), ParametricSet, "a ParametricSet or None")
+    designs = min(samples, _affordable_designs(problem, sets) if designs is None else as_count("designs", designs))
     x, p, feasible = _accepted(problem, sets, samples, designs, rng, progress)
     loops = _Loops(problem, p, feasible, expert, horizon, progress)
     visited, actions, values, lost = _follow(problem, loops, x, gamma, rng, progress)
@@ -125,6 +135,7 @@ def _affordable_designs(problem: CoDesignProblem, sets: ParametricSet) -> int:
 
 
 def _accepted(problem, sets, samples, distinct, rng, progress) -> tuple[Array, Array, list[Polytope]]:
+    """Feasible states (n, nx) with their designs (n, np) and their sets."""
     lower, upper = problem.X.bounding_box()
     cube = qmc.LatinHypercube(problem.model.nx + problem.design.dim, rng=rng).random(samples)
     states = lower + cube[:, : problem.model.nx] * (upper - lower)
@@ -138,10 +149,8 @@ def _accepted(problem, sets, samples, distinct, rng, progress) -> tuple[Array, A
             chosen.append(i)
             feasible.append(set_of_design)
     if not chosen:
-        raise InputError(
-            f"samples: got {samples} candidates of which none lies in X_fea(p), expected at least one; "
-            "take more samples, or check that X, U and the design bounds leave anything to control."
-        )
+        cure = "Take more samples, or check that X, U and the design bounds leave anything to control."
+        raise InputError("samples", f"{samples} candidates of which none lies in X_fea(p)", "at least one", cure)
     return states[chosen], designs[chosen], feasible
 
 
@@ -173,6 +182,7 @@ class _Loops:
 
     def __init__(self, problem, p, feasible, expert, horizon, progress) -> None:
         self.problem, self.feasible = problem, feasible
+        self._filters: dict[int, AdmissibleInputs] = {}
         self.A, self.B, self.E = problem.model.matrices(p)
         self.lower, self.upper = problem.input_bounds
         Q, R = problem.objective.Q, problem.objective.R
@@ -198,16 +208,15 @@ class _Loops:
         u = np.clip(-_times(self.K, x), self.lower, self.upper)
         FA, FB, g = self._rows
         leaving = np.asarray(alive & (_times(FA, x) + _times(FB, u) > g).any(axis=1))
-        if self.B.shape[2] == 1:
-            u[leaving] = self._project_interval(leaving, x, u)
-        else:
-            for i in np.flatnonzero(leaving):
-                u[i] = self._filters[i].project(x[i], u[i])[0]
+        for i in np.flatnonzero(leaving):
+            u[i] = self._filter(int(i)).project(x[i], u[i])[0]
         return u
 
-    @cached_property
-    def _filters(self) -> list[AdmissibleInputs]:
-        return [AdmissibleInputs(A, B, S, self.problem.U) for A, B, S in zip(self.A, self.B, self.feasible)]
+    def _filter(self, i: int) -> AdmissibleInputs:
+        """What keeps the next state of run i in X_fea(p)."""
+        if i not in self._filters:
+            self._filters[i] = AdmissibleInputs(self.A[i], self.B[i], self.feasible[i], self.problem.U)
+        return self._filters[i]
 
     @cached_property
     def _rows(self) -> tuple[Array, Array, Array]:
@@ -219,37 +228,6 @@ class _Loops:
             size = np.abs(S.A) @ self.problem.state_scale
             F[i, : len(S.b)], g[i, : len(S.b)] = S.A / size[:, None], S.b / size
         return F @ self.A, F @ self.B, g
-
-    def _project_interval(self, chosen: NDArray[np.bool_], x: Array, wanted: Array) -> Array:
-        """One input: the nearest point of each admissible interval; the least violation where it is empty."""
-        FA, FB, g = (rows[chosen] for rows in self._rows)
-        slope = FB[:, :, 0]
-        room = g - _times(FA, x[chosen])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            bound = room / slope
-        flat = np.abs(slope) < 1e-14
-        high = np.where(~flat & (slope > 0), bound, np.inf).min(axis=1).clip(max=self.upper[0])
-        low = np.where(~flat & (slope < 0), bound, -np.inf).max(axis=1).clip(min=self.lower[0])
-        u = np.clip(wanted[chosen, 0], low, np.maximum(high, low))
-        empty = np.flatnonzero((low > high) | (flat & (room < 0)).any(axis=1))
-        if len(empty):
-            u[empty] = _least_violation(room[empty], slope[empty], self.lower[0], self.upper[0])
-        return u[:, None]
-
-
-def _least_violation(room: Array, slope: Array, lower: float, upper: float) -> Array:
-    """Minimisers (n,) over [lower, upper] of max_i (slope_i u − room_i), by golden section on a convex function."""
-    ratio = (np.sqrt(5) - 1) / 2
-    a, b = np.full(len(room), lower), np.full(len(room), upper)
-
-    def worst(u: Array) -> Array:
-        return (slope * u[:, None] - room).max(axis=1)
-
-    for _ in range(45):
-        c, d = b - ratio * (b - a), a + ratio * (b - a)
-        left = worst(c) <= worst(d)
-        a, b = np.where(left, a, c), np.where(left, d, b)
-    return (a + b) / 2
 
 
 def _times(M: Array, x: Array) -> Array:

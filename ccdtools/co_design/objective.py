@@ -7,13 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import ArrayField
-from ccdtools.exceptions import InputError
+from ccdtools.arrays import ArrayField, Immutable
+from ccdtools.checks import as_weight
 
 
-@dataclass(frozen=True, eq=False)
-class QuadraticObjective:
+@dataclass(frozen=True, eq=False, repr=False)
+class QuadraticObjective(Immutable):
     """Reward r = −x⁺ᵀ Q x⁺ − uᵀ R u, with x⁺ the *next* state.
+
+    A subclass may override `rewards`; it must then take NumPy arrays and torch tensors alike, and Q and R remain the
+    weights of the LQR and MPC that it is compared with.
 
     Parameters
     ----------
@@ -32,23 +35,15 @@ class QuadraticObjective:
     R: ArrayField
 
     def __post_init__(self) -> None:
-        for name, strict in (("Q", False), ("R", True)):
-            M = np.atleast_2d(np.array(getattr(self, name), dtype=float))
-            if M.ndim != 2 or M.shape[0] != M.shape[1] or not np.isfinite(M).all():
-                raise InputError(f"{name}: got shape {M.shape}, expected a square matrix of finite numbers.")
-            if not np.allclose(M, M.T):
-                raise InputError(f"{name}: got a matrix that is not symmetric, expected {name} = {name}ᵀ.")
-            smallest = float(np.linalg.eigvalsh(M)[0])
-            if smallest < -1e-12 * np.abs(M).max() or (strict and smallest <= 0):
-                kind = "positive definite" if strict else "positive semidefinite"
-                raise InputError(f"{name}: got smallest eigenvalue {smallest:.3g}, expected a {kind} matrix.")
-            M.setflags(write=False)
-            object.__setattr__(self, name, M)
+        object.__setattr__(self, "Q", as_weight("Q", self.Q))
+        object.__setattr__(self, "R", as_weight("R", self.R, definite=True))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self.Q)} states, {len(self.R)} inputs)"
 
     def rewards(self, x_next: Any, u: Any) -> Any:
         """Rewards (...,) of next states (..., nx) and inputs (..., nu); NumPy arrays or torch tensors."""
-        if isinstance(x_next, np.ndarray):
-            Q, R = self.Q, self.R
-        else:
-            Q, R = x_next.new_tensor(self.Q.tolist()), x_next.new_tensor(self.R.tolist())
+        Q, R = self.Q, self.R
+        if not isinstance(x_next, np.ndarray):
+            Q, R = x_next.new_tensor(Q.tolist()), x_next.new_tensor(R.tolist())
         return -((x_next @ Q) * x_next).sum(-1) - ((u @ R) * u).sum(-1)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField
+from ccdtools.arrays import Array, ArrayField, Immutable
+from ccdtools.checks import as_count, as_instance, as_vector, has_method, shown
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.discretisation import LinearModel
-from ccdtools.twin.twin import Discrepancy
 from invariant_sets import Polytope
 
 DIVERGENCE = 1e3  # a run is lost when a state exceeds this many half-widths of X
@@ -27,20 +27,42 @@ class Scenarios(Protocol):
         ...
 
 
+class ErrorModel(Protocol):
+    """What a digital twin has learned of its model's error: a `Discrepancy`."""
+
+    @property
+    def noise(self) -> str:
+        """What is added to the median: none, quantiles or replayed."""
+        ...
+
+    @property
+    def weight(self) -> Array:
+        """Penalty (nx, nx) on the width of the quantiles."""
+        ...
+
+    def advance(self, e: Any, x: Any, u: Any, p: Any, w: Any) -> tuple[Any, Any]:
+        """Next errors (n, nx) and penalties (n,), torch tensors."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
-class FixedStart:
+class FixedStart(Immutable):
     """Every run from one state `x0` (nx,), with fresh disturbances."""
 
     x0: ArrayField
     disturbance: Disturbance
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "x0", as_vector("x0", self.x0))
+        has_method("disturbance", self.disturbance, "sample", "a disturbance, such as Gaussian([0.1])")
+
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Initial states (runs, nx) and disturbances (runs, steps, nw)."""
-        return np.tile(np.asarray(self.x0, dtype=float), (runs, 1)), self.disturbance.sample(runs, steps, rng)
+        return np.tile(self.x0, (runs, 1)), self.disturbance.sample(runs, steps, rng)
 
 
-@dataclass(frozen=True, eq=False)
-class CoDesignProblem:
+@dataclass(frozen=True, eq=False, repr=False)
+class CoDesignProblem(Immutable):
     """What is to be designed, and how a design and its policy are judged.
 
     Parameters
@@ -48,7 +70,7 @@ class CoDesignProblem:
     model : LinearModel
         x⁺ = A(p) x + B(p) u + E(p) w.
     X, U : Polytope
-        State and input limits; both bounded, U a box. Leaving X is counted, it does not end an episode.
+        State and input limits; both bounded, 0 in X, U a box. Leaving X is counted, it does not end an episode.
     objective : QuadraticObjective
     scenarios : Scenarios
         Initial states and disturbances of the episodes.
@@ -60,7 +82,8 @@ class CoDesignProblem:
     Raises
     ------
     InputError
-        If the dimensions disagree, X or U is unbounded, or U is not a box.
+        If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
+        not in X, or U is not a box.
     """
 
     model: LinearModel
@@ -69,24 +92,53 @@ class CoDesignProblem:
     objective: QuadraticObjective
     scenarios: Scenarios
     steps: int = 100
-    discrepancy: Discrepancy | None = None
+    discrepancy: ErrorModel | None = None
 
     def __post_init__(self) -> None:
-        model = self.model
-        if model.design is None:
-            raise InputError("model: got one without design parameters, expected a plant with a DesignSpace.")
-        for name, polytope, n in (("X", self.X, model.nx), ("U", self.U, model.nu)):
-            if polytope.dim != n:
-                raise InputError(f"{name}: got dimension {polytope.dim}, expected {n}.")
-            if not np.isfinite(np.concatenate(polytope.bounding_box())).all():
-                raise InputError(f"{name}: got an unbounded set, expected a bounded one.")
+        model = as_instance("model", self.model, LinearModel, "a LinearModel", "Pass discretise(plant).")
+        if model.design is None or model.design.dim == 0:
+            raise InputError("model", "a model without design parameters", "one of a plant with a DesignSpace")
+        _check_limits("X", self.X, model.nx, "one per state")
+        _check_limits("U", self.U, model.nu, "one per input")
+        if not self.X.contains(np.zeros(model.nx)):
+            raise InputError("X", "a set without the origin", "one that holds the state 0, which is regulated to")
         if len(self.U.minimal().b) != 2 * model.nu or (np.count_nonzero(self.U.minimal().A, axis=1) != 1).any():
-            raise InputError("U: got a set that is not a box, expected independent bounds on each input.")
+            raise InputError("U", "a set that is not a box", "independent bounds on each input")
+        as_instance("objective", self.objective, QuadraticObjective, "a QuadraticObjective")
         for name, size, n in (("Q", len(self.objective.Q), model.nx), ("R", len(self.objective.R), model.nu)):
             if size != n:
-                raise InputError(f"{name}: got shape ({size}, {size}), expected ({n}, {n}).")
-        if self.steps < 1:
-            raise InputError(f"steps: got {self.steps}, expected at least 1.")
+                raise InputError(f"objective.{name}", f"shape ({size}, {size})", f"({n}, {n})")
+        object.__setattr__(self, "steps", as_count("steps", self.steps))
+        self._check_discrepancy()
+        self._check_scenarios()
+
+    def _check_discrepancy(self) -> None:
+        """Raise an `InputError` if `discrepancy` is no model of this model's error."""
+        if self.discrepancy is None:
+            return
+        has_method("discrepancy", self.discrepancy, "advance", "a Discrepancy or None")
+        size = np.shape(self.discrepancy.weight)
+        if size != (self.model.nx, self.model.nx):
+            raise InputError("discrepancy", f"a weight of shape {size}", f"({self.model.nx}, {self.model.nx})")
+
+    def _check_scenarios(self) -> None:
+        """Raise an `InputError` unless one sample of the scenarios fits the model."""
+        has_method("scenarios", self.scenarios, "sample", "scenarios, such as FixedStart(x0, disturbance)")
+        drawn = self.scenarios.sample(1, self.steps, np.random.default_rng(0))
+        if not (isinstance(drawn, tuple) and len(drawn) == 2):
+            got = f"{shown(drawn)} from sample(runs, steps, rng)"
+            raise InputError("scenarios", got, "initial states and disturbances", "Use FixedStart(x0, disturbance).")
+        x0, w = (np.shape(array) for array in drawn)
+        if x0 != (1, self.model.nx):
+            raise InputError("scenarios", f"initial states of shape {x0[1:]}", f"({self.model.nx},)")
+        replayed = self.discrepancy is not None and self.discrepancy.noise == "replayed"
+        width = self.model.nx if replayed else self.model.nw
+        if (self.discrepancy is None or replayed) and w != (1, self.steps, width):
+            raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
+
+    def __repr__(self) -> str:
+        updated = "" if self.discrepancy is None else f", error model with {self.discrepancy.noise} noise"
+        return f"CoDesignProblem({self.model!r}, {self.steps} steps{updated})"
 
     @property
     def design(self) -> DesignSpace:
@@ -114,3 +166,14 @@ class CoDesignProblem:
         """Range of the observation (x, p), each (nx + np,)."""
         scale = self.state_scale
         return np.r_[-scale, self.design.lower], np.r_[scale, self.design.upper]
+
+
+def _check_limits(name: str, limits: Polytope, size: int, of: str) -> None:
+    """Raise an `InputError` unless `limits` is a bounded, nonempty Polytope of that dimension."""
+    as_instance(name, limits, Polytope, "a Polytope", "Use Polytope.from_bounds(lower, upper).")
+    if limits.dim != size:
+        raise InputError(name, f"dimension {limits.dim}", f"{size}, {of}")
+    if limits.is_empty:
+        raise InputError(name, "an empty set", "one with at least one point")
+    if not np.isfinite(np.concatenate(limits.bounding_box())).all():
+        raise InputError(name, "an unbounded set", "a bounded one")

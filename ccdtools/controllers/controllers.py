@@ -1,19 +1,43 @@
-"""Controllers: anything with ``u = controller(x)``, batched."""
+"""Controllers: anything with ``u = controller(x)``, batched.
+
+A controller is called with states (n, nx) and returns inputs (n, nu); with one state (nx,) it returns (nu,). One that
+needs more than the state says so in an attribute ``needs``, a set of the words below, and is then called with the
+keyword arguments that belong to them:
+
+============== ======================== ============================================================================
+word           arguments                what they hold
+============== ======================== ============================================================================
+"time"         ``time=k``               index of the sample, an int
+"reference"    ``x_ref=``, ``u_ref=``   reference (nx,) and (nu,); with an attribute ``horizon`` N, (N + 1, nx), (N, nu)
+"preview"      ``w=``                   disturbances known ahead, (N, nw), held beyond the end of the record
+"last_input"   ``u_prev=``              input applied one sample ago, zero at first, (nu,)
+"output"       ``y=``                   measured output (ny,)
+============== ======================== ============================================================================
+
+`u_prev` and `y` have one row per run when the controller is called with a batch. A controller that needs a preview is
+called run by run, because each run meets a disturbance of its own.
+
+A controller with memory has ``reset``. `simulate` never changes the one it is given: it copies it, once for all runs
+if ``reset(n)`` takes their number, else once per run, and resets the copies.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, ArrayField
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_array, as_count, as_floats, as_positive, as_vector, finite
 from ccdtools.exceptions import InputError
+
+SIGNALS = ("time", "reference", "preview", "last_input", "output")
 
 
 class Controller(Protocol):
-    """States (n, nx) to inputs (n, nu); a single state (nx,) to (nu,)."""
+    """States (n, nx) to inputs (n, nu); a single state (nx,) to (nu,). See the module for what else it may ask for."""
 
     def __call__(self, x: Array) -> Array:
         """The inputs."""
@@ -26,20 +50,23 @@ class Passive:
 
     nu: int = 1
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "nu", as_count("nu", self.nu))
+
     def __call__(self, x: ArrayLike) -> Array:
         """Zeros (n, nu) or (nu,)."""
         return np.zeros((*np.shape(x)[:-1], self.nu))
 
 
 @dataclass(frozen=True, eq=False)
-class LinearFeedback:
+class LinearFeedback(Immutable):
     """u = clip(−K x, lower, upper): an LQR, or any static gain, with saturation.
 
     Parameters
     ----------
     K : (nu, nx) array_like
     lower, upper : (nu,) array_like
-        Input bounds, in the units of u.
+        Input bounds, in the units of u; none by default.
     """
 
     K: ArrayField
@@ -47,20 +74,24 @@ class LinearFeedback:
     upper: ArrayField = field(default_factory=lambda: np.array(np.inf))
 
     def __post_init__(self) -> None:
-        K = np.atleast_2d(np.array(self.K, dtype=float))
-        if not np.isfinite(K).all():
-            raise InputError("K: got a gain that is not finite, expected a finite (nu, nx) array.")
-        object.__setattr__(self, "K", K)
+        K = np.atleast_2d(as_floats("K", self.K))
+        if K.ndim != 2 or K.size == 0:
+            raise InputError("K", f"shape {K.shape}", "a gain (nu, nx)")
+        object.__setattr__(self, "K", frozen(finite("K", K)))
+        for name in ("lower", "upper"):
+            object.__setattr__(self, name, _bounds(name, getattr(self, name), len(K)))
+        _check_order(self.lower, self.upper)
 
     def __call__(self, x: ArrayLike) -> Array:
         """Saturated inputs (n, nu) or (nu,)."""
-        return np.clip(-np.asarray(x, dtype=float) @ self.K.T, self.lower, self.upper)
+        return np.clip(-as_states(x, self.K.shape[1]) @ self.K.T, self.lower, self.upper)
 
 
-class PID:
+@dataclass(frozen=True, eq=False)
+class PID(Immutable):
     """u = clip(−(kp y + ki ∫y dt + kd dy/dt)) with y = C x, clamping anti-windup; one gain row per input.
 
-    The integral and the last output are memory: `reset` clears them.
+    The gains never change. The integral and the last output are memory, which `reset` clears; copies start afresh.
 
     Parameters
     ----------
@@ -73,29 +104,81 @@ class PID:
         Input bounds.
     """
 
-    def __init__(self, C, kp, ki, kd, *, dt: float, lower, upper) -> None:
-        self.C = np.atleast_2d(np.array(C, dtype=float))
-        self.kp, self.ki, self.kd = (np.array(g, dtype=float).reshape(-1) for g in (kp, ki, kd))
-        self.dt, self.lower, self.upper = float(dt), np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
-        self._integral: Array | None = None
-        self._last: Array | None = None
+    C: ArrayField
+    kp: ArrayField
+    ki: ArrayField
+    kd: ArrayField
+    dt: float = field(kw_only=True)
+    lower: ArrayField = field(kw_only=True)
+    upper: ArrayField = field(kw_only=True)
+    _memory: _Memory = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "C", as_array("C", np.atleast_2d(as_floats("C", self.C)), ("ny", "nx")))
+        for name in ("kp", "ki", "kd"):
+            set_(self, name, as_vector(name, getattr(self, name), len(self.C), of="one per output"))
+        set_(self, "dt", as_positive("dt", self.dt, unit="s"))
+        for name in ("lower", "upper"):
+            set_(self, name, _bounds(name, getattr(self, name), len(self.C)))
+        _check_order(self.lower, self.upper)
+        set_(self, "_memory", _Memory())
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        object.__setattr__(self, "_memory", _Memory())
 
     def reset(self, n: int) -> None:
         """Forget the past of `n` runs."""
-        self._integral = np.zeros((n, len(self.C)))
-        self._last = None
+        self._memory.clear(as_count("n", n), len(self.C))
 
     def __call__(self, x: ArrayLike) -> Array:
         """Inputs (n, nu) or (nu,); advances the memory by one sample."""
-        x = np.asarray(x, dtype=float)
-        y = np.atleast_2d(x) @ self.C.T
-        if self._integral is None or len(self._integral) != len(y):
-            self.reset(len(y))
-        assert self._integral is not None
-        rate = np.zeros_like(y) if self._last is None else (y - self._last) / self.dt
-        integral = self._integral + self.dt * y
+        states = as_states(x, self.C.shape[1])
+        if states.ndim > 2:
+            raise InputError("x", f"shape {states.shape}", f"({self.C.shape[1]},) or (n, {self.C.shape[1]})")
+        y = np.atleast_2d(states) @ self.C.T
+        memory = self._memory
+        if memory.integral is None or len(memory.integral) != len(y):
+            memory.clear(len(y), len(self.C))
+        rate = np.zeros_like(y) if memory.last is None else (y - memory.last) / self.dt
+        integral = memory.integral + self.dt * y
         wanted = -(self.kp * y + self.ki * integral + self.kd * rate)
         u = np.clip(wanted, self.lower, self.upper)
-        self._integral = np.where(wanted == u, integral, self._integral)
-        self._last = y
-        return u if x.ndim == 2 else u[0]
+        memory.integral = np.where(wanted == u, integral, memory.integral)
+        memory.last = y
+        return u if states.ndim == 2 else u[0]
+
+
+class _Memory:
+    """The integral (n, ny) and the last output (n, ny) of a PID; None before the first sample."""
+
+    integral: Any = None
+    last: Any = None
+
+    def clear(self, runs: int, outputs: int) -> None:
+        """Forget the past of so many runs."""
+        self.integral = np.zeros((runs, outputs))
+        self.last = None
+
+
+def as_states(x: ArrayLike, nx: int) -> Array:
+    """States (..., nx) as a float array; NaN passes, as of a run that is lost."""
+    states = np.asarray(x, dtype=float) if isinstance(x, np.ndarray) and x.dtype.kind in "iuf" else as_floats("x", x)
+    if states.shape[-1:] != (nx,):
+        raise InputError("x", f"shape {states.shape}", f"({nx},) or (n, {nx})")
+    return states
+
+
+def _bounds(name: str, value: ArrayLike, size: int) -> Array:
+    """Bounds of so many inputs, or one for all; infinite where there is none."""
+    bound = as_floats(name, value)
+    if bound.shape not in ((), (1,), (size,)) or np.isnan(bound).any():
+        raise InputError(name, f"shape {bound.shape}" if not np.isnan(bound).any() else "NaN", f"({size},) bounds")
+    return frozen(bound)
+
+
+def _check_order(lower: Array, upper: Array) -> None:
+    """Raise an `InputError` unless lower ≤ upper."""
+    if not (lower <= upper).all():
+        raise InputError("lower, upper", f"{lower.tolist()} and {upper.tolist()}", "lower ≤ upper")

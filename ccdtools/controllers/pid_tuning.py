@@ -1,4 +1,4 @@
-"""A PID that is tuned, not crippled."""
+"""A PID tuned by random search and Nelder–Mead."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
+from ccdtools.checks import as_array, as_count, as_generator, as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import PID
 from ccdtools.simulation import simulate
@@ -39,10 +40,15 @@ def tuned_pid(
     runs, screened, starts, refinements : int
         Scenarios, random gains per output, best of these to refine, and evaluations of each refinement.
     """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_generator("rng", rng)
+    for name, number in (("runs", runs), ("screened", screened), ("starts", starts), ("refinements", refinements)):
+        as_count(name, number)
+    design = problem.design.check_one(design)
     model, nu = problem.model, problem.model.nu
     lower, upper = problem.input_bounds
     A, B, _ = model.matrices(design)
-    C_all = _default_outputs(B) if outputs is None else np.asarray(outputs, dtype=float)
+    C_all = _default_outputs(B) if outputs is None else as_array("outputs", outputs, ("k", nu, model.nx))
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     w[::2] += w.std(axis=(0, 1)) * rng.standard_normal((len(w[::2]), 1, w.shape[2]))
     half = (upper - lower) / 2
@@ -54,6 +60,7 @@ def tuned_pid(
         return PID(C, kp, ki / model.dt, kd * model.dt, dt=model.dt, lower=lower, upper=upper)
 
     def cost(C: Array, z: Array) -> float:
+        """Mean cost of a candidate; a large one where the loop is not stable."""
         if not is_stable(A, B, controller(C, z.reshape(3, nu))):
             return 1e12
         run = simulate(
@@ -84,13 +91,16 @@ def is_stable(A: Array, B: Array, pid: PID) -> bool:
     )
     u = -np.hstack([proportional @ pid.C, integral, last])
     memory = np.zeros((2 * ny, nx + 2 * ny))
-    memory[:ny, :nx], memory[:ny, nx : nx + ny], memory[ny:, :nx] = pid.dt * pid.C, np.eye(ny), pid.C
+    memory[:ny, :nx] = pid.dt * pid.C
+    memory[:ny, nx : nx + ny] = np.eye(ny)
+    memory[ny:, :nx] = pid.C
     loop = np.vstack([np.hstack([A, np.zeros((nx, 2 * ny))]) + B @ u, memory])
     used = np.r_[np.ones(nx, bool), pid.ki != 0, pid.kd != 0]
     return bool(np.abs(np.linalg.eigvals(loop[np.ix_(used, used)])).max() < 1 - 1e-6)
 
 
 def _default_outputs(B: Array) -> Array:
+    """Candidate outputs (k, nu, nx): each state alone, for one input, and the states that the inputs push."""
     pushed = B.T / np.linalg.norm(B, axis=0)[:, None]
     if B.shape[1] > 1:
         return pushed[None]

@@ -87,13 +87,15 @@ class Sum(Immutable):
             raise InputError("terms", shown(self.terms), "a tuple of disturbances")
         for term in terms:
             has_method("terms", term, "sample", "disturbances, with a method sample(runs, steps, rng)")
-        _check_widths([term.nw for term in terms if hasattr(term, "nw")])
+        widths = [getattr(term, "nw", None) for term in terms]
+        _check_widths([width for width in widths if width is not None])
         object.__setattr__(self, "terms", terms)
 
     @property
     def nw(self) -> int | None:
         """Number of channels, if a term knows it."""
-        return next((term.nw for term in self.terms if getattr(term, "nw", None) is not None), None)
+        widths = [getattr(term, "nw", None) for term in self.terms]
+        return next((width for width in widths if width is not None), None)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""

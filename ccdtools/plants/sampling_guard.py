@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -55,7 +56,7 @@ class FastestMode(Immutable):
         return math.floor(wanted / digit * (1 + 1e-12)) * digit
 
 
-def fastest_mode(A: Callable[[Array], Array], design: DesignSpace, dt: float) -> FastestMode:
+def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> FastestMode:
     """The fastest oscillation of ẋ = A(p) x over the box: samples, then a local search from the fastest of them.
 
     Parameters
@@ -86,7 +87,7 @@ def fastest_mode(A: Callable[[Array], Array], design: DesignSpace, dt: float) ->
     return FastestMode(found, design.from_unit(fastest), dt)
 
 
-def warn_of_aliasing(A: Callable[[Array], Array], design: DesignSpace, dt: float) -> None:
+def warn_of_aliasing(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> None:
     """Issue a `SamplingWarning` if some design has an oscillation near or beyond half the sampling rate."""
     mode = fastest_mode(A, design, dt)
     if mode.resolved:

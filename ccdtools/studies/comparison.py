@@ -3,38 +3,32 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from html import escape
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
+from ccdtools.checks import as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import QuadraticObjective
-from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.controllers.controllers import Controller, LinearFeedback, Passive
-from ccdtools.controllers.pid_tuning import tuned_pid
+from ccdtools.controllers.baselines import REFERENCE
+from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
-from ccdtools.simulation import Simulable, Trajectory, simulate
+from ccdtools.simulation import Scenario
 from ccdtools.statistics import PairedDifference, Summary, paired_difference, summarise
+from ccdtools.trajectory import Trajectory
 from invariant_sets import Polytope
-from mpc import LinearMPC, lqr
 
 BLOCK = 100  # samples per replicate of a single long run
 MPC_RUNS = 100
-REFERENCE = "LQR"
+TIMED_CALLS = 50
 
 
-@dataclass(frozen=True, eq=False)
-class Scenario:
-    """A plant with initial states (n, nx) and disturbances (n, T, nw): what every controller meets alike."""
-
-    plant: Simulable
-    x0: Array
-    disturbance: Array
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Score:
     """One controller on one scenario.
 
@@ -46,7 +40,9 @@ class Score:
         100 samples, scaled to the whole: `mean` is the return of the run, `std` that of the scaled blocks, `n` their
         number, and `ci95` the interval of the whole if blocks are independent.
     paired_to_lqr : PairedDifference
-        On the runs where neither diverged.
+        On the runs that both saw and where neither diverged.
+    lqr_mean : float
+        Mean return of the LQR on those same runs.
     diverged : float
         Fraction of runs.
     violations : float
@@ -58,73 +54,148 @@ class Score:
     controller: str
     summary: Summary
     paired_to_lqr: PairedDifference
+    lqr_mean: float
     diverged: float
     violations: float
     step_time: float
 
 
-def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> dict[str, Controller]:
-    """Passive, LQR, tuned PID and online MPC (horizon 20) for the nominal model at one design."""
-    A, B, _ = problem.model.matrices(design)
-    Q, R = problem.objective.Q, problem.objective.R
-    return {
-        "passive": Passive(problem.model.nu),
-        REFERENCE: LinearFeedback(lqr(A, B, Q=Q, R=R)[0], *problem.input_bounds),
-        "PID": tuned_pid(problem, design, rng=rng),
-        "MPC": LinearMPC(A, B, Q=Q, R=R, horizon=20, X=problem.X, U=problem.U),
-    }
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison:
+    """The scores of all controllers on one scenario: a table with one row per controller.
+
+    It is iterated like a list of scores, and indexed by number or by the name of a controller.
+    """
+
+    scores: tuple[Score, ...]
+
+    def __iter__(self) -> Iterator[Score]:
+        return iter(self.scores)
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    def __getitem__(self, key: int | str) -> Score:
+        if isinstance(key, int):
+            return self.scores[key]
+        for score in self.scores:
+            if score.controller == key:
+                return score
+        raise KeyError(f"{key!r}; the controllers are {', '.join(score.controller for score in self.scores)}")
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One dictionary of plain values per controller."""
+        return [
+            {
+                "controller": score.controller, "mean": score.summary.mean, "std": score.summary.std,
+                "median": score.summary.median, "n": score.summary.n, "ci95_low": score.summary.ci95[0],
+                "ci95_high": score.summary.ci95[1], "minus_lqr": score.paired_to_lqr.mean,
+                "minus_lqr_low": score.paired_to_lqr.ci95[0], "minus_lqr_high": score.paired_to_lqr.ci95[1],
+                "lqr_mean": score.lqr_mean, "diverged": score.diverged,
+                "violations": score.violations, "step_time_us": 1e6 * score.step_time,
+            }
+            for score in self.scores
+        ]  # fmt: skip
+
+    def to_frame(self) -> Any:
+        """The rows as a `pandas.DataFrame`; without pandas, as a dictionary of columns."""
+        rows = self.rows()
+        columns = {name: [row[name] for row in rows] for name in rows[0]}
+        try:
+            import pandas as pd
+        except ImportError:
+            return columns
+        return pd.DataFrame(columns)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Mean returns with their 95 % intervals, one row per controller; returns the matplotlib axes."""
+        from ccdtools.studies.plotting import plot_scores
+
+        return plot_scores(self, ax=ax)
+
+    def __repr__(self) -> str:
+        names = f"{'controller':<20}{'return':>11}{'std':>10}{'n':>7}{'minus LQR':>12}"
+        lines = [f"{names}  {'95 % interval':<24}{'diverged':>9}"]
+        lines += ["".join(cells) for cells in map(_text_cells, self.scores)]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        head = ("controller", "return", "std", "n", "minus LQR", "95 % interval", "diverged")
+        body = "".join(f"<tr>{_html_row(_text_cells(score))}</tr>" for score in self.scores)
+        return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>"
 
 
 def compare(
     controllers: Mapping[str, Controller],
     scenario: Scenario,
     *,
-    design: ArrayLike,
+    design: ArrayLike | None = None,
     objective: QuadraticObjective,
     X: Polytope,
     limit: ArrayLike | None = None,
     few: Mapping[str, int] | None = None,
-) -> list[Score]:
+) -> Comparison:
     """Scores of all controllers on one scenario, paired to the one named LQR.
 
     Parameters
     ----------
     controllers : mapping of name to controller
         "LQR" among them.
+    scenario : Scenario
+    design : (np,) array_like
+        Required when the plant has design parameters.
+    objective : QuadraticObjective
+    X : Polytope
+        State limits, whose violations are counted.
+    limit : (nx,) array_like, optional
+        Divergence limit on |x|, see `simulate`.
     few : mapping of name to int, optional
         Controllers that see only the first so many runs; MPC 100 by default.
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind or size, or no controller is named LQR.
     """
+    controllers = as_mapping("controllers", controllers, "a mapping of names to controllers")
     if REFERENCE not in controllers:
-        raise InputError(f"controllers: got {sorted(controllers)}, expected {REFERENCE!r} among them.")
-    few = {"MPC": MPC_RUNS} if few is None else few
-    reference = _run(controllers[REFERENCE], scenario, design, limit, len(scenario.x0))
-    rows = []
+        raise InputError("controllers", sorted(controllers), f"{REFERENCE!r} among them")
+    for controller in controllers.values():
+        needs_of(controller)
+    as_instance("scenario", scenario, Scenario, "a Scenario", "Use Scenario(plant, x0, disturbance).")
+    as_instance("objective", objective, QuadraticObjective, "a QuadraticObjective")
+    as_instance("X", X, Polytope, "a Polytope")
+    if X.dim != scenario.plant.nx:
+        raise InputError("X", f"dimension {X.dim}", f"{scenario.plant.nx}, one per state")
+    few = {"MPC": MPC_RUNS} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")
+    runs = {name: min(as_count(f"few[{name!r}]", n), len(scenario.x0)) for name, n in few.items()}
+    reference = scenario.run(controllers[REFERENCE], design=design, limit=limit)
+    scores = []
     for name, controller in controllers.items():
-        n = min(few.get(name, len(scenario.x0)), len(scenario.x0))
-        run = reference if name == REFERENCE else _run(controller, scenario, design, limit, n)
-        rows.append(_score(name, controller, run, reference, objective, X))
-    return rows
+        seen = scenario.first(runs.get(name, len(scenario.x0)))
+        run = reference if name == REFERENCE else seen.run(controller, design=design, limit=limit)
+        scores.append(_score(name, controller, run, reference, objective, X, scenario))
+    return Comparison(tuple(scores))
 
 
-def _run(controller: Controller, scenario: Scenario, design, limit, n: int) -> Trajectory:
-    w = scenario.disturbance[:n]
-    return simulate(
-        scenario.plant, controller, x0=scenario.x0[:n], steps=w.shape[1], disturbance=w, design=design, limit=limit
-    )
-
-
-def _score(name, controller, run: Trajectory, reference: Trajectory, objective, X: Polytope) -> Score:
+def _score(
+    name: str, controller: Controller, run: Trajectory, reference: Trajectory, objective: QuadraticObjective,
+    X: Polytope, scenario: Scenario,
+) -> Score:  # fmt: skip
+    """One controller's row, paired to the run of the reference."""
     n = len(run.states)
     kept = ~(run.diverged | reference.diverged[:n])
     own, other = run.rewards(objective), reference.rewards(objective)[:n]
     visited = run.states[~run.diverged][:, 1:].reshape(-1, run.states.shape[2])
+    shared = replicates(other[kept], n)
     return Score(
         controller=name,
         summary=summarise(replicates(own[~run.diverged], n)),
-        paired_to_lqr=paired_difference(replicates(own[kept], n), replicates(other[kept], n)),
+        paired_to_lqr=paired_difference(replicates(own[kept], n), shared),
+        lqr_mean=float(shared.mean()) if len(shared) else float("nan"),
         diverged=float(run.diverged.mean()),
         violations=float(1 - X.contains(visited).mean()) if len(visited) else float("nan"),
-        step_time=step_time(controller, run.states[0, 0]),
+        step_time=step_time(controller, run.states[0, 0], scenario),
     )
 
 
@@ -141,14 +212,29 @@ def replicates(rewards: Array, runs: int) -> Array:
     return blocks.sum() + len(blocks) * (blocks - blocks.mean())
 
 
-def step_time(controller: Controller, x: Array, *, calls: int = 50) -> float:
-    """Median time of ``controller(x)`` for one state (nx,) [s]."""
-    reset = getattr(controller, "reset", None)
+def step_time(controller: Controller, x: Array, scenario: Scenario) -> float:
+    """Median time of one call for one state (nx,) [s], with the signals that the controller needs."""
+    around = Surroundings(scenario.disturbance[:1], scenario.reference, scenario.output)
+    call = one_call(controller, x, around, scenario.plant.nu)
     times = []
-    for _ in range(calls):
+    for _ in range(TIMED_CALLS):
         start = time.perf_counter()
-        controller(x)
+        call()
         times.append(time.perf_counter() - start)
-    if reset is not None:
-        reset(1)
     return float(np.median(times))
+
+
+def _text_cells(score: Score) -> tuple[str, ...]:
+    """The cells of a row of the printed table, padded to their columns."""
+    low, high = score.paired_to_lqr.ci95
+    difference = f"{score.paired_to_lqr.mean:.4g}" if score.controller != REFERENCE else "-"
+    interval = f"[{low:.4g}, {high:.4g}]" if score.controller != REFERENCE else "-"
+    return (
+        f"{score.controller:<20}", f"{score.summary.mean:>11.5g}", f"{score.summary.std:>10.3g}",
+        f"{score.summary.n:>7}", f"{difference:>12}", f"  {interval:<24}", f"{score.diverged:>9.1%}",
+    )  # fmt: skip
+
+
+def _html_row(cells: tuple[str, ...]) -> str:
+    """The cells of a row of the table in a notebook."""
+    return "".join(f"<td>{escape(cell.strip())}</td>" for cell in cells)

@@ -11,20 +11,21 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.controllers.controllers import Controller, LinearFeedback
+from ccdtools.controllers.baselines import baselines, saturated_lqr
+from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.disturbances.disturbance import Recorded
 from ccdtools.exceptions import InputError
-from ccdtools.simulation import simulate
+from ccdtools.simulation import Scenario
 from ccdtools.statistics import summarise
-from ccdtools.studies.comparison import Scenario, Score, baselines, compare
+from ccdtools.studies.comparison import Score, compare
 from ccdtools.studies.configuration import StudyConfig
 from ccdtools.studies.run_folder import Stage
 from ccdtools.studies.study import Study
-from ccdtools.twin.deployment import Replay, replay_problem
-from ccdtools.twin.twin import Discrepancy, Residuals, TwinPlant
+from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
+from ccdtools.twin.replay import Replay, replay_problem
+from ccdtools.twin.residuals import Residuals
 from learning.networks import ActorCritic
-from mpc import lqr
 
 MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
 BAND_RUNS, BAND_STEPS = 500, 1000  # of the trajectories kept for figures
@@ -76,12 +77,9 @@ class Evaluation:
         if not isinstance(real.disturbance, Recorded):
             return
         w = self.recorded(1, "deployment")
-        A, B, _ = self.study.model.matrices(self.study.p0)
-        K = lqr(A, B, Q=self.study.objective.Q, R=self.study.objective.R)[0]
-        run = simulate(
-            real.plant, LinearFeedback(K, *self.problem.input_bounds), x0=real.x0, steps=steps, disturbance=w,
-            design=self.study.p0, limit=self.problem.limit,
-        )  # fmt: skip
+        lqr = saturated_lqr(self.problem, self.study.p0)
+        scenario = Scenario(real.plant, real.x0, w[:, :steps])
+        run = scenario.run(lqr, design=self.study.p0, limit=self.problem.limit)
         if run.diverged.any():
             raise InputError(
                 f"disturbance: got values up to {np.abs(w).max():.3g}, under which LQR at the start design diverges "
@@ -184,21 +182,15 @@ class Evaluation:
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
-        run = simulate(
-            scenario.plant, policy, x0=scenario.x0, steps=scenario.disturbance.shape[1],
-            disturbance=scenario.disturbance, design=policy.design, limit=self.problem.limit,
-        )  # fmt: skip
+        run = scenario.run(policy, design=policy.design, limit=self.problem.limit)
         return asdict(summarise(run.returns(self.study.objective)[~run.diverged])) | {"diverged": run.diverged.mean()}
 
     def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
         """Lower edge, mean and upper edge of the 95 % band of states and inputs, (3, T, ·), for the figures."""
-        n, steps = min(BAND_RUNS, len(scenario.x0)), min(BAND_STEPS, scenario.disturbance.shape[1])
+        shown = scenario.first(min(BAND_RUNS, len(scenario.x0)), min(BAND_STEPS, scenario.steps))
         bands = {}
         for name, controller in controllers.items():
-            run = simulate(
-                scenario.plant, controller, x0=scenario.x0[:n], steps=steps,
-                disturbance=scenario.disturbance[:n, :steps], design=design, limit=self.problem.limit,
-            )  # fmt: skip
+            run = shown.run(controller, design=design, limit=self.problem.limit)
             for kind, values in (("states", run.states), ("inputs", run.inputs)):
                 kept = values[~run.diverged] if not run.diverged.all() else values
                 low, high = np.percentile(kept, [2.5, 97.5], axis=0)

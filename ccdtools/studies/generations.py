@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.reinforcement.ppo import CoDesignResult, codesign_ppo
+from ccdtools.co_design.result import CoDesignResult
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
-from ccdtools.simulation import Trajectory
 from ccdtools.statistics import summarise
 from ccdtools.studies.comparison import replicates
 from ccdtools.studies.configuration import StudyConfig
@@ -23,8 +23,12 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.report.results import generation_entry, results
 from ccdtools.studies.run_folder import RunFolder, Stage
 from ccdtools.studies.study import Study
-from ccdtools.twin.deployment import Replay, deploy_and_update, replay_problem
-from ccdtools.twin.twin import DigitalTwin, Discrepancy, QuantileScores, Residuals, residuals
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.deployment import deploy_and_update
+from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
+from ccdtools.twin.replay import replay_problem, updated_problem
+from ccdtools.twin.residuals import Residuals, residuals
+from ccdtools.twin.twin import DigitalTwin
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 
@@ -148,7 +152,7 @@ class Generations:
                 # a model fitted in closed loop can mistake the road for a consequence of the state.
                 problem = updated_problem(self.problem, twin)
                 judge, config = replay_problem(self.problem, twin.logs, self.evaluation.window), self.config.redesign
-            result = codesign_ppo(
+            result = codesign(
                 problem, agent=agent, design=design, rng=rng, config=config, judge=judge, progress=self.progress
             )
             return self._designed(result)
@@ -225,19 +229,6 @@ class Generations:
             return self.evaluation.returns(agent, design, judged_on=judged_on, learned=twin.discrepancy)
 
         return compute
-
-
-def updated_problem(problem: CoDesignProblem, twin: DigitalTwin) -> CoDesignProblem:
-    """`problem` on the updated model: nominal + median, its unexplained rest replayed from the logs.
-
-    Episodes start where the log was; the width of the quantiles is penalised.
-    """
-    if twin.discrepancy is None:
-        raise InputError("twin: got one without a discrepancy, expected one after `update`.")
-    logs = twin.innovations()
-    steps = min(problem.steps, min(log.x.shape[1] for log in logs))
-    discrepancy = replace(twin.discrepancy, noise="replayed")
-    return replace(problem, discrepancy=discrepancy, scenarios=Replay(logs), steps=steps)
 
 
 def check_counts(generations: int, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""Step 2: a policy on the real plant, with what it logs and how it is updated on the way."""
+"""A policy on the real plant, with what it logs and how it is updated on the way."""
 
 from __future__ import annotations
 
@@ -6,19 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Immutable
+from ccdtools.checks import as_count, as_floats, as_generator, as_instance, as_share
+from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.reinforcement.ppo import CoDesignConfig, codesign_ppo
+from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
-from ccdtools.exceptions import InputError
-from ccdtools.simulation import Simulable, Trajectory, simulate
+from ccdtools.simulation import Scenario, Simulable, simulate
 from ccdtools.statistics import PairedDifference, paired_difference
-from ccdtools.twin.twin import Residuals, residuals
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.replay import Replay, replay_problem
+from ccdtools.twin.residuals import Residuals, residuals
 from learning.networks import ActorCritic
 from learning.ppo import PPOConfig
 
@@ -39,9 +41,9 @@ class OnlineConfig:
     window : int
         Length of a replayed episode.
     held_out : float
-        Last fraction of the stretch just logged, on which a candidate is judged.
+        Last fraction of every part of the log, on which a candidate is judged.
     judged : int
-        Most replayed episodes of that judgement; they share no sample, so that their interval can be trusted.
+        Largest number of replay windows of that judgement; no two share a sample.
     training : CoDesignConfig
         Of the candidate; the design is always frozen.
     """
@@ -54,14 +56,13 @@ class OnlineConfig:
 
     def __post_init__(self) -> None:
         for name, least in (("updates", 0), ("window", 1), ("judged", 2)):
-            if getattr(self, name) < least:
-                raise InputError(f"{name}: got {getattr(self, name)}, expected at least {least}.")
-        if not 0 < self.held_out < 1:
-            raise InputError(f"held_out: got {self.held_out}, expected a fraction between 0 and 1.")
+            as_count(name, getattr(self, name), least=least)
+        as_share("held_out", self.held_out)
+        as_instance("training", self.training, CoDesignConfig, "a CoDesignConfig")
 
 
 @dataclass(frozen=True, eq=False)
-class OnlineUpdate:
+class OnlineUpdate(Immutable):
     """One attempt to improve the policy in service.
 
     Attributes
@@ -79,8 +80,8 @@ class OnlineUpdate:
     accepted: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Deployment:
+@dataclass(frozen=True, eq=False, repr=False)
+class Deployment(Immutable):
     """What came of a deployment.
 
     Attributes
@@ -96,60 +97,9 @@ class Deployment:
     agent: ActorCritic
     updates: tuple[OnlineUpdate, ...]
 
-
-@dataclass(frozen=True, eq=False)
-class Replay:
-    """Scenarios from logged errors: each episode starts where the log was, and meets the errors it met.
-
-    Parameters
-    ----------
-    stretches : sequence of Residuals
-        Drawn from in proportion to the windows they hold.
-    """
-
-    stretches: Sequence[Residuals]
-
-    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Initial states (runs, nx) and errors (runs, steps, nx).
-
-        Raises
-        ------
-        InputError
-            If no logged run is as long as `steps`.
-        """
-        self._require(steps)
-        windows = np.array([len(e.x) * max(e.x.shape[1] - steps + 1, 0) for e in self.stretches])
-        draw = np.sort(rng.integers(0, windows.sum(), runs))
-        edges = np.concatenate([[0], np.cumsum(windows)])
-        x0, w = [], []
-        for errors, first, last in zip(self.stretches, edges[:-1], edges[1:]):
-            chosen = draw[(draw >= first) & (draw < last)] - first
-            run, start = np.divmod(chosen, max(errors.x.shape[1] - steps + 1, 1))
-            x0.append(errors.x[run, start])
-            w.append(errors.e_next[run[:, None], start[:, None] + np.arange(steps)])
-        return np.concatenate(x0), np.concatenate(w)
-
-    def disjoint(self, steps: int) -> tuple[Array, Array]:
-        """Initial states (n, nx) and errors (n, steps, nx) of windows that share no sample: independent evidence.
-
-        Raises
-        ------
-        InputError
-            If no logged run is as long as `steps`.
-        """
-        self._require(steps)
-        x0, w = [], []
-        for errors in self.stretches:
-            length, nx = errors.e_next.shape[1:]
-            whole = length // steps * steps
-            x0.append(errors.x[:, :whole:steps].reshape(-1, nx))
-            w.append(errors.e_next[:, :whole].reshape(-1, steps, nx))
-        return np.concatenate(x0), np.concatenate(w)
-
-    def _require(self, steps: int) -> None:
-        longest = max(errors.x.shape[1] for errors in self.stretches)
-        if longest < steps:
-            raise InputError(f"log: got runs of {longest} samples, expected at least {steps} for a replay.")
+    def __repr__(self) -> str:
+        accepted = sum(update.accepted for update in self.updates)
+        return f"Deployment({self.log!r}, {accepted} of {len(self.updates)} updates accepted)"
 
 
 def deploy(
@@ -169,9 +119,16 @@ def deploy(
     disturbance : (T, nw) or (n, T, nw) array_like
         Its length is that of the deployment.
     x0 : (nx,) or (n, nx) array_like
+    limit : (nx,) array_like, optional
+        Divergence limit on |x|, see `simulate`.
+
+    Raises
+    ------
+    InputError
+        As `simulate`; also if a policy was made for another design.
     """
-    w = np.asarray(disturbance, dtype=float)
-    steps = w.shape[-2] if w.ndim > 1 else len(w)
+    w = as_floats("disturbance", disturbance)
+    steps = w.shape[-2] if w.ndim > 1 else w.size
     return simulate(plant, controller, x0=x0, steps=steps, disturbance=w, design=design, limit=limit, progress=progress)
 
 
@@ -206,61 +163,94 @@ def deploy_and_update(
         updates gets fewer, or none.
     """
     config = config or OnlineConfig()
-    design = problem.design.check(design)
-    pieces: list[Trajectory] = []
-    updates: list[OnlineUpdate] = []
-    train: list[Residuals] = []
-    test: list[Residuals] = []
-    count = _possible_updates(len(x0), disturbance.shape[1], config)
-    for stretch in _stretches(len(x0), disturbance.shape[1], count + 1):
-        runs, steps = stretch
-        start = pieces[-1].states[:, -1] if pieces and steps.start > 0 else x0[runs]
-        policy = LearnedPolicy(agent, design)
-        piece = deploy(
-            plant, policy, design, disturbance[runs, steps], x0=start, limit=problem.limit, progress=progress
-        )
-        pieces.append(piece)
-        if len(pieces) <= count and not piece.diverged.all():
-            after = sum(p.inputs.shape[0] * p.inputs.shape[1] for p in pieces)
-            first, rest = _split(residuals(problem.model, piece), config.held_out)
-            if min(first.x.shape[1], rest.x.shape[1]) < config.window:
-                continue  # too few runs of this stretch survived
-            train.append(first)
-            test.append(rest)
-            agent, update = _update(problem, agent, design, (train, test), after, rng, config)
-            updates.append(update)
-    return Deployment(_joined(pieces, len(x0)), agent, tuple(updates))
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_instance("agent", agent, ActorCritic, "an ActorCritic")
+    as_instance("config", config, OnlineConfig, "an OnlineConfig")
+    as_generator("rng", rng)
+    design = problem.design.check_one(design)
+    whole = Scenario(plant, x0, disturbance)
+    return _Service(problem, whole, design, agent, rng, config).run(progress)
 
 
-def _update(problem, agent, design, errors, after: int, rng, config) -> tuple[ActorCritic, OnlineUpdate]:
-    train, test = errors
-    candidate = codesign_ppo(
-        replay_problem(problem, train, config.window), agent=agent, design=design, rng=rng, config=config.training
-    ).agent
-    judge = replay_problem(problem, test, config.window)
-    x0, w = Replay(tuple(test)).disjoint(config.window)
-    chosen = rng.permutation(len(x0))[: config.judged]
-    x0, w = x0[chosen], w[chosen]
-    returns = [
-        simulate(
-            judge.model, LearnedPolicy(a, design), x0=x0, steps=config.window, disturbance=w, design=design,
-            limit=problem.limit,
-        ).returns(problem.objective)
-        for a in (candidate, agent)
-    ]  # fmt: skip
-    gain = paired_difference(*returns)
-    accepted = gain.ci95[0] > 0
-    return (candidate if accepted else agent), OnlineUpdate(after, gain, accepted)
+class _Service:
+    """A policy in service: its log so far, and the updates it has had.
 
+    Attributes
+    ----------
+    train, test : list of Residuals
+        Errors of every part of the log: what candidates are trained on, and what they are judged on.
+    """
 
-def replay_problem(problem: CoDesignProblem, errors: Sequence[Residuals], window: int) -> CoDesignProblem:
-    """The nominal model driven by logged errors, which enter as they are (E = I)."""
-    model = replace(problem.model, E=ca.SX.eye(problem.model.nx))
-    return replace(problem, model=model, scenarios=Replay(tuple(errors)), steps=window, discrepancy=None)
+    def __init__(
+        self, problem: CoDesignProblem, whole: Scenario, design: Array, agent: ActorCritic, rng: np.random.Generator,
+        config: OnlineConfig,
+    ) -> None:  # fmt: skip
+        self.problem, self.whole, self.design, self.agent = problem, whole, design, agent
+        self.rng, self.config = rng, config
+        self.pieces: list[Trajectory] = []
+        self.updates: list[OnlineUpdate] = []
+        self.train: list[Residuals] = []
+        self.test: list[Residuals] = []
+
+    def run(self, progress: bool) -> Deployment:
+        """The whole deployment."""
+        runs, steps = self.whole.disturbance.shape[:2]
+        count = possible_updates(runs, steps, self.config)
+        for part in deployment_parts(runs, steps, count + 1):
+            piece = self._serve(*part, progress)
+            self.pieces.append(piece)
+            if len(self.pieces) <= count and self._learn(piece):
+                self._update()
+        return Deployment(joined(self.pieces, runs), self.agent, tuple(self.updates))
+
+    def _serve(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
+        """The log of the policy in service on one part of the deployment, from where the last one ended."""
+        x0 = self.pieces[-1].states[:, -1] if self.pieces and steps.start > 0 else self.whole.x0[runs]
+        return deploy(
+            self.whole.plant, LearnedPolicy(self.agent, self.design), self.design, self.whole.disturbance[runs, steps],
+            x0=x0, limit=self.problem.limit, progress=progress,
+        )  # fmt: skip
+
+    def _learn(self, piece: Trajectory) -> bool:
+        """Add the errors along a piece of the log; False where too few runs survived to learn from."""
+        if piece.diverged.all():
+            return False
+        first, rest = _split(residuals(self.problem.model, piece), self.config.held_out)
+        if min(first.steps, rest.steps) < self.config.window:
+            return False
+        self.train.append(first)
+        self.test.append(rest)
+        return True
+
+    def _update(self) -> None:
+        """Train a candidate, and put it into service if it is better on what it was not trained on."""
+        config, problem = self.config, replay_problem(self.problem, self.train, self.config.window)
+        candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=config.training).agent
+        gain = self._gain(candidate)
+        accepted = gain.ci95[0] > 0
+        after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
+        self.updates.append(OnlineUpdate(after, gain, accepted))
+        self.agent = candidate if accepted else self.agent
+
+    def _gain(self, candidate: ActorCritic) -> PairedDifference:
+        """Candidate minus policy in service, on replays of the held-out parts."""
+        window = self.config.window
+        judge = replay_problem(self.problem, self.test, window)
+        x0, w = Replay(tuple(self.test)).disjoint(window)
+        chosen = self.rng.permutation(len(x0))[: self.config.judged]
+        scenario = Scenario(judge.model, x0[chosen], w[chosen])
+        returns = [
+            scenario.run(LearnedPolicy(agent, self.design), design=self.design, limit=self.problem.limit).returns(
+                self.problem.objective
+            )
+            for agent in (candidate, self.agent)
+        ]
+        return paired_difference(*returns)
 
 
 def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
-    runs, steps = errors.x.shape[:2]
+    """The part to train on and the part to judge on: the last runs, or the end of the only one."""
+    runs, steps = errors.runs, errors.steps
     if runs > 1:
         cut = max(1, runs - max(1, round(held_out * runs)))
         return errors.part(slice(None, cut), slice(None)), errors.part(slice(cut, None), slice(None))
@@ -268,14 +258,14 @@ def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
     return errors.part(slice(None), slice(None, cut)), errors.part(slice(None), slice(cut, None))
 
 
-def _possible_updates(runs: int, steps: int, config: OnlineConfig) -> int:
-    """As many updates as leave every stretch a window to be judged on, at most `config.updates`."""
-    stretches = runs // 2 if runs > 1 else int(steps * config.held_out // config.window)
-    return min(config.updates, max(0, stretches - 1))
+def possible_updates(runs: int, steps: int, config: OnlineConfig) -> int:
+    """As many updates as leave every part a window to be judged on, at most `config.updates`."""
+    parts = runs // 2 if runs > 1 else int(steps * config.held_out // config.window)
+    return min(config.updates, max(0, parts - 1))
 
 
-def _stretches(runs: int, steps: int, pieces: int) -> list[tuple[slice, slice]]:
-    """(runs, steps) of each stretch: groups of runs, or parts of the only run."""
+def deployment_parts(runs: int, steps: int, pieces: int) -> list[tuple[slice, slice]]:
+    """(runs, steps) of each part: groups of runs, or pieces in time of the only run."""
     if runs > 1:
         edges = np.unique(np.linspace(0, runs, pieces + 1).round().astype(int))
         return [(slice(a, b), slice(0, steps)) for a, b in pairwise(edges)]
@@ -283,7 +273,8 @@ def _stretches(runs: int, steps: int, pieces: int) -> list[tuple[slice, slice]]:
     return [(slice(0, 1), slice(a, b)) for a, b in pairwise(edges)]
 
 
-def _joined(pieces: Sequence[Trajectory], runs: int) -> Trajectory:
+def joined(pieces: Sequence[Trajectory], runs: int) -> Trajectory:
+    """One log of all parts."""
     if len(pieces) == 1:
         return pieces[0]
     first = pieces[0]

@@ -109,7 +109,8 @@ def test_simulating_leaves_its_arguments_alone(illustrative):
     x0, w = np.ones((2, 2)), np.zeros((2, 5, 2))
     run = simulate(illustrative.model, Passive(), x0=x0, steps=5, disturbance=w, design=[1.0])
     assert (x0 == 1).all()
-    run.states[:] = 0
+    with pytest.raises(ValueError, match="read-only"):
+        run.states[:] = 0
     assert not np.shares_memory(run.disturbances, w)
     assert (x0 == 1).all()
 
@@ -226,7 +227,7 @@ def test_saturated_lqr_on_the_recorded_road_gives_the_known_returns(suspension, 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"steps": 0}, "steps: got 0, expected at least 1"),
+        ({"steps": 0}, "steps: got 0, expected a whole number, at least 1"),
         ({"x0": [1.0]}, r"x0: got shape \(1,\), expected \(2,\) or \(n, 2\)"),
         ({"x0": np.zeros((2, 2, 2))}, "x0: got shape"),
         ({"x0": [np.nan, 0]}, "x0: got a value that is not finite"),
@@ -235,7 +236,7 @@ def test_saturated_lqr_on_the_recorded_road_gives_the_known_returns(suspension, 
         ({"disturbance": np.zeros(5)}, "disturbance: got shape"),
         ({"disturbance": np.zeros((3, 5, 2)), "x0": np.zeros((2, 2))}, r"disturbance: got shape \(3, 5, 2\)"),
         ({"disturbance": np.full((5, 2), np.nan)}, "disturbance: got a value that is not finite"),
-        ({"disturbance": Gaussian([1.0, 1.0])}, "rng: got nothing, expected a numpy Generator"),
+        ({"disturbance": Gaussian([1.0, 1.0])}, "rng: got nothing, expected a numpy.random.Generator"),
         ({"disturbance": Gaussian([1.0]), "rng": np.random.default_rng(0)}, r"disturbance: got shape \(1, 5, 1\)"),
         ({"design": None}, "design: got nothing, expected values for p"),
         ({"design": [9.0]}, "design: got p = 9"),
@@ -243,7 +244,7 @@ def test_saturated_lqr_on_the_recorded_road_gives_the_known_returns(suspension, 
         ({"controller": lambda x: np.zeros((1, 2))}, r"controller: got inputs of shape \(1, 2\), expected \(1, 1\)"),
         ({"controller": lambda x: np.zeros(1)}, r"controller: got inputs of shape \(1,\)"),
         ({"controller": lambda x: np.full((1, 1), np.nan)}, "controller: got an input that is not finite at step 0"),
-        ({"limit": [1.0, 0.0]}, r"limit: got \[1. 0.\] of shape \(2,\), expected \(2,\) positive numbers"),
+        ({"limit": [1.0, 0.0]}, r"limit: got \[1.0, 0.0\] of shape \(2,\), expected \(2,\) positive numbers"),
         ({"limit": [1.0, 2.0, 3.0]}, r"limit: got .* of shape \(3,\), expected \(2,\)"),
     ],
 )

@@ -55,5 +55,5 @@ def test_too_few_values_have_no_interval():
 def test_shapes_are_checked():
     with pytest.raises(InputError, match=r"values: got shape \(2, 2\), expected \(n,\)"):
         summarise(np.zeros((2, 2)))
-    with pytest.raises(InputError, match=r"pairs: got \(3,\) and \(2,\), expected as many of each"):
+    with pytest.raises(InputError, match=r"a, b: got shapes \(3,\) and \(2,\), expected as many of each"):
         paired_difference(np.zeros(3), np.zeros(2))

@@ -7,23 +7,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 from tqdm import trange
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.differentiable_model import returns, scenario_tensors, to_design
+from ccdtools.checks import as_choice, as_count, as_flag, as_instance, as_number
+from ccdtools.co_design.differentiable_model import mean_return, returns_at, scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.reinforcement.gradients import (
-    GradientCheck,
-    check_gradients,
-    loss_gradient,
-    pathwise_gradient,
-    require_method,
-)
-from ccdtools.controllers.learned import LearnedPolicy
-from ccdtools.exceptions import InputError
+from ccdtools.co_design.reinforcement.gradients import METHODS, check_gradients, loss_gradient, pathwise_gradient
+from ccdtools.co_design.result import CoDesignResult, History
 from learning.networks import ActorCritic
 from learning.ppo import PPO, PPOConfig, decay_exploration, prepare
 from learning.rollout import collect
@@ -70,104 +63,32 @@ class CoDesignConfig:
     )
 
     def __post_init__(self) -> None:
-        require_method(self.design_gradient)
+        as_choice("design_gradient", self.design_gradient, METHODS)
         for name in ("iterations", "runs", "pathwise_runs", "evaluate_every", "evaluation_runs"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name}: got {getattr(self, name)}, expected at least 1.")
+            as_count(name, getattr(self, name))
         for name in ("design_rate", "policy_rate"):
-            if not getattr(self, name) >= 0:
-                raise InputError(f"{name}: got {getattr(self, name)}, expected a number ≥ 0.")
-
-
-@dataclass(frozen=True, eq=False)
-class History:
-    """The course of a co-design, one row per evaluation.
-
-    Attributes
-    ----------
-    iteration, env_steps : (k,) arrays
-    design : (k, np) array
-    model_return, std, diverged : (k,) arrays
-        Of the mean policy on the evaluation scenarios; mean over the runs that did not diverge.
-    """
-
-    iteration: Array
-    env_steps: Array
-    design: Array
-    model_return: Array
-    std: Array
-    diverged: Array
-
-
-@dataclass(frozen=True, eq=False)
-class CoDesignResult:
-    """The best evaluated iterate, and how it came about.
-
-    Attributes
-    ----------
-    design : (np,) array
-    agent : ActorCritic
-    active_bounds : dict
-        Design parameters at a bound, with "lower" or "upper".
-    history : History
-    gradients : GradientCheck or None
-        Before the first move; None when the design is frozen.
-    """
-
-    design: Array
-    agent: ActorCritic
-    active_bounds: dict[str, str]
-    history: History
-    gradients: GradientCheck | None
-
-    @property
-    def policy(self) -> LearnedPolicy:
-        """The policy at the design found, as a controller."""
-        return LearnedPolicy(self.agent, self.design)
+            as_number(name, getattr(self, name), expected="a number ≥ 0", low=0.0)
+        as_flag("constant_rates", self.constant_rates)
+        as_instance("ppo", self.ppo, PPOConfig, "a PPOConfig")
 
 
 def codesign_ppo(
     problem: CoDesignProblem,
     *,
     agent: ActorCritic,
-    design: ArrayLike,
+    design: Array,
     rng: np.random.Generator,
-    config: CoDesignConfig | None = None,
-    judge: CoDesignProblem | None = None,
-    progress: bool = False,
+    config: CoDesignConfig,
+    judge: CoDesignProblem,
+    progress: bool,
 ) -> CoDesignResult:
-    """The best design and policy met on the way from `design` and a warm-started `agent`.
+    """The best design and policy met on the way from `design` and a warm-started `agent`; `codesign` checks them.
 
     Each iteration collects episodes of the sampled policy, updates policy and value by PPO, and moves the design
     (and, unless `policy_rate` is 0, the policy) along the gradient of the mean policy's whole-episode return
     through the dynamics. The design stays in its bounds; its optimiser lives as long as the training.
-
-    Parameters
-    ----------
-    problem : CoDesignProblem
-    agent : ActorCritic
-        The start; it is copied, not changed.
-    design : (np,) array_like
-        First design, in physical units.
-    rng : numpy.random.Generator
-    config : CoDesignConfig, optional
-    judge : CoDesignProblem, optional
-        What the iterates are scored on, if not `problem` itself: for example replays of what was logged, where
-        `problem` holds a learned model that an optimiser may take too literally.
-
-    Raises
-    ------
-    InputError
-        If `design` lies outside its bounds, or `agent` does not take (x, p).
     """
-    config = config or CoDesignConfig()
-    design = problem.design.check(design)
-    if len(agent.observation_offset) != problem.model.nx + problem.design.dim:
-        raise InputError(
-            f"agent: got {len(agent.observation_offset)} inputs, expected {problem.model.nx} states and "
-            f"{problem.design.dim} design parameters."
-        )
-    run = _Run(problem, judge or problem, copy.deepcopy(agent), design, rng, config)
+    run = _Run(problem, judge, copy.deepcopy(agent), design, rng, config)
     gradients = None
     if config.design_rate > 0:
         gradients = check_gradients(problem, run.agent, design, rng=rng, ppo=config.ppo)
@@ -198,12 +119,13 @@ class _Run:
         self.rows: list[tuple] = []
 
     def _p(self) -> Tensor:
+        """The present design (np,), without its gradient."""
         return to_design(self.problem, self.v.detach())
 
     def evaluate(self, iteration: int) -> None:
         """Score the iterate on the fixed scenarios; keep it if it is the best so far."""
         with torch.no_grad():
-            total, diverged = returns(self.judge, self.agent, self._p(), *self.evaluation)
+            total, diverged = returns_at(self.judge, self.agent, self.v.detach(), self.evaluation)
         kept = total[~diverged].double()
         mean = kept.mean().item() if len(kept) else float("nan")
         std = kept.std().item() if len(kept) > 1 else 0.0
@@ -226,18 +148,18 @@ class _Run:
             design_gradient = loss_gradient(self.problem, self.agent, self.v, batch, config.ppo)
         self.ppo.update(rollout, generator=self.generator, actor=k >= config.ppo.critic_only)
         if config.policy_rate > 0:
-            gradient = self._improve_policy(*scenario_tensors(self.problem, config.pathwise_runs, self.rng))
+            gradient = self._improve_policy(scenario_tensors(self.problem, config.pathwise_runs, self.rng))
             design_gradient = gradient if design_gradient is None else design_gradient
         elif config.design_rate > 0 and design_gradient is None:
             scenarios = scenario_tensors(self.problem, config.pathwise_runs, self.rng)
-            gradient, mean = pathwise_gradient(self.problem, self.agent, self.v, *scenarios)
+            gradient, mean = pathwise_gradient(self.problem, self.agent, self.v, scenarios)
             design_gradient = gradient / mean.abs()
         if config.design_rate > 0 and design_gradient is not None:
             self._move_design(design_gradient)
 
-    def _improve_policy(self, x0: Tensor, w: Tensor) -> Tensor:
+    def _improve_policy(self, scenarios: tuple[Tensor, Tensor]) -> Tensor:
         """A step of the policy through the dynamics; the design's gradient comes from the same pass."""
-        mean = returns(self.problem, self.agent, to_design(self.problem, self.v), x0, w)[0].mean()
+        mean = mean_return(self.problem, self.agent, self.v, scenarios)
         parameters = list(self.agent.mean_network.parameters())
         relative = -mean / mean.detach().abs()  # so that a lost run's 1e8 today does not drown tomorrow's steps
         *gradients, design_gradient = torch.autograd.grad(relative, [*parameters, self.v])
@@ -258,6 +180,7 @@ class _Run:
             self.v.clamp_(0.0, 1.0)
 
     def _set_rates(self, k: int) -> None:
+        """Exploration and learning rates of iteration k."""
         config = self.config
         decay_exploration(self.agent, self.first_std, config.ppo.final_std, k / max(config.iterations - 1, 1))
         factor = 1.0 if config.constant_rates else 0.5 * (1 + np.cos(np.pi * k / config.iterations))
@@ -271,7 +194,9 @@ class _Run:
                 group["lr"] = rate * factor
 
     def _design(self) -> Array:
+        """The present design (np,), in physical units."""
         return self.problem.design.from_unit(self.v.detach().double().numpy())
 
     def history(self) -> History:
+        """The evaluations so far."""
         return History(*(np.array(column) for column in zip(*self.rows)))

@@ -13,11 +13,13 @@ from matplotlib.figure import Figure
 from ccdtools.arrays import Array
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import load_policy
-from ccdtools.simulation import Trajectory, simulate
+from ccdtools.simulation import simulate
 from ccdtools.studies.report import plotting
 from ccdtools.studies.report.finished_run import FinishedRun
 from ccdtools.studies.report.tables import measured_on, number, with_minus
-from ccdtools.twin.twin import BLOCKS, HELD_OUT, residuals
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.residuals import residuals
+from ccdtools.twin.twin import BLOCKS, HELD_OUT
 from invariant_sets import Polytope
 
 SHOWN_DESIGNS = 4

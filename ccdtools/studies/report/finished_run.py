@@ -11,7 +11,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.expert import feasible_sets
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.reinforcement.ppo import History
+from ccdtools.co_design.result import History
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study

@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLoca
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.reinforcement.ppo import History
+from ccdtools.co_design.result import History
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.studies.report.tables import NEGLIGIBLE, NOT_WORSE, percent_of_reference
 from invariant_sets import Polytope, plot_polytope

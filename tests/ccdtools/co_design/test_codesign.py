@@ -9,7 +9,7 @@ import torch
 
 from ccdtools import InputError, codesign, simulate
 from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.reinforcement import CoDesignConfig, codesign_ppo
+from ccdtools.co_design.reinforcement import CoDesignConfig
 from ccdtools.co_design.reinforcement.ppo import _Run
 from learning.ppo import PPOConfig
 
@@ -28,12 +28,12 @@ def problem(illustrative):
 @pytest.fixture(scope="module")
 def result(problem, illustrative, clone):
     """Return one short co-design from p = 1."""
-    return codesign_ppo(problem, agent=clone(illustrative), design=[1.0], rng=np.random.default_rng(0), config=TINY)
+    return codesign(problem, agent=clone(illustrative), design=[1.0], rng=np.random.default_rng(0), config=TINY)
 
 
 def run(problem, agent, design=(1.0,), seed=0, judge=None, **changes):
     config = replace(TINY, **({"iterations": 3, "evaluate_every": 1} | changes))
-    return codesign_ppo(
+    return codesign(
         problem, agent=agent, design=design, rng=np.random.default_rng(seed), config=config, judge=judge
     )
 
@@ -184,7 +184,7 @@ def test_an_infinite_gradient_moves_nothing(problem, illustrative, clone):
 def test_the_front_door_passes_everything_on(problem, illustrative, clone):
     config = replace(TINY, iterations=1)
     a = codesign(problem, agent=clone(illustrative), design=[1.0], rng=np.random.default_rng(1), config=config)
-    b = codesign_ppo(problem, agent=clone(illustrative), design=[1.0], rng=np.random.default_rng(1), config=config)
+    b = codesign(problem, agent=clone(illustrative), design=[1.0], rng=np.random.default_rng(1), config=config)
     np.testing.assert_array_equal(a.history.model_return, b.history.model_return)
 
 
@@ -202,7 +202,7 @@ def test_bad_arguments_are_refused(problem, illustrative, suspension, clone):
     ("options", "message"),
     [
         ({"design_gradient": "magic"}, "design_gradient: got 'magic', expected one of pathwise, network_input"),
-        ({"iterations": 0}, "iterations: got 0, expected at least 1"),
+        ({"iterations": 0}, "iterations: got 0, expected a whole number, at least 1"),
         ({"runs": 0}, "runs: got 0"),
         ({"pathwise_runs": -1}, "pathwise_runs: got -1"),
         ({"evaluate_every": 0}, "evaluate_every: got 0"),

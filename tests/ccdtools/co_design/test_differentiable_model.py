@@ -8,7 +8,7 @@ import torch
 
 from ccdtools import LearnedPolicy, simulate
 from ccdtools.co_design.differentiable_model import Stepper, matrices, observe, returns, scenario_tensors, to_design
-from ccdtools.twin.twin import Discrepancy
+from ccdtools.twin.discrepancy import Discrepancy
 from learning.quantile import QuantileNetwork
 
 

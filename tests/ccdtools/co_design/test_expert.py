@@ -128,11 +128,11 @@ def test_bad_arguments_are_refused(illustrative):
     problem = illustrative.problem()
     with pytest.raises(InputError, match="expert: got 'pid', expected"):
         expert_dataset(problem, samples=5, rng=np.random.default_rng(0), expert="pid")
-    with pytest.raises(InputError, match="samples: got 0, expected at least 1"):
+    with pytest.raises(InputError, match="samples: got 0, expected a whole number, at least 1"):
         expert_dataset(problem, samples=0, rng=np.random.default_rng(0))
 
 
 def test_no_feasible_sample_is_an_error_with_advice(illustrative):
-    hopeless = replace(illustrative.problem(), X=Polytope.from_bounds([4.0, 1.0], [5.0, 2.0]))
+    hopeless = replace(illustrative.problem(), X=Polytope.from_bounds([-1e4, -1e4], [1e4, 1e4]))
     with pytest.raises(InputError, match=r"samples: got 5 candidates of which none lies in X_fea\(p\)"):
         expert_dataset(hopeless, samples=5, rng=np.random.default_rng(0))

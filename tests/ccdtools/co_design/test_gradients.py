@@ -10,14 +10,14 @@ import torch
 from ccdtools import InputError
 from ccdtools.co_design.differentiable_model import returns, scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
-from ccdtools.co_design.reinforcement import GradientCheck, check_gradients
+from ccdtools.co_design.reinforcement import CoDesignConfig, check_gradients
 from ccdtools.co_design.reinforcement.gradients import (
     loss_gradient,
     network_input_gradient,
     pathwise_gradient,
-    require_method,
 )
-from ccdtools.twin.twin import Discrepancy
+from ccdtools.co_design.result import GradientCheck
+from ccdtools.twin.discrepancy import Discrepancy
 from learning.ppo import PPOConfig, ppo_loss, prepare
 from learning.quantile import QuantileNetwork
 from learning.rollout import collect
@@ -40,7 +40,7 @@ def test_the_pathwise_gradient_equals_finite_differences_in_double_precision(stu
     problem, agent = study.problem(), copy.deepcopy(clone(study)).double()
     v = torch.tensor(problem.design.to_unit(INTERIOR[study.name]))
     x0, w = (t.double() for t in scenario_tensors(problem, 32, np.random.default_rng(0)))
-    own, mean = pathwise_gradient(problem, agent, v, x0, w)
+    own, mean = pathwise_gradient(problem, agent, v, (x0, w))
     np.testing.assert_allclose(own, finite_differences(problem, agent, v, x0, w, 1e-5), rtol=1e-3)
     assert mean.item() < 0
 
@@ -62,7 +62,7 @@ def test_the_gradient_on_a_learned_model_equals_finite_differences(illustrative,
     agent = copy.deepcopy(clone(illustrative)).double()
     v = torch.tensor(problem.design.to_unit([1.8]))
     x0, w = (t.double() for t in scenario_tensors(problem, 8, np.random.default_rng(0)))
-    own, _ = pathwise_gradient(problem, agent, v, x0, w)
+    own, _ = pathwise_gradient(problem, agent, v, (x0, w))
     np.testing.assert_allclose(own, finite_differences(problem, agent, v, x0, w, 1e-5), rtol=1e-3)
 
 
@@ -114,7 +114,7 @@ def test_gradients_leave_the_agent_and_the_point_alone(illustrative, clone):
     agent, v = clone(illustrative), torch.tensor([0.4])
     before = copy.deepcopy(agent.state_dict())
     problem = illustrative.problem()
-    pathwise_gradient(problem, agent, v, *scenario_tensors(problem, 4, np.random.default_rng(0)))
+    pathwise_gradient(problem, agent, v, scenario_tensors(problem, 4, np.random.default_rng(0)))
     assert not v.requires_grad
     assert all(parameter.grad is None for parameter in agent.parameters())
     torch.testing.assert_close(agent.state_dict(), before, rtol=0, atol=0)
@@ -132,4 +132,4 @@ def test_designs_outside_the_bounds_and_unknown_methods_are_refused(illustrative
     with pytest.raises(InputError, match="design: got p = 9"):
         check_gradients(illustrative.problem(), clone(illustrative), [9.0], rng=np.random.default_rng(0))
     with pytest.raises(InputError, match="design_gradient: got 'magic', expected one of pathwise, network_input"):
-        require_method("magic")
+        CoDesignConfig(design_gradient="magic")

@@ -42,7 +42,7 @@ def test_a_redundant_row_leaves_a_box_a_box(illustrative):
         ({"X": Polytope(np.array([[1.0, 0.0]]), np.array([1.0]))}, "X: got an unbounded set"),
         ({"objective": QuadraticObjective(np.eye(3), [[1]])}, r"Q: got shape \(3, 3\), expected \(2, 2\)"),
         ({"objective": QuadraticObjective(np.eye(2), np.eye(2))}, r"R: got shape \(2, 2\), expected \(1, 1\)"),
-        ({"steps": 0}, "steps: got 0, expected at least 1"),
+        ({"steps": 0}, "steps: got 0, expected a whole number, at least 1"),
     ],
 )
 def test_problems_that_do_not_fit_together_are_refused(illustrative, changes, message):
@@ -63,5 +63,5 @@ def test_inputs_must_have_independent_bounds(illustrative):
 
 def test_a_model_without_a_design_cannot_be_co_designed(illustrative):
     model = LinearModel.from_state_space(illustrative.model.state_space([1.0]), E=np.eye(2))
-    with pytest.raises(InputError, match="model: got one without design parameters, expected a plant with a DesignSp"):
+    with pytest.raises(InputError, match="model: got a model without design parameters, expected one of a plant"):
         replace(illustrative.problem(), model=model)

@@ -123,11 +123,11 @@ def read_any_disturbance(path, **keywords):
 )
 class TestEveryReader:
     def test_refuses_a_missing_file(self, read, argument, tmp_path):
-        with pytest.raises(InputError, match=rf"^{argument}: got .*absent\.csv, which does not exist, expected the path"):
+        with pytest.raises(InputError, match=rf"^{argument}: got .*absent\.csv, which does not exist, exp"):
             read(tmp_path / "absent.csv")
 
     def test_refuses_a_file_it_cannot_open(self, read, argument, tmp_path):
-        with pytest.raises(InputError, match=rf"^{argument}: got .*, which cannot be read \(Is a directory\), expected"):
+        with pytest.raises(InputError, match=rf"^{argument}: got .*, which cannot be read \(Is a directory\), exp"):
             read(tmp_path)
 
     def test_refuses_a_file_that_is_not_text(self, read, argument, write):

@@ -80,7 +80,8 @@ def test_a_singular_state_matrix_is_held_exactly():
 
 
 def test_two_half_samples_make_a_whole_one():
-    half, whole = discretise(quarter_car(), dt=0.025, sampling_guard="ignore"), discretise(quarter_car(), sampling_guard="ignore")
+    half = discretise(quarter_car(), dt=0.025, sampling_guard="ignore")
+    whole = discretise(quarter_car(), sampling_guard="ignore")
     A, B, _ = half.matrices(START)
     A2, B2, _ = whole.matrices(START)
     np.testing.assert_allclose(A @ A, A2, atol=1e-12)

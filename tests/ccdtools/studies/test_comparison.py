@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 
 from ccdtools import InputError, simulate
+from ccdtools.controllers.baselines import baselines
 from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
+from ccdtools.simulation import Scenario
 from ccdtools.statistics import summarise
-from ccdtools.studies.comparison import Scenario, baselines, compare, replicates, step_time
+from ccdtools.studies.comparison import compare, replicates, step_time
 from mpc import LinearMPC
 
 DESIGN = [2.0]
@@ -146,5 +149,6 @@ def test_the_interval_of_one_long_run_covers_its_expected_total():
 
 def test_timing_a_controller_leaves_it_ready_for_one_run():
     controller = PID([[1.0]], [0.0], [1.0], [0.0], dt=1.0, lower=[-9e9], upper=[9e9])
-    assert step_time(controller, np.array([1.0])) > 0
+    scenario = Scenario(control.ss([[0.5]], [[1.0]], [[1.0]], 0, True), [1.0], np.zeros((5, 0)))
+    assert step_time(controller, np.array([1.0]), scenario) > 0
     assert controller(np.array([1.0])) == pytest.approx([-1.0])

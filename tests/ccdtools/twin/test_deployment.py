@@ -12,8 +12,9 @@ from ccdtools import InputError, LearnedPolicy, deploy, simulate
 from ccdtools.co_design.reinforcement import CoDesignConfig
 from ccdtools.controllers.controllers import Passive
 from ccdtools.statistics import paired_difference
-from ccdtools.twin.deployment import OnlineConfig, Replay, deploy_and_update, replay_problem
-from ccdtools.twin.twin import residuals
+from ccdtools.twin.deployment import OnlineConfig, deploy_and_update
+from ccdtools.twin.replay import Replay, replay_problem
+from ccdtools.twin.residuals import residuals
 from learning.ppo import PPOConfig
 
 DESIGN = np.array([2.0])
@@ -98,7 +99,7 @@ def test_disjoint_windows_use_every_sample_at_most_once(illustrative, log):
     windows = [(0, 0), (0, 10), (1, 0), (1, 10), (2, 10), (2, 20), (2, 30)]
     np.testing.assert_array_equal(x0, [r.x[i, k] for i, k in windows])
     np.testing.assert_array_equal(w, [r.e_next[i, k : k + 10] for i, k in windows])
-    with pytest.raises(InputError, match="log: got runs of 35 samples, expected at least 36 for a replay"):
+    with pytest.raises(InputError, match="steps: got 36, expected at most 35"):
         replay.disjoint(36)
 
 
@@ -129,7 +130,7 @@ def test_one_window_is_no_evidence(illustrative, clone, monkeypatch):
 
 
 def test_a_replay_longer_than_the_log_is_refused(illustrative, log):
-    with pytest.raises(InputError, match="log: got runs of 50 samples, expected at least 51 for a replay"):
+    with pytest.raises(InputError, match="steps: got 51, expected at most 50"):
         Replay((residuals(illustrative.model, log),)).sample(3, 51, np.random.default_rng(0))
 
 
@@ -201,7 +202,7 @@ def training_gives(monkeypatch, candidate):
         trained.append((problem, agent))
         return SimpleNamespace(agent=candidate)
 
-    monkeypatch.setattr("ccdtools.twin.deployment.codesign_ppo", codesign)
+    monkeypatch.setattr("ccdtools.twin.deployment.codesign", codesign)
     return trained
 
 
@@ -231,7 +232,7 @@ def test_a_worse_or_equal_candidate_does_not_go_into_service(illustrative, clone
 def test_a_candidate_is_judged_on_what_it_was_not_trained_on(illustrative, clone, monkeypatch):
     trained = training_gives(monkeypatch, clone(illustrative))
     log = deployed(illustrative, clone(illustrative), runs=1, steps=300).log
-    first, second = (problem.scenarios.stretches for problem, _ in trained)
+    first, second = (problem.scenarios.logs for problem, _ in trained)
     np.testing.assert_array_equal(first[0].x[0], log.states[0, :70])
     assert len(second) == 2
     np.testing.assert_array_equal(second[1].x[0], log.states[0, 100:170])
@@ -273,9 +274,9 @@ def test_a_deployment_too_short_to_judge_every_update_gets_fewer(illustrative, c
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"updates": -1}, "updates: got -1, expected at least 0"),
-        ({"window": 0}, "window: got 0, expected at least 1"),
-        ({"judged": 1}, "judged: got 1, expected at least 2"),
+        ({"updates": -1}, "updates: got -1, expected a whole number, at least 0"),
+        ({"window": 0}, "window: got 0, expected a whole number, at least 1"),
+        ({"judged": 1}, "judged: got 1, expected a whole number, at least 2"),
         ({"held_out": 0.0}, r"held_out: got 0.0, expected a fraction between 0 and 1"),
         ({"held_out": 1.0}, r"held_out: got 1.0, expected a fraction between 0 and 1"),
     ],

@@ -8,8 +8,9 @@ import torch
 
 from ccdtools import DigitalTwin, InputError, simulate
 from ccdtools.controllers.controllers import LinearFeedback, Passive
-from ccdtools.simulation import Trajectory
-from ccdtools.twin.twin import Discrepancy, TwinPlant, _stretches, residuals
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
+from ccdtools.twin.residuals import block_parts, residuals, stacked
 from learning import QuantileConfig
 from learning.quantile import QuantileNetwork
 from mpc import lqr
@@ -78,7 +79,7 @@ def test_a_part_is_a_stretch_of_every_column(illustrative, log):
     part = r.part(slice(2, 4), slice(10, 15))
     np.testing.assert_array_equal(part.e_next, r.e_next[2:4, 10:15])
     assert part.x.shape == (2, 5, 2)
-    assert part.p is r.p
+    np.testing.assert_array_equal(part.p, r.p)
 
 
 # ── the split in time ──
@@ -96,9 +97,10 @@ def counted(runs, steps, illustrative):
 
 def test_a_long_run_holds_out_the_end_of_every_block(illustrative):
     r = counted(1, 100, illustrative)
-    (_, x, _, p, _), lengths = _stretches([r], 0.2, 10, last=False)
-    (_, held, *_), _ = _stretches([r], 0.2, 10, last=True)
-    assert lengths == [8] * 10
+    parts = block_parts(r, 0.2, 10, last=False)
+    _, x, _, p, _ = stacked(parts)
+    _, held, *_ = stacked(block_parts(r, 0.2, 10, last=True))
+    assert [part.steps for part in parts] == [8] * 10
     np.testing.assert_array_equal(x[:, 0] % 10, np.tile(np.arange(8), 10))
     np.testing.assert_array_equal(held[:, 0] % 10, np.tile([8, 9], 10))
     np.testing.assert_array_equal(p, np.full((80, 1), 2.0))
@@ -107,17 +109,12 @@ def test_a_long_run_holds_out_the_end_of_every_block(illustrative):
 
 def test_of_several_runs_the_last_are_held_out_whole(illustrative):
     r = counted(5, 20, illustrative)
-    (_, x, *_), lengths = _stretches([r], 0.2, 10, last=False)
-    (_, held, *_), _ = _stretches([r], 0.2, 10, last=True)
-    assert lengths == [80]
+    parts = block_parts(r, 0.2, 10, last=False)
+    _, x, *_ = stacked(parts)
+    _, held, *_ = stacked(block_parts(r, 0.2, 10, last=True))
+    assert [part.runs * part.steps for part in parts] == [80]
     assert set(held[:, 0] // 1000) == {4}
     assert set(x[:, 0] // 1000) == {0, 1, 2, 3}
-
-
-def test_several_logs_stay_apart(illustrative):
-    logs = [counted(1, 50, illustrative), counted(3, 10, illustrative)]
-    _, lengths = _stretches(logs, 0.2, 5, last=False)
-    assert lengths == [8] * 5 + [20]
 
 
 # ── the update ──

@@ -1,0 +1,38 @@
+"""The controllers that every learned policy is compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.checks import as_generator, as_instance
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.controllers import Controller, LinearFeedback, Passive
+from ccdtools.controllers.pid_tuning import tuned_pid
+from mpc import LinearMPC, lqr
+
+REFERENCE = "LQR"
+HORIZON = 20  # steps, of the MPC
+
+
+def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:
+    """The LQR of the nominal model at one design, with its inputs clipped to U."""
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    A, B, _ = problem.model.matrices(problem.design.check_one(design))
+    K, _ = lqr(A, B, Q=problem.objective.Q, R=problem.objective.R)
+    return LinearFeedback(K, *problem.input_bounds)
+
+
+def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> dict[str, Controller]:
+    """Passive, LQR, tuned PID and online MPC (horizon 20) for the nominal model at one design, by name."""
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_generator("rng", rng)
+    design = problem.design.check_one(design)
+    A, B, _ = problem.model.matrices(design)
+    Q, R = problem.objective.Q, problem.objective.R
+    return {
+        "passive": Passive(problem.model.nu),
+        REFERENCE: saturated_lqr(problem, design),
+        "PID": tuned_pid(problem, design, rng=rng),
+        "MPC": LinearMPC(A, B, Q=Q, R=R, horizon=HORIZON, X=problem.X, U=problem.U),
+    }

@@ -1,0 +1,171 @@
+"""What a simulation hands to a controller beside the state."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_count, as_floats, finite, shown
+from ccdtools.controllers.controllers import SIGNALS, Controller
+from ccdtools.exceptions import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Reference(Immutable):
+    """What a tracking controller is to follow.
+
+    Parameters
+    ----------
+    x : (nx,) or (T, nx) array_like
+        State reference; a shorter one holds its last row.
+    u : (nu,) or (T, nu) array_like, optional
+        The input that belongs to it.
+    """
+
+    x: ArrayField
+    u: ArrayField = None
+
+    def __post_init__(self) -> None:
+        for name in ("x", "u"):
+            value = getattr(self, name)
+            if value is None and name == "u":
+                continue
+            rows = np.atleast_2d(as_floats(f"reference.{name}", value))
+            if rows.ndim != 2 or rows.size == 0:
+                raise InputError(f"reference.{name}", f"shape {rows.shape}", "one row, or one row per sample")
+            object.__setattr__(self, name, frozen(finite(f"reference.{name}", rows)))
+
+    def check(self, nx: int, nu: int) -> None:
+        """Raise an `InputError` unless it has so many states and inputs."""
+        for name, rows, size in (("x", self.x, nx), ("u", self.u, nu)):
+            if rows is not None and rows.shape[1] != size:
+                raise InputError(f"reference.{name}", f"{rows.shape[1]} columns", str(size))
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """All that a simulation knows beside the states: T samples of n runs.
+
+    Attributes
+    ----------
+    disturbances : (n, T, nw) array
+    reference : Reference or None
+    output : (ny, nx) array or None
+        Measured outputs y = C x; the state itself where it is None.
+    """
+
+    disturbances: Array
+    reference: Reference | None
+    output: Array | None
+
+
+class Driver:
+    """A controller with its own memory for n runs, called with what it needs.
+
+    Raises
+    ------
+    InputError
+        If the controller cannot be called, needs an unknown signal, or a reference that was not given.
+    """
+
+    def __init__(self, controller: Controller, surroundings: Surroundings, runs: int, nu: int) -> None:
+        self.needs = needs_of(controller)
+        if "reference" in self.needs and surroundings.reference is None:
+            raise InputError("reference", "nothing", "a reference, which the controller needs")
+        self.surroundings = surroundings
+        self.horizon = getattr(controller, "horizon", None)
+        self.copies, self.batched = _copies(controller, runs, one_by_one="preview" in self.needs)
+        self.last = np.zeros((runs, nu))
+
+    def __call__(self, k: int, x: Array) -> Any:
+        """Inputs (n, nu) at sample k for states (n, nx)."""
+        if self.batched:
+            return self.copies[0](x, **self._signals(k, x, self.last, slice(None))) if self.needs else self.copies[0](x)
+        return np.stack([
+            np.asarray(controller(x[i], **self._signals(k, x[i], self.last[i], i)), dtype=float)
+            for i, controller in enumerate(self.copies)
+        ])  # fmt: skip
+
+    def remember(self, u: Array) -> None:
+        """Keep the inputs (n, nu) that were applied."""
+        self.last = u
+
+    def _signals(self, k: int, x: Array, last: Array, run: int | slice) -> dict[str, Any]:
+        """The keyword arguments of one call; `x` and `last` are rows of the run, or of all runs."""
+        around, ahead, signals = self.surroundings, self.horizon, dict[str, Any]()
+        if "time" in self.needs:
+            signals["time"] = k
+        if "reference" in self.needs and around.reference is not None:
+            signals["x_ref"] = _window(around.reference.x, k, None if ahead is None else ahead + 1)
+            if around.reference.u is not None:
+                signals["u_ref"] = _window(around.reference.u, k, ahead)
+        if "preview" in self.needs:
+            signals["w"] = _window(around.disturbances[run], k, ahead)
+        if "last_input" in self.needs:
+            signals["u_prev"] = last
+        if "output" in self.needs:
+            signals["y"] = x if around.output is None else x @ around.output.T
+        return signals
+
+
+def needs_of(controller: Any) -> frozenset[str]:
+    """What a controller needs beside the state.
+
+    Raises
+    ------
+    InputError
+        If it cannot be called, or names a signal that does not exist.
+    """
+    if isinstance(controller, type) or not callable(controller):
+        cure = "A gain K becomes a controller with LinearFeedback(K), for u = −K x."
+        cure = cure if isinstance(controller, np.ndarray | list | tuple) else ""
+        raise InputError("controller", shown(controller), "a callable u = controller(x)", cure)
+    needs: Any = getattr(controller, "needs", frozenset())
+    if isinstance(needs, str) or not isinstance(needs, Iterable) or not set(needs) <= set(SIGNALS):
+        raise InputError("controller.needs", shown(needs), f"some of {', '.join(SIGNALS)}")
+    horizon = getattr(controller, "horizon", None)
+    if needs and horizon is not None:
+        as_count("controller.horizon", horizon)
+    return frozenset(needs)
+
+
+def one_call(controller: Controller, x: Array, surroundings: Surroundings, nu: int) -> Any:
+    """A function without arguments that calls the controller for one state (nx,), for timing."""
+    driver = Driver(controller, surroundings, 1, nu)
+    signals = driver._signals(0, x, driver.last[0], 0)
+    return lambda: driver.copies[0](x, **signals)
+
+
+def _copies(controller: Any, runs: int, *, one_by_one: bool) -> tuple[list[Any], bool]:
+    """The controllers to call, and whether the only one of them takes all runs at once."""
+    reset = getattr(controller, "reset", None)
+    if reset is None:
+        return [controller] * (runs if one_by_one else 1), not one_by_one
+    if _takes_count(reset) and not one_by_one:
+        own = copy.deepcopy(controller)
+        own.reset(runs)
+        return [own], True
+    copies = [copy.deepcopy(controller) for _ in range(runs)]
+    for own in copies:
+        own.reset(*((1,) if _takes_count(reset) else ()))
+    return copies, False
+
+
+def _takes_count(reset: Any) -> bool:
+    """Whether `reset` takes the number of runs."""
+    return len(inspect.signature(reset).parameters) > 0
+
+
+def _window(rows: ArrayLike, k: int, length: int | None) -> Array:
+    """Row k, or `length` rows from k on; the last row is held beyond the end."""
+    rows = np.asarray(rows)
+    if length is None:
+        return rows[min(k, len(rows) - 1)]
+    return rows[np.minimum(np.arange(k, k + length), len(rows) - 1)]

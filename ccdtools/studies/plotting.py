@@ -1,0 +1,37 @@
+"""The picture of a comparison."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ccdtools.studies.comparison import Comparison
+
+
+def plot_scores(comparison: Comparison, ax: Any = None) -> Any:
+    """Mean returns with their 95 % intervals, one row per controller; those that always diverged stay empty.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    ax : matplotlib axes, optional
+        A new figure by default.
+
+    Returns
+    -------
+    matplotlib axes
+    """
+    if ax is None:
+        from matplotlib.figure import Figure
+
+        ax = Figure(figsize=(6.0, 0.6 + 0.4 * len(comparison)), layout="constrained").add_subplot()
+    means = np.array([score.summary.mean for score in comparison])
+    ends = np.array([score.summary.ci95 for score in comparison])
+    rows = np.arange(len(comparison))
+    ax.errorbar(means, rows, xerr=np.abs(ends.T - means), fmt="o", capsize=3)
+    ax.set_yticks(rows, [score.controller for score in comparison])
+    ax.invert_yaxis()
+    ax.set_xlabel("return (mean and 95 % interval)")
+    return ax

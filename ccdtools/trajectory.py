@@ -1,0 +1,80 @@
+"""What a simulation or a deployment leaves behind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.checks import as_floats, as_instance
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.exceptions import InputError
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(Immutable):
+    """Closed-loop runs; all arrays are read-only.
+
+    Attributes
+    ----------
+    states : (n, T + 1, nx) array
+    inputs : (n, T, nu) array
+        Inputs as applied.
+    disturbances : (n, T, nw) array
+    diverged_at : (n,) int array
+        First step after which a run had left `limit`, or −1. Such a run is stopped there: its later states
+        repeat the last one and its later inputs are zero.
+    design : (np,) array
+    dt : float
+        Sampling time [s].
+    """
+
+    states: Array
+    inputs: Array
+    disturbances: Array
+    diverged_at: NDArray[np.int64]
+    design: Array
+    dt: float
+
+    def __post_init__(self) -> None:
+        for name in ("states", "inputs", "disturbances", "design"):
+            object.__setattr__(self, name, frozen(as_floats(name, getattr(self, name))))
+        object.__setattr__(self, "diverged_at", frozen(np.array(self.diverged_at, dtype=np.int64)))
+        n, steps = self.inputs.shape[:2] if self.inputs.ndim == 3 else (-1, -1)
+        shapes = (self.states.shape[:2], self.disturbances.shape[:2], self.diverged_at.shape)
+        if shapes != ((n, steps + 1), (n, steps), (n,)) or self.states.ndim != 3 or self.disturbances.ndim != 3:
+            got = f"shapes {self.states.shape}, {self.inputs.shape}, {self.disturbances.shape}"
+            raise InputError("states, inputs, disturbances", got, "(n, T + 1, nx), (n, T, nu) and (n, T, nw)")
+
+    def __repr__(self) -> str:
+        n, steps, nu = self.inputs.shape
+        sizes = f"{n} runs of {steps} steps, {self.states.shape[2]} states, {nu} inputs"
+        return f"Trajectory({sizes}, dt = {self.dt:g} s, {int(self.diverged.sum())} diverged)"
+
+    @property
+    def diverged(self) -> NDArray[np.bool_]:
+        """Runs that left the divergence limit, (n,)."""
+        return self.diverged_at >= 0
+
+    @property
+    def time(self) -> Array:
+        """Sample times [s], (T + 1,)."""
+        return self.dt * np.arange(self.states.shape[1], dtype=float)
+
+    def rewards(self, objective: QuadraticObjective) -> Array:
+        """Rewards (n, T); zero after a run was stopped."""
+        as_instance("objective", objective, QuadraticObjective, "a QuadraticObjective")
+        sizes = (len(objective.Q), len(objective.R))
+        own = (self.states.shape[2], self.inputs.shape[2])
+        if sizes != own:
+            raise InputError("objective", "weights of {} states and {} inputs".format(*sizes), "{} and {}".format(*own))
+        rewards = objective.rewards(self.states[:, 1:], self.inputs)
+        steps = np.arange(rewards.shape[1])
+        over = self.diverged[:, None] & (steps > self.diverged_at[:, None])
+        return np.where(over, 0.0, rewards)
+
+    def returns(self, objective: QuadraticObjective) -> Array:
+        """Undiscounted returns (n,); read them together with `diverged`."""
+        return self.rewards(objective).sum(axis=1)

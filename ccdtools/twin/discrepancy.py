@@ -1,0 +1,200 @@
+"""What deployment has taught about a model's error: conditional quantiles, and the model that they update."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ccdtools.arrays import Array, ArrayField, Immutable
+from ccdtools.checks import as_choice, as_flag, as_instance, as_weight
+from ccdtools.exceptions import InputError
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.discretisation import LinearModel
+from ccdtools.twin.residuals import Residuals
+from learning.quantile import QuantileNetwork, pinball
+
+NOISES = ("none", "quantiles", "replayed")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Discrepancy(Immutable):
+    """Learned conditional quantiles of the one-step error e⁺ given (e, x, u), or (e, x, u, p).
+
+    Attributes
+    ----------
+    network : QuantileNetwork
+    weight : (nx, nx) array
+        Q_q of the penalty Δeᵀ Q_q Δe on the width Δe between the outer levels; positive semidefinite.
+    design_as_feature : bool
+        Whether the network also sees p. The default follows the paper, which takes the error as independent
+        of p; E(p) w and input gains that depend on p break that assumption.
+    noise : {"none", "quantiles", "replayed"}
+        What is added to the median. Nothing: the model is then deterministic. Draws from the learned distribution,
+        linear between and beyond the levels. Or given innovations: what the median left unexplained in the log,
+        replayed with its own correlation in time.
+    """
+
+    network: QuantileNetwork
+    weight: ArrayField
+    design_as_feature: bool = False
+    noise: str = "none"
+
+    def __post_init__(self) -> None:
+        as_instance("network", self.network, QuantileNetwork, "a QuantileNetwork", "fit_quantiles makes one.")
+        object.__setattr__(self, "weight", as_weight("weight", self.weight, self.network.outputs))
+        as_flag("design_as_feature", self.design_as_feature)
+        as_choice("noise", self.noise, NOISES)
+
+    def __repr__(self) -> str:
+        levels = ", ".join(f"{level:g}" for level in self.network.levels)
+        return f"Discrepancy({self.network.outputs} states, levels {levels}, noise {self.noise!r})"
+
+    def features(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor) -> Tensor:
+        """Inputs of the network, (n, ·)."""
+        columns = [e, x, u]
+        if self.design_as_feature:
+            columns.append(p.expand(*x.shape[:-1], p.shape[-1]))
+        return torch.cat(columns, dim=-1)
+
+    def median(self, log: Residuals) -> Array:
+        """Predicted median of e⁺ along a log, (n, T, nx)."""
+        e, x, u, p = (torch.tensor(a, dtype=torch.float32) for a in (log.e, log.x, log.u, log.p))
+        with torch.no_grad():
+            return self.network(self.features(e, x, u, p))[..., len(self.network.levels) // 2, :].double().numpy()
+
+    def advance(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
+        """e⁺ (n, nx) and the width penalty (n,).
+
+        `w` (n, nx) holds draws uniform in [0, 1] or innovations, as `noise` says; it is not used for "none".
+        """
+        quantiles = self.network(self.features(e, x, u, p))
+        median = quantiles[..., len(self.network.levels) // 2, :]
+        width = quantiles[..., -1, :] - quantiles[..., 0, :]
+        weight = x.new_tensor(self.weight.tolist())
+        penalty = ((width @ weight) * width).sum(-1)
+        if self.noise == "quantiles":
+            return self._draw(quantiles, w), penalty
+        return (median + w if self.noise == "replayed" else median), penalty
+
+    def _draw(self, quantiles: Tensor, w: Tensor) -> Tensor:
+        """The inverse distribution function at `w`, piecewise linear through the quantiles."""
+        levels = torch.tensor(self.network.levels, dtype=quantiles.dtype)
+        k = torch.searchsorted(levels, w.contiguous()).clamp(1, len(levels) - 1)
+        low, high = (quantiles.gather(-2, i.unsqueeze(-2)).squeeze(-2) for i in (k - 1, k))
+        return low + (w - levels[k - 1]) / (levels[k] - levels[k - 1]) * (high - low)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TwinPlant(Immutable):
+    """The updated model as a plant to simulate: x⁺ = A(p) x + B(p) u + e⁺, with e⁺ from a discrepancy.
+
+    Its disturbance w (nx,) is what the discrepancy's noise asks for.
+    """
+
+    model: LinearModel
+    discrepancy: Discrepancy
+
+    def __post_init__(self) -> None:
+        as_instance("model", self.model, LinearModel, "a LinearModel")
+        as_instance("discrepancy", self.discrepancy, Discrepancy, "a Discrepancy")
+        if self.discrepancy.network.outputs != self.model.nx:
+            raise InputError("discrepancy", f"{self.discrepancy.network.outputs} states", f"{self.model.nx}")
+
+    def __repr__(self) -> str:
+        return f"TwinPlant({self.model!r}, {self.discrepancy!r})"
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return self.model.nx
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return self.model.nu
+
+    @property
+    def nw(self) -> int:
+        """Number of disturbances, one per state."""
+        return self.model.nx
+
+    @property
+    def dt(self) -> float:
+        """Sampling time [s]."""
+        return self.model.dt
+
+    @property
+    def design(self) -> DesignSpace | None:
+        """The box of designs."""
+        return self.model.design
+
+    def stepper(self, p: Array, *, batch: int) -> TwinStepper:
+        """(x, u, w) → x⁺ at design `p` (np,), from e₀ = 0, remembering e."""
+        return TwinStepper(self, p, batch)
+
+
+class TwinStepper:
+    """The steps of a `TwinPlant` along n runs: the error e is its memory."""
+
+    def __init__(self, plant: TwinPlant, p: Array, batch: int) -> None:
+        self._discrepancy = plant.discrepancy
+        self._A, self._B, _ = plant.model.matrices(p)
+        self._p = torch.tensor(p, dtype=torch.float32)
+        self._e = np.zeros((batch, plant.nx))
+
+    def __call__(self, x: Array, u: Array, w: Array) -> Array:
+        """Next states (n, nx) of states (n, nx), inputs (n, nu) and noise (n, nx)."""
+        e, state, applied, drawn = (torch.tensor(a, dtype=torch.float32) for a in (self._e, x, u, w))
+        with torch.no_grad():
+            self._e = self._discrepancy.advance(e, state, applied, self._p, drawn)[0].double().numpy()
+        return x @ self._A.T + u @ self._B.T + self._e
+
+
+@dataclass(frozen=True)
+class QuantileScores:
+    """How well the learned quantiles describe a held-out stretch, per state where a tuple.
+
+    Attributes
+    ----------
+    rmse, nominal_rmse : tuple of float
+        Root mean square one-step error of the median model, and of the nominal one, in the units of the states.
+    pinball, constant_pinball : tuple of float
+        Mean pinball loss of the network, and of the constant quantiles of the training stretch.
+    coverage : tuple of float
+        Fraction of e⁺ between the outer levels.
+    nominal_coverage : float
+        What the outer levels promise.
+    samples : int
+    """
+
+    rmse: tuple[float, ...]
+    nominal_rmse: tuple[float, ...]
+    pinball: tuple[float, ...]
+    constant_pinball: tuple[float, ...]
+    coverage: tuple[float, ...]
+    nominal_coverage: float
+    samples: int
+
+
+def score_quantiles(network: QuantileNetwork, inputs: Array, e_next: Array, trained: Array) -> QuantileScores:
+    """How well `network` describes the errors e⁺ (n, nx) at `inputs`; `trained` holds those it was fitted to."""
+    quantiles = network.predict(inputs)
+    levels = network.levels
+    constant = np.broadcast_to(np.quantile(trained, levels, axis=0)[None], quantiles.shape)
+    inside = (e_next >= quantiles[:, 0]) & (e_next <= quantiles[:, -1])
+
+    def root_mean_square(error: Array) -> tuple[float, ...]:
+        return tuple(np.sqrt(np.mean(error**2, axis=0)).tolist())
+
+    return QuantileScores(
+        rmse=root_mean_square(e_next - quantiles[:, len(levels) // 2]),
+        nominal_rmse=root_mean_square(e_next),
+        pinball=tuple(pinball(e_next, quantiles, levels).tolist()),
+        constant_pinball=tuple(pinball(e_next, constant, levels).tolist()),
+        coverage=tuple(inside.mean(axis=0).tolist()),
+        nominal_coverage=levels[-1] - levels[0],
+        samples=len(e_next),
+    )

@@ -1,0 +1,112 @@
+"""One-step errors of a nominal model along a log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.checks import as_instance
+from ccdtools.exceptions import InputError
+from ccdtools.plants.discretisation import LinearModel
+from ccdtools.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Residuals(Immutable):
+    """One-step errors of a nominal model along logged runs, in time order within each run; arrays are read-only.
+
+    Attributes
+    ----------
+    e, x, u : (n, T, ·) arrays
+        Error before the step (e₀ = 0), measured state and applied input.
+    p : (np,) array
+        Design of the log.
+    e_next : (n, T, nx) array
+        e⁺ = x⁺ − A(p) x − B(p) u, at the measured state.
+    """
+
+    e: Array
+    x: Array
+    u: Array
+    p: Array
+    e_next: Array
+
+    def __post_init__(self) -> None:
+        for name in ("e", "x", "u", "p", "e_next"):
+            value = getattr(self, name)
+            object.__setattr__(self, name, frozen(np.array(value, dtype=float)))
+
+    def __repr__(self) -> str:
+        return f"Residuals({self.runs} runs of {self.steps} steps, {self.x.shape[2]} states)"
+
+    @property
+    def runs(self) -> int:
+        """Number of runs n."""
+        return self.x.shape[0]
+
+    @property
+    def steps(self) -> int:
+        """Length T of a run."""
+        return self.x.shape[1]
+
+    def part(self, runs: slice, steps: slice) -> Residuals:
+        """A stretch of the log."""
+        return replace(self, **{name: getattr(self, name)[runs, steps] for name in ("e", "x", "u", "e_next")})
+
+    def columns(self) -> tuple[Array, Array, Array, Array, Array]:
+        """e, x, u, p and e⁺ of all samples, one after the other, (n T, ·) each."""
+        p = np.broadcast_to(self.p, (*self.x.shape[:2], len(self.p)))
+        e, x, u, p, e_next = (c.reshape(-1, c.shape[-1]) for c in (self.e, self.x, self.u, p, self.e_next))
+        return e, x, u, p, e_next
+
+
+def residuals(model: LinearModel, log: Trajectory) -> Residuals:
+    """One-step errors e⁺ of `model` along the runs of `log` that did not diverge.
+
+    Raises
+    ------
+    InputError
+        If every run diverged, or the log is not of such a plant.
+    """
+    as_instance("model", model, LinearModel, "a LinearModel", "Pass discretise(plant).")
+    check_log(model, log)
+    kept = ~log.diverged
+    if not kept.any():
+        raise InputError("log", f"{len(kept)} runs that all diverged", "at least one that did not")
+    A, B, _ = model.matrices(log.design)
+    x, u = log.states[kept], log.inputs[kept]
+    e_next = x[:, 1:] - x[:, :-1] @ A.T - u @ B.T
+    e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
+    return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next)
+
+
+def check_log(model: LinearModel, log: Trajectory) -> None:
+    """Raise an `InputError` unless `log` has the states, inputs and sampling time of `model`."""
+    as_instance("log", log, Trajectory, "a Trajectory, from deploy or simulate")
+    sizes = (log.states.shape[2], log.inputs.shape[2])
+    if sizes != (model.nx, model.nu):
+        raise InputError("log", f"{sizes[0]} states and {sizes[1]} inputs", f"{model.nx} and {model.nu} of the model")
+    if not np.isclose(log.dt, model.dt):
+        raise InputError("log", f"dt = {log.dt:g} s", f"dt = {model.dt:g} s of the model")
+
+
+def block_parts(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[Residuals]:
+    """The first (or the held-out last) part of every block of a log, in time order.
+
+    A single long run is cut into blocks; several runs, one after the other, are one block of whole runs.
+    """
+    if log.runs > 1:
+        cut = log.runs - max(1, round(held_out * log.runs))
+        return [log.part(slice(cut, None) if last else slice(None, cut), slice(None))]
+    edges = np.linspace(0, log.steps, blocks + 1).round().astype(int)
+    cuts = edges[1:] - np.round(held_out * np.diff(edges)).astype(int)
+    spans = zip(cuts, edges[1:]) if last else zip(edges[:-1], cuts)
+    return [log.part(slice(None), slice(a, b)) for a, b in spans]
+
+
+def stacked(parts: Sequence[Residuals]) -> list[Array]:
+    """The columns e, x, u, p and e⁺ of several parts, one after the other."""
+    return [np.concatenate(column) for column in zip(*(part.columns() for part in parts))]
