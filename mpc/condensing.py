@@ -1,127 +1,129 @@
-"""From a linear MPC to its QP: every input and state is affine in ξ = (θ, z), so cost and constraints follow."""
+"""From the statement of an MPC to its QP: every input and state is affine in ξ = (θ, z), so cost and rows follow."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from mpc.checks import Array
 from mpc.exceptions import InputError, NotConvexError
+from mpc.feedback import block_lengths, stabilising_feedback
 from mpc.parametric_qp import Constraint, ParametricQP
-
-if TYPE_CHECKING:
-    from mpc.linear_mpc import LinearMPC
-
-_GROWTH = 1e3  # growth of A^k over the horizon above which the free variable is the deviation from an LQR
+from mpc.problem import MPCProblem
+from mpc.tolerances import DEFINITE
 
 
-def condense(mpc: LinearMPC, parameters: tuple[str, ...]) -> ParametricQP:
-    """QP of `mpc` in the free inputs, with the states eliminated.
+def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> ParametricQP:
+    """QP of `problem` in the free inputs, with the states eliminated.
 
-    For unstable plants over long horizons the free variable is v_k = u_k + K x_k instead of u_k, which keeps the
-    Hessian well conditioned (Rossiter, Kouvaritakis and Rice, Automatica 34(1), 1998); the problem is the same.
+    For unstable plants over long horizons the free variable is v = u + K x instead of u, see `stabilising_feedback`.
 
     Parameters
     ----------
-    mpc : LinearMPC
-        The controller.
+    problem : MPCProblem
+        The statement.
     parameters : tuple of str
         What besides the state is left open: "u_prev", "x_ref", "u_ref", "w".
 
     Raises
     ------
+    InputError
+        An unknown parameter.
     NotConvexError
         The condensed Hessian is not positive definite.
     """
-    sizes = _sizes(mpc, parameters)
-    nt = sum(sizes.values())
-    free = _blocking(mpc)
-    at, column = {}, 0
-    for name, size in sizes.items():
-        at[name] = slice(column, column + size)
-        column += size
-    nv = nt + free.shape[1]
-    U, X = _predict(mpc, free, at, nt)
-    W = _cost(mpc, U, X, at, nv)
-    rows, w, labels = _constraints(mpc, U, X, at)
-    H, f = 2 * W[nt:, nt:], np.zeros(nv - nt)
-    if mpc.soft is not None:
-        rows, w, labels, H, f = _soften(mpc, rows, w, labels, H)
+    layout = _Layout(problem, _sizes(problem, parameters))
+    nt, nv, at = layout.nt, layout.nv, layout.at
+    U, X = _predict(problem, layout)
+    W = _cost(problem, U, X, at, nv)
+    rows, w, labels = _constraints(problem, U, X, at)
+    H = 2 * W[nt:, nt:]
+    f = np.zeros(nv - nt)
+    if problem.soft is not None:
+        rows, w, labels, H, f = _soften(problem, rows, w, labels, H)
     _check_convex(H)
-    slack = len(H) - free.shape[1]
+    slack = len(H) - (nv - nt)
     (Lt, Lz), (Xt, Xz) = (np.split(form.reshape(-1, nv), [nt], axis=1) for form in (U, X))
     return ParametricQP(
         H=H, F=np.vstack([2 * W[nt:, :nt], np.zeros((slack, nt))]), f=f, Y=2 * W[:nt, :nt], y=np.zeros(nt), c=0.0,
         G=rows[:, nt:], w=w, S=-rows[:, :nt],
         Lz=np.hstack([Lz, np.zeros((len(Lz), slack))]), Lt=Lt, l=np.zeros(len(Lz)),
         Xz=np.hstack([Xz, np.zeros((len(Xz), slack))]), Xt=Xt, x=np.zeros(len(Xz)),
-        nu=mpc.nu, parameters=tuple(sizes.items()), labels=tuple(labels),
+        nu=problem.nu, parameters=tuple(layout.sizes.items()), labels=tuple(labels),
     )  # fmt: skip
 
 
-def _sizes(mpc: LinearMPC, parameters: tuple[str, ...]) -> dict[str, int]:
-    known = {"u_prev": mpc.nu, "x_ref": (mpc.horizon + 1) * mpc.nx, "u_ref": mpc.horizon * mpc.nu}
-    if mpc.E is not None:
-        known["w"] = mpc.horizon * mpc.E.shape[1]
-    if mpc.rate_limit is not None:
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Where each parameter stands in ξ = (θ, z); z holds one input for each block."""
+
+    problem: MPCProblem
+    sizes: dict[str, int]
+    at: dict[str, slice] = field(init=False)
+    nt: int = field(init=False)
+    nv: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        ends = np.cumsum([0, *self.sizes.values()])
+        at = {name: slice(int(a), int(b)) for name, a, b in zip(self.sizes, ends[:-1], ends[1:])}
+        object.__setattr__(self, "at", at)
+        object.__setattr__(self, "nt", int(ends[-1]))
+        object.__setattr__(self, "nv", int(ends[-1]) + len(block_lengths(self.problem)) * self.problem.nu)
+
+
+def _sizes(problem: MPCProblem, parameters: tuple[str, ...]) -> dict[str, int]:
+    """Name and length of each parameter, the state first."""
+    known = {name: rows * columns for name, (rows, columns) in problem.signal_shapes.items()}
+    if problem.rate_limit is not None:
         parameters = ("u_prev", *(p for p in parameters if p != "u_prev"))
     for name in parameters:
         if name not in known:
-            raise InputError(f"unknown parameter {name!r}, expected some of {sorted(known)}.")
-    return {"x": mpc.nx, **{name: known[name] for name in parameters}}
+            raise InputError("parameters", f"unknown parameter {name!r}", f"some of {sorted(known)}")
+    return {"x": problem.nx, **{name: known[name] for name in parameters}}
 
 
-def _blocking(mpc: LinearMPC) -> Array:
-    """Map from the free inputs to all inputs: blocks of equal moves share a column."""
-    lengths = mpc.blocks if mpc.blocks is not None else (1,) * mpc.horizon
-    pattern = np.repeat(np.eye(len(lengths)), lengths, axis=0)
-    return np.asarray(np.kron(pattern, np.eye(mpc.nu)), dtype=np.float64)
-
-
-def _predict(mpc: LinearMPC, free: Array, at: dict[str, slice], nt: int) -> tuple[Array, Array]:
+def _predict(problem: MPCProblem, layout: _Layout) -> tuple[Array, Array]:
     """Inputs (N, nu, nv) and states (N + 1, nx, nv) as matrices acting on ξ."""
-    N, nx, nu, nv = mpc.horizon, mpc.nx, mpc.nu, nt + free.shape[1]
-    U, X = np.zeros((N, nu, nv)), np.zeros((N + 1, nx, nv))
-    U[:, :, nt:] = free.reshape(N, nu, -1)
-    X[0, :, at["x"]] = np.eye(nx)
-    K = _prestabilising_gain(mpc)
-    for k in range(N):
-        if K is not None:
-            U[k] -= K @ X[k]
-        X[k + 1] = mpc.A @ X[k] + mpc.B @ U[k]
-        if "w" in at and mpc.E is not None:
-            nw = mpc.E.shape[1]
-            start = at["w"].start + k * nw
-            X[k + 1, :, start : start + nw] += mpc.E
+    N, nx, nu, nv = problem.horizon, problem.nx, problem.nu, layout.nv
+    U = np.zeros((N, nu, nv))
+    X = np.zeros((N + 1, nx, nv))
+    X[0, :, layout.at["x"]] = np.eye(nx)
+    feedback = stabilising_feedback(problem)
+    block_of = np.repeat(np.arange(len(block_lengths(problem))), block_lengths(problem))
+    for k, b in enumerate(block_of):
+        if k and b == block_of[k - 1]:
+            U[k] = U[k - 1]
+        else:
+            column = layout.nt + b * nu
+            U[k, :, column : column + nu] = np.eye(nu)
+            if feedback is not None:
+                U[k] -= feedback[b] @ X[k]
+        X[k + 1] = problem.A @ X[k] + problem.B @ U[k]
+        if "w" in layout.at:
+            start = layout.at["w"].start + k * problem.nw
+            X[k + 1, :, start : start + problem.nw] += problem.E
     return U, X
 
 
-def _prestabilising_gain(mpc: LinearMPC) -> Array | None:
-    if mpc.blocks is not None:  # blocks of u are not blocks of v
-        return None
-    radius = float(np.abs(np.linalg.eigvals(mpc.A)).max())
-    return mpc.gain if mpc.horizon * np.log(max(radius, 1.0)) > np.log(_GROWTH) else None
-
-
-def _cost(mpc: LinearMPC, U: Array, X: Array, at: dict[str, slice], nv: int) -> Array:
+def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice], nv: int) -> Array:
     """Matrix W of the cost ξ'Wξ = Σ e'Qe + d'Rd + e_N'Pe_N."""
-    N = mpc.horizon
+    N = problem.horizon
     error, effort = X.copy(), U.copy()
     if "x_ref" in at:
-        error[:, :, at["x_ref"]] -= np.eye((N + 1) * mpc.nx).reshape(N + 1, mpc.nx, -1)
+        error[:, :, at["x_ref"]] -= np.eye((N + 1) * problem.nx).reshape(N + 1, problem.nx, -1)
     if "u_ref" in at:
-        effort[:, :, at["u_ref"]] -= np.eye(N * mpc.nu).reshape(N, mpc.nu, -1)
+        effort[:, :, at["u_ref"]] -= np.eye(N * problem.nu).reshape(N, problem.nu, -1)
     W = np.zeros((nv, nv))
     for k in range(N):
-        W += error[k].T @ mpc.Q @ error[k] + effort[k].T @ mpc.R @ effort[k]
-    W += error[N].T @ mpc.P @ error[N]
+        W += error[k].T @ problem.Q @ error[k] + effort[k].T @ problem.R @ effort[k]
+    W += error[N].T @ problem.P @ error[N]
     return (W + W.T) / 2
 
 
 def _constraints(
-    mpc: LinearMPC, U: Array, X: Array, at: dict[str, slice]
+    problem: MPCProblem, U: Array, X: Array, at: dict[str, slice]
 ) -> tuple[Array, Array, list[Constraint]]:
     """Rows (m, nv) with rows ξ <= w, and their labels."""
     nv = U.shape[-1]
@@ -134,43 +136,34 @@ def _constraints(
         bounds.append(h)
         labels.extend(Constraint(kind, step, i) for i in range(len(h)))
 
-    for k in range(mpc.horizon):
-        impose("input", k, mpc.input_rows, U[k])
-        if mpc.rate_limit is not None:
+    for k in range(problem.horizon):
+        impose("input", k, problem.input_rows, U[k])
+        if problem.rate_limit is not None:
             before = U[k - 1] if k else np.zeros_like(U[0])
             if k == 0:
-                before[:, at["u_prev"]] = np.eye(mpc.nu)
-            both = np.vstack([np.eye(mpc.nu), -np.eye(mpc.nu)])
-            impose("rate", k, (both, np.tile(mpc.rate_limit, 2)), U[k] - before)
-        impose("state", k + 1, mpc.state_rows, X[k + 1])
-    impose("terminal", mpc.horizon, mpc.terminal_rows, X[mpc.horizon])
+                before[:, at["u_prev"]] = np.eye(problem.nu)
+            both = np.vstack([np.eye(problem.nu), -np.eye(problem.nu)])
+            impose("rate", k, (both, np.tile(problem.rate_limit, 2)), U[k] - before)
+        impose("state", k + 1, problem.state_rows, X[k + 1])
+    impose("terminal", problem.horizon, problem.terminal_rows, X[problem.horizon])
     return np.vstack(rows), np.concatenate(bounds), labels
 
 
-def state_units(mpc: LinearMPC, labels: list[Constraint] | tuple[Constraint, ...]) -> Array:
-    """Size of each row's bound, the unit in which violations of different rows are compared."""
-    bounds = {"state": mpc.state_rows[1], "terminal": mpc.terminal_rows[1], "input": mpc.input_rows[1]}
-    if mpc.rate_limit is not None:
-        bounds["rate"] = np.tile(mpc.rate_limit, 2)
-    units = []
-    for label in labels:
-        if label.kind not in bounds:
-            units.append(1.0)
-            continue
-        h = np.abs(bounds[label.kind])
-        units.append(float(h[label.row] or h.max() or 1.0))
-    return np.array(units)
+def row_units(problem: MPCProblem, labels: list[Constraint] | tuple[Constraint, ...]) -> Array:
+    """Size of each row's bound, the unit in which violations of different rows are compared; 1 for a slack."""
+    units = problem.row_units
+    return np.array([units[label.kind][label.row] if label.kind in units else 1.0 for label in labels])
 
 
 def _soften(
-    mpc: LinearMPC, rows: Array, w: Array, labels: list[Constraint], H: Array
+    problem: MPCProblem, rows: Array, w: Array, labels: list[Constraint], H: Array
 ) -> tuple[Array, Array, list[Constraint], Array, Array]:
     """One slack per step, in units of the bounds, with the cost linear * s + quadratic * s²."""
-    assert mpc.soft is not None
-    linear, quadratic = mpc.soft
-    N = mpc.horizon
+    assert problem.soft is not None
+    linear, quadratic = problem.soft
+    N = problem.horizon
     columns = np.zeros((len(rows), N))
-    for i, (label, unit) in enumerate(zip(labels, state_units(mpc, labels))):
+    for i, (label, unit) in enumerate(zip(labels, row_units(problem, labels))):
         if label.kind in ("state", "terminal"):
             columns[i, label.step - 1] = -unit
     nonnegative = np.hstack([np.zeros((N, rows.shape[1])), -np.eye(N)])
@@ -181,12 +174,15 @@ def _soften(
 
 
 def _check_convex(H: Array) -> None:
+    """Raise where the Hessian, scaled to a unit diagonal, has an eigenvalue near zero."""
     d = np.sqrt(np.abs(np.diag(H)))
-    scaled = H / np.outer(d, d) if d.all() and np.isfinite(H).all() else None
+    scaled = H / d / d[:, None] if d.all() and np.isfinite(H).all() else None
     smallest = -np.inf if scaled is None else float(np.linalg.eigvalsh(scaled)[0])
-    if smallest < 1e-13:
+    if smallest < DEFINITE:
         raise NotConvexError(
-            f"the condensed Hessian is not positive definite (scaled smallest eigenvalue {smallest:.3g}, expected "
-            "> 1e-13): some input is free of cost. Make R positive definite, or Q and P see every input; an unstable "
-            "plant with move blocking needs a shorter horizon."
+            f"the condensed Hessian is not positive definite: got a scaled smallest eigenvalue of {smallest:.3g}, "
+            f"expected > {DEFINITE:.0e}; some input is free of cost. Make R positive definite, or let Q and P see "
+            "every input.",
+            "Hessian",
+            smallest,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +11,10 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.plan import Residuals
+from mpc.tolerances import FAR_BOUND, INTERIOR_POINT, KKT, NEGLIGIBLE, PRIMAL, UNREACHED
 
-TOLERANCE = 1e-7  # relative KKT residual above which the second solver is asked
 _NO_BOUND = 1e30
-_SETTINGS = {"primal_tol": 1e-9, "iter_limit": 10_000}
+_SETTINGS = {"primal_tol": PRIMAL, "iter_limit": 10_000}
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +31,25 @@ class QPResult:
 class DenseQP:
     """Minimise ½ z'Hz + q'z subject to Gz <= b for many (q, b), H positive definite.
 
-    Variables are scaled by the diagonal of H and rows to unit length, so the answer does not depend on the units of
-    inputs, states or cost. The solver is DAQP, a dual active-set method that keeps its factorisation and last active
-    set (Arnström, Bemporad and Axehill, IEEE TAC 67(8), 2022). Its answer is checked against the optimality
-    conditions; where they do not hold to `TOLERANCE`, Clarabel, an interior-point method, is asked as well and the
-    better answer returned. The workspace makes an instance unsuited to use from two threads at once.
+    Variables are scaled by the diagonal of H, rows to unit length and bounds to size one, so the answer does not
+    depend on the units of inputs, states or cost. The solver is DAQP, a dual active-set method that keeps its
+    factorisation and last active set (Arnström, Bemporad and Axehill, IEEE TAC 67(8), 2022). Its answer is checked
+    against the optimality conditions; where they do not hold to `tolerances.KKT`, Clarabel, an interior-point method,
+    is asked as well and the better answer returned. Every thread has a workspace of its own.
+
+    Parameters
+    ----------
+    H : (n, n) array
+        Hessian, positive definite.
+    G : (m, n) array
+        Rows of the constraints.
+    units : (m,) array, optional
+        Typical size of each entry of b; by default the sizes in b itself, taken anew in every solve.
     """
 
-    def __init__(self, H: Array, G: Array):
+    def __init__(self, H: Array, G: Array, units: Array | None = None):
         self._d = 1 / np.sqrt(np.diag(H))
-        self._H = np.ascontiguousarray(H * np.outer(self._d, self._d))
+        self._H = np.ascontiguousarray(H * self._d * self._d[:, None])
         scaled = G * self._d
         length = np.linalg.norm(scaled, axis=1)
         self._rows = np.flatnonzero(length > 0)  # the other rows do not depend on z
@@ -47,53 +57,81 @@ class DenseQP:
         self._r = 1 / length[self._rows]
         self._G = np.ascontiguousarray(scaled[self._rows] * self._r[:, None])
         self._m = len(G)
-        self._model: daqp.Model | None = None
+        self._units = units
+        self._size = 0.0 if units is None else _typical(units[self._rows] * self._r)
+        self._workspace = threading.local()
 
     def __getstate__(self) -> dict[str, Any]:
         """The workspace of the solver is not copied: a copy sets up its own."""
-        return self.__dict__ | {"_model": None}
+        return {name: value for name, value in self.__dict__.items() if name != "_workspace"}
 
-    def solve(self, q: Array, b: Array, *, doubt: bool = False) -> QPResult:
-        """Solve for one linear cost and right-hand side; `doubt` has a verdict of infeasibility confirmed."""
-        qs, bs = np.ascontiguousarray(q * self._d), np.ascontiguousarray(b[self._rows] * self._r)
-        unreachable = bool((b[self._empty] < -1e-9 * max(1.0, float(np.abs(b).max(initial=0.0)))).any())
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._workspace = threading.local()
+
+    def solve(self, q: Array, b: Array, *, confirm_infeasible: bool = False) -> QPResult:
+        """Solve for one linear cost and right-hand side.
+
+        With `confirm_infeasible` a problem that DAQP calls infeasible is solved again with Clarabel before it is
+        reported so.
+        """
+        bs = b[self._rows] * self._r
+        size = self._size_of(bs)
+        qs = np.ascontiguousarray(q * self._d / size)
+        bs = np.ascontiguousarray(bs / size)
         z, y, flag = self._daqp(qs, bs)
         residuals = self._residuals(z, y, qs, bs)
         solver = "DAQP"
-        infeasible = unreachable or flag == -1
-        if (doubt and infeasible) or (not infeasible and not residuals.worst <= TOLERANCE):
+        infeasible = flag == -1
+        if (confirm_infeasible and infeasible) or (not infeasible and not residuals.worst <= KKT):
             z2, y2, infeasible = self._clarabel(qs, bs)
             second = self._residuals(z2, y2, qs, bs)
             if second.worst < residuals.worst:
                 z, y, residuals, solver = z2, y2, second, "Clarabel"
+            infeasible = infeasible and not residuals.worst <= KKT
         multipliers = np.zeros(self._m)
-        multipliers[self._rows] = y * self._r
-        return QPResult(z * self._d, multipliers, residuals, infeasible, solver)
+        multipliers[self._rows] = y * self._r * size
+        return QPResult(z * self._d * size, multipliers, residuals, infeasible or self._unreached(b), solver)
+
+    def _size_of(self, bs: Array) -> float:
+        """The size that becomes one: that of the bounds, or larger where the origin violates some by far more."""
+        size = _typical(bs) if self._units is None else self._size
+        return max(size, FAR_BOUND * float(np.max(-bs, initial=0.0)))
+
+    def _unreached(self, b: Array) -> bool:
+        """Whether a row that no variable reaches is violated."""
+        if not len(self._empty):
+            return False
+        unit = np.abs(b).max(initial=0.0) if self._units is None else self._units[self._empty]
+        return bool((b[self._empty] < -UNREACHED * unit).any())
 
     def _daqp(self, q: Array, b: Array) -> tuple[Array, Array, int]:
+        """Minimiser, multipliers and exit flag of DAQP, warm-started in this thread."""
         if not len(b):
             return np.asarray(np.linalg.solve(self._H, -q), dtype=np.float64), np.zeros(0), 1
-        if self._model is None:
+        model = getattr(self._workspace, "model", None)
+        if model is None:
             model = daqp.Model()
             model.settings = _SETTINGS
             lower = np.full(len(b), -_NO_BOUND)
             if model.setup(self._H, q, self._G, b, lower, np.zeros(len(b), dtype=np.int32))[0] < 0:
                 return np.full(len(q), np.nan), np.zeros(len(b)), 0
-            self._model = model
+            self._workspace.model = model
         else:
-            self._model.update(f=q, bupper=b)
-        z, _, flag, info = self._model.solve()
+            model.update(f=q, bupper=b)
+        z, _, flag, info = model.solve()
         if flag not in (1, -1):  # forget a spoilt working set
-            self._model = None
+            self._workspace.model = None
         return np.asarray(z), np.asarray(info["lam"]), int(flag)
 
     def _clarabel(self, q: Array, b: Array) -> tuple[Array, Array, bool]:
+        """Minimiser, multipliers and verdict of infeasibility of Clarabel."""
         import clarabel
         from scipy.sparse import csc_matrix, triu
 
         settings = clarabel.DefaultSettings()
         settings.verbose = False
-        settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = 1e-11
+        settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = INTERIOR_POINT
         # the cone solver is not scale-free in (q, b); z = σ z' makes both about one
         sigma = max(1.0, float(np.abs(q).max(initial=0.0)))
         cones = [clarabel.NonnegativeConeT(len(b))]
@@ -104,15 +142,13 @@ class DenseQP:
         infeasible = "PrimalInfeasible" in str(solution.status)
         return np.array(solution.x) * sigma, np.maximum(solution.z, 0.0) * sigma, infeasible
 
-    @staticmethod
-    def _middle(b: Array) -> float:
-        return float(np.partition(np.abs(b), len(b) // 2)[len(b) // 2]) if len(b) else 0.0
-
     def _residuals(self, z: Array, y: Array, q: Array, b: Array) -> Residuals:
         """Relative KKT residuals, from the scaled data alone."""
         # where everything vanishes, as at the origin, the bounds say what is small
-        tiny = max(1e-6 * self._middle(b), np.finfo(float).tiny)
-        Hz, Gy, Gz = self._H @ z, y @ self._G, self._G @ z
+        tiny = max(NEGLIGIBLE * _middle(b), np.finfo(float).tiny)
+        Hz = self._H @ z
+        Gy = y @ self._G
+        Gz = self._G @ z
         force = max(np.abs(Hz).max(initial=0.0), np.abs(q).max(initial=0.0), np.abs(Gy).max(initial=0.0), tiny)
         size = np.maximum(np.abs(b), max(np.abs(z).max(initial=0.0), tiny))
         active = max(np.abs(y).max(initial=0.0), force)
@@ -123,3 +159,16 @@ class DenseQP:
                 dual=float(np.max(-y, initial=0.0) / active),
                 complementarity=float(np.max(np.abs(y * (Gz - b)) / (active * size), initial=0.0)),
             )
+
+
+def _typical(b: Array) -> float:
+    """Size of the smaller bounds: a tenth of those that are not zero are smaller still."""
+    sizes = np.abs(b[b != 0])
+    if not len(sizes):
+        return 1.0
+    return max(float(np.partition(sizes, len(sizes) // 10)[len(sizes) // 10]), np.finfo(float).tiny)
+
+
+def _middle(b: Array) -> float:
+    """Median of |b|, or 0 without rows."""
+    return float(np.partition(np.abs(b), len(b) // 2)[len(b) // 2]) if len(b) else 0.0

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mpc.checks import Array
-from mpc.condensing import state_units
+from mpc.condensing import row_units
 from mpc.exceptions import InputError
 from mpc.parametric_qp import Constraint, ParametricQP
-
-if TYPE_CHECKING:
-    from mpc.linear_mpc import LinearMPC
+from mpc.problem import MPCProblem
 
 _ZERO = 1e-7  # violation, relative to the bound, that counts as none (feasibility tolerance of the LP solver)
 _FAR = 1e12  # bounds larger than this, relative to their unit, are scaled down
@@ -65,7 +62,7 @@ class Explanation:
         return self.text
 
 
-def explain_infeasibility(mpc: LinearMPC, problem: ParametricQP, theta: Array) -> Explanation:
+def explain_infeasibility(mpc: MPCProblem, problem: ParametricQP, theta: Array) -> Explanation:
     """Explanation of the QP at one parameter.
 
     The least sum of relative violations (a linear program) says what has to give; it is thinned until every member is
@@ -73,7 +70,7 @@ def explain_infeasibility(mpc: LinearMPC, problem: ParametricQP, theta: Array) -
 
     Parameters
     ----------
-    mpc : LinearMPC
+    mpc : MPCProblem
         Whose constraints are named.
     problem : ParametricQP
         Its QP.
@@ -84,7 +81,7 @@ def explain_infeasibility(mpc: LinearMPC, problem: ParametricQP, theta: Array) -
     ----------
     Chinneck, *Feasibility and Infeasibility in Optimization*, Springer 2008, chapters 6 and 7.
     """
-    units = state_units(mpc, problem.labels)
+    units = row_units(mpc, problem.labels)
     with np.errstate(over="ignore", invalid="ignore"):
         _, b = problem.at(theta)
     if not np.abs(b).max(initial=0.0) < _HUGE:
@@ -167,7 +164,7 @@ def _contradiction(G: Array, b: Array, rows: Rows) -> Rows:
     return current
 
 
-def describe(mpc: LinearMPC, label: Constraint) -> str:
+def describe(mpc: MPCProblem, label: Constraint) -> str:
     """The constraint in words, for instance "x[0] <= 5"."""
     if label.kind == "rate":
         j, sign = label.row % mpc.nu, label.row < mpc.nu
@@ -183,7 +180,7 @@ def describe(mpc: LinearMPC, label: Constraint) -> str:
     return f"row {label.row} of the {label.kind} set"
 
 
-def _sentence(mpc: LinearMPC, violations: tuple[Violation, ...], conflict: tuple[Constraint, ...]) -> str:
+def _sentence(mpc: MPCProblem, violations: tuple[Violation, ...], conflict: tuple[Constraint, ...]) -> str:
     gives = ", ".join(f"{v.meaning} by {v.amount:.3g} at step {v.constraint.step}" for v in violations)
     steps: dict[str, list[int]] = {}
     for label in conflict:

@@ -3,44 +3,29 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mpc.checks import (
-    Array,
-    as_array,
-    as_blocks,
-    as_floats,
-    as_halfspaces,
-    as_horizon,
-    as_pair,
-    as_rate_limit,
-    as_soft,
-    as_weight,
-)
+from mpc.checks import Array, as_array, as_floats
 from mpc.condensing import condense
-from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
-from mpc.fallback import cost_of, excess, relax, rollout, saturated_regulator
-from mpc.lqr import lqr
 from mpc.parametric_qp import ParametricQP
-from mpc.plan import Plan, Status
-from mpc.relaxation import nearest_points
+from mpc.plan import Plan
+from mpc.problem import MPCProblem
 from mpc.solve_arguments import for_each_state, spread_signals
+from mpc.solving import CondensedSolver
 
 if TYPE_CHECKING:
     from mpc.explicit.explicit import ExplicitMPC
     from mpc.infeasibility import Explanation
 
-_OVERFLOW = 1e100  # data beyond this are answered by the saturated regulator
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LinearMPC:
+class LinearMPC(MPCProblem):
     """Model predictive controller of x⁺ = Ax + Bu (+ Ew), a callable u = controller(x).
 
     Minimises Σ_{k<N} x_k'Qx_k + u_k'Ru_k + x_N'Px_N subject to x_k in X (k = 1 … N), u_k in U (k = 0 … N-1) and
@@ -52,15 +37,15 @@ class LinearMPC:
         State matrix [-].
     B : (nx, nu) array
         Input matrix [-].
-    Q, R : (nx, nx) and (nu, nu) array, or their diagonals
+    Q, R : (nx, nx) and (nu, nu) array, or their diagonals, or numbers
         Weights, symmetric positive semidefinite; R may be singular while the condensed Hessian is definite.
     horizon : int
         N [steps].
     P : (nx, nx) array, optional
         Terminal weight; by default the solution of the Riccati equation.
-    X, U : Polytope, optional
+    X, U : Polytope or (lower, upper), optional
         State set (imposed at k = 1 … N) and input set (k = 0 … N-1), in the units of x and u.
-    terminal_set : Polytope, optional
+    terminal_set : Polytope or (lower, upper), optional
         Set for x_N, beside X.
     E : (nx, nw) array, optional
         Disturbance matrix, for disturbances known ahead.
@@ -68,9 +53,12 @@ class LinearMPC:
         Largest |u_k - u_{k-1}| per step, in the units of u; `solve` then needs `u_prev`.
     soft : (linear, quadratic), optional
         Makes state and terminal constraints soft: each step costs linear * s + quadratic * s², where s is the largest
-        violation of that step relative to the bound; linear >= 0, quadratic > 0.
+        violation of that step relative to the bound (of a bound that is zero: to the extent of the set along it);
+        linear >= 0, quadratic > 0.
     blocks : tuple of int, optional
         Move blocking: lengths of the blocks over which the input is held, summing to N.
+    uses : tuple of str, optional
+        "reference" or "preview": what a closed loop is to hand over at every step, see `needs`.
 
     Raises
     ------
@@ -83,74 +71,27 @@ class LinearMPC:
     >>> u = controller(x)
     """
 
-    A: Any
-    B: Any = None
-    Q: ArrayLike = field(kw_only=True)
-    R: ArrayLike = field(kw_only=True)
-    horizon: int = field(kw_only=True)
-    P: Any = field(default=None, kw_only=True)
-    X: Any = field(default=None, kw_only=True)
-    U: Any = field(default=None, kw_only=True)
-    terminal_set: Any = field(default=None, kw_only=True)
-    E: Any = field(default=None, kw_only=True)
-    rate_limit: Any = field(default=None, kw_only=True)
-    soft: tuple[float, float] | None = field(default=None, kw_only=True)
-    blocks: tuple[int, ...] | None = field(default=None, kw_only=True)
-    state_rows: tuple[Array, Array] = field(init=False)
-    input_rows: tuple[Array, Array] = field(init=False)
-    terminal_rows: tuple[Array, Array] = field(init=False)
+
+    uses: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        A, B = as_pair(self.A, self.B)
-        nx, nu = B.shape
-        set_(self, "A", A)
-        set_(self, "B", B)
-        set_(self, "Q", as_weight("Q", self.Q, nx))
-        set_(self, "R", as_weight("R", self.R, nu))
-        set_(self, "horizon", as_horizon(self.horizon))
-        set_(self, "state_rows", as_halfspaces("X", self.X, nx))
-        set_(self, "input_rows", as_halfspaces("U", self.U, nu))
-        set_(self, "terminal_rows", as_halfspaces("terminal_set", self.terminal_set, nx))
-        _refuse_empty("X", *self.state_rows)
-        _refuse_empty("U", *self.input_rows)
-        _refuse_empty("terminal_set", *self.terminal_rows)
-        if self.E is not None:
-            set_(self, "E", as_array("E", self.E, (nx, None)))
-        if self.rate_limit is not None:
-            set_(self, "rate_limit", as_rate_limit(self.rate_limit, nu))
-        if self.soft is not None:
-            set_(self, "soft", as_soft(self.soft))
-        if self.blocks is not None:
-            set_(self, "blocks", as_blocks(self.blocks, self.horizon))
-        if self.P is None:
-            gain, P = lqr(A, B, Q=self.Q, R=self.R)
-            set_(self, "_lqr_gain", gain)
-            set_(self, "P", P)
-        else:
-            set_(self, "P", as_weight("P", self.P, nx))
-        self._problems[()]  # builds the QP: fails here, not in the loop
+        super().__post_init__()
+        object.__setattr__(self, "uses", _checked_uses(self.uses, self.nw))
+        self._solvers[()] if self.rate_limit is None else self._solvers[("u_prev",)]  # builds the QP: fails here
 
     def __repr__(self) -> str:
-        problem, _ = self._problems[("u_prev",) if self.rate_limit is not None else ()]
-        size = f"{problem.nz} variables, {problem.m} constraints"
+        qp = self._solvers[() if self.rate_limit is None else ("u_prev",)].qp
+        size = f"{qp.nz} variables, {qp.m} constraints"
         return f"LinearMPC({self.nx} states, {self.nu} inputs, N={self.horizon}, {size})"
 
     @property
-    def nx(self) -> int:
-        """Number of states."""
-        return int(self.B.shape[0])
+    def needs(self) -> frozenset[str]:
+        """What a closed loop hands over at every step besides the state.
 
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return int(self.B.shape[1])
-
-    @cached_property
-    def gain(self) -> Array:
-        """Gain K (nu, nx) of the unconstrained regulator u = -K x, see `lqr`."""
-        known = getattr(self, "_lqr_gain", None)
-        return known if known is not None else lqr(self.A, self.B, Q=self.Q, R=self.R)[0]
+        "last_input" (keyword `u_prev`, (n, nu)) with a rate limit; "reference" (`x_ref`, and `u_ref` where there is
+        one) and "preview" (`w`, (N, nw) or (n, N, nw) for the next N = `horizon` steps) where `uses` names them.
+        """
+        return frozenset(self.uses) | ({"last_input"} if self.rate_limit is not None else set())
 
     def build(self, *parameters: str) -> ParametricQP:
         """The QP with the state and the named quantities left open, to inspect or to hand to another solver.
@@ -161,27 +102,6 @@ class LinearMPC:
             Any of "u_prev" (always present with a rate limit), "x_ref", "u_ref", "w".
         """
         return condense(self, parameters)
-
-    def with_model(
-        self, A: Any, B: ArrayLike | None = None, E: ArrayLike | None = None, *, P: ArrayLike | None = None
-    ) -> LinearMPC:
-        """The same controller for another design of the plant.
-
-        Parameters
-        ----------
-        A, B : arrays, or a discrete-time `control.StateSpace` and None
-            The new model.
-        E : (nx, nw) array, optional
-            By default the present one.
-        P : (nx, nx) array, optional
-            By default the one that was given to this controller; where none was, the Riccati solution of the new model.
-        """
-        return replace(self, A=A, B=B, E=self.E if E is None else E, P=self.given_P if P is None else P)
-
-    @property
-    def given_P(self) -> Array | None:
-        """The terminal weight, if it was given; None where it is the solution of the Riccati equation."""
-        return None if hasattr(self, "_lqr_gain") else self.P
 
     def solve(
         self, x: ArrayLike, *, u_prev: ArrayLike | None = None, x_ref: ArrayLike | None = None,
@@ -215,16 +135,19 @@ class LinearMPC:
         start = time.perf_counter()
         x = as_array("x", x, (self.nx,))
         given = spread_signals(self, {"u_prev": u_prev, "x_ref": x_ref, "u_ref": u_ref, "w": w})
-        return self._solve(x, given, start)
+        return self._solvers[tuple(sorted(given))].plan(x, given, start)
 
     def solve_many(self, X: ArrayLike, **signals: ArrayLike) -> list[Plan]:
         """One plan per row of X (n, nx), in order, each warm-started from the one before it.
 
-        The signals are those of `solve`, the same for all rows; `u_prev` may be (n, nu), one row for each.
+        The signals are those of `solve`, the same for all rows; or one for each: `u_prev` as (n, nu), the others with
+        a first axis of length n, for example `w` as (n, N, nw).
         """
         rows = as_array("X", X, (None, self.nx))
         each = for_each_state(self, signals, len(rows))
-        return [self._solve(x, given, time.perf_counter()) for x, given in zip(rows, each)]
+        return [
+            self._solvers[tuple(sorted(given))].plan(x, given, time.perf_counter()) for x, given in zip(rows, each)
+        ]
 
     def __call__(self, x: ArrayLike, **signals: ArrayLike) -> Array:
         """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu); finite for every finite x."""
@@ -252,8 +175,8 @@ class LinearMPC:
 
         x = as_array("x", x, (self.nx,))
         given = spread_signals(self, dict(signals))
-        problem, _ = self._problems[tuple(sorted(given))]
-        return explain_infeasibility(self, problem, self._theta(problem, x, given))
+        solver = self._solvers[tuple(sorted(given))]
+        return explain_infeasibility(self, solver.qp, solver.theta(x, given))
 
     def explicit(
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,
@@ -287,55 +210,31 @@ class LinearMPC:
         return ExplicitMPC.from_partition(partition, self.input_rows)
 
     @cached_property
-    def _problems(self) -> _Problems:
-        return _Problems(self)
-
-    @staticmethod
-    def _theta(problem: ParametricQP, x: Array, given: dict[str, Array]) -> Array:
-        return np.concatenate([x if name == "x" else given[name] for name, _ in problem.parameters])
-
-    def _solve(self, x: Array, given: dict[str, Array], start: float) -> Plan:
-        problem, solver = self._problems[tuple(sorted(given))]
-        theta = self._theta(problem, x, given)
-        with np.errstate(over="ignore", invalid="ignore"):
-            q, b = problem.at(theta)
-            if not max(np.abs(q).max(), np.abs(b).max(initial=0.0)) < _OVERFLOW:
-                return saturated_regulator(self, x, start)
-            result, status, violation = solver.solve(q, b), Status.SOLVED, 0.0
-            if result.infeasible:
-                relaxed = relax(self, problem, solver, q, b)
-                if relaxed is None:
-                    return saturated_regulator(self, x, start)
-                result, status, violation = relaxed
-            if not result.residuals.worst <= 1e-6:
-                status = Status.INACCURATE
-            inputs, states = problem.inputs(result.z, theta), problem.states(result.z, theta)
-            if not np.isfinite(inputs).all():
-                return saturated_regulator(self, x, start)
-            cost = problem.cost(result.z, theta)
-            if status is Status.INACCURATE:
-                inputs = nearest_points(inputs, *self.input_rows)
-                states = rollout(self, x, inputs, given.get("w"))
-                cost = cost_of(self, inputs, states, given)
-            if self.soft is not None or status is Status.INACCURATE:
-                violation = excess(self, states)
-        duration = time.perf_counter() - start
-        return Plan(inputs, states, cost, status, result.residuals, violation, duration, result.solver)
+    def _solvers(self) -> _Solvers:
+        return _Solvers(self)
 
 
-def _refuse_empty(name: str, H: Array, h: Array) -> None:
-    if len(h) and DenseQP(np.eye(H.shape[1]), H).solve(np.zeros(H.shape[1]), h, doubt=True).infeasible:
-        raise InputError(f"{name} is empty: no point satisfies its {len(h)} rows (is a lower bound too high?).")
+class _Solvers(dict[tuple[str, ...], CondensedSolver]):
+    """The solver for each combination of signals, built when first asked for."""
 
-
-class _Problems(dict[tuple[str, ...], tuple[ParametricQP, DenseQP]]):
-    """QP and solver for each combination of signals, built when first asked for."""
-
-    def __init__(self, mpc: LinearMPC):
+    def __init__(self, problem: MPCProblem):
         super().__init__()
-        self._mpc = mpc
+        self._problem = problem
 
-    def __missing__(self, parameters: tuple[str, ...]) -> tuple[ParametricQP, DenseQP]:
-        problem = condense(self._mpc, parameters)
-        self[parameters] = problem, DenseQP(problem.H, problem.G)
+    def __missing__(self, parameters: tuple[str, ...]) -> CondensedSolver:
+        self[parameters] = CondensedSolver(self._problem, parameters)
         return self[parameters]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies build their solvers anew."""
+        return _Solvers, (self._problem,)
+
+
+def _checked_uses(value: Any, nw: int) -> tuple[str, ...]:
+    """The names in `uses`, checked."""
+    names = (value,) if isinstance(value, str) else tuple(value) if isinstance(value, (tuple, list, set, frozenset)) else (value,)
+    known = ("reference", "preview") if nw else ("reference",)
+    for name in names:
+        if name not in known:
+            raise InputError("uses", repr(name), f"some of {known}", "" if nw else "A preview needs E.")
+    return names

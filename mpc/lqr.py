@@ -1,4 +1,4 @@
-"""The infinite-horizon regulator, checked: SciPy's Riccati solver returns gains of 1e8 without a word."""
+"""The infinite-horizon regulator, checked: SciPy returns gains of 1e8 for nearly unstabilisable pairs without a warning."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from mpc.checks import Array, as_pair, as_weight
 from mpc.exceptions import NotStabilisableError
-
-_REACH = 1e-7  # relative distance to an unstabilisable pair below which the gain is not trusted
+from mpc.tolerances import REACH, RICCATI, RICCATI_REFINED, UNIT_CIRCLE, UNSEEN
 
 
 def lqr(A: Any, B: ArrayLike | None = None, *, Q: ArrayLike, R: ArrayLike) -> tuple[Array, Array]:
@@ -23,9 +22,9 @@ def lqr(A: Any, B: ArrayLike | None = None, *, Q: ArrayLike, R: ArrayLike) -> tu
         State matrix [-].
     B : (nx, nu) array
         Input matrix [-].
-    Q : (nx, nx) array or (nx,) diagonal
+    Q : (nx, nx) array, (nx,) diagonal or number
         State weight, symmetric positive semidefinite.
-    R : (nu, nu) array or (nu,) diagonal
+    R : (nu, nu) array, (nu,) diagonal or number
         Input weight, symmetric positive semidefinite; singular is legal while B'PB + R is regular.
 
     Returns
@@ -45,56 +44,121 @@ def lqr(A: Any, B: ArrayLike | None = None, *, Q: ArrayLike, R: ArrayLike) -> tu
     References
     ----------
     Hautus, *Controllability and observability conditions of linear autonomous systems*, 1969 (the rank test);
-    Arnold and Laub, Proc. IEEE 72(12), 1984 (the solver, in SciPy).
+    Arnold and Laub, Proc. IEEE 72(12), 1984 (the solver, in SciPy); Hewer, IEEE TAC 16(4), 1971 (its refinement).
     """
     A, B = as_pair(A, B)
-    Q, R = as_weight("Q", Q, A.shape[0]), as_weight("R", R, B.shape[1])
-    sx, su = _units(Q), _units(R)
+    Q = as_weight("Q", Q, A.shape[0])
+    R = as_weight("R", R, B.shape[1])
+    sx, su = cost_units(A, B, Q, R)
     # in the units of the weights (x = x̃/sx, u = ũ/su) the tests below do not depend on the user's units
-    As, Bs, Qs, Rs = A * sx[:, None] / sx, B * sx[:, None] / su, Q / np.outer(sx, sx), R / np.outer(su, su)
+    As = A * sx[:, None] / sx
+    Bs = B * sx[:, None] / su
+    Qs = Q / sx / sx[:, None]
+    Rs = R / su / su[:, None]
     _check_reach(As, Bs)
+    _check_cost(As, Qs)
     try:
-        Ps = solve_discrete_are(As, Bs, Qs, Rs)
-        Ks = np.linalg.solve(Rs + Bs.T @ Ps @ Bs, Bs.T @ Ps @ As)
+        Ps = _riccati(As, Bs, Qs, Rs)
+        Ks = _gain_of(Ps, As, Bs, Rs)
     except np.linalg.LinAlgError as error:
         raise NotStabilisableError(
-            f"the Riccati equation has no stabilising solution ({error}). Check that (A, B) is stabilisable "
-            "and that Q sees every mode on the unit circle."
+            f"(A, B): got a Riccati equation without a stabilising solution ({error}), expected one. Check that "
+            "(A, B) is stabilisable and that Q sees every mode on the unit circle."
         ) from None
     _check_solution(As, Bs, Qs, Rs, Ps, Ks)
-    P = Ps * np.outer(sx, sx)
+    P = Ps * sx * sx[:, None]
     return Ks * sx / su[:, None], (P + P.T) / 2
 
 
-def _units(weight: Array) -> Array:
-    d = np.sqrt(np.diag(weight))
-    return np.where(d > 0, d, 1.0)
+def cost_units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
+    """Scales (nx,) and (nu,) that give the weights a unit diagonal.
+
+    A state or input without a weight takes its scale from the states it drives one step later, and a state that
+    drives none from the inputs that drive it.
+    """
+    sx = np.sqrt(np.diag(Q))
+    su = np.sqrt(np.diag(R))
+    for _ in range(len(sx)):
+        driven = (sx[:, None] * np.abs(A)).max(axis=0)
+        sx = np.where(sx > 0, sx, driven)
+    su = np.where(su > 0, su, (sx[:, None] * np.abs(B)).max(axis=0))
+    with np.errstate(divide="ignore"):
+        moved = 1 / (np.abs(B) / np.where(su > 0, su, 1.0)).max(axis=1)
+    sx = np.where(sx > 0, sx, np.where(np.isfinite(moved), moved, 1.0))
+    return sx, np.where(su > 0, su, 1.0)
+
+
+def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
+    """Stabilising solution, refined by Newton steps where SciPy's leaves a residual."""
+    P: Array = solve_discrete_are(A, B, Q, R)
+    for _ in range(3):
+        K = _gain_of(P, A, B, R)
+        closed = A - B @ K
+        if _residual(P, K, A, B, Q) <= RICCATI_REFINED or not _radius(closed) < 1:
+            break
+        P = solve_discrete_lyapunov(closed.T, Q + K.T @ R @ K)
+    return P
+
+
+def _gain_of(P: Array, A: Array, B: Array, R: Array) -> Array:
+    """Gain that belongs to a cost matrix, for symmetric scaling of B'PB + R."""
+    M = R + B.T @ P @ B
+    d = np.sqrt(np.abs(np.diag(M)))
+    d[d == 0] = 1.0
+    return np.asarray(np.linalg.solve(M / d / d[:, None], (B.T @ P @ A) / d[:, None]) / d[:, None])
 
 
 def _check_reach(A: Array, B: Array) -> None:
     """Hautus test: σ_min [A - λI, B] against its scale, for every eigenvalue on or outside the unit circle."""
     size = max(1.0, float(np.linalg.norm(A, 2)))
+    length = np.linalg.norm(B, axis=0)
+    B = B * size / np.where(length > 0, length, 1.0)  # how strong an actuator is, is a matter of its cost
     for eigenvalue in np.linalg.eigvals(A):
-        if abs(eigenvalue) < 1 - 1e-9:
+        if abs(eigenvalue) < 1 - UNIT_CIRCLE:
             continue
         pencil = np.hstack([A - eigenvalue * np.eye(len(A)), B])
         reach = np.linalg.svd(pencil, compute_uv=False)[-1] / size
-        if reach < _REACH:
+        if reach < REACH:
             raise NotStabilisableError(
-                f"(A, B) cannot be stabilised: the input reaches the mode at eigenvalue {eigenvalue:.4g} "
-                f"(modulus {abs(eigenvalue):.4g}) with relative strength {reach:.1e}, expected >= {_REACH:.0e}. "
-                "Move the actuator, or rescale R if the input is measured in very different units.",
+                f"(A, B): got a pair that cannot be stabilised, the input reaches the mode at eigenvalue "
+                f"{eigenvalue:.4g} (modulus {abs(eigenvalue):.4g}) with relative strength {reach:.1e}, expected >= "
+                f"{REACH:.0e}. Move the actuator, or rescale Q if states are measured in very different units.",
+                complex(eigenvalue),
+            )
+
+
+def _check_cost(A: Array, Q: Array) -> None:
+    """The dual test: a mode on the unit circle that Q does not see is never brought back."""
+    for eigenvalue in np.linalg.eigvals(A):
+        if abs(abs(eigenvalue) - 1) > UNSEEN:
+            continue
+        pencil = np.vstack([A - eigenvalue * np.eye(len(A)), Q])
+        if np.linalg.svd(pencil, compute_uv=False)[-1] < UNSEEN * max(1.0, float(np.linalg.norm(A, 2))):
+            raise NotStabilisableError(
+                f"Q: got no weight on the mode at eigenvalue {eigenvalue:.4g}, on the unit circle, so the Riccati "
+                "equation has no stabilising solution; expected Q to see it. Give the mode a weight, however small.",
                 complex(eigenvalue),
             )
 
 
 def _check_solution(A: Array, B: Array, Q: Array, R: Array, P: Array, K: Array) -> None:
-    radius = np.abs(np.linalg.eigvals(A - B @ K)).max() if np.isfinite(K).all() else np.inf
-    residual = np.inf
-    if np.isfinite(P).all():
-        residual = np.abs(A.T @ P @ (A - B @ K) + Q - P).max() / max(1.0, float(np.abs(P).max()))
-    if radius >= 1 or residual > 1e-6:
+    """Raise where the closed loop is not stable or the Riccati equation does not hold."""
+    radius = _radius(A - B @ K) if np.isfinite(K).all() else np.inf
+    residual = _residual(P, K, A, B, Q) if np.isfinite(P).all() and np.isfinite(K).all() else np.inf
+    if radius >= 1 or residual > RICCATI:
         raise NotStabilisableError(
-            f"the Riccati solution is not usable: closed-loop spectral radius {radius:.6g} (expected < 1), relative "
-            f"residual {residual:.1e} (expected <= 1e-6). The pair (A, B) is close to unstabilisable or badly scaled."
+            f"(A, B): got a Riccati solution with closed-loop spectral radius {radius:.6g} (expected < 1) and "
+            f"relative residual {residual:.1e} (expected <= {RICCATI:.0e}). The pair is close to unstabilisable, "
+            "its weights to not seeing a mode on the unit circle, or the data are badly scaled."
         )
+
+
+def _radius(A: Array) -> float:
+    """Spectral radius."""
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+def _residual(P: Array, K: Array, A: Array, B: Array, Q: Array) -> float:
+    """Residual of the Riccati equation relative to its largest term."""
+    size = max(float(np.abs(P).max()), float(np.abs(Q).max()), np.finfo(float).tiny)
+    return float(np.abs(A.T @ P @ (A - B @ K) + Q - P).max()) / size

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mpc.checks import Array, as_array
+from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
 
 
@@ -27,7 +27,7 @@ class Constraint(NamedTuple):
         return f"{self.kind} constraint {self.row} at step {self.step}"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ParametricQP:
     """Minimise ½ z'Hz + (Fθ + f)'z + ½ θ'Yθ + y'θ + c subject to Gz <= w + Sθ.
 
@@ -89,6 +89,11 @@ class ParametricQP:
         return self.F.shape[1]
 
     @property
+    def horizon(self) -> int:
+        """Number of steps N."""
+        return len(self.l) // self.nu
+
+    @property
     def m(self) -> int:
         """Number of constraints."""
         return len(self.w)
@@ -96,37 +101,49 @@ class ParametricQP:
     def theta(self, **values: ArrayLike) -> Array:
         """Stack named parameters into θ, in the order of `parameters`."""
         if set(values) != {name for name, _ in self.parameters}:
-            raise InputError(f"got parameters {sorted(values)}, expected {sorted(dict(self.parameters))}.")
-        return np.concatenate([as_array(name, np.ravel(values[name]), (size,)) for name, size in self.parameters])
+            raise InputError("theta", f"parameters {sorted(values)}", f"{sorted(dict(self.parameters))}")
+        return np.concatenate([as_array(name, as_floats(name, values[name]).ravel(), (size,)) for name, size in self.parameters])
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"{name}: {size}" for name, size in self.parameters)
+        return f"ParametricQP({self.nz} variables, {self.m} constraints, parameters {names})"
 
     def at(self, theta: Array) -> tuple[Array, Array]:
         """Linear cost q and right-hand side b of the QP at θ."""
+        theta = _vector("theta", theta, self.nt)
         return self.F @ theta + self.f, self.S @ theta + self.w
 
     def cost(self, z: Array, theta: Array) -> float:
         """Value of the objective."""
-        q = self.F @ theta + self.f
+        z = _vector("z", z, self.nz)
+        q, _ = self.at(theta)
         return float(0.5 * z @ self.H @ z + q @ z + 0.5 * theta @ self.Y @ theta + self.y @ theta + self.c)
 
     def inputs(self, z: Array, theta: Array) -> Array:
         """Input sequence (N, nu) that belongs to z."""
+        z = _vector("z", z, self.nz)
+        theta = _vector("theta", theta, self.nt)
         return (self.Lz @ z + self.Lt @ theta + self.l).reshape(-1, self.nu)
 
     def states(self, z: Array, theta: Array) -> Array:
         """State sequence (N + 1, nx) that belongs to z."""
-        return (self.Xz @ z + self.Xt @ theta + self.x).reshape(-1, len(self.x) * self.nu // (len(self.l) + self.nu))
+        z = _vector("z", z, self.nz)
+        theta = _vector("theta", theta, self.nt)
+        return (self.Xz @ z + self.Xt @ theta + self.x).reshape(self.horizon + 1, -1)
 
     def fix(self, **values: ArrayLike) -> ParametricQP:
         """Return the problem with some parameters set to numbers, for instance a constant reference."""
         sizes = dict(self.parameters)
         unknown = set(values) - set(sizes)
         if unknown:
-            raise InputError(f"cannot fix {sorted(unknown)}: the parameters are {list(sizes)}.")
-        T, t, column = np.zeros((self.nt, 0)), np.zeros(self.nt), 0
+            raise InputError("fix", f"parameters {sorted(unknown)}", f"some of {list(sizes)}")
+        T = np.zeros((self.nt, 0))
+        t = np.zeros(self.nt)
+        column = 0
         for name, size in self.parameters:
             rows = slice(column, column + size)
             if name in values:
-                t[rows] = as_array(name, np.ravel(values[name]), (size,))
+                t[rows] = as_array(name, as_floats(name, values[name]).ravel(), (size,))
             else:
                 T = np.hstack([T, np.eye(self.nt)[:, rows]])
             column += size
@@ -135,11 +152,17 @@ class ParametricQP:
 
     def without(self, rows: Iterable[int]) -> ParametricQP:
         """Return the problem without some of its constraints."""
-        dropped = set(rows)
+        dropped = {self._row(i) for i in rows}
         kept = [i for i in range(self.m) if i not in dropped]
         return replace(
             self, G=self.G[kept], w=self.w[kept], S=self.S[kept], labels=tuple(self.labels[i] for i in kept)
         )
+
+    def _row(self, i: Any) -> int:
+        """The number of a constraint, checked."""
+        if isinstance(i, (bool, np.bool_)) or not isinstance(i, (int, np.integer)) or not 0 <= i < self.m:
+            raise InputError("rows", repr(i), f"numbers of constraints in 0 … {self.m - 1}")
+        return int(i)
 
     def _substitute(self, T: Array, t: Array) -> ParametricQP:
         """Replace θ by T θ' + t."""
@@ -149,3 +172,10 @@ class ParametricQP:
             Y=T.T @ self.Y @ T, y=T.T @ (self.y + self.Y @ t),
             c=self.c + float(self.y @ t + 0.5 * t @ self.Y @ t),
         )  # fmt: skip
+
+
+def _vector(name: str, value: ArrayLike, n: int) -> Array:
+    """The value as a float array (n,), checked; an array that is one already is not copied."""
+    if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (n,):
+        return value
+    return as_array(name, value, (n,))

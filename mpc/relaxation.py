@@ -1,20 +1,73 @@
-"""The least relaxation of state constraints that makes an infeasible problem feasible."""
+"""What a controller answers when its problem has no solution: relaxed state constraints first, the regulator last."""
 
 from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from mpc.checks import Array
-from mpc.dense_qp import TOLERANCE, DenseQP
+from mpc.condensing import row_units
+from mpc.dense_qp import DenseQP, QPResult
+from mpc.exceptions import NotStabilisableError
+from mpc.halfspaces import box_of, is_empty, nearest_points
 from mpc.parametric_qp import ParametricQP
+from mpc.plan import Plan, Residuals, Status
+from mpc.problem import MPCProblem
+from mpc.rollout import finite, violation_of
+from mpc.tolerances import FEASIBLE, KKT, RELAXATION_MARGIN, RELAXATION_SHARES, RELAXATION_WIDER
 
-_SHARES = (1e-6, 1e-3, 1.0)  # weight of the control cost beside the squared violation; more where less is too stiff
-_FAR = 1e4  # farther than this, in units of the set, only the direction counts
-_MARGIN = 1e-8  # the relaxed bounds leave this much room, in units of the bounds
+__all__ = ["Relaxed", "box_of", "least_violation", "nearest_points", "relax", "saturated_regulator"]
 
 
-def least_violation(problem: ParametricQP, units: Array, q: Array, b: Array) -> tuple[Array, Array] | None:
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """Solution with relaxed state constraints; SOLVED where nothing had to be relaxed after all."""
+
+    result: QPResult
+    status: Status
+
+
+def relax(problem: MPCProblem, qp: ParametricQP, solver: DenseQP, q: Array, b: Array) -> Relaxed | None:
+    """Solution with state constraints relaxed by the least amount; None when the others conflict among themselves.
+
+    Whether the problem is infeasible is decided here, by the violation that is left when it is made least: what the QP
+    solver said before is only the reason to ask.
+    """
+    units = row_units(problem, qp.labels)
+    least = least_violation(qp, units, problem.input_extent, q, b)
+    if least is None:
+        return None
+    relaxed, point = least
+    for margin in RELAXATION_WIDER:  # the least relaxation is feasible by a hair's breadth
+        wider = relaxed + margin * units * (relaxed > b)
+        result = solver.solve(q, wider, confirm_infeasible=margin == RELAXATION_WIDER[-1])
+        if not result.infeasible:
+            break
+    else:
+        result = replace(result, z=point)
+    infeasible = (relaxed - b > FEASIBLE * units).any()
+    return Relaxed(result, Status.SOFTENED if infeasible else Status.SOLVED)
+
+
+def inputs_conflict(problem: MPCProblem, last_input: Array | None) -> bool:
+    """Whether no input lies in U within the rate limit of the last one: the only way hard constraints can conflict.
+
+    U is convex and not empty, so an input that is in U may stay where it is.
+    """
+    if problem.rate_limit is None or last_input is None:
+        return False
+    H, h = problem.input_rows
+    both = np.vstack([np.eye(problem.nu), -np.eye(problem.nu)])
+    near = np.concatenate([last_input + problem.rate_limit, problem.rate_limit - last_input])
+    return is_empty(np.vstack([H, both]), np.concatenate([h, near]))
+
+
+def least_violation(
+    qp: ParametricQP, units: Array, input_extent: Array, q: Array, b: Array
+) -> tuple[Array, Array] | None:
     """Right-hand side relaxed by the least squares of the largest violation per step.
 
     Only rows of state and terminal constraints are relaxed; input, rate and slack rows are kept (Kerrigan and
@@ -22,10 +75,12 @@ def least_violation(problem: ParametricQP, units: Array, q: Array, b: Array) -> 
 
     Parameters
     ----------
-    problem : ParametricQP
+    qp : ParametricQP
         The infeasible problem.
     units : (m,) array
         Unit in which each row is compared with the others.
+    input_extent : (nu,) array
+        Size of each input, 0 where it has none.
     q, b : (nz,) and (m,) array
         The QP at the parameter of interest.
 
@@ -36,62 +91,61 @@ def least_violation(problem: ParametricQP, units: Array, q: Array, b: Array) -> 
     z : (nz,) array
         A point that satisfies it. Instead of both None when the hard rows conflict among themselves.
     """
-    soft = np.array([label.kind in ("state", "terminal") for label in problem.labels], dtype=bool)
+    soft = np.array([label.kind in ("state", "terminal") for label in qp.labels], dtype=bool)
     if not soft.any():
         return None
-    steps = np.array([label.step for label in problem.labels])
+    steps = np.array([label.step for label in qp.labels])
     last = int(steps[soft].max())
-    columns = np.zeros((problem.m, last))
+    columns = np.zeros((qp.m, last))
     columns[soft, steps[soft] - 1] = -units[soft]
-    typical = _typical_cost(problem)
-    for share in _SHARES:
+    typical = typical_cost(qp, input_extent, q)
+    for share in RELAXATION_SHARES:
         share = share / typical
-        elastic = DenseQP(block_diag(share * problem.H, np.eye(last)), np.hstack([problem.G, columns]))
-        result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b, doubt=True)
-        if result.infeasible or result.residuals.worst <= TOLERANCE:
+        elastic = DenseQP(block_diag(share * qp.H, np.eye(last)), np.hstack([qp.G, columns]), units)
+        result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b, confirm_infeasible=True)
+        if result.infeasible or result.residuals.worst <= KKT:
             break
     if result.infeasible or not np.isfinite(result.z).all():
         return None
-    slack = np.maximum(-columns @ result.z[problem.nz :], 0.0)
-    relaxed: Array = np.where(slack > 2 * _MARGIN * units, b + slack + _MARGIN * units, b + soft * _MARGIN * units)
+    slack = np.maximum(-columns @ result.z[qp.nz :], 0.0)
+    room = RELAXATION_MARGIN * np.maximum(units, slack)
+    relaxed: Array = np.where(soft, b + np.where(slack > 2 * room, slack, 0.0) + room, b)
     # what the first stage left violated by rounding is granted too
-    z = result.z[: problem.nz]
-    return relaxed + np.where(soft, np.maximum(problem.G @ z - relaxed, 0.0), 0.0), z
+    z = result.z[: qp.nz]
+    return relaxed + np.where(soft, np.maximum(qp.G @ z - relaxed, 0.0), 0.0), z
 
 
-def _typical_cost(problem: ParametricQP) -> float:
-    """Cost of inputs at their bounds, where there are bounds."""
-    size = 1 / np.sqrt(np.diag(problem.H))
-    for i in (i for i, label in enumerate(problem.labels) if label.kind in ("input", "slack")):
-        for j in np.flatnonzero(problem.G[i]):
-            size[j] = max(size[j], abs(problem.w[i] / problem.G[i, j]))
-    return float(size**2 @ np.diag(problem.H))
+def typical_cost(qp: ParametricQP, input_extent: Array, q: Array) -> float:
+    """Cost of inputs at their bounds; of the unconstrained optimum for inputs without bounds."""
+    curvature = np.diag(qp.H)
+    size = np.zeros(qp.nz)
+    moves = qp.nz - sum(label.kind == "slack" for label in qp.labels)
+    if moves % len(input_extent) == 0:
+        size[:moves] = np.tile(input_extent, moves // len(input_extent))
+    cost = np.where(size > 0, size**2 * curvature, q**2 / curvature)
+    return float(cost.sum()) or 1.0
 
 
-def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
-    """Bounds (low, high) of {u : Hu <= h} when every row concerns one entry, infinite where there is none."""
-    if (np.count_nonzero(H, axis=1) != 1).any():
-        return None
-    low, high = np.full(H.shape[1], -np.inf), np.full(H.shape[1], np.inf)
-    for row, bound in zip(H, h):
-        j = int(np.flatnonzero(row)[0])
-        if row[j] > 0:
-            high[j] = min(high[j], bound / row[j])
-        else:
-            low[j] = max(low[j], bound / row[j])
-    return low, high
+def saturated_regulator(problem: MPCProblem, x: Array, start: float) -> Plan:
+    """Plan of the saturated regulator, for conflicting input constraints and numbers that overflow."""
+    inputs, states = regulated(problem, x, np.zeros((problem.horizon, problem.nx)))
+    unknown = Residuals(np.inf, np.inf, np.inf, np.inf)
+    violation = violation_of(problem, states)
+    duration = time.perf_counter() - start
+    return Plan(inputs, states, np.inf, Status.INFEASIBLE, unknown, violation, duration, "LQR")
 
 
-def nearest_points(V: Array, H: Array, h: Array) -> Array:
-    """Points (n, nu) of {u : Hu <= h} nearest to the rows of V; exact for a box, else see `nearest_point`."""
-    box = box_of(H, h)
-    if box is not None:
-        return np.asarray(np.clip(V, *box), dtype=np.float64)
-    return np.array([nearest_point(v, H, h) for v in V]).reshape(V.shape)
-
-
-def nearest_point(v: Array, H: Array, h: Array) -> Array:
-    """Point of {u : Hu <= h} nearest to v, or to v shrunk when v is very far away."""
-    far = _FAR * max(float(np.abs(h).max()), np.finfo(float).tiny) / np.linalg.norm(H, axis=1).min()
-    shrunk = v * min(1.0, far / max(float(np.abs(v).max()), np.finfo(float).tiny))
-    return DenseQP(np.eye(len(v)), H).solve(-shrunk, h).z
+def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]:
+    """Inputs and states under the regulator, saturated to U; zero inputs where there is no regulator."""
+    try:
+        gain = problem.gain
+    except NotStabilisableError:
+        gain = np.zeros((problem.nu, problem.nx))
+    inputs = np.zeros((problem.horizon, problem.nu))
+    states = np.empty((problem.horizon + 1, problem.nx))
+    states[0] = x
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(problem.horizon):
+            inputs[k] = nearest_points(finite(-gain @ states[k])[None], *problem.input_rows)[0]
+            states[k + 1] = finite(problem.A @ states[k] + problem.B @ inputs[k] + push[k])
+    return inputs, states

@@ -24,6 +24,16 @@ FEASIBLE = 1e-6
 """Violation, relative to the unit of its row, up to which a problem counts as feasible [-]. Well above what the LP and
 QP solvers themselves accept on scaled rows (1e-7 and `PRIMAL`), so that their rounding never decides."""
 
+UNREACHED = 1e-9
+"""Violation of a row that no input reaches, in its unit, that is put down to rounding [-]."""
+
+FAR_BOUND = 1e-7
+"""Scaled violations of the origin are at most the inverse of this: with larger ones `PRIMAL` would lie below rounding
+[-]."""
+
+NEGLIGIBLE = 1e-6
+"""Part of the median bound below which forces and steps count as zero in the residuals [-]."""
+
 # ---- weights and definiteness ----
 
 ASYMMETRY = 1e-9
@@ -34,3 +44,80 @@ NEGATIVE_WEIGHT = 1e-10
 
 DEFINITE = 1e-13
 """Least eigenvalue of a Hessian with unit diagonal [-]."""
+
+# ---- sets ----
+
+EMPTY = 1e-9
+"""By how much the lower side of a box may lie above the upper one through rounding, relative to their size [-]."""
+
+SMALL_BOUND = 1e-6
+"""Bound of a row, relative to the extent of the set along it, below which that extent is the unit of the row [-]."""
+
+FAR = 1e4
+"""Distance in units of a set beyond which only the direction of a point counts for its projection [-]."""
+
+OVERFLOW = 1e100
+"""Entries of the QP beyond which nothing is computed: such data are answered by the saturated regulator."""
+
+# ---- unstable plants ----
+
+GROWTH = 1e3
+"""Growth of A^k over the horizon from which on the free variable is the deviation from a stabilising feedback [-]."""
+
+RUNAWAY = 1e5
+"""Growth of the planned states, relative to the set and the start, beyond which the dense QP has too few digits [-]."""
+
+# ---- relaxation ----
+
+RELAXATION_SHARES = (1e-6, 1e-3, 1.0)
+"""Weights of the control cost beside the squared violation [-]; the larger where the QP is too stiff with the smaller."""
+
+RELAXATION_MARGIN = 1e-8
+"""Room that relaxed bounds leave, relative to the bound or to the slack [-]."""
+
+RELAXATION_WIDER = (0.0, 1e-6, 1e-4, 1e-2)
+"""Further room tried in turn where the QP with the least relaxation is called infeasible, in units of the rows [-]."""
+
+# ---- regulator ----
+
+REACH = 1e-7
+"""Relative distance to an unstabilisable pair below which no gain is computed [-]."""
+
+UNIT_CIRCLE = 1e-9
+"""Distance inside the unit circle up to which a mode counts as not decaying [-]."""
+
+RICCATI = 1e-6
+"""Relative residual of the Riccati equation that is accepted [-]."""
+
+RICCATI_REFINED = 1e-11
+"""Relative residual of the Riccati equation at which its refinement stops [-]."""
+
+UNSEEN = 1e-8
+"""Distance from the unit circle, and of (Q, A) from not seeing a mode there, at which no gain is computed [-]."""
+
+# ---- explained infeasibility ----
+
+FARTHEST = 1e12
+"""Bounds larger than this, relative to their unit, are scaled down for the LP solver [-]."""
+
+STEADY = 1e-9
+"""Residual of the steady-state equation, relative to its terms, that counts as none [-]."""
+
+# ---- stage-by-stage solution ----
+
+STAGEWISE = 1e-7
+"""Largest Newton step of an input, in units of its limits, at which a stagewise plan counts as solved [-]."""
+
+NO_PROGRESS = 1e-13
+"""Relative size of a step, or rise of the cost, that is rounding [-]."""
+
+REGULAR = 1e-12
+"""Added to the unit diagonal of the Hessian of one stage, and relative size of a singular value that counts as zero [-]."""
+
+# ---- targets ----
+
+TARGET_COST = 1e-8
+"""Weight of the cost beside the squared output error, both of unit size, which settles ties [-]."""
+
+TARGET_DRIFT = 1e-6
+"""Weight of the output error beside the squared drift where no state is steady [-]."""

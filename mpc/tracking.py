@@ -9,18 +9,39 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 
-from mpc.checks import Array, as_array
-from mpc.dense_qp import DenseQP
+from mpc.checks import Array, as_array, as_floats
+from mpc.dense_qp import DenseQP, QPResult
 from mpc.exceptions import InputError
 from mpc.linear_mpc import LinearMPC
 from mpc.plan import Plan
+from mpc.tolerances import NEGLIGIBLE, STEADY, TARGET_COST, TARGET_DRIFT
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A state and input to aim at.
+
+    Attributes
+    ----------
+    state, input : (nx,) and (nu,) array
+    drift : (nx,) array
+        By how much the state moves away in one step under the input and the estimated disturbance.
+    steady : bool
+        Whether the drift is rounding; False where no state in X with an input in U stays where it is.
+    """
+
+    state: Array
+    input: Array
+    drift: Array
+    steady: bool
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OffsetFreeMPC:
     """An MPC whose tracked outputs y = Cx settle on their reference in spite of constant disturbances.
 
-    The object is not changed: `observe` returns the controller with the new estimate.
+    The object is not changed: `observe` returns the controller with the new estimate, and `loop` a controller with
+    memory for a closed-loop simulation.
 
     Parameters
     ----------
@@ -36,7 +57,7 @@ class OffsetFreeMPC:
     Raises
     ------
     InputError
-        Wrong shapes, a gain outside (0, 1], or a target that is not determined.
+        Wrong shapes, or a gain outside (0, 1].
 
     References
     ----------
@@ -56,55 +77,165 @@ class OffsetFreeMPC:
     disturbance: Any = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        mpc = self.mpc if self.mpc.E is not None else replace(self.mpc, E=np.eye(self.mpc.nx), P=self.mpc.given_P)
-        set_(self, "mpc", mpc)
-        set_(self, "C", as_array("C", self.C, (None, mpc.nx)))
-        if not 0 < self.gain <= 1:
-            raise InputError(f"gain is {self.gain}, expected a number in (0, 1].")
-        nw = mpc.E.shape[1]
-        estimate = np.zeros(nw) if self.disturbance is None else self.disturbance
-        set_(self, "disturbance", as_array("disturbance", estimate, (nw,)))
+        if not isinstance(self.mpc, LinearMPC):
+            raise InputError("mpc", type(self.mpc).__name__, "a LinearMPC")
+        mpc = self.mpc if self.mpc.E is not None else self.mpc.with_model(self.mpc.A, self.mpc.B, np.eye(self.mpc.nx))
+        gain = as_array("gain", self.gain, ())
+        if not 0 < gain <= 1:
+            raise InputError("gain", self.gain, "a number in (0, 1]")
+        estimate = np.zeros(mpc.nw) if self.disturbance is None else self.disturbance
+        for name, value in (
+            ("mpc", mpc), ("C", as_array("C", self.C, (None, mpc.nx))), ("gain", float(gain)),
+            ("disturbance", as_array("disturbance", estimate, (mpc.nw,))),
+        ):  # fmt: skip
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        return f"OffsetFreeMPC({len(self.C)} outputs, gain={self.gain:.3g}, disturbance={self.disturbance}, {self.mpc!r})"
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What a closed loop hands over at every step besides the state, see `LinearMPC.needs`."""
+        return self.mpc.needs | {"reference"}
 
     def observe(self, x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> OffsetFreeMPC:
         """The controller after seeing one transition."""
         mpc = self.mpc
-        x, x_next = as_array("x", x, (mpc.nx,)), as_array("x_next", x_next, (mpc.nx,))
-        error = x_next - mpc.A @ x - mpc.B @ as_array("u", u, (mpc.nu,))
-        seen = np.linalg.lstsq(mpc.E, error, rcond=None)[0]
+        x = as_array("x", x, (mpc.nx,))
+        u = as_array("u", u, (mpc.nu,))
+        error = as_array("x_next", x_next, (mpc.nx,)) - mpc.A @ x - mpc.B @ u
+        scale = 1 / mpc.state_extent
+        seen = np.linalg.lstsq(mpc.E * scale[:, None], error * scale, rcond=None)[0]
         return replace(self, disturbance=self.disturbance + self.gain * (seen - self.disturbance))
 
     def target(self, reference: ArrayLike) -> tuple[Array, Array]:
         """Steady state (x, u) in X and U that brings Cx nearest to the reference (ny,), in least squares.
 
         Where several do, the one of least cost x'Qx + u'Ru.
+
+        Raises
+        ------
+        InputError
+            No state in X stays where it is under an input in U and the estimated disturbance; the message says how far
+            the best one drifts. `nearest_target` returns that one.
         """
+        found = self.nearest_target(reference)
+        if not found.steady:
+            raise InputError(
+                "disturbance", f"no steady state in X and U under {self.disturbance}, the best drifts by {found.drift}",
+                "one that an input in U can balance", "Lower the gain, check E, or widen X and U.",
+            )  # fmt: skip
+        return found.state, found.input
+
+    def nearest_target(self, reference: ArrayLike) -> Target:
+        """As `target`, but where no steady state exists the state and input in X and U that drift least."""
         mpc = self.mpc
         r = as_array("reference", reference, (len(self.C),))
-        # all steady states: (A - I)x + Bu + Ew = 0
-        M = np.hstack([mpc.A - np.eye(mpc.nx), mpc.B])
-        particular, *_ = np.linalg.lstsq(M, -mpc.E @ self.disturbance, rcond=None)
+        size = np.concatenate([mpc.state_extent, np.where(mpc.input_extent > 0, mpc.input_extent, 1.0)])
+        # (A - I)x + Bu + Ew = 0, states and inputs in units of their limits
+        M = np.hstack([mpc.A - np.eye(mpc.nx), mpc.B]) / mpc.state_extent[:, None] * size
+        push = mpc.E @ self.disturbance / mpc.state_extent
+        particular = np.linalg.lstsq(M, -push, rcond=None)[0]
         basis = null_space(M)
-        output = np.hstack([self.C, np.zeros((len(self.C), mpc.nu))])
-        T = output @ basis
-        W = np.block([[mpc.Q, np.zeros((mpc.nx, mpc.nu))], [np.zeros((mpc.nu, mpc.nx)), mpc.R]])
-        cost, size = basis.T @ W @ basis, float(np.trace(T.T @ T)) or 1.0
-        share = 1e-8 * size / max(float(np.trace(cost)), np.finfo(float).tiny)
-        H = T.T @ T + share * cost + 1e-14 * size * np.eye(basis.shape[1])
-        q = T.T @ (output @ particular - r) + share * basis.T @ W @ particular
+        basis[np.abs(basis) < STEADY] = 0.0  # what rounding left of a zero would count as a direction
+        drift = M @ particular + push
+        steady = np.abs(drift).max() <= STEADY * max(1.0, np.abs(push).max())
+        result = self._nearest(r, size, particular, basis, np.zeros((len(size), len(size))))
+        if result is None or result.infeasible or not steady:
+            basis = np.eye(len(size))
+            steady = False
+            result = self._nearest(r, size, particular, basis, M.T @ M / TARGET_DRIFT)
+        point = particular + basis @ (np.zeros(basis.shape[1]) if result is None else result.z)
+        drift = (M @ point + push) * mpc.state_extent
+        state, action = np.split(point * size, [mpc.nx])
+        return Target(state, action, drift, bool(steady))
+
+    def _nearest(self, r: Array, size: Array, particular: Array, basis: Array, drift: Array) -> QPResult | None:
+        """QP over particular + basis z: output error, then cost, and the drift of those that are not steady."""
+        mpc = self.mpc
+        output = np.hstack([self.C, np.zeros((len(self.C), mpc.nu))]) * size
+        unit = max(float(np.linalg.norm(output)), np.finfo(float).tiny)
+        W = np.zeros((len(size), len(size)))
+        W[: mpc.nx, : mpc.nx] = mpc.Q
+        W[mpc.nx :, mpc.nx :] = mpc.R
+        W = W * size * size[:, None]
+        W = W / max(float(np.trace(W)), np.finfo(float).tiny) + NEGLIGIBLE * np.eye(len(size))
+        T = output / unit
+        full = T.T @ T + TARGET_COST * W + drift
+        if not basis.shape[1]:
+            return None
+        H = basis.T @ full @ basis
+        # the particular solution has the least drift, so the drift has no slope there
+        q = basis.T @ (T.T @ (T @ particular - r / unit) + TARGET_COST * W @ particular)
         (HX, hX), (HU, hU) = mpc.state_rows, mpc.input_rows
         rows = np.vstack([np.hstack([HX, np.zeros((len(HX), mpc.nu))]), np.hstack([np.zeros((len(HU), mpc.nx)), HU])])
-        result = DenseQP(H, rows @ basis).solve(q, np.concatenate([hX, hU]) - rows @ particular, doubt=True)
-        if result.infeasible:
-            raise InputError("no steady state lies in X and U under the estimated disturbance; expected one.")
-        steady = particular + basis @ result.z
-        return steady[: mpc.nx], steady[mpc.nx :]
+        units = np.concatenate([mpc.row_units["state"], mpc.row_units["input"]])
+        right = np.concatenate([hX, hU]) - rows * size @ particular
+        return DenseQP(H, rows * size @ basis, units).solve(q, right, confirm_infeasible=True)
 
     def solve(self, x: ArrayLike, reference: ArrayLike, **signals: ArrayLike) -> Plan:
-        """Plan from x towards the steady state that meets the reference, under the estimated disturbance."""
-        state, action = self.target(reference)
-        return self.mpc.solve(x, x_ref=state, u_ref=action, w=self.disturbance, **signals)
+        """Plan from x towards the `nearest_target` of the reference, under the estimated disturbance."""
+        target = self.nearest_target(reference)
+        return self.mpc.solve(x, x_ref=target.state, u_ref=target.input, w=self.disturbance, **signals)
 
-    def __call__(self, x: ArrayLike, reference: ArrayLike, **signals: ArrayLike) -> Array:
-        """First input (nu,) of the plan."""
-        return np.array(self.solve(x, reference, **signals).inputs[0])
+    def __call__(self, x: ArrayLike, reference: ArrayLike | None = None, **signals: ArrayLike) -> Array:
+        """First input of the plan: (nx,) -> (nu,) or (n, nx) -> (n, nu).
+
+        The reference of the outputs may be replaced by one of the states, `x_ref` (nx,), which stands for C x_ref.
+        """
+        r = self._reference(reference, signals.pop("x_ref", None))
+        signals.pop("u_ref", None)
+        states = as_floats("x", x)
+        target = self.nearest_target(r)
+        return self.mpc(states, x_ref=target.state, u_ref=target.input, w=self.disturbance, **signals)
+
+    def loop(self, n: int = 1) -> OffsetFreeLoop:
+        """A controller with memory for n runs at once, which observes every step that it makes."""
+        return OffsetFreeLoop(self, n)
+
+    def _reference(self, reference: ArrayLike | None, x_ref: ArrayLike | None) -> ArrayLike:
+        """The reference of the outputs, given itself or by a state (of a whole horizon the first row counts)."""
+        if reference is not None:
+            return reference
+        if x_ref is None:
+            raise InputError("reference", "nothing", "the outputs to reach, or x_ref")
+        state = as_floats("x_ref", x_ref)
+        return np.asarray(self.C @ as_array("x_ref", state[0] if state.ndim == 2 else state, (self.mpc.nx,)))
+
+
+class OffsetFreeLoop:
+    """`OffsetFreeMPC` for n runs of a closed loop: `reset(n)` forgets, a call observes the step before and answers."""
+
+    def __init__(self, controller: OffsetFreeMPC, n: int = 1):
+        self.controller = controller
+        self.reset(n)
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What a closed loop hands over at every step besides the state: the input it applied and the reference."""
+        return self.controller.needs | {"last_input"}
+
+    def reset(self, n: int = 1) -> None:
+        """Forget the last states and start from the controller's own estimate."""
+        self._each = [self.controller] * n
+        self._last: Array | None = None
+
+    def __call__(self, x: ArrayLike, **signals: Any) -> Array:
+        """Inputs (n, nu) for the states (n, nx) of all runs, or (nu,) for the one run's (nx,)."""
+        states = as_floats("x", x)
+        single = states.ndim == 1
+        states = as_array("x", np.atleast_2d(states), (len(self._each), self.controller.mpc.nx))
+        last_input = signals.get("u_prev")
+        if self._last is not None and last_input is not None:
+            applied = as_array("u_prev", np.reshape(last_input, (len(states), -1)), (len(states), self.controller.mpc.nu))
+            self._each = [c.observe(*step) for c, *step in zip(self._each, self._last, applied, states)]
+        self._last = states
+        u = np.array([c(s, **self._of_run(signals, i)) for i, (c, s) in enumerate(zip(self._each, states))])
+        return u[0] if single else u
+
+    def _of_run(self, signals: dict[str, Any], i: int) -> dict[str, Any]:
+        """The signals of one run: references are shared, the last input is its own."""
+        mine = {name: value for name, value in signals.items() if name != "u_prev"}
+        if "last_input" in self.controller.needs:
+            mine["u_prev"] = np.reshape(signals.get("u_prev"), (len(self._each), -1))[i]
+        return mine

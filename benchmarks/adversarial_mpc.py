@@ -1,0 +1,277 @@
+"""Online MPC under an adversary: random plants, unstable over long horizons, in any units; oracles beside it.
+
+    python benchmarks/adversarial_mpc.py [plants] [units] [explain] [--count 400] [--seed 0]
+
+Every plan is checked for what its fields promise (inputs in U and within the rate limit, states of the model, violation
+and cost of the states returned), its status by a linear program in states and inputs (HiGHS), its optimality by the same
+QP with the states kept (Clarabel), and where the plant runs away by the adjoint of the cost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
+
+import clarabel  # noqa: E402
+import numpy as np  # noqa: E402
+from scipy import sparse  # noqa: E402
+from scipy.optimize import linprog  # noqa: E402
+
+from mpc import InputError, LinearMPC, NotConvexError, NotStabilisableError, Status  # noqa: E402
+
+FAR = 1e5  # states beyond this, relative to X and the start, are judged by the adjoint
+
+
+class Box:
+    """{|v| <= half}."""
+
+    def __init__(self, half):
+        half = np.asarray(half, dtype=float)
+        self.A = np.vstack([np.eye(len(half)), -np.eye(len(half))])
+        self.b = np.concatenate([half, half])
+
+
+def random_case(rng):
+    """(controller data, state, signals) of one random problem."""
+    n, m = int(rng.integers(1, 7)), int(rng.integers(1, 4))
+    N = int(rng.integers(5, 101))
+    A = rng.normal(size=(n, n))
+    if rng.random() < 0.3:
+        A = np.triu(A)
+    A *= rng.uniform(1.0, 1.5) / max(np.abs(np.linalg.eigvals(A)).max(), 1e-3)
+    B = rng.normal(size=(n, m))
+    if rng.random() < 0.2:
+        B[rng.integers(n)] = 0.0
+    data = {
+        "A": A, "B": B, "Q": np.diag(10.0 ** rng.uniform(-2, 2, n)), "R": np.diag(10.0 ** rng.uniform(-2, 2, m)), "horizon": N,
+        "U": Box(10.0 ** rng.uniform(-1, 1, m)),
+    }  # fmt: skip
+    if rng.random() < 0.6:
+        data["X"] = Box(10.0 ** rng.uniform(0, 1.5, n))
+    if rng.random() < 0.2:
+        data["terminal_set"] = Box(10.0 ** rng.uniform(-1, 0.5, n))
+    if rng.random() < 0.2:
+        data["rate_limit"] = data["U"].b[:m] * rng.uniform(0.1, 1.5)
+    if ("X" in data or "terminal_set" in data) and rng.random() < 0.25:
+        data["soft"] = (float(rng.choice([0.0, 10.0, 1e4])), float(10.0 ** rng.uniform(0, 5)))
+    x = rng.normal(size=n) * 10.0 ** rng.uniform(-3, 1.5)
+    signals = {"u_prev": rng.uniform(-1, 1, m) * data["U"].b[:m]} if "rate_limit" in data else {}
+    return data, x, signals
+
+
+def relative(problem, states):
+    """Largest relative violation (N,) of each step."""
+    units = problem.row_units
+    H, h = problem.state_rows
+    HT, hT = problem.terminal_rows
+    along = np.max((states[1:] @ H.T - h) / units["state"], axis=1, initial=0.0)
+    along[-1] = max(along[-1], np.max((HT @ states[-1] - hT) / units["terminal"], initial=0.0))
+    return along
+
+
+def cost_of(problem, inputs, states):
+    """Cost, with the price of soft constraints."""
+    cost = np.einsum("ki,ij,kj", states[:-1], problem.Q, states[:-1]) + np.einsum("ki,ij,kj", inputs, problem.R, inputs)
+    cost += states[-1] @ problem.P @ states[-1]
+    if problem.soft is not None:
+        s = relative(problem, states)
+        cost += problem.soft[0] * s.sum() + problem.soft[1] * s @ s
+    return float(cost)
+
+
+def promises(problem, plan, x, signals):
+    """Names of the fields that do not say what the inputs and states do."""
+    wrong = []
+    H, h = problem.input_rows
+    if not (np.isfinite(plan.inputs).all() and np.isfinite(plan.states).all()):
+        return ["not finite"]
+    if ((plan.inputs @ H.T - h) / h).max() > 1e-7:
+        wrong.append("input outside U")
+    if problem.rate_limit is not None:
+        moves = np.diff(np.vstack([signals["u_prev"], plan.inputs]), axis=0)
+        if (np.abs(moves) / problem.rate_limit).max() > 1 + 1e-6 and plan.status is not Status.INFEASIBLE:
+            wrong.append("rate")
+    terms = np.abs(plan.states[:-1]) @ np.abs(problem.A).T + np.abs(plan.inputs) @ np.abs(problem.B).T
+    gap = np.abs(plan.states[1:] - plan.states[:-1] @ problem.A.T - plan.inputs @ problem.B.T)
+    if (gap > 1e-8 * (terms.max(axis=1, keepdims=True) + np.abs(x).max() * 1e-3)).any() or (plan.states[0] != x).any():
+        wrong.append("states are not the model's")
+    (HX, hX), (HT, hT) = problem.state_rows, problem.terminal_rows
+    violation = max(np.max(plan.states[1:] @ HX.T - hX, initial=0.0), np.max(HT @ plan.states[-1] - hT, initial=0.0))
+    if abs(plan.violation - violation) > 1e-9 * (1 + violation):
+        wrong.append("violation")
+    if plan.status is not Status.INFEASIBLE and abs(plan.cost - cost_of(problem, plan.inputs, plan.states)) > 1e-6 * plan.cost:
+        wrong.append("cost")
+    if plan.status is Status.SOLVED and problem.soft is None and relative(problem, plan.states).max(initial=0.0) > 2e-6:
+        wrong.append("solved outside X")
+    if plan.status in (Status.SOLVED, Status.SOFTENED) and not plan.residuals.worst <= 1e-6:
+        wrong.append("residuals")
+    return wrong
+
+
+def sparse_rows(problem, x, signals, N):
+    """Equalities and inequalities of the first N steps in (x_1 … x_N, u_0 … u_{N-1}): Aeq, beq, G, g, soft mask, units."""
+    n, m = problem.nx, problem.nu
+    eye = sparse.eye(N)
+    Aeq = sparse.hstack([sparse.kron(eye, np.eye(n)) - sparse.kron(sparse.eye(N, k=-1), problem.A), -sparse.kron(eye, problem.B)])
+    beq = np.concatenate([problem.A @ x, np.zeros((N - 1) * n)])
+    units = problem.row_units
+    (HU, hU), (HX, hX), (HT, hT) = problem.input_rows, problem.state_rows, problem.terminal_rows
+    rows, right, soft = [], [], []
+
+    def add(matrix, bounds, softness):
+        rows.append(sparse.csr_matrix(matrix))
+        right.append(bounds)
+        soft.append(np.full(len(bounds), softness))
+
+    scaled = HU / units["input"][:, None]
+    add(sparse.hstack([sparse.csr_matrix((N * len(hU), N * n)), sparse.kron(eye, scaled)]), np.tile(hU / units["input"], N), -1)
+    if len(hX):
+        scaled = HX / units["state"][:, None]
+        add(sparse.hstack([sparse.kron(eye, scaled), sparse.csr_matrix((N * len(hX), N * m))]), np.tile(hX / units["state"], N), 0)
+        soft[-1] = np.repeat(np.arange(N), len(hX))
+    if len(hT) and N == problem.horizon:
+        last = sparse.kron(sparse.eye(N).tocsr()[-1], HT / units["terminal"][:, None])
+        add(sparse.hstack([last, sparse.csr_matrix((len(hT), N * m))]), hT / units["terminal"], N - 1)
+    if problem.rate_limit is not None:
+        D = sparse.kron(eye - sparse.eye(N, k=-1), np.diag(1 / problem.rate_limit))
+        first = np.concatenate([signals["u_prev"] / problem.rate_limit, np.zeros((N - 1) * m)])
+        for sign in (1, -1):
+            add(sparse.hstack([sparse.csr_matrix((N * m, N * n)), sign * D]), 1 + sign * first, -1)
+    return Aeq.tocsc(), beq, sparse.vstack(rows).tocsc(), np.concatenate(right), np.concatenate(soft)
+
+
+def least_violation(problem, x, signals, N):
+    """Least possible largest relative violation over the first N steps, by HiGHS; None where it failed."""
+    Aeq, beq, G, g, soft = sparse_rows(problem, x, signals, N)
+    column = -sparse.csc_matrix((soft >= 0).astype(float)[:, None])
+    cost = np.zeros(Aeq.shape[1] + 1)
+    cost[-1] = 1.0
+    bounds = [(None, None)] * Aeq.shape[1] + [(0, None)]
+    result = linprog(cost, A_ub=sparse.hstack([G, column]), b_ub=g, A_eq=sparse.hstack([Aeq, sparse.csc_matrix((len(beq), 1))]),
+                     b_eq=beq, bounds=bounds, options={"primal_feasibility_tolerance": 1e-9})  # fmt: skip
+    return float(result.fun) if result.status == 0 else None
+
+
+def reference(problem, x, signals):
+    """(cost, inputs) of the QP with the states kept, by Clarabel on scaled variables; None where it did not solve."""
+    N, n, m = problem.horizon, problem.nx, problem.nu
+    Aeq, beq, G, g, soft = sparse_rows(problem, x, signals, N)
+    weights = [problem.Q] * (N - 1) + [problem.P] + [problem.R] * N
+    slack = N if problem.soft is not None else 0
+    P = 2 * sparse.block_diag(weights + [problem.soft[1] * np.eye(N)] * bool(slack)).tocsc()
+    q = np.concatenate([np.zeros(N * (n + m)), np.full(slack, problem.soft[0] if slack else 0.0)])
+    if slack:
+        S = sparse.csc_matrix((-np.ones((soft >= 0).sum()), (np.flatnonzero(soft >= 0), soft[soft >= 0])), shape=(len(g), N))
+        Aeq = sparse.hstack([Aeq, sparse.csc_matrix((len(beq), N))])
+        G = sparse.vstack([sparse.hstack([G, S]), sparse.hstack([sparse.csc_matrix((N, N * (n + m))), -sparse.eye(N)])])
+        g = np.concatenate([g, np.zeros(N)])
+    size = np.concatenate([np.tile(problem.state_extent, N), np.tile(problem.input_extent, N), np.ones(slack)])
+    D = sparse.diags(size)
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
+    cones = [clarabel.ZeroConeT(len(beq)), clarabel.NonnegativeConeT(len(g))]
+    unit = max(1.0, abs(x @ problem.P @ x))
+    K = sparse.vstack([Aeq, G]).tocsc() @ D
+    solver = clarabel.DefaultSolver(sparse.triu(D @ P @ D / unit).tocsc(), q * size / unit, K.tocsc(), np.concatenate([beq, g]), cones, settings)
+    solution = solver.solve()
+    if str(solution.status) != "Solved":
+        return None
+    v = np.array(solution.x) * size
+    return float(solution.obj_val) * unit + float(x @ problem.Q @ x), v[N * n : N * (n + m)].reshape(N, m)
+
+
+def adjoint_gap(problem, plan):
+    """Largest step that an input would still take by its own gradient, in units of its limits; box U, no rate limit."""
+    N = problem.horizon
+    Q, R, P = (np.asarray(w, dtype=np.longdouble) for w in (problem.Q, problem.R, problem.P))
+    A, B = np.asarray(problem.A, dtype=np.longdouble), np.asarray(problem.B, dtype=np.longdouble)
+    e = problem.input_extent
+    costate, worst = 2 * P @ plan.states[N], 0.0
+    for k in reversed(range(N)):
+        gradient = 2 * R @ plan.inputs[k] + B.T @ costate
+        curvature = 2 * np.diag(R) + 2 * np.diag(B.T @ P @ B)
+        wanted = np.clip(plan.inputs[k] - gradient / curvature, -e, e)
+        worst = max(worst, float(np.abs((wanted - plan.inputs[k]) / e).max()))
+        costate = 2 * Q @ plan.states[k] + A.T @ costate
+    return worst
+
+
+def verdict(problem, plan, x, signals):
+    """What is wrong with status and optimality; an empty list where nothing is, or where no oracle could tell."""
+    hard = problem.soft is None and (len(problem.state_rows[1]) or len(problem.terminal_rows[1]))
+    away = np.abs(plan.states / problem.state_extent).max() > FAR * max(1.0, np.abs(x / problem.state_extent).max())
+    wrong = []
+    if plan.status is Status.INACCURATE:
+        wrong.append("INACCURATE, runs away" if away else "INACCURATE")
+    if plan.status is Status.INFEASIBLE:
+        wrong.append("INFEASIBLE")
+    if plan.status is Status.SOFTENED:
+        if not hard:
+            wrong.append("SOFTENED without hard rows")
+        else:
+            least = [t for N in (problem.horizon, 10) if N <= problem.horizon for t in [least_violation(problem, x, signals, N)] if t is not None]
+            if least and max(least) < 1e-8:
+                wrong.append("SOFTENED though feasible")
+            if not away and least and relative(problem, plan.states).max() > 1.5 * max(least) * np.sqrt(problem.horizon) + 1e-4:
+                wrong.append("relaxed too much")
+    if plan.status is Status.SOLVED:
+        if away and not hard and problem.soft is None and problem.rate_limit is None:
+            if adjoint_gap(problem, plan) > 1e-5:
+                wrong.append("not optimal (adjoint)")
+        elif not away:
+            best = reference(problem, x, signals)
+            if best is not None:
+                if plan.cost > best[0] * (1 + 1e-5) + 1e-9 * abs(x @ problem.P @ x):
+                    wrong.append("cost above the reference")
+                if plan.cost < best[0] * (1 - 1e-5) - 1e-9 * abs(x @ problem.P @ x):
+                    wrong.append("cost below the reference")
+                if np.abs((plan.inputs[0] - best[1][0]) / problem.input_extent).max() > 1e-3:
+                    wrong.append("first input")
+    return wrong
+
+
+def bench_plants(count, seed):
+    """Random unstable plants over long horizons."""
+    statuses, faults, solvers, times = Counter(), Counter(), Counter(), []
+    cases = 0
+    for i in range(count):
+        rng = np.random.default_rng([seed, i])
+        data, x, signals = random_case(rng)
+        try:
+            controller = LinearMPC(**data)
+        except (NotStabilisableError, NotConvexError, InputError) as error:
+            faults[f"refused: {type(error).__name__}"] += 1
+            continue
+        cases += 1
+        start = time.perf_counter()
+        plan = controller.solve(x, **signals)
+        times.append(time.perf_counter() - start)
+        statuses[plan.status.name] += 1
+        solvers[plan.solver] += 1
+        for fault in promises(controller, plan, x, signals) + verdict(controller, plan, x, signals):
+            faults[fault] += 1
+            print(f"  case {i}: {fault}; {plan!r}; n={controller.nx} m={controller.nu} soft={controller.soft} "
+                  f"rate={controller.rate_limit is not None} X={controller.X is not None} T={controller.terminal_set is not None} "
+                  f"radius={np.abs(np.linalg.eigvals(controller.A)).max():.2f}", flush=True)  # fmt: skip
+    print(f"\n| {cases} random plants, spectral radius 1.0 to 1.5, N = 5 to 100 | count |\n|---|---|")
+    for name, number in [*statuses.items(), *((f"by {s}", c) for s, c in solvers.items()), *faults.items()]:
+        print(f"| {name} | {number} |")
+    print(f"| median, largest time of a first solve [ms] | {1e3 * np.median(times):.1f}, {1e3 * max(times):.0f} |")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("parts", nargs="*", default=["plants"])
+    parser.add_argument("--count", type=int, default=400)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    for part in options.parts:
+        globals()[f"bench_{part}"](options.count, options.seed)

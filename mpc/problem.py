@@ -1,0 +1,196 @@
+"""The statement of a linear MPC problem: model, weights, limits and horizon, checked, without a solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mpc.checks import (
+    Array,
+    as_array,
+    as_blocks,
+    as_halfspaces,
+    as_horizon,
+    as_pair,
+    as_rate_limit,
+    as_set,
+    as_soft,
+    as_weight,
+)
+from mpc.exceptions import InputError
+from mpc.halfspaces import along_axes, is_empty
+from mpc.lqr import lqr
+from mpc.tolerances import SMALL_BOUND
+
+_MOST_NUMBERS = 2e8  # entries of the prediction matrix above which building the QP is refused (1.6 GB)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MPCProblem:
+    """Minimise Σ x'Qx + u'Ru + x_N'Px_N subject to the model and the limits; see `LinearMPC` for every argument.
+
+    `condense` turns it into a `ParametricQP`, `LinearMPC` solves it.
+
+    Attributes
+    ----------
+    state_rows, input_rows, terminal_rows : (H, h)
+        The sets as half-spaces {v : Hv <= h}.
+    given_P : (nx, nx) array or None
+        The terminal weight, if it was given; None where it is the solution of the Riccati equation.
+    riccati_gain : (nu, nx) array or None
+        The gain that belongs to that solution.
+    """
+
+    A: Any
+    B: Any = None
+    Q: ArrayLike = field(kw_only=True)
+    R: ArrayLike = field(kw_only=True)
+    horizon: int = field(kw_only=True)
+    P: Any = field(default=None, kw_only=True)
+    X: Any = field(default=None, kw_only=True)
+    U: Any = field(default=None, kw_only=True)
+    terminal_set: Any = field(default=None, kw_only=True)
+    E: Any = field(default=None, kw_only=True)
+    rate_limit: Any = field(default=None, kw_only=True)
+    soft: tuple[float, float] | None = field(default=None, kw_only=True)
+    blocks: tuple[int, ...] | None = field(default=None, kw_only=True)
+    state_rows: tuple[Array, Array] = field(init=False)
+    input_rows: tuple[Array, Array] = field(init=False)
+    terminal_rows: tuple[Array, Array] = field(init=False)
+    given_P: Array | None = field(init=False)
+    riccati_gain: Array | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        A, B = as_pair(self.A, self.B)
+        self._set(A=A, B=B, Q=as_weight("Q", self.Q, len(A)), R=as_weight("R", self.R, B.shape[1]))
+        self._set(horizon=as_horizon(self.horizon))
+        self._check_sets()
+        self._check_options()
+        self._check_size()
+        if self.P is None:
+            gain, P = lqr(A, B, Q=self.Q, R=self.R)
+            self._set(P=P, given_P=None, riccati_gain=gain)
+        else:
+            P = as_weight("P", self.P, len(A))
+            self._set(P=P, given_P=P)
+
+    def _set(self, **values: Any) -> None:
+        """Store checked values; the object is frozen once it is complete."""
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def _check_sets(self) -> None:
+        """Store the three sets and their half-spaces; an empty one is refused."""
+        for name, rows, n in (
+            ("X", "state_rows", self.nx), ("U", "input_rows", self.nu), ("terminal_set", "terminal_rows", self.nx),
+        ):  # fmt: skip
+            checked = as_set(name, getattr(self, name), n)
+            H, h = as_halfspaces(name, checked, n)
+            _refuse_empty(name, H, h)
+            self._set(**{name: checked, rows: (H, h)})
+
+    def _check_options(self) -> None:
+        """Store E, rate limit, soft weights and blocks, checked, where they are given."""
+        if self.E is not None:
+            self._set(E=as_array("E", self.E, (self.nx, None)))
+        if self.rate_limit is not None:
+            self._set(rate_limit=as_rate_limit(self.rate_limit, self.nu))
+        if self.soft is not None:
+            self._set(soft=as_soft(self.soft))
+        if self.blocks is not None:
+            self._set(blocks=as_blocks(self.blocks, self.horizon))
+
+    def _check_size(self) -> None:
+        """Refuse horizons whose matrices would not fit into memory."""
+        free = len(self.blocks) if self.blocks is not None else self.horizon
+        if self.horizon * self.nx * free * self.nu > _MOST_NUMBERS:
+            raise InputError(
+                "horizon", self.horizon, f"matrices of at most {_MOST_NUMBERS:.0e} numbers", "Shorten it or block moves."
+            )
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return int(self.B.shape[0])
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return int(self.B.shape[1])
+
+    @property
+    def nw(self) -> int:
+        """Number of disturbances; 0 without E."""
+        return 0 if self.E is None else int(self.E.shape[1])
+
+    @property
+    def signal_shapes(self) -> dict[str, tuple[int, int]]:
+        """Rows and columns of every signal a solve may take besides the state."""
+        N = self.horizon
+        shapes = {"u_prev": (1, self.nu), "x_ref": (N + 1, self.nx), "u_ref": (N, self.nu), "w": (N, self.nw)}
+        return shapes if self.nw else {name: shape for name, shape in shapes.items() if name != "w"}
+
+    @cached_property
+    def gain(self) -> Array:
+        """Gain K (nu, nx) of the unconstrained regulator u = -K x, see `lqr`."""
+        return self.riccati_gain if self.riccati_gain is not None else lqr(self.A, self.B, Q=self.Q, R=self.R)[0]
+
+    @cached_property
+    def input_extent(self) -> Array:
+        """Size (nu,) of each input: the distance to its bound, or the rate limit, or 0 where it has none."""
+        extent = along_axes(*self.input_rows)
+        return extent if self.rate_limit is None else np.where(extent > 0, extent, self.rate_limit)
+
+    @cached_property
+    def state_extent(self) -> Array:
+        """Size (nx,) of each state: the distance to a bound of X or of the terminal set, else what the inputs move."""
+        extent = along_axes(*self.state_rows)
+        terminal = along_axes(*self.terminal_rows)
+        moved = np.abs(self.B) @ np.where(self.input_extent > 0, self.input_extent, 1.0)
+        for other in (terminal, moved, np.ones(self.nx)):
+            extent = np.where(extent > 0, extent, other)
+        return extent
+
+    @cached_property
+    def row_units(self) -> dict[str, Array]:
+        """Unit of each row of each set, in which violations of different rows are compared: the size of its bound.
+
+        Where a bound is zero (or vanishes beside the set) the extent of the set along the row takes its place.
+        """
+        units = {}
+        for kind, (H, h), extent in (
+            ("state", self.state_rows, self.state_extent), ("terminal", self.terminal_rows, self.state_extent),
+            ("input", self.input_rows, self.input_extent),
+        ):  # fmt: skip
+            reach = np.abs(H) @ extent
+            reach[reach == 0] = 1.0
+            units[kind] = np.where(np.abs(h) > SMALL_BOUND * reach, np.abs(h), reach)
+        if self.rate_limit is not None:
+            units["rate"] = np.tile(self.rate_limit, 2)
+        return units
+
+    def with_model(
+        self, A: Any, B: ArrayLike | None = None, E: ArrayLike | None = None, *, P: ArrayLike | None = None
+    ) -> Self:
+        """The same problem for another design of the plant.
+
+        Parameters
+        ----------
+        A, B : arrays, or a discrete-time `control.StateSpace` and None
+            The new model.
+        E : (nx, nw) array, optional
+            By default the present one.
+        P : (nx, nx) array, optional
+            By default the one that was given to this problem; where none was, the Riccati solution of the new model.
+        """
+        return replace(self, A=A, B=B, E=self.E if E is None else E, P=self.given_P if P is None else P)
+
+
+def _refuse_empty(name: str, H: Array, h: Array) -> None:
+    """Raise where no point satisfies the rows."""
+    if len(h) and is_empty(H, h):
+        raise InputError(name, f"an empty set of {len(h)} rows", "at least one point", "Is a lower bound too high?")

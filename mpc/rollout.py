@@ -1,0 +1,87 @@
+"""What inputs do to the model: states, cost and violation, computed step by step from what is returned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mpc.checks import Array
+from mpc.feedback import block_lengths
+from mpc.halfspaces import nearest_points
+from mpc.problem import MPCProblem
+
+Given = dict[str, Array]
+
+
+def rollout(problem: MPCProblem, x: Array, inputs: Array, given: Given) -> Array:
+    """States (N + 1, nx) of the model under given inputs and, where there is one, the previewed disturbance."""
+    states = np.empty((problem.horizon + 1, problem.nx))
+    states[0] = x
+    push = pushes(problem, given)
+    for k, u in enumerate(inputs):
+        states[k + 1] = finite(problem.A @ states[k] + problem.B @ u + push[k])
+    return states
+
+
+def rollout_with_feedback(
+    problem: MPCProblem, x: Array, deviations: Array, feedback: Array, given: Given
+) -> tuple[Array, Array, float]:
+    """Inputs u = v - Kx held in U, the states they lead to, and the largest change that U forced, relative to U.
+
+    Computed forwards, each input from the state before it, so that rounding does not grow with the plant.
+    """
+    inputs = np.empty((problem.horizon, problem.nu))
+    states = np.empty((problem.horizon + 1, problem.nx))
+    states[0] = x
+    push = pushes(problem, given)
+    starts = np.cumsum([0, *block_lengths(problem)])
+    extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
+    change = 0.0
+    for b, (start, end) in enumerate(zip(starts[:-1], starts[1:])):
+        wanted = finite(deviations[b] - feedback[b] @ states[start])
+        inputs[start:end] = nearest_points(wanted[None], *problem.input_rows)[0]
+        change = max(change, float(np.abs((inputs[start] - wanted) / extent).max()))
+        for k in range(start, end):
+            states[k + 1] = finite(problem.A @ states[k] + problem.B @ inputs[k] + push[k])
+    return inputs, states, change
+
+
+def pushes(problem: MPCProblem, given: Given) -> Array:
+    """What the previewed disturbance adds to each next state, (N, nx)."""
+    if "w" not in given:
+        return np.zeros((problem.horizon, problem.nx))
+    return np.asarray(given["w"].reshape(problem.horizon, -1) @ problem.E.T)
+
+
+def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> float:
+    """Cost of inputs and states, measured from their references where there are some, with that of soft constraints."""
+    error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
+    effort = inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
+    Q, R, P = np.asarray(problem.Q), np.asarray(problem.R), np.asarray(problem.P)
+    cost = np.sum(error[:-1] @ Q * error[:-1]) + np.sum(effort @ R * effort) + error[-1] @ P @ error[-1]
+    if problem.soft is not None:
+        linear, quadratic = problem.soft
+        s = relative_violations(problem, states)
+        cost += linear * s.sum() + quadratic * np.sum(s**2)
+    return float(cost)
+
+
+def violation_of(problem: MPCProblem, states: Array) -> float:
+    """Largest violation of a state or terminal constraint, in the units of its bound."""
+    (H, h), (HT, hT) = problem.state_rows, problem.terminal_rows
+    along = float(np.max(finite(states[1:] @ H.T) - h, initial=0.0))
+    return max(along, float(np.max(finite(HT @ states[-1]) - hT, initial=0.0)))
+
+
+def relative_violations(problem: MPCProblem, states: Array) -> Array:
+    """Largest violation (N,) of each step k = 1 … N, relative to the unit of its row [-]."""
+    (H, h), (HT, hT) = problem.state_rows, problem.terminal_rows
+    units = problem.row_units
+    along = np.max((finite(states[1:] @ H.T) - h) / units["state"], axis=1, initial=0.0)
+    along[-1] = max(along[-1], float(np.max((finite(HT @ states[-1]) - hT) / units["terminal"], initial=0.0)))
+    return np.asarray(along)
+
+
+def finite(v: Array) -> Array:
+    """The same numbers, those that overflowed replaced by the largest."""
+    largest = float(np.finfo(float).max) / 4
+    return np.nan_to_num(v, nan=0.0, posinf=largest, neginf=-largest)

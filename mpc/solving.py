@@ -1,0 +1,122 @@
+"""From a state to a plan: the condensed QP first; what does not meet the tolerance is solved in another form."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from mpc.checks import Array
+from mpc.condensing import condense, row_units
+from mpc.dense_qp import DenseQP, QPResult
+from mpc.feedback import stabilising_feedback
+from mpc.halfspaces import nearest_points
+from mpc.plan import Plan, Residuals, Status
+from mpc.problem import MPCProblem
+from mpc.relaxation import inputs_conflict, regulated, relax, saturated_regulator, typical_cost
+from mpc.rollout import Given, cost_of, pushes, relative_violations, rollout, rollout_with_feedback, violation_of
+from mpc.stagewise import StagewiseSolver
+from mpc.tolerances import FEASIBLE, KKT_REPORTED, OVERFLOW, RELAXATION_SHARES, RUNAWAY
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A plan before it is packed: inputs, states, status, residuals and the solver that found it."""
+
+    inputs: Array
+    states: Array
+    status: Status
+    residuals: Residuals
+    solver: str
+
+
+class CondensedSolver:
+    """Solves one MPC problem from many states, with the signals named in `parameters`; safe to use from many threads."""
+
+    def __init__(self, problem: MPCProblem, parameters: tuple[str, ...]):
+        self.problem = problem
+        self.qp = condense(problem, parameters)
+        self.units = row_units(problem, self.qp.labels)
+        self.dense = DenseQP(self.qp.H, self.qp.G, self.units)
+        self.feedback = stabilising_feedback(problem)
+
+    def theta(self, x: Array, given: Given) -> Array:
+        """The parameter of the QP."""
+        return np.concatenate([x if name == "x" else given[name] for name, _ in self.qp.parameters])
+
+    def plan(self, x: Array, given: Given, start: float) -> Plan:
+        """Plan from the state x; `start` is when the clock of its solve time began."""
+        theta = self.theta(x, given)
+        with np.errstate(over="ignore", invalid="ignore"):
+            q, b = self.qp.at(theta)
+            if not max(np.abs(q).max(), np.abs(b).max(initial=0.0)) < OVERFLOW:
+                return saturated_regulator(self.problem, x, start)
+            found = self._solve(x, theta, given, q, b)
+            if found is None or not np.isfinite(found.inputs).all():
+                return saturated_regulator(self.problem, x, start)
+            violation = violation_of(self.problem, found.states)
+            cost = cost_of(self.problem, found.inputs, found.states, given)
+        duration = time.perf_counter() - start
+        return Plan(
+            found.inputs, found.states, cost, found.status, found.residuals, violation, duration, found.solver
+        )
+
+    def _solve(self, x: Array, theta: Array, given: Given, q: Array, b: Array) -> Candidate | None:
+        """The best candidate; None where input constraints contradict each other."""
+        result = self.dense.solve(q, b)
+        if not result.infeasible:
+            first = self._candidate(result, Status.SOLVED, x, theta, given)
+            return first if first.status is Status.SOLVED else self._in_another_form(first, x, given, q)
+        if inputs_conflict(self.problem, given.get("u_prev")):
+            return None
+        if self.feedback is not None:
+            far = self._stage_by_stage(None, x, given, q)
+            if far is not None and self._runs_away(x, far.states):
+                return far
+        relaxed = relax(self.problem, self.qp, self.dense, q, b)
+        result, status = (result, Status.SOFTENED) if relaxed is None else (relaxed.result, relaxed.status)
+        first = self._candidate(result, status, x, theta, given)
+        return first if first.status is status else self._in_another_form(first, x, given, q)
+
+    def _candidate(self, result: QPResult, status: Status, x: Array, theta: Array, given: Given) -> Candidate:
+        """What the QP's minimiser means for the plant; INACCURATE where it fails a check."""
+        accurate = result.residuals.worst <= KKT_REPORTED
+        if self.feedback is not None and np.isfinite(result.z).all():
+            deviations = result.z[: self.feedback.shape[0] * self.problem.nu].reshape(-1, self.problem.nu)
+            inputs, states, change = rollout_with_feedback(self.problem, x, deviations, self.feedback, given)
+            accurate = accurate and change <= KKT_REPORTED and not self._runs_away(x, states)
+            if status is Status.SOLVED and self.problem.soft is None:
+                accurate = accurate and relative_violations(self.problem, states).max() <= KKT_REPORTED
+        else:
+            inputs = self.qp.inputs(result.z, theta)
+            states = self.qp.states(result.z, theta)
+        if not accurate:
+            inputs = nearest_points(np.nan_to_num(inputs), *self.problem.input_rows)
+            states = rollout(self.problem, x, inputs, given)
+        return Candidate(inputs, states, status if accurate else Status.INACCURATE, result.residuals, result.solver)
+
+    def _runs_away(self, x: Array, states: Array) -> bool:
+        """Whether the states leave the range in which a QP over the whole horizon has digits enough."""
+        extent = self.problem.state_extent
+        return bool(np.abs(states / extent).max() > RUNAWAY * max(1.0, float(np.abs(x / extent).max())))
+
+    def _in_another_form(self, first: Candidate, x: Array, given: Given, q: Array) -> Candidate:
+        """The plan found stage by stage, for an unstable plant and where that converges; otherwise the first one."""
+        second = None if self.feedback is None else self._stage_by_stage(first.inputs, x, given, q)
+        return first if second is None else second
+
+    def _stage_by_stage(self, inputs: Array | None, x: Array, given: Given, q: Array) -> Candidate | None:
+        """The plan of `StagewiseSolver`, with hard state constraints as squared violations; None if it did not end."""
+        problem = self.problem
+        if inputs is None:
+            inputs, _ = regulated(problem, x, pushes(problem, given))
+        weight = typical_cost(self.qp, problem.input_extent, q) / RELAXATION_SHARES[0]
+        linear, quadratic = (0.0, weight) if problem.soft is None else problem.soft
+        found = StagewiseSolver(problem, x, given, (linear, quadratic)).solve(inputs)
+        if not found.converged:
+            return None
+        violated = problem.soft is None and relative_violations(problem, found.states).max() > FEASIBLE
+        status = Status.SOFTENED if violated else Status.SOLVED
+        residuals = Residuals(found.step, 0.0, 0.0, 0.0)
+        return Candidate(found.inputs, found.states, status, residuals, "stagewise")
