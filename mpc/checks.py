@@ -32,7 +32,9 @@ def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Arra
     """Return a read-only, C-contiguous float64 copy of `value`; None in `shape` matches any length."""
     array = as_floats(name, value)
     if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
-        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
+        expected = (
+            "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
+        )
         raise InputError(name, f"shape {array.shape}", expected)
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])

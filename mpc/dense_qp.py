@@ -45,9 +45,11 @@ class DenseQP:
         Rows of the constraints.
     units : (m,) array, optional
         Typical size of each entry of b; by default the sizes in b itself, taken anew in every solve.
+    second : bool
+        Whether Clarabel is asked where DAQP fails; without it the residuals say so.
     """
 
-    def __init__(self, H: Array, G: Array, units: Array | None = None):
+    def __init__(self, H: Array, G: Array, units: Array | None = None, *, second: bool = True):
         self._d = 1 / np.sqrt(np.diag(H))
         self._H = np.ascontiguousarray(H * self._d * self._d[:, None])
         scaled = G * self._d
@@ -57,6 +59,7 @@ class DenseQP:
         self._r = 1 / length[self._rows]
         self._G = np.ascontiguousarray(scaled[self._rows] * self._r[:, None])
         self._m = len(G)
+        self.second = second
         self._units = units
         self._size = 0.0 if units is None else _typical(units[self._rows] * self._r)
         self._workspace = threading.local()
@@ -83,7 +86,8 @@ class DenseQP:
         residuals = self._residuals(z, y, qs, bs)
         solver = "DAQP"
         infeasible = flag == -1
-        if (confirm_infeasible and infeasible) or (not infeasible and not residuals.worst <= KKT):
+        doubtful = (confirm_infeasible and infeasible) or (not infeasible and not residuals.worst <= KKT)
+        if doubtful and self.second:
             z2, y2, infeasible = self._clarabel(qs, bs)
             second = self._residuals(z2, y2, qs, bs)
             if second.worst < residuals.worst:

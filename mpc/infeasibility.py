@@ -8,14 +8,14 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.condensing import row_units
+from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.problem import MPCProblem
+from mpc.tolerances import CERTIFICATE, FARTHEST, FEASIBLE, KKT_REPORTED, LP_FEASIBLE, LP_SUPPORT, OVERFLOW
 
-_ZERO = 1e-7  # violation, relative to the bound, that counts as none (feasibility tolerance of the LP solver)
-_FAR = 1e12  # bounds larger than this, relative to their unit, are scaled down
-_HUGE = 1e100
 Rows = list[int]
+_OPTIONS = {"primal_feasibility_tolerance": LP_FEASIBLE, "dual_feasibility_tolerance": LP_FEASIBLE}
 
 
 @dataclass(frozen=True)
@@ -84,19 +84,22 @@ def explain_infeasibility(mpc: MPCProblem, problem: ParametricQP, theta: Array) 
     units = row_units(mpc, problem.labels)
     with np.errstate(over="ignore", invalid="ignore"):
         _, b = problem.at(theta)
-    if not np.abs(b).max(initial=0.0) < _HUGE:
-        raise InputError(f"the parameter is too large: bounds of the QP exceed {_HUGE:.0e}, nothing can be said.")
+    if not np.abs(b).max(initial=0.0) < OVERFLOW:
+        raise InputError(
+            "x", f"bounds of the QP that exceed {OVERFLOW:.0e}", "a state that is not too large to explain"
+        )
     scale = 1 / np.sqrt(np.diag(problem.H))
-    G, b = problem.G * scale / units[:, None], b / units
+    G = problem.G * scale / units[:, None]
+    b = b / units
     # the LP solver takes 1e20 for infinite: far away, bounds are compared in units of the largest
-    far = max(1.0, float(np.abs(b).max(initial=0.0)) / _FAR)
+    far = max(1.0, float(np.abs(b).max(initial=0.0)) / FARTHEST)
     b = b / far
     everything = list(range(problem.m))
-    if _least_maximum(G, b, everything)[0] <= _ZERO:
+    if not _impossible(G, b, everything):
         return Explanation((), (), (), "Feasible: nothing has to give.")
     givable = [i for i in everything if problem.labels[i].kind in ("state", "terminal")]
     fixed = [i for i in everything if i not in set(givable)]
-    if _least_maximum(G, b, fixed)[0] > _ZERO:  # inputs and rates contradict each other
+    if _impossible(G, b, fixed):  # inputs and rates contradict each other
         givable = everything
     amounts = _what_gives(G, b, givable)
     violations = tuple(
@@ -116,10 +119,28 @@ def _least_maximum(G: Array, b: Array, rows: Rows) -> tuple[float, Array]:
 
     n = G.shape[1]
     matrix = np.hstack([G[rows], -np.ones((len(rows), 1))])
-    result = linprog(np.eye(n + 1)[n], A_ub=matrix, b_ub=b[rows], bounds=[(None, None)] * n + [(0, None)])
-    if result.status != 0:
-        return np.inf, np.zeros(len(rows))
+    result = linprog(
+        np.eye(n + 1)[n], A_ub=matrix, b_ub=b[rows], bounds=[(None, None)] * n + [(0, None)], options=_OPTIONS
+    )
+    if result.status != 0:  # the other solver decides
+        return _least_by_qp(G, b, rows), np.ones(len(rows))
     return float(result.fun), -result.ineqlin.marginals
+
+
+def _impossible(G: Array, b: Array, rows: Rows) -> bool:
+    """Whether no z satisfies the rows, by a linear program and, before it is reported, by a quadratic one."""
+    return _least_maximum(G, b, rows)[0] > FEASIBLE and _least_by_qp(G, b, rows) > FEASIBLE / 2
+
+
+def _least_by_qp(G: Array, b: Array, rows: Rows) -> float:
+    """Least t >= 0 with Gz <= b + t on the rows, by a quadratic program in which z costs next to nothing."""
+    if not rows:
+        return 0.0
+    n = G.shape[1]
+    matrix = np.vstack([np.hstack([G[rows], -np.ones((len(rows), 1))]), -np.eye(n + 1)[n]])
+    H = np.diag(np.concatenate([np.full(n, CERTIFICATE), [1.0]]))
+    result = DenseQP(H, matrix, np.ones(len(matrix))).solve(np.zeros(n + 1), np.append(b[rows], 0.0))
+    return float(result.z[n]) if result.residuals.worst <= KKT_REPORTED else np.inf
 
 
 def _what_gives(G: Array, b: Array, givable: Rows) -> dict[int, float]:
@@ -128,7 +149,7 @@ def _what_gives(G: Array, b: Array, givable: Rows) -> dict[int, float]:
     chosen = sorted(amounts, key=lambda i: amounts[i])
     for i in list(chosen):
         fewer = [j for j in chosen if j != i]
-        if fewer and _least_maximum(G, b, [j for j in range(len(b)) if j not in set(fewer)])[0] <= _ZERO:
+        if fewer and _least_maximum(G, b, [j for j in range(len(b)) if j not in set(fewer)])[0] <= FEASIBLE:
             chosen = fewer
     thinned = _least_sum(G, b, chosen)
     if not all(np.isfinite(s) for s in thinned.values()):  # the first answer was enough
@@ -146,20 +167,20 @@ def _least_sum(G: Array, b: Array, givable: Rows) -> dict[int, float]:
     cost = np.concatenate([np.zeros(n), np.ones(len(givable))])
     bounds = [(None, None)] * n + [(0, None)] * len(givable)
     for method in ("highs", "highs-ds", "highs-ipm"):  # unstable plants over long horizons defeat one or the other
-        result = linprog(cost, A_ub=np.hstack([G, relax]), b_ub=b, bounds=bounds, method=method)
+        result = linprog(cost, A_ub=np.hstack([G, relax]), b_ub=b, bounds=bounds, method=method, options=_OPTIONS)
         if result.status == 0:
-            return {i: float(s) for i, s in zip(givable, result.x[n:]) if s > _ZERO / 10}
+            return {i: float(s) for i, s in zip(givable, result.x[n:]) if s > LP_SUPPORT}
     return {i: np.inf for i in givable}
 
 
 def _contradiction(G: Array, b: Array, rows: Rows) -> Rows:
     """Minimal infeasible subset of the rows."""
     _, proof = _least_maximum(G, b, rows)
-    support = [i for i, y in zip(rows, proof) if y > 1e-12]
-    current = support if _least_maximum(G, b, support)[0] > _ZERO else list(rows)
+    support = [i for i, y in zip(rows, proof) if y > CERTIFICATE]
+    current = support if _least_maximum(G, b, support)[0] > FEASIBLE else list(rows)
     for i in list(current):
         without = [j for j in current if j != i]
-        if _least_maximum(G, b, without)[0] > _ZERO:
+        if _least_maximum(G, b, without)[0] > FEASIBLE:
             current = without
     return current
 

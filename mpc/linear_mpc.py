@@ -71,7 +71,6 @@ class LinearMPC(MPCProblem):
     >>> u = controller(x)
     """
 
-
     uses: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
@@ -145,9 +144,7 @@ class LinearMPC(MPCProblem):
         """
         rows = as_array("X", X, (None, self.nx))
         each = for_each_state(self, signals, len(rows))
-        return [
-            self._solvers[tuple(sorted(given))].plan(x, given, time.perf_counter()) for x, given in zip(rows, each)
-        ]
+        return [self._solvers[tuple(sorted(given))].plan(x, given, time.perf_counter()) for x, given in zip(rows, each)]
 
     def __call__(self, x: ArrayLike, **signals: ArrayLike) -> Array:
         """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu); finite for every finite x."""
@@ -232,7 +229,13 @@ class _Solvers(dict[tuple[str, ...], CondensedSolver]):
 
 def _checked_uses(value: Any, nw: int) -> tuple[str, ...]:
     """The names in `uses`, checked."""
-    names = (value,) if isinstance(value, str) else tuple(value) if isinstance(value, (tuple, list, set, frozenset)) else (value,)
+    names = (
+        (value,)
+        if isinstance(value, str)
+        else tuple(value)
+        if isinstance(value, (tuple, list, set, frozenset))
+        else (value,)
+    )
     known = ("reference", "preview") if nw else ("reference",)
     for name in names:
         if name not in known:

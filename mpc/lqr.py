@@ -1,4 +1,4 @@
-"""The infinite-horizon regulator, checked: SciPy returns gains of 1e8 for nearly unstabilisable pairs without a warning."""
+"""The infinite-horizon regulator, checked: of nearly unstabilisable pairs SciPy returns gains of 1e8 unwarned."""
 
 from __future__ import annotations
 

@@ -102,7 +102,9 @@ class ParametricQP:
         """Stack named parameters into θ, in the order of `parameters`."""
         if set(values) != {name for name, _ in self.parameters}:
             raise InputError("theta", f"parameters {sorted(values)}", f"{sorted(dict(self.parameters))}")
-        return np.concatenate([as_array(name, as_floats(name, values[name]).ravel(), (size,)) for name, size in self.parameters])
+        return np.concatenate(
+            [as_array(name, as_floats(name, values[name]).ravel(), (size,)) for name, size in self.parameters]
+        )
 
     def __repr__(self) -> str:
         names = ", ".join(f"{name}: {size}" for name, size in self.parameters)
@@ -154,9 +156,7 @@ class ParametricQP:
         """Return the problem without some of its constraints."""
         dropped = {self._row(i) for i in rows}
         kept = [i for i in range(self.m) if i not in dropped]
-        return replace(
-            self, G=self.G[kept], w=self.w[kept], S=self.S[kept], labels=tuple(self.labels[i] for i in kept)
-        )
+        return replace(self, G=self.G[kept], w=self.w[kept], S=self.S[kept], labels=tuple(self.labels[i] for i in kept))
 
     def _row(self, i: Any) -> int:
         """The number of a constraint, checked."""

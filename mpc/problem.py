@@ -47,8 +47,8 @@ class MPCProblem:
 
     A: Any
     B: Any = None
-    Q: ArrayLike = field(kw_only=True)
-    R: ArrayLike = field(kw_only=True)
+    Q: Any = field(kw_only=True)
+    R: Any = field(kw_only=True)
     horizon: int = field(kw_only=True)
     P: Any = field(default=None, kw_only=True)
     X: Any = field(default=None, kw_only=True)
@@ -109,7 +109,10 @@ class MPCProblem:
         free = len(self.blocks) if self.blocks is not None else self.horizon
         if self.horizon * self.nx * free * self.nu > _MOST_NUMBERS:
             raise InputError(
-                "horizon", self.horizon, f"matrices of at most {_MOST_NUMBERS:.0e} numbers", "Shorten it or block moves."
+                "horizon",
+                self.horizon,
+                f"matrices of at most {_MOST_NUMBERS:.0e} numbers",
+                "Shorten it or block moves.",
             )
 
     @property

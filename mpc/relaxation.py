@@ -37,7 +37,7 @@ def relax(problem: MPCProblem, qp: ParametricQP, solver: DenseQP, q: Array, b: A
     solver said before is only the reason to ask.
     """
     units = row_units(problem, qp.labels)
-    least = least_violation(qp, units, problem.input_extent, q, b)
+    least = least_violation(qp, units, problem.input_extent, q, b, second=solver.second)
     if least is None:
         return None
     relaxed, point = least
@@ -66,7 +66,7 @@ def inputs_conflict(problem: MPCProblem, last_input: Array | None) -> bool:
 
 
 def least_violation(
-    qp: ParametricQP, units: Array, input_extent: Array, q: Array, b: Array
+    qp: ParametricQP, units: Array, input_extent: Array, q: Array, b: Array, *, second: bool = True
 ) -> tuple[Array, Array] | None:
     """Right-hand side relaxed by the least squares of the largest violation per step.
 
@@ -83,6 +83,8 @@ def least_violation(
         Size of each input, 0 where it has none.
     q, b : (nz,) and (m,) array
         The QP at the parameter of interest.
+    second : bool
+        Whether a second solver is asked, see `DenseQP`.
 
     Returns
     -------
@@ -101,7 +103,7 @@ def least_violation(
     typical = typical_cost(qp, input_extent, q)
     for share in RELAXATION_SHARES:
         share = share / typical
-        elastic = DenseQP(block_diag(share * qp.H, np.eye(last)), np.hstack([qp.G, columns]), units)
+        elastic = DenseQP(block_diag(share * qp.H, np.eye(last)), np.hstack([qp.G, columns]), units, second=second)
         result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b, confirm_infeasible=True)
         if result.infeasible or result.residuals.worst <= KKT:
             break

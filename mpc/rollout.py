@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from mpc.checks import Array
@@ -25,7 +27,7 @@ def rollout(problem: MPCProblem, x: Array, inputs: Array, given: Given) -> Array
 def rollout_with_feedback(
     problem: MPCProblem, x: Array, deviations: Array, feedback: Array, given: Given
 ) -> tuple[Array, Array, float]:
-    """Inputs u = v - Kx held in U, the states they lead to, and the largest change that U forced, relative to U.
+    """Inputs u = v - Kx held in U, the states they lead to, and how far v - Kx missed the limits, relative to them.
 
     Computed forwards, each input from the state before it, so that rounding does not grow with the plant.
     """
@@ -35,14 +37,22 @@ def rollout_with_feedback(
     push = pushes(problem, given)
     starts = np.cumsum([0, *block_lengths(problem)])
     extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
-    change = 0.0
-    for b, (start, end) in enumerate(zip(starts[:-1], starts[1:])):
+    missed = 0.0
+    for b, (start, end) in enumerate(pairwise(starts)):
         wanted = finite(deviations[b] - feedback[b] @ states[start])
         inputs[start:end] = nearest_points(wanted[None], *problem.input_rows)[0]
-        change = max(change, float(np.abs((inputs[start] - wanted) / extent).max()))
+        missed = max(missed, float(np.abs((inputs[start] - wanted) / extent).max()))
         for k in range(start, end):
             states[k + 1] = finite(problem.A @ states[k] + problem.B @ inputs[k] + push[k])
-    return inputs, states, change
+    return inputs, states, max(missed, rate_excess(problem, inputs, given))
+
+
+def rate_excess(problem: MPCProblem, inputs: Array, given: Given) -> float:
+    """Largest change of an input beyond the rate limit, relative to it [-]."""
+    if problem.rate_limit is None:
+        return 0.0
+    moves = np.diff(np.vstack([given["u_prev"], inputs]), axis=0)
+    return float(np.max(np.abs(moves) / problem.rate_limit - 1.0, initial=0.0))
 
 
 def pushes(problem: MPCProblem, given: Given) -> Array:

@@ -10,13 +10,14 @@ import numpy as np
 from mpc.checks import Array
 from mpc.condensing import condense, row_units
 from mpc.dense_qp import DenseQP, QPResult
-from mpc.feedback import stabilising_feedback
+from mpc.feedback import block_lengths, stabilising_feedback
 from mpc.halfspaces import nearest_points
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
 from mpc.relaxation import inputs_conflict, regulated, relax, saturated_regulator, typical_cost
 from mpc.rollout import Given, cost_of, pushes, relative_violations, rollout, rollout_with_feedback, violation_of
-from mpc.stagewise import StagewiseSolver
+from mpc.stages import Staging
+from mpc.stagewise import solve_stagewise
 from mpc.tolerances import FEASIBLE, KKT_REPORTED, OVERFLOW, RELAXATION_SHARES, RUNAWAY
 
 
@@ -32,14 +33,15 @@ class Candidate:
 
 
 class CondensedSolver:
-    """Solves one MPC problem from many states, with the signals named in `parameters`; safe to use from many threads."""
+    """Solves one MPC problem from many states, with the signals in `parameters`; safe to use from many threads."""
 
     def __init__(self, problem: MPCProblem, parameters: tuple[str, ...]):
         self.problem = problem
         self.qp = condense(problem, parameters)
         self.units = row_units(problem, self.qp.labels)
-        self.dense = DenseQP(self.qp.H, self.qp.G, self.units)
         self.feedback = stabilising_feedback(problem)
+        # of a long unstable horizon the second form is the stagewise one, see `_in_another_form`
+        self.dense = DenseQP(self.qp.H, self.qp.G, self.units, second=self.feedback is None)
 
     def theta(self, x: Array, given: Given) -> Array:
         """The parameter of the QP."""
@@ -58,9 +60,7 @@ class CondensedSolver:
             violation = violation_of(self.problem, found.states)
             cost = cost_of(self.problem, found.inputs, found.states, given)
         duration = time.perf_counter() - start
-        return Plan(
-            found.inputs, found.states, cost, found.status, found.residuals, violation, duration, found.solver
-        )
+        return Plan(found.inputs, found.states, cost, found.status, found.residuals, violation, duration, found.solver)
 
     def _solve(self, x: Array, theta: Array, given: Given, q: Array, b: Array) -> Candidate | None:
         """The best candidate; None where input constraints contradict each other."""
@@ -70,9 +70,10 @@ class CondensedSolver:
             return first if first.status is Status.SOLVED else self._in_another_form(first, x, given, q)
         if inputs_conflict(self.problem, given.get("u_prev")):
             return None
-        if self.feedback is not None:
-            far = self._stage_by_stage(None, x, given, q)
-            if far is not None and self._runs_away(x, far.states):
+        inputs, states = regulated(self.problem, x, pushes(self.problem, given))
+        if self._runs_away(states):  # the dense QP would lose the digits of the inputs
+            far = self._stage_by_stage(inputs, x, given, q)
+            if far is not None:
                 return far
         relaxed = relax(self.problem, self.qp, self.dense, q, b)
         result, status = (result, Status.SOFTENED) if relaxed is None else (relaxed.result, relaxed.status)
@@ -84,8 +85,8 @@ class CondensedSolver:
         accurate = result.residuals.worst <= KKT_REPORTED
         if self.feedback is not None and np.isfinite(result.z).all():
             deviations = result.z[: self.feedback.shape[0] * self.problem.nu].reshape(-1, self.problem.nu)
-            inputs, states, change = rollout_with_feedback(self.problem, x, deviations, self.feedback, given)
-            accurate = accurate and change <= KKT_REPORTED and not self._runs_away(x, states)
+            inputs, states, missed = rollout_with_feedback(self.problem, x, deviations, self.feedback, given)
+            accurate = accurate and missed <= KKT_REPORTED and not self._runs_away(states)
             if status is Status.SOLVED and self.problem.soft is None:
                 accurate = accurate and relative_violations(self.problem, states).max() <= KKT_REPORTED
         else:
@@ -96,27 +97,32 @@ class CondensedSolver:
             states = rollout(self.problem, x, inputs, given)
         return Candidate(inputs, states, status if accurate else Status.INACCURATE, result.residuals, result.solver)
 
-    def _runs_away(self, x: Array, states: Array) -> bool:
-        """Whether the states leave the range in which a QP over the whole horizon has digits enough."""
-        extent = self.problem.state_extent
-        return bool(np.abs(states / extent).max() > RUNAWAY * max(1.0, float(np.abs(x / extent).max())))
+    def _runs_away(self, states: Array) -> bool:
+        """Whether the states grow so far that the difference v - Kx keeps too few digits of the inputs."""
+        if self.feedback is None:
+            return False
+        starts = np.cumsum([0, *block_lengths(self.problem)])[:-1]
+        feedback = np.abs(np.einsum("bij,bj->bi", self.feedback, states[starts]))
+        extent = np.where(self.problem.input_extent > 0, self.problem.input_extent, np.inf)
+        return bool((feedback / extent).max() > RUNAWAY)
 
     def _in_another_form(self, first: Candidate, x: Array, given: Given, q: Array) -> Candidate:
         """The plan found stage by stage, for an unstable plant and where that converges; otherwise the first one."""
         second = None if self.feedback is None else self._stage_by_stage(first.inputs, x, given, q)
         return first if second is None else second
 
-    def _stage_by_stage(self, inputs: Array | None, x: Array, given: Given, q: Array) -> Candidate | None:
-        """The plan of `StagewiseSolver`, with hard state constraints as squared violations; None if it did not end."""
+    def _stage_by_stage(self, inputs: Array, x: Array, given: Given, q: Array) -> Candidate | None:
+        """The plan of `solve_stagewise`, with hard state constraints as squared violations; None if it did not end."""
         problem = self.problem
-        if inputs is None:
-            inputs, _ = regulated(problem, x, pushes(problem, given))
-        weight = typical_cost(self.qp, problem.input_extent, q) / RELAXATION_SHARES[0]
-        linear, quadratic = (0.0, weight) if problem.soft is None else problem.soft
-        found = StagewiseSolver(problem, x, given, (linear, quadratic)).solve(inputs)
+        price = problem.soft
+        if price is None and len(problem.state_rows[1]) + len(problem.terminal_rows[1]):
+            price = (0.0, typical_cost(self.qp, problem.input_extent, q) / RELAXATION_SHARES[0])
+        staging = Staging(problem, x, given, price)
+        found = solve_stagewise(staging.stages, staging.start, staging.first_guess(inputs))
         if not found.converged:
             return None
-        violated = problem.soft is None and relative_violations(problem, found.states).max() > FEASIBLE
+        inputs, states = staging.plan(found.states, found.variables, x)
+        violated = problem.soft is None and relative_violations(problem, states).max() > FEASIBLE
         status = Status.SOFTENED if violated else Status.SOLVED
-        residuals = Residuals(found.step, 0.0, 0.0, 0.0)
-        return Candidate(found.inputs, found.states, status, residuals, "stagewise")
+        residuals = Residuals(found.step, found.violation, 0.0, 0.0)
+        return Candidate(inputs, states, status, residuals, "stagewise")

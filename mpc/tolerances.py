@@ -64,13 +64,13 @@ OVERFLOW = 1e100
 GROWTH = 1e3
 """Growth of A^k over the horizon from which on the free variable is the deviation from a stabilising feedback [-]."""
 
-RUNAWAY = 1e5
-"""Growth of the planned states, relative to the set and the start, beyond which the dense QP has too few digits [-]."""
+RUNAWAY = 1e7
+"""Feedback Kx, in units of the limits of u, beyond which too few digits of u = v - Kx are left [-]."""
 
 # ---- relaxation ----
 
 RELAXATION_SHARES = (1e-6, 1e-3, 1.0)
-"""Weights of the control cost beside the squared violation [-]; the larger where the QP is too stiff with the smaller."""
+"""Weights of the control cost beside the squared violation [-], tried in turn until the QP solves accurately."""
 
 RELAXATION_MARGIN = 1e-8
 """Room that relaxed bounds leave, relative to the bound or to the slack [-]."""
@@ -97,22 +97,34 @@ UNSEEN = 1e-8
 
 # ---- explained infeasibility ----
 
+LP_FEASIBLE = 1e-10
+"""Violation of a row, in its unit, that the LP solver accepts [-]; the least that HiGHS allows."""
+
+LP_SUPPORT = 1e-8
+"""Violation, in the unit of the row, above which a row is among those that give [-]."""
+
+CERTIFICATE = 1e-12
+"""Multiplier of a proof of infeasibility above which its row takes part, and weight of z beside a violation [-]."""
+
 FARTHEST = 1e12
 """Bounds larger than this, relative to their unit, are scaled down for the LP solver [-]."""
 
 STEADY = 1e-9
 """Residual of the steady-state equation, relative to its terms, that counts as none [-]."""
 
-# ---- stage-by-stage solution ----
+# ---- stage-by-stage solution, in scaled variables ----
 
 STAGEWISE = 1e-7
 """Largest Newton step of an input, in units of its limits, at which a stagewise plan counts as solved [-]."""
 
-NO_PROGRESS = 1e-13
-"""Relative size of a step, or rise of the cost, that is rounding [-]."""
+BARRIER_STOP = 1e-9
+"""Newton step and violation at which the interior-point iteration ends [-]."""
 
-REGULAR = 1e-12
-"""Added to the unit diagonal of the Hessian of one stage, and relative size of a singular value that counts as zero [-]."""
+SLACK_FLOOR = 1e-14
+"""Least slack of a row in units of its bound: smaller ones are rounding [-]."""
+
+ROUNDING = 1e-15
+"""Residual of a row, relative to its terms, that is rounding [-]."""
 
 # ---- targets ----
 

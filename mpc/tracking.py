@@ -91,7 +91,9 @@ class OffsetFreeMPC:
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
-        return f"OffsetFreeMPC({len(self.C)} outputs, gain={self.gain:.3g}, disturbance={self.disturbance}, {self.mpc!r})"
+        return (
+            f"OffsetFreeMPC({len(self.C)} outputs, gain={self.gain:.3g}, disturbance={self.disturbance}, {self.mpc!r})"
+        )
 
     @property
     def needs(self) -> frozenset[str]:
@@ -227,7 +229,9 @@ class OffsetFreeLoop:
         states = as_array("x", np.atleast_2d(states), (len(self._each), self.controller.mpc.nx))
         last_input = signals.get("u_prev")
         if self._last is not None and last_input is not None:
-            applied = as_array("u_prev", np.reshape(last_input, (len(states), -1)), (len(states), self.controller.mpc.nu))
+            applied = as_array(
+                "u_prev", np.reshape(last_input, (len(states), -1)), (len(states), self.controller.mpc.nu)
+            )
             self._each = [c.observe(*step) for c, *step in zip(self._each, self._last, applied, states)]
         self._last = states
         u = np.array([c(s, **self._of_run(signals, i)) for i, (c, s) in enumerate(zip(self._each, states))])
@@ -237,5 +241,5 @@ class OffsetFreeLoop:
         """The signals of one run: references are shared, the last input is its own."""
         mine = {name: value for name, value in signals.items() if name != "u_prev"}
         if "last_input" in self.controller.needs:
-            mine["u_prev"] = np.reshape(signals.get("u_prev"), (len(self._each), -1))[i]
+            mine["u_prev"] = np.reshape(signals["u_prev"], (len(self._each), -1))[i]
         return mine

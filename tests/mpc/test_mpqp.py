@@ -235,11 +235,11 @@ def with_bounds(A, b):
 @pytest.mark.parametrize(
     ("theta_set", "message"),
     [
-        (box([1.0]), r"theta_set.A has shape \(2, 1\), expected \(any, 2\)"),
+        (box([1.0]), r"theta_set.A: got shape \(2, 1\), expected \(any, 2\)"),
         (with_bounds([[1, 0], [-1, 0], [0, 1]], [1, 1, 1]), "theta_set is unbounded in parameter 1"),
         (with_bounds([[1, 0], [-1, 0], [0, 1], [0, -1]], [1, -1, 1, 1]), "empty or flat: parameter 0"),
         (with_bounds([[1, 1], [-1, -1], [1, -1], [-1, 1]], [-1, -1, 1, 1]), "theta_set is empty"),
-        (with_bounds([[1, 0], [-1, 0], [0, 1], [0, -1]], [1, 1, 1, np.nan]), "theta_set.b is not finite"),
+        (with_bounds([[1, 0], [-1, 0], [0, 1], [0, -1]], [1, 1, 1, np.nan]), "theta_set.b: got nan at index"),
     ],
 )
 def test_bad_parameter_sets_are_refused(theta_set, message):

@@ -54,9 +54,9 @@ def test_target_is_a_steady_state_under_the_disturbance(regulator):
 def test_bad_input_is_refused(regulator):
     with pytest.raises(InputError, match=r"expected a number in \(0, 1\]"):
         OffsetFreeMPC(regulator, [[1.0, 0.0]], gain=0.0)
-    with pytest.raises(InputError, match="C has shape"):
+    with pytest.raises(InputError, match="C: got shape"):
         OffsetFreeMPC(regulator, [1.0, 0.0])
-    with pytest.raises(InputError, match="reference has shape"):
+    with pytest.raises(InputError, match="reference: got shape"):
         OffsetFreeMPC(regulator, [[1.0, 0.0]])([0.0, 0.0], [1.0, 2.0])
     with pytest.raises(InputError, match="no steady state"):
         OffsetFreeMPC(regulator, [[1.0, 0.0]], disturbance=[0.0, 3.0]).target([0.0])

@@ -1,0 +1,177 @@
+"""An MPC problem written stage by stage in scaled variables, for `solve_stagewise`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mpc.checks import Array
+from mpc.feedback import block_lengths
+from mpc.problem import MPCProblem
+from mpc.rollout import Given, pushes
+
+_INSIDE = 0.9  # share of the limits that the first guess uses
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """One step: ξ⁺ = Aξ + Bν + c, cost ½ξ'Hxξ + gx'ξ + ½ν'Hvν + gv'ν, rows Cν + Dξ <= d.
+
+    ξ is (x, last input) where the last input matters, ν is (u, t) with t >= 0 the largest violation of the step where
+    it has a price; `nu` is the number of entries of u in ν, zero where the input is held and at the end.
+    """
+
+    A: Array
+    B: Array
+    c: Array
+    Hx: Array
+    gx: Array
+    Hv: Array
+    gv: Array
+    C: Array
+    D: Array
+    d: Array
+    nu: int
+
+
+class Staging:
+    """The stages of a problem, and the way between its units and theirs.
+
+    Parameters
+    ----------
+    problem : MPCProblem
+    x : (nx,) array
+        First state.
+    given : dict
+        Signals over the horizon.
+    price : (linear, quadratic) or None
+        Price of the largest relative violation of each step; None makes the state constraints hard.
+    """
+
+    def __init__(self, problem: MPCProblem, x: Array, given: Given, price: tuple[float, float] | None):
+        self.problem = problem
+        self.price = price
+        self.state_size = problem.state_extent
+        self.input_size = np.where(problem.input_extent > 0, problem.input_extent, _regulated_size(problem, x))
+        self.memory = problem.nu if problem.rate_limit is not None or problem.blocks is not None else 0
+        self.n = problem.nx + self.memory
+        self.Q, self.P = (np.asarray(w) * self.state_size * self.state_size[:, None] for w in (problem.Q, problem.P))
+        self.R = np.asarray(problem.R) * self.input_size * self.input_size[:, None]
+        self.cost = float(np.trace(self.Q) + np.trace(self.R)) or 1.0
+        self.held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
+        last = given.get("u_prev", np.zeros(problem.nu))[: self.memory] / self.input_size[: self.memory]
+        self.start = np.concatenate([x / self.state_size, last])
+        self.push = pushes(problem, given) / self.state_size
+        N = problem.horizon
+        self.x_ref = (
+            given["x_ref"].reshape(N + 1, -1) / self.state_size if "x_ref" in given else np.zeros((N + 1, problem.nx))
+        )
+        self.u_ref = given["u_ref"].reshape(N, -1) / self.input_size if "u_ref" in given else np.zeros((N, problem.nu))
+        self.stages = [self._stage(k) for k in range(N + 1)]
+
+    def first_guess(self, inputs: Array) -> list[Array]:
+        """Variables of every stage near given inputs (N, nu), inside the input set and the rate limit."""
+        scaled = self._towards(inputs) / self.input_size
+        return [
+            np.concatenate([scaled[k] if stage.nu else [], np.zeros(len(stage.gv) - stage.nu)])
+            for k, stage in enumerate(self.stages)
+        ]
+
+    def _towards(self, inputs: Array) -> Array:
+        """Inputs that follow the given ones, drawn towards the middle and by less than the rate limit in each step."""
+        followed = _INSIDE * np.asarray(inputs)
+        if self.problem.rate_limit is None:
+            return followed
+        last = self.start[self.problem.nx :] * self.input_size
+        for k, wanted in enumerate(followed):
+            move = 0.0 if self.held[k] else wanted - last
+            share = np.max(np.abs(move) / (_INSIDE * self.problem.rate_limit), initial=1.0)
+            last = followed[k] = last + move / share  # between two inputs of U, so in U
+        return followed
+
+    def plan(self, states: list[Array], variables: list[Array], x: Array) -> tuple[Array, Array]:
+        """Inputs (N, nu) and states (N + 1, nx) in the units of the plant, from the state x."""
+        inputs = np.empty((self.problem.horizon, self.problem.nu))
+        for k in range(self.problem.horizon):
+            inputs[k] = states[k][self.problem.nx :] if self.held[k] else variables[k][: self.problem.nu]
+        unscaled = np.array(states)[:, : self.problem.nx] * self.state_size
+        unscaled[0] = x
+        return inputs * self.input_size, unscaled
+
+    def _stage(self, k: int) -> Stage:
+        """The stage of step k."""
+        nx, nu, n, last = self.problem.nx, self.problem.nu, self.n, self.problem.horizon
+        free = 0 if k == last or self.held[k] else nu
+        priced = int(self.price is not None and k > 0)
+        Hx, gx = np.zeros((n, n)), np.zeros(n)
+        Hv, gv = np.zeros((free + priced,) * 2), np.zeros(free + priced)
+        weight = 2 * (self.P if k == last else self.Q) / self.cost
+        Hx[:nx, :nx] = weight
+        gx[:nx] = -weight @ self.x_ref[k]
+        R = 2 * self.R / self.cost
+        if free:
+            Hv[:nu, :nu] = R
+            gv[:nu] = -R @ self.u_ref[k]
+        elif k < last:
+            Hx[nx:, nx:] = R
+            gx[nx:] = -R @ self.u_ref[k]
+        if self.price is not None and priced:
+            gv[-1] = self.price[0] / self.cost
+            Hv[-1, -1] = 2 * self.price[1] / self.cost
+        A, B, c = self._dynamics(k, free, priced)
+        return Stage(A, B, c, Hx, gx, Hv, gv, *self._rows(k, free, priced), free)
+
+    def _dynamics(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
+        """(A, B, c) of the step after k; zero at the end."""
+        nx, n, m = self.problem.nx, self.n, self.memory
+        A, B, c = np.zeros((n, n)), np.zeros((n, free + priced)), np.zeros(n)
+        if k == self.problem.horizon:
+            return A, B, c
+        A[:nx, :nx] = self.problem.A / self.state_size[:, None] * self.state_size
+        drive = self.problem.B / self.state_size[:, None] * self.input_size
+        if free:
+            B[:nx, :free] = drive
+            B[nx:, :m] = np.eye(m)
+        else:
+            A[:nx, nx:] = drive
+            A[nx:, nx:] = np.eye(m)
+        c[:nx] = self.push[k]
+        return A, B, c
+
+    def _rows(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
+        """(C, D, d) of the rows of step k, each in the unit of its bound."""
+        nx, n, width = self.problem.nx, self.n, free + priced
+        blocks: list[tuple[Array, Array, Array]] = [(np.zeros((0, width)), np.zeros((0, n)), np.zeros(0))]
+        units = self.problem.row_units
+        if free:
+            H, h = self.problem.input_rows
+            C = np.zeros((len(h), width))
+            C[:, :free] = H * self.input_size / units["input"][:, None]
+            blocks.append((C, np.zeros((len(h), n)), h / units["input"]))
+            if self.problem.rate_limit is not None:
+                both = np.vstack([np.eye(free), -np.eye(free)]) * self.input_size / units["rate"][:, None]
+                C, D = np.zeros((2 * free, width)), np.zeros((2 * free, n))
+                C[:, :free], D[:, nx:] = both, -both
+                blocks.append((C, D, np.ones(2 * free)))
+        sets = [("state", self.problem.state_rows)] * (k > 0)
+        sets += [("terminal", self.problem.terminal_rows)] * (k == self.problem.horizon)
+        for kind, (H, h) in sets:
+            C, D = np.zeros((len(h), width)), np.zeros((len(h), n))
+            C[:, width - priced :] = -1.0
+            D[:, :nx] = H * self.state_size / units[kind][:, None]
+            blocks.append((C, D, h / units[kind]))
+        if priced:
+            C = np.zeros((1, width))
+            C[0, -1] = -1.0
+            blocks.append((C, np.zeros((1, n)), np.zeros(1)))
+        C, D, d = (np.concatenate(parts) for parts in zip(*blocks))
+        return C, D, d
+
+
+def _regulated_size(problem: MPCProblem, x: Array) -> Array:
+    """Size (nu,) of inputs without bounds: what their weight lets them spend on the weighted state."""
+    spent = float(np.sqrt(x @ np.asarray(problem.P) @ x))
+    weight = np.sqrt(np.diag(np.asarray(problem.R)))
+    size = spent / np.where(weight > 0, weight, 1.0)
+    return np.where((weight > 0) & (size > 0), size, 1.0)
