@@ -282,7 +282,8 @@ def bench_plants(count, seed):
         for fault in promises(controller, plan, x, signals) + verdict(controller, plan, x, signals):
             faults[fault] += 1
             print(f"  case {i}: {fault}; {plan!r}; n={controller.nx} m={controller.nu} soft={controller.soft} "
-                  f"rate={controller.rate_limit is not None} X={controller.X is not None} T={controller.terminal_set is not None} "
+                  f"rate={controller.rate_limit is not None} X={controller.X is not None} "
+                  f"T={controller.terminal_set is not None} "
                   f"radius={np.abs(np.linalg.eigvals(controller.A)).max():.2f}", flush=True)  # fmt: skip
     print(f"\n| {cases} random plants, spectral radius 1.0 to 1.5, N = 5 to 100 | count |\n|---|---|")
     for name, number in [*statuses.items(), *((f"by {s}", c) for s, c in solvers.items()), *faults.items()]:

@@ -12,14 +12,12 @@ from mpc.checks import Array
 from mpc.condensing import row_units
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.exceptions import NotStabilisableError
-from mpc.halfspaces import box_of, is_empty, nearest_points
+from mpc.halfspaces import is_empty, nearest_points
 from mpc.parametric_qp import ParametricQP
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import finite, violation_of
 from mpc.tolerances import FEASIBLE, KKT, RELAXATION_MARGIN, RELAXATION_SHARES, RELAXATION_WIDER
-
-__all__ = ["Relaxed", "box_of", "least_violation", "nearest_points", "relax", "saturated_regulator"]
 
 
 @dataclass(frozen=True, eq=False)

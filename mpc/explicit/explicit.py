@@ -14,13 +14,13 @@ from mpc.checks import Array, as_floats
 from mpc.exceptions import InfeasibleError, InputError
 from mpc.explicit.mpqp import MPQPStatus, Partition
 from mpc.explicit.search_tree import Ints, SearchTree, build_tree, locate
-from mpc.relaxation import nearest_points
+from mpc.halfspaces import nearest_points
 
 if TYPE_CHECKING:
     from invariant_sets import Polytope
     from mpc.explicit.codegen.codegen import CodeReport
-    from mpc.linear_mpc import LinearMPC
     from mpc.parametric_qp import ParametricQP
+    from mpc.problem import MPCProblem
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +210,7 @@ class ExplicitMPC:
         return (points - self.partition.centre) / self.partition.half
 
 
-def default_parameters(mpc: LinearMPC, problem: ParametricQP) -> Polytope:
+def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:
     """Parameters of interest where none are named: X, or X × U when the last input is a parameter."""
     names = [name for name, _ in problem.parameters]
     if mpc.X is None or set(names) - {"x", "u_prev"} or ("u_prev" in names and mpc.U is None):

@@ -10,8 +10,8 @@ from scipy.linalg import solve_triangular
 
 from mpc.checks import Array
 from mpc.exceptions import InputError
+from mpc.halfspaces import box_of
 from mpc.parametric_qp import ParametricQP
-from mpc.relaxation import box_of
 
 
 @dataclass(frozen=True, eq=False)

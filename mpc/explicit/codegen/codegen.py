@@ -14,7 +14,7 @@ from mpc.exceptions import InputError
 from mpc.explicit.codegen.c_source import HEADER, LAW_DOUBLE, LAW_FLOAT, SEQUENTIAL, SOURCE, TREE, real, table
 from mpc.explicit.mpqp import MPQPStatus
 from mpc.explicit.search_tree import Ints, distinct_planes
-from mpc.relaxation import box_of
+from mpc.halfspaces import box_of
 
 if TYPE_CHECKING:
     from mpc.explicit.explicit import ExplicitMPC
