@@ -1,22 +1,71 @@
-"""Small dense linear programs: DAQP, with HiGHS as a second opinion where its answer does not check out.
+"""Small dense linear programs: DAQP first, HiGHS second; every answer and every verdict is checked here.
 
-DAQP reads raw memory, so every array handed to it here is a C-contiguous float64 array.
+A solver only proposes an active set. Point and multipliers are recomputed from it, and an optimum counts once primal
+feasibility, dual feasibility and complementarity hold. "Unbounded" needs a ray, "infeasible" a Farkas certificate.
+
+DAQP reads raw memory, so every array handed to it is a C-contiguous float64 array.
 
 References
 ----------
 Arnström, Bemporad, Axehill (2022), A dual active-set solver for embedded quadratic programming using
 recursive LDLᵀ updates, IEEE Trans. Automatic Control 67(8).
+Boyd, Vandenberghe (2004), Convex Optimization, section 5.8: certificates of infeasibility.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
 
 import daqp
 import numpy as np
 
 from invariant_sets.exceptions import NumericalError
+from invariant_sets.tolerances import ACTIVE, LP_COARSE, LP_RESIDUAL, LP_ROUNDING, LP_SOLVER, RAY, STEEP_RAY, UNEVEN
 
 Array = np.ndarray
-_RESIDUAL = 1e-9  # accepted primal residual and duality gap, relative to the size of the data
+_BOXES = 10.0 ** np.arange(3, 16, 3)  # half widths tried in turn where a program without a ray has not been solved
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A checked minimiser of cᵀx over A x <= b.
+
+    Attributes
+    ----------
+    value : float
+        cᵀx.
+    x : (n,) array
+        Minimiser.
+    dual : (m,) array
+        Multipliers, >= 0, with c + Aᵀ dual = 0.
+    residual : float
+        Largest violation of the optimality conditions.
+    """
+
+    value: float
+    x: Array
+    dual: Array
+    residual: float
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A largest ball in {A x <= b}, with the multipliers that prove that there is no larger one.
+
+    Attributes
+    ----------
+    radius : float
+        Negative: the least violation that every point must accept.
+    centre : (n,) array
+        Its centre.
+    dual : (m,) array
+        Multipliers of the rows; they sum to one unless the cap or the box holds the radius.
+    """
+
+    radius: float
+    centre: Array
+    dual: Array
 
 
 def minimise(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
@@ -29,54 +78,35 @@ def minimise(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
     A : (m, n) array
         Rows of Euclidean norm near one.
     b : (m,) array
-        Right-hand side, of order one.
+        Right-hand side, of order one where the row can be active.
 
     Returns
     -------
     value : float
-        +inf if infeasible, −inf if unbounded.
+        +inf if infeasible, −inf if unbounded; either is confirmed by a certificate.
     x : (n,) array or None
         A minimiser, None where there is none.
+
+    Raises
+    ------
+    NumericalError
+        If no answer passes its check.
     """
     c, A, b = (np.ascontiguousarray(array, dtype=np.float64) for array in (c, A, b))
-    if not c.any():
-        return _from_highs(c, A, b)
-    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=1e-10)
-    if flag == 1:
-        x = np.array(x)
-        size = 1.0 + np.abs(x).max() + np.abs(b).max(initial=0.0)
-        dual = np.asarray(info["lam"])
-        residual = max((A @ x - b).max(initial=0.0), np.abs(c + A.T @ dual).max(),
-                       abs(float(c @ x) + float(b @ dual)))
-        if residual <= _RESIDUAL * size:
-            return float(c @ x), x
-    return _from_highs(c, A, b)
-
-
-def _from_highs(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
-    from scipy.optimize import linprog
-
-    for method in ("highs-ds", "highs-ipm"):
-        answer = linprog(c, A_ub=A, b_ub=b, bounds=(None, None), method=method,
-                         options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10})
-        if answer.status == 0:
-            return float(answer.fun), np.asarray(answer.x)
-        if answer.status in (2, 3):
-            zero = linprog(0 * c, A_ub=A, b_ub=b, bounds=(None, None), method="highs-ds")
-            return (np.inf if zero.status == 2 else -np.inf), None
-    if _has_ray(c, A) and inscribed_ball(A, b, cap=1.0)[0] >= 0:
-        return -np.inf, None
-    raise NumericalError(f"A linear program with {A.shape[0]} rows in {A.shape[1]} variables could not be "
-                         f"solved by DAQP or HiGHS ({answer.message}). Rescale the data.")
-
-
-def _has_ray(c: Array, A: Array) -> bool:
-    """Return whether cᵀd < 0 for some d with A d <= 0: HiGHS gives up on some unbounded programs of a narrow cone."""
-    from scipy.optimize import linprog
-
-    ray = linprog(c, A_ub=A, b_ub=np.zeros(len(A)), bounds=(-1.0, 1.0), method="highs-ds",
-                  options={"primal_feasibility_tolerance": 1e-10})
-    return bool(ray.status == 0 and ray.fun < -1e-6 * np.abs(c).max())
+    if not len(b):
+        return (0.0, np.zeros(len(c))) if not c.any() else (-np.inf, None)
+    columns = np.abs(A).max(axis=0)
+    if 0 < columns.min() < UNEVEN:  # solved in variables that matter alike
+        size = max(float(np.abs(c / columns).max()), np.finfo(float).tiny)
+        rows = A / columns
+        norms = np.linalg.norm(rows, axis=1)
+        value, x = minimise(c / columns / size, rows / norms[:, None], b / norms)
+        return value * size, None if x is None else x / columns
+    if c.any():
+        optimum = _from_daqp(c, A, b)
+        if optimum is not None and optimum.residual <= LP_RESIDUAL:
+            return optimum.value, optimum.x
+    return _verdict(c, A, b)
 
 
 def maximise_rows(D: Array, A: Array, b: Array) -> Array:
@@ -84,18 +114,160 @@ def maximise_rows(D: Array, A: Array, b: Array) -> Array:
     return np.array([-minimise(-d, A, b)[0] for d in np.atleast_2d(D)])
 
 
+def maximise_in_box(D: Array, A: Array, b: Array, box: float) -> Array:
+    """Return the (k,) maxima of the rows of D over {A x <= b, |x| <= box}, which must hold a point."""
+    rows, right = _with_box(A, b, box, A.shape[1])
+    values = np.empty(len(D))
+    for i, d in enumerate(D):
+        optimum = _optimum(-d, rows, right)
+        if optimum is None:
+            raise NumericalError(f"A linear program with {len(b)} rows in {A.shape[1]} variables could not be solved "
+                                 "by DAQP or HiGHS. Rescale the data.")
+        values[i] = -optimum.value
+    return values
+
+
 def inscribed_ball(A: Array, b: Array, cap: float) -> tuple[float, Array]:
     """Return radius and centre of a largest ball in A x <= b (rows of unit norm), the radius at most `cap`.
 
     A negative radius is the least violation that every point must accept: the set is empty.
     """
-    n = A.shape[1]
-    rows = np.hstack([A, np.ones((A.shape[0], 1))])
-    limit = np.zeros((1, n + 1))
-    limit[0, n] = 1.0
+    ball = largest_ball(A, b, cap)
+    return ball.radius, ball.centre
+
+
+def largest_ball(A: Array, b: Array, cap: float, box: float | None = None) -> Ball:
+    """Return a largest `Ball` in A x <= b (rows of unit norm), radius at most `cap`, centre in |x| <= `box`.
+
+    Raises
+    ------
+    NumericalError
+        If no answer passes its check.
+    """
+    m, n = A.shape
+    rows = np.ones((m + 1, n + 1))
+    rows[:m, :n] = A
+    rows[m, :n] = 0.0
+    right = np.append(b, cap)
     cost = np.zeros(n + 1)
     cost[n] = -1.0
-    value, x = minimise(cost, np.vstack([rows, limit]), np.append(b, cap))
-    if x is None:
-        raise NumericalError("The largest inscribed ball could not be computed. Rescale the data.")
-    return -value, x[:n]
+    for half in (None, *_BOXES) if box is None else (box,):
+        optimum = _optimum(cost, *((rows, right) if half is None else _with_box(rows, right, half, n)))
+        if optimum is not None:
+            return Ball(-optimum.value, optimum.x[:n], optimum.dual[:m])
+    raise NumericalError(f"The largest ball inside {m} rows in {n} variables could not be computed. "
+                         "Rescale the data.")
+
+
+def ray_along(d: Array, F: Array) -> Array | None:
+    """Return a direction r with F r <= 0 and dᵀr > 0, |r| <= 1; None if there is none but for rounding."""
+    optimum = _optimum(-d, *_with_box(F, np.zeros(len(F)), 1.0, F.shape[1]))
+    if optimum is None or -optimum.value <= STEEP_RAY * np.abs(d).max():
+        return None
+    rise = F @ optimum.x - RAY * (np.abs(F) @ np.abs(optimum.x))
+    return optimum.x if (rise <= 0).all() else None
+
+
+def _verdict(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
+    """Return what `minimise` does where no optimum was found: infeasible and unbounded by their certificates."""
+    ball = largest_ball(A, b, 1.0)
+    if ball.radius < -LP_RESIDUAL:  # its multipliers are the Farkas certificate
+        return np.inf, None
+    if not c.any():
+        return 0.0, ball.centre
+    if ray_along(-c, A) is not None:
+        return -np.inf, None
+    room = b - A @ ball.centre + max(-ball.radius, 0.0)
+    for half in _BOXES:  # about the inner point, so that every box holds a point
+        optimum = _optimum(c, *_with_box(A, room / half, 1.0, A.shape[1]))
+        if optimum is not None and np.abs(optimum.x).max() < 1.0:
+            x = ball.centre + half * optimum.x
+            return float(c @ x), x
+    return -np.inf, None
+
+
+def _with_box(A: Array, b: Array, box: float, width: int) -> tuple[Array, Array]:
+    """Return the rows with |xᵢ| <= box added for the first `width` variables."""
+    eye = np.eye(width, A.shape[1])
+    return np.vstack([A, eye, -eye]), np.append(b, np.full(2 * width, box))
+
+
+def _optimum(c: Array, A: Array, b: Array) -> Optimum | None:
+    """Return a checked optimum, proposed by DAQP or else by HiGHS; None if neither passes."""
+    columns = np.abs(A).max(axis=0)
+    if columns.min() >= UNEVEN or columns.min() == 0:
+        return _best(c, A, b)
+    size = np.abs(c / columns).max()  # solved in variables that matter alike
+    optimum = _best(np.ascontiguousarray(c / columns / size), np.ascontiguousarray(A / columns), b)
+    if optimum is None:
+        return None
+    return Optimum(optimum.value * size, optimum.x / columns, optimum.dual * size, optimum.residual)
+
+
+def _best(c: Array, A: Array, b: Array) -> Optimum | None:
+    """Return the first proposed optimum within `LP_RESIDUAL`, or the best one within `LP_COARSE`."""
+    coarse = []
+    for propose in (_from_daqp, _from_highs, partial(_from_highs, method="highs-ipm")):
+        optimum = propose(c, A, b)
+        if optimum is not None and optimum.residual <= LP_RESIDUAL:
+            return optimum
+        if optimum is not None and optimum.residual <= LP_COARSE:
+            coarse.append(optimum)
+    return min(coarse, key=lambda optimum: optimum.residual, default=None)
+
+
+def _from_daqp(c: Array, A: Array, b: Array) -> Optimum | None:
+    """Return the optimum that DAQP proposes, recomputed; None if it proposes none."""
+    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER)
+    return _recomputed(c, A, b, np.array(x), np.array(info["lam"])) if flag == 1 else None
+
+
+def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optimum | None:
+    """Return the optimum that HiGHS proposes, recomputed; None if it proposes none."""
+    from scipy.optimize import linprog
+
+    answer = linprog(c, A_ub=A, b_ub=b, bounds=(None, None), method=method,
+                     options={"primal_feasibility_tolerance": LP_SOLVER, "dual_feasibility_tolerance": LP_SOLVER})
+    if answer.status != 0:
+        return None
+    return _recomputed(c, A, b, np.asarray(answer.x), -np.asarray(answer.ineqlin.marginals))
+
+
+def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
+    """Return the better of the optimum proposed and those in which its active rows hold with equality."""
+    best = None
+    for least in (0.0, ACTIVE * dual.max(initial=0.0)):
+        exact = _at_active_rows(c, A, b, x, np.flatnonzero(dual > least))
+        if exact is not None and exact.residual <= LP_RESIDUAL:
+            return exact
+        best = exact if best is None or (exact is not None and exact.residual < best.residual) else best
+    proposed = _measured(c, A, b, x, dual)
+    return proposed if best is None or proposed.residual < best.residual else best
+
+
+def _at_active_rows(c: Array, A: Array, b: Array, x: Array, active: Array) -> Optimum | None:
+    """Return point and multipliers with which the `active` rows hold with equality, None if they are dependent."""
+    rows = A[active]
+    if len(active) == len(c):
+        try:
+            exact = np.linalg.solve(rows, b[active])
+            multipliers = np.linalg.solve(rows.T, -c)
+        except np.linalg.LinAlgError:
+            return None
+    else:
+        exact = x + np.linalg.lstsq(rows, b[active] - rows @ x, rcond=None)[0]
+        multipliers = np.linalg.lstsq(rows.T, -c, rcond=None)[0]
+    dual = np.zeros(len(b))
+    dual[active] = multipliers
+    return _measured(c, A, b, exact, dual)
+
+
+def _measured(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
+    """Return the point and its multipliers with the largest violation of the optimality conditions."""
+    size = np.abs(x)
+    excess = A @ x - b - LP_ROUNDING * (np.abs(A) @ size + np.abs(b))
+    slope = c + dual @ A
+    value = float(c @ x)
+    gap = abs(value + float(b @ dual)) - LP_ROUNDING * float(np.abs(c) @ size + np.abs(b) @ np.abs(dual))
+    worst = max(excess.max(initial=0.0), -dual.min(initial=0.0), np.abs(slope).max(), gap, float(np.abs(slope) @ size))
+    return Optimum(value, x, np.maximum(dual, 0.0), float(worst))

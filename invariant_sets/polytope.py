@@ -11,8 +11,7 @@ import numpy as np
 from invariant_sets import hulls as rep
 from invariant_sets.body_rows import hull_of_points, largest_ball, minimal_rows
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
-from invariant_sets.interior_form import Body, body_of
-from invariant_sets.linear_programs import minimise
+from invariant_sets.interior_form import Body, body_of, support
 from invariant_sets.operations import SetOperations, same_space
 from invariant_sets.sampling import hit_and_run
 from invariant_sets.validation import (
@@ -277,13 +276,7 @@ class Polytope(SetOperations):
             return np.full(len(D), -np.inf)
         if body.bounded and (self.dim <= 4 or "vertices" in self.__dict__):
             return (D @ self.vertices.T).max(axis=1)
-        values = np.empty(len(D))
-        for i, d in enumerate(D):
-            local = body.basis.T @ d
-            size = np.linalg.norm(local)
-            spread = size * (-minimise(-local / size, body.F, body.g)[0]) if size > 1e-12 else 0.0
-            values[i] = d @ body.centre + spread
-        return values
+        return support(body, D)
 
     # --- new sets -----------------------------------------------------------------------------------------
 

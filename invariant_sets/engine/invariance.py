@@ -88,7 +88,7 @@ def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResul
         if region.shape is Shape.SOLID and (outcome.converged or capped) and not region.is_small:
             return _finish(task, problem, replace(outcome, region=region, iterations=iterations))
         smaller = problem.frame.polytope(region.F, region.g, region.V)
-        X = _flattened(smaller, widest) if region.is_small else smaller
+        X = smaller if smaller.is_empty else _flattened(smaller, widest)
         if limits.deadline.passed:
             break
     return no_set(nx, iterations, X, _unfinished(limits, X.is_bounded))

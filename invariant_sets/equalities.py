@@ -1,0 +1,103 @@
+"""Equality rows solved by elimination, in mixed units and with rows that depend on each other; first units for it.
+
+References
+----------
+Golub, Van Loan (2013), Matrix Computations, section 3.4: Gauss–Jordan elimination with complete pivoting.
+Ruiz (2001), A scaling algorithm to equilibrate both rows and columns norms in matrices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from invariant_sets.tolerances import CLOSER, DEPENDENT, FLAT
+
+Array = np.ndarray
+
+
+def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> tuple[Array, Array] | None:
+    """Return a point and a basis (n, k) of {x : E x = e}; None if there is no such point.
+
+    Parameters
+    ----------
+    E, e : (m, n) and (m,) arrays
+        Equality rows, none of them zero.
+    centre : (n,) array
+        The free coordinates of the point are taken from here.
+    scale : (n,) array
+        Size of each coordinate of the set, > 0; it chooses the pivots and scales the basis.
+
+    Notes
+    -----
+    k coordinates stay free, one a column; the others follow from them. The size of every entry is accumulated next to it, so that
+    an entry counts as zero when it has cancelled, whatever the units of its column.
+    """
+    n = len(scale)
+    if not len(e):
+        return centre.copy(), np.diag(scale)
+    size = np.abs(E * scale).max(axis=1)
+    rows = np.column_stack([E * scale, e]) / size[:, None]
+    terms = np.abs(rows)
+    rest = list(range(len(rows)))
+    pivots: list[tuple[int, int]] = []
+    while rest:
+        i = max(rest, key=lambda row: np.abs(rows[row, :n]).max())
+        j = int(np.abs(rows[i, :n]).argmax())
+        if rows[i, j] == 0.0:
+            break
+        rest.remove(i)
+        pivots.append((i, j))
+        _clear_column(rows, terms, i, j, rest)
+    if (np.abs(rows[rest, n]) > FLAT * terms[rest].sum(axis=1)).any():
+        return None
+    solved, bound = [i for i, _ in pivots], [j for _, j in pivots]
+    free = np.setdiff1d(np.arange(n), bound)
+    basis = np.zeros((n, len(free)))
+    basis[free, np.arange(len(free))] = 1.0
+    basis[bound] = -rows[solved][:, free]
+    point = np.zeros(n)  # the dependent coordinates are computed anew: a correction would keep old rounding
+    point[bound] = rows[solved, n]
+    return scale * (point + basis @ (centre[free] / scale[free])), scale[:, None] * basis
+
+
+def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) -> None:
+    """Clear column j of all rows but row i, in place; entries of the rows in `rest` become zero where they cancel."""
+    terms[i] /= abs(rows[i, j])
+    rows[i] /= rows[i, j]
+    factors = rows[:, j].copy()
+    factors[i] = 0.0
+    rows -= factors[:, None] * rows[i]
+    terms += np.abs(factors)[:, None] * terms[i]
+    rows[:, j] = 0.0
+    rows[i, j] = 1.0
+    left = rows[rest, :-1]
+    rows[rest, :-1] = np.where(np.abs(left) > DEPENDENT * terms[rest, :-1], left, 0.0)
+
+
+def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array]:
+    """Return a first length (n,) for every coordinate of {A x <= b, E x = e}, and which rows of A may be far away (m,).
+
+    Rows and columns are balanced, so that every coordinate is steep in some row; the tightest steep row on either side
+    then gives its length. A row is suspected to be far away if the others' right-hand sides are nothing beside its own.
+    """
+    rows = np.vstack([A, E])
+    if not len(rows):
+        return np.ones(A.shape[1]), np.zeros(0, bool)
+    sign = np.sign(rows)
+    scale = np.ones(rows.shape[1])
+    rows, right = np.abs(rows), np.abs(np.append(b, e))
+    for _ in range(6):
+        size = rows.max(axis=1)
+        rows, right = rows / size[:, None], right / size
+        columns = rows.max(axis=0)
+        if (columns[columns > 0] > 0.5).all():
+            break
+        factor = 1 / np.where(columns > 0, columns, 1.0)
+        scale, rows = scale * factor, rows * factor
+    far = right[:len(b)] > np.median(right) / CLOSER
+    reach = right[:, None] / np.where(rows > 0.5, rows, 1.0)
+    sides = np.array([np.where((rows > 0.5) & (sign != -side), reach, np.inf).min(axis=0) for side in (1, -1)])
+    lengths = np.where(np.isfinite(sides), sides, 0.0).max(axis=0)
+    known = lengths[lengths > 0]
+    usual = np.median(known) if len(known) else np.median(right[right > 0]) if right.any() else 1.0
+    return scale * np.where(lengths > 0, lengths, usual), far & (b > 0)
