@@ -29,8 +29,8 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> tuple[Array, 
 
     Notes
     -----
-    k coordinates stay free, one a column; the others follow from them. The size of every entry is accumulated next to it, so that
-    an entry counts as zero when it has cancelled, whatever the units of its column.
+    k coordinates stay free, one a column; the others follow from them. The size of the terms of every entry is
+    accumulated beside it, so that an entry counts as zero when it has cancelled, whatever the units of its column.
     """
     n = len(scale)
     if not len(e):
