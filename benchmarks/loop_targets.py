@@ -21,7 +21,7 @@ from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.reinforcement import CoDesignConfig
-from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.controllers.baselines import saturated_lqr
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.simulation import simulate
 from ccdtools.statistics import paired_difference
@@ -31,7 +31,6 @@ from ccdtools.twin.replay import updated_problem
 from ccdtools.twin.twin import DigitalTwin
 from learning import PPOConfig, fit_actor_critic, train
 from learning.networks import ActorCritic
-from mpc import lqr
 
 RUNS = 4000
 
@@ -62,12 +61,6 @@ class Against:
     best: float = float("nan")
 
 
-def lqr_at(problem: CoDesignProblem, design) -> LinearFeedback:
-    """Saturated LQR of the nominal model."""
-    A, B, _ = problem.model.matrices(design)
-    return LinearFeedback(lqr(A, B, Q=problem.objective.Q, R=problem.objective.R)[0], *problem.input_bounds)
-
-
 def against_lqr(problem: CoDesignProblem, agent: ActorCritic, design, *, plant=None, disturbance=None) -> Against:
     """The comparison, on the nominal model or on another plant."""
     rng = np.random.default_rng(987_654_321)
@@ -79,7 +72,7 @@ def against_lqr(problem: CoDesignProblem, agent: ActorCritic, design, *, plant=N
             plant or problem.model, controller, x0=x0, steps=problem.steps, disturbance=w, design=design,
             limit=problem.limit,
         )
-        for controller in (LearnedPolicy(agent, design), lqr_at(problem, design))
+        for controller in (LearnedPolicy(agent, design), saturated_lqr(problem, design))
     )  # fmt: skip
     kept = ~(own.diverged | other.diverged)
     if own.diverged.mean() > other.diverged.mean():
@@ -101,7 +94,7 @@ def best_over_designs(problem: CoDesignProblem, points: int = 51) -> float:
     returns = []
     for design in problem.design.from_unit(np.linspace(0, 1, points)[:, None]):
         run = simulate(
-            problem.model, lqr_at(problem, design), x0=x0, steps=problem.steps, disturbance=w, design=design,
+            problem.model, saturated_lqr(problem, design), x0=x0, steps=problem.steps, disturbance=w, design=design,
             limit=problem.limit,
         )  # fmt: skip
         returns.append(run.returns(problem.objective).mean())
@@ -185,7 +178,7 @@ def whole_study(name: str, seed: int, *, disturbance=None, folder: str | Path | 
         study = replace(study, real=replace(study.real, disturbance=disturbance))
     with tempfile.TemporaryDirectory() as temporary:
         run = RunFolder.create(Path(folder or temporary, f"{name}-{seed}"))
-        return Generations(study, configuration(study), run, seed=seed, progress=False, say=lambda line: None).run()
+        return Generations(study, configuration(study), run, seed=seed, progress=False, echo=lambda line: None).run()
 
 
 def worst_row(results: dict) -> float:

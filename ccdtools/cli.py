@@ -1,9 +1,8 @@
-"""The command line: ``ccdtools run STUDY``, ``ccdtools resume FOLDER``, ``ccdtools studies``."""
+"""The command line: ``ccdtools run STUDY``, ``resume FOLDER``, ``new NAME``, ``studies``."""
 
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import shutil
 import signal
@@ -11,58 +10,57 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+import ccdtools
+from ccdtools.console import one_line_of, plain_where_needed
 from ccdtools.exceptions import CCDError, InputError
+from ccdtools.studies.options import Options, located, numbers, study_names, whole_number
+from ccdtools.studies.run_folder import RunFolder
 
 if TYPE_CHECKING:
-    from ccdtools.studies import RunFolder, Study, StudyConfig
+    from ccdtools.studies.preparation import PreparedRun
+
+MISUSE = 2  # exit codes
+INTERRUPTED = 130
 
 app = typer.Typer(
     help="Control co-design: a plant's physical parameters and its controller, designed together.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
-_OPTION_NAMES = re.compile(r"^(x0|p0|driver|design_gradient|disturbance)(\b)")
+def _print_version(asked: bool) -> None:
+    """Print the version and stop, if asked."""
+    if asked:
+        typer.echo(f"ccdtools {ccdtools.__version__}")
+        raise typer.Exit
 
 
-@dataclass(frozen=True)
-class Options:
-    """What a run was asked for; kept in run.json, so that `resume` needs the folder alone."""
-
-    study: str
-    generations: int
-    seed: int
-    quick: bool
-    preset: str
-    expert: str
-    design_gradient: str | None
-    x0: list[float] | None
-    p0: list[float] | None
-    disturbance: str | None
-    column: str | None
-    road: str | None
-    speed: str | None
-    driver: str | None
+@app.callback()
+def everywhere(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Control co-design: a plant's physical parameters and its controller, designed together."""
 
 
 @app.command()
 def run(
     study: Annotated[str, typer.Argument(help="Name of a study (see `ccdtools studies`), or a Python file with one.")],
-    output: Annotated[Path | None, typer.Option(help="Folder of the run. Default: runs/STUDY-1, -2, …")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of every random number.")] = 0,
-    generations: Annotated[int, typer.Option(help="Times to design, deploy and learn.")] = 2,
+    output: Annotated[str | None, typer.Option(help="Folder of the run. Default: runs/STUDY-1, -2, …")] = None,
+    seed: Annotated[str, typer.Option(metavar="INTEGER", help="Seed of every random number.")] = "0",
+    generations: Annotated[str, typer.Option(metavar="INTEGER", help="Times to design, deploy and learn.")] = "2",
     quick: Annotated[bool, typer.Option("--quick", help="Same path, fewer samples; under a minute.")] = False,
     preset: Annotated[str, typer.Option(help="default, or paper: its networks, loss, rates and epochs.")] = "default",
-    expert: Annotated[str, typer.Option(help="Who is cloned: lqr (projected on X_fea), mpc, explicit.")] = "lqr",
+    expert: Annotated[str, typer.Option(help="Imitated first: lqr (projected on X_fea), mpc, explicit.")] = "lqr",
     design_gradient: Annotated[str | None, typer.Option(help="pathwise, or network_input (the paper's).")] = None,
     x0: Annotated[str | None, typer.Option(help="Initial state, for example --x0=-3,0")] = None,
     p0: Annotated[str | None, typer.Option(help="Start design, for example --p0=0.8")] = None,
@@ -77,77 +75,102 @@ def run(
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report."""
     options = Options(
-        _located(study), generations, seed, quick, preset, expert, design_gradient, _numbers(x0, "--x0"),
-        _numbers(p0, "--p0"), disturbance, column, road, speed, driver,
+        located(study), whole_number("--generations", generations), whole_number("--seed", seed), quick, preset,
+        expert, design_gradient, numbers("--x0", x0), numbers("--p0", p0), disturbance, column, road, speed, driver,
     )  # fmt: skip
+    options.check_files()
+    if output is not None:
+        _output(output).check_new(overwrite=overwrite, argument="--output")
     folder = None
     try:
-        with _undisturbed():
-            declared = _with_disturbance(_study(options), options)
-            _check(declared, options)
+        with _held_back():
+            from ccdtools.studies.preparation import prepare
+
+            prepared = prepare(options)
             folder = _new_folder(output, Path(study).stem, overwrite)
-            folder.write_json("run.json", vars(options))
-            _keep_recording(folder, declared)
-        _complete(folder, declared, options)
+        with folder.locked():
+            with _held_back():
+                prepared.begin(folder)
+            _complete(folder, prepared)
     except KeyboardInterrupt:
         _stop(folder)
 
 
 @app.command()
-def resume(folder: Annotated[Path, typer.Argument(help="Folder of an interrupted run.")]) -> None:
+def resume(folder: Annotated[str, typer.Argument(help="Folder of an interrupted run.")]) -> None:
     """Continue an interrupted run; what it had finished is read, not computed again."""
-    kept = None
+    kept = RunFolder(folder)
     try:
-        with _undisturbed():
-            from ccdtools.studies import RunFolder
+        kept.check_layout()
+        with kept.locked():
+            with _held_back():
+                from ccdtools.studies.preparation import prepare_again
 
-            kept = RunFolder(folder)
-            options = _kept_options(kept)
-            study = _study(options)
-            if options.driver is not None:
-                study = _with_disturbance(study, options)
-            study = _with_kept_recording(kept, study)
-            _check(study, options)
-        _complete(kept, study, options)
+                prepared = prepare_again(kept)
+                kept.check_stages()
+            _complete(kept, prepared)
     except KeyboardInterrupt:
         _stop(kept)
 
 
 @app.command()
+def new(name: Annotated[str, typer.Argument(help="Name of the study; the file is NAME.py.")]) -> None:
+    """Write a commented study file of your own, which runs as it is."""
+    from ccdtools.studies.template import write_template
+
+    path = write_template(name)
+    typer.echo(f"Wrote {path}. Try it with: {shlex.join([*_program(), 'run', str(path), '--quick'])}")
+
+
+@app.command()
 def studies() -> None:
     """List the studies that come with the package."""
-    from ccdtools.studies import load_study, study_names
+    from ccdtools.studies.loading import load_study
 
     for name in study_names():
         typer.echo(f"{name:<16}{load_study(name).title}")
 
 
 def main() -> None:
-    """Entry point: bad input is one line and exit code 2, an interruption is exit code 130."""
+    """Entry point: misuse is one line and exit code 2, an interruption is exit code 130."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: threads of BLAS would only wait for each other
+    plain_where_needed()
+    code = _run(sys.argv[1:] or ["--help"])
     try:
-        app()
+        sys.stdout.flush()
+    except OSError:  # nobody reads the output any more, or its disk is full
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = code or 1
+    sys.exit(code)
+
+
+def _run(arguments: list[str]) -> int:
+    """Carry out the command; the exit code."""
+    try:
+        return app(arguments, standalone_mode=False) or 0
+    except (KeyboardInterrupt, typer.Abort):
+        return INTERRUPTED
+    except BrokenPipeError:
+        return 1
     except Exception as error:
-        if not isinstance(error, _errors_of_ours()):
+        line = one_line_of(error, ours=_errors_of_ours())
+        if line is None:
             raise
-        typer.echo(f"ccdtools: {_OPTION_NAMES.sub(_as_typed, str(error))}", err=True)
-        sys.exit(2)
+        typer.echo(f"ccdtools: {line}", err=True)
+        return MISUSE
 
 
 def _errors_of_ours() -> tuple[type[Exception], ...]:
-    from invariant_sets import InvariantSetsError
-    from learning import LearningError
-    from mpc import MPCError
+    """The base classes of all errors that the packages raise on purpose, as far as they are loaded."""
+    loaded = [sys.modules[name] for name in ("learning.exceptions", "mpc.exceptions") if name in sys.modules]
+    from invariant_sets.exceptions import InvariantSetsError
 
-    return CCDError, LearningError, MPCError, InvariantSetsError
-
-
-def _as_typed(found: re.Match[str]) -> str:
-    return "--" + found.group(1).replace("_", "-") + found.group(2)
+    names = ("LearningError", "MPCError")
+    return (CCDError, InvariantSetsError, *(getattr(m, n) for m in loaded for n in names if hasattr(m, n)))
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
+def _held_back() -> Iterator[None]:
     """Hold Ctrl-C back: an import or a folder interrupted half-way could not be continued."""
     caught: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, frame: caught.append(number))
@@ -163,168 +186,66 @@ def _undisturbed() -> Iterator[None]:
 
 def _stop(folder: RunFolder | None) -> NoReturn:
     """Say what was kept and how to go on."""
-    if folder is None:
+    if folder is None or not (folder.path / "run.json").is_file():
         typer.echo("\nInterrupted before anything was begun.")
     else:
         typer.echo(f"\nInterrupted. Finished and kept: {', '.join(folder.finished()) or 'nothing yet'}.")
         typer.echo(f"Continue with: {shlex.join([*_program(), 'resume', str(folder.path)])}")
-    sys.exit(130)
+    raise typer.Exit(INTERRUPTED)
 
 
 def _program() -> list[str]:
     """How this program was called, as a shell can call it again."""
     called = sys.argv[0]
     if called.endswith(".py"):
-        return [sys.executable, "-m", "ccdtools.cli"]
+        return [sys.executable, "-m", "ccdtools"]
     found = shutil.which(Path(called).name)
     return [Path(called).name] if found and Path(found).resolve() == Path(called).resolve() else [called]
 
 
-def _complete(folder: RunFolder, study: Study, options: Options) -> None:
+def _complete(folder: RunFolder, prepared: PreparedRun) -> None:
     """Run what is not finished yet, and report."""
-    from ccdtools.studies import Generations
+    from ccdtools.studies.generations import Generations
+    from ccdtools.studies.loading import blamed_on_source
     from ccdtools.studies.report.report import write_report
     from ccdtools.studies.report.tables import console_table
 
+    options, study = prepared.options, prepared.study
     quick = " (QUICK: few samples, not for conclusions)" if options.quick else ""
     typer.echo(f"{study.title}, seed {options.seed}{quick} → {folder.path}")
     start = time.perf_counter()
     _single_thread()
-    loop = Generations(
-        study, _configuration(study, options), folder, generations=options.generations, seed=options.seed,
-        say=typer.echo, progress=sys.stderr.isatty(),
-    )  # fmt: skip
-    results = loop.run()
-    typer.echo("Figures and report")
-    report = write_report(study, folder)
+    with blamed_on_source(options.study):
+        results = Generations(
+            study, prepared.config, folder, generations=options.generations, seed=options.seed, echo=typer.echo,
+            progress=sys.stderr.isatty(),
+        ).run()  # fmt: skip
+        typer.echo("Figures and report")
+        report = write_report(study, folder)
+    typer.echo(f"\n{results['headline']}")
     typer.echo("\n" + console_table(results))
     typer.echo(f"\nReport, after {time.perf_counter() - start:.0f} s: {report}")
 
 
-def _configuration(study: Study, options: Options) -> StudyConfig:
-    from ccdtools.studies import configuration
-
-    return configuration(
-        study, preset=options.preset, quick=options.quick, expert=options.expert,
-        design_gradient=options.design_gradient,
-    )  # fmt: skip
-
-
-def _kept_options(folder: RunFolder) -> Options:
-    kept = folder.read_json("run.json")
-    if not isinstance(kept, dict) or set(kept) != set(Options.__dataclass_fields__):
-        raise InputError(f"folder: got {folder.path} with a run.json of another kind, expected one of this version.")
-    return Options(**kept)
-
-
-def _study(options: Options) -> Study:
-    """The study as the options change it."""
-    import numpy as np
-
-    from ccdtools.studies import load_study
-
-    study = load_study(options.study)
-    x0, p0 = (None if v is None else np.array(v) for v in (options.x0, options.p0))
-    return study.started(x0=x0, p0=p0)
-
-
-def _with_disturbance(study: Study, options: Options) -> Study:
-    from dataclasses import replace
-
-    from ccdtools.disturbances.disturbance import Recorded
-    from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
-    from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
-
-    given = [name for name in ("disturbance", "road", "driver") if getattr(options, name) is not None]
-    if len(given) > 1:
-        raise InputError(f"--{given[1]}: got it together with --{given[0]}, expected one source of the disturbance.")
-    if (options.road is None) != (options.speed is None):
-        alone, missing = ("--road", "--speed") if options.speed is None else ("--speed", "--road")
-        raise InputError(f"{alone}: got it without {missing}, expected both: elevation over distance, speed over time.")
-    if options.column is not None and options.disturbance is None:
-        raise InputError("--column: got it without --disturbance, expected the file it is a column of.")
-    source: Any = None
-    dt = study.plant.dt
-    if options.disturbance is not None:
-        source = Recorded(read_disturbance(options.disturbance, dt=dt, column=options.column, argument="--disturbance"))
-    elif options.road is not None and options.speed is not None:
-        source = Recorded(
-            road_disturbance(
-                *read_road(options.road, argument="--road"), *read_speed(options.speed, argument="--speed"), dt=dt
-            )
-        )
-    elif options.driver is not None:
-        source = GeneratedRoad(options.driver, dt)  # type: ignore[arg-type]
-    if source is None:
-        return study
-    if study.real.plant.nw != 1:
-        raise InputError(
-            f"--{given[0]}: got one disturbance, expected {study.real.plant.nw}, which {study.name} has; "
-            "it can be given only to a study with one."
-        )
-    return replace(study, real=replace(study.real, disturbance=source))
-
-
-def _check(study: Study, options: Options) -> None:
-    """All that can be told of the input without running it, before a folder is made."""
-    from ccdtools.studies.evaluation import Evaluation
-    from ccdtools.studies.generations import check_counts
-
-    check_counts(options.generations, options.seed)
-    evaluation = Evaluation(study, _configuration(study, options), options.seed)
-    evaluation.check_recording()
-
-
-def _new_folder(output: Path | None, name: str, overwrite: bool) -> RunFolder:
-    from ccdtools.studies import RunFolder
-
+def _new_folder(output: str | None, name: str, overwrite: bool) -> RunFolder:
+    """The folder asked for, or the first free one of runs/NAME-1, -2, …"""
     if output is not None:
-        return RunFolder.create(output, overwrite=overwrite)
+        return RunFolder.create(_output(output).path, overwrite=overwrite, argument="--output")
     number = 1
-    while Path("runs", f"{name}-{number}").exists():
+    while os.path.lexists(Path("runs", f"{name}-{number}")):
         number += 1
-    return RunFolder.create(Path("runs", f"{name}-{number}"))
+    return RunFolder.create(Path("runs", f"{name}-{number}"), argument="runs")
 
 
-def _keep_recording(folder: RunFolder, study: Study) -> None:
-    """Keep a recorded disturbance with the run: its file may be gone when the run is resumed."""
-    import numpy as np
-
-    from ccdtools.disturbances.disturbance import Recorded
-
-    if isinstance(study.real.disturbance, Recorded):
-        np.save(folder.path / "disturbance.npy", study.real.disturbance.signal)
-
-
-def _with_kept_recording(folder: RunFolder, study: Study) -> Study:
-    from dataclasses import replace
-
-    import numpy as np
-
-    from ccdtools.disturbances.disturbance import Recorded
-
-    kept = folder.path / "disturbance.npy"
-    if not kept.is_file():
-        return study
-    return replace(study, real=replace(study.real, disturbance=Recorded(np.load(kept, allow_pickle=False))))
-
-
-def _located(study: str) -> str:
-    """The study's name, or the absolute path of its file: a run may be resumed from elsewhere."""
-    return str(Path(study).resolve()) if study.endswith(".py") else study
-
-
-def _numbers(text: str | None, argument: str) -> list[float] | None:
-    if text is None:
-        return None
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(f"{argument}: got {text!r}, expected numbers separated by commas.") from None
+def _output(path: str) -> RunFolder:
+    """The output folder, not made yet."""
+    if not path.strip():
+        raise InputError("--output", repr(path), "the path of a new folder")
+    return RunFolder(path)
 
 
 def _single_thread() -> None:
-    """The same for torch."""
+    """As many threads of torch as OMP_NUM_THREADS says, else one."""
     import torch
 
     asked = os.environ.get("OMP_NUM_THREADS", "")

@@ -1,10 +1,16 @@
 """Case studies: the only place that runs experiments."""
 
-from ccdtools.studies.comparison import Comparison, compare
-from ccdtools.studies.configuration import StudyConfig, configuration
-from ccdtools.studies.generations import Generations
-from ccdtools.studies.run_folder import RunFolder
-from ccdtools.studies.study import RealPlant, Study, load_study, study_names
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ccdtools.studies.comparison import Comparison, compare
+    from ccdtools.studies.generations import Generations
+    from ccdtools.studies.loading import load_study
+    from ccdtools.studies.options import study_names
+    from ccdtools.studies.presets import StudyConfig, configuration
+    from ccdtools.studies.run_folder import RunFolder
+    from ccdtools.studies.study import RealPlant, Study
 
 __all__ = [
     "Comparison",
@@ -18,3 +24,27 @@ __all__ = [
     "load_study",
     "study_names",
 ]
+
+_HOMES = {
+    "Comparison": "comparison",
+    "Generations": "generations",
+    "RealPlant": "study",
+    "RunFolder": "run_folder",
+    "Study": "study",
+    "StudyConfig": "presets",
+    "compare": "comparison",
+    "configuration": "presets",
+    "load_study": "loading",
+    "study_names": "options",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Public names, loaded when asked for: the command line checks its options without waiting for torch."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'ccdtools.studies' has no attribute {name!r}")
+    return getattr(import_module(f"ccdtools.studies.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

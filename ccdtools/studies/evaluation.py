@@ -19,16 +19,17 @@ from ccdtools.exceptions import InputError
 from ccdtools.simulation import Scenario
 from ccdtools.statistics import summarise
 from ccdtools.studies.comparison import Score, compare
-from ccdtools.studies.configuration import StudyConfig
+from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.run_folder import Stage
-from ccdtools.studies.study import Study
+from ccdtools.studies.study import MINIMUM_LOG, Study
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay, replay_problem
 from ccdtools.twin.residuals import Residuals
 from learning.networks import ActorCritic
 
-MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
-BAND_RUNS, BAND_STEPS = 500, 1000  # of the trajectories kept for figures
+MOSTLY = 0.5  # of the samples outside X: then the recording is not one of this plant
+BAND_RUNS = 500  # of the trajectories kept for figures
+BAND_STEPS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,25 +67,32 @@ class Evaluation:
         if isinstance(real.disturbance, Recorded):
             steps = min(steps, len(real.disturbance.signal))
         if steps * real.runs < MINIMUM_LOG:
-            raise InputError(
-                f"disturbance: got {steps} samples, expected at least {MINIMUM_LOG} to learn the discrepancy from."
-            )
+            expected = f"at least {MINIMUM_LOG} to learn the discrepancy from"
+            raise InputError("real.disturbance", f"{steps * real.runs} samples", expected)
         return steps
 
     def check_recording(self) -> None:
-        """Raise an `InputError` if LQR at the start design diverges under a recorded disturbance: wrong units?"""
+        """Raise if LQR at the start design cannot keep the plant near X under a recorded disturbance: wrong units?
+
+        Raises
+        ------
+        InputError
+            If its run diverges, or spends more than half of its samples outside X.
+        """
         steps, real = self.deployment_steps, self.study.real
         if not isinstance(real.disturbance, Recorded):
             return
         w = self.recorded(1, "deployment")
-        lqr = saturated_lqr(self.problem, self.study.p0)
         scenario = Scenario(real.plant, real.x0, w[:, :steps])
+        lqr = saturated_lqr(self.problem, self.study.p0)
         run = scenario.run(lqr, design=self.study.p0, limit=self.problem.limit)
-        if run.diverged.any():
-            raise InputError(
-                f"disturbance: got values up to {np.abs(w).max():.3g}, under which LQR at the start design diverges "
-                f"after {run.diverged_at[0]} samples, expected what the plant can bear; check the units."
-            )
+        outside = float(1 - self.study.X.contains(run.states[0, 1:]).mean())
+        if run.diverged.any() or outside > MOSTLY:
+            lost = f"is outside X in {outside:.0%} of the samples"
+            if run.diverged.any():
+                lost = f"diverges after {run.diverged_at[0]} samples"
+            got = f"values up to {np.abs(w).max():.3g}, under which LQR at the start design {lost}"
+            raise InputError("real.disturbance", got, "a recording that the plant can bear", "Check its units.")
 
     def recorded(self, runs: int, name: str) -> Array:
         """The real plant's disturbance, (runs, T, nw)."""
@@ -177,7 +185,7 @@ class Evaluation:
         return {
             "controller": score.controller,
             "design": space.as_dict(design), "active_bounds": space.active_bounds(design), **asdict(score.summary),
-            "paired_to_lqr": asdict(score.paired_to_lqr), "diverged": score.diverged,
+            "paired_to_lqr": asdict(score.paired_to_lqr), "lqr_mean": score.lqr_mean, "diverged": score.diverged,
             "violations": score.violations, "step_time_us": 1e6 * score.step_time,
         }  # fmt: skip
 

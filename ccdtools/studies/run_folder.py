@@ -1,25 +1,35 @@
-"""A folder that holds one run: its configuration, the stages it has finished, and its results."""
+"""A folder that holds one run: what it was begun with, the stages it has finished, and its results."""
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import json
 import math
 import os
 import shutil
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
-from learning import checkpoint
-from learning.exceptions import CheckpointError
 
 Network = Any
+
+LOCK = "run.lock"
+MANIFEST = "manifest.json"
+FOLDERS = ("stages", "figures")
+DISTURBANCE = "disturbance.npy"
+FILES = ("run.json", "results.json", "report.html", "policy.safetensors", DISTURBANCE, LOCK)
+
+WRITABLE = "a folder that can be written and has room"
+MEND = "What was finished is kept; mend this and continue with `ccdtools resume`."
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +44,9 @@ class Stage:
 class RunFolder:
     """Stages are written whole or not at all, so that an interrupted run loses only the stage it was in.
 
+    A finished stage carries the hashes of its files and of ``run.json``: one that was damaged, edited or taken from
+    another run is refused, and never read as if it were this run's.
+
     Parameters
     ----------
     path : str or Path
@@ -42,45 +55,110 @@ class RunFolder:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
 
+    def __repr__(self) -> str:
+        return f"RunFolder({str(self.path)!r})"
+
     @classmethod
-    def create(cls, path: str | Path, *, overwrite: bool = False, argument: str = "--output") -> RunFolder:
+    def create(cls, path: str | Path, *, overwrite: bool = False, argument: str = "path") -> RunFolder:
         """A new folder.
 
         Raises
         ------
         InputError
-            If the path exists and `overwrite` is false, is not a run's folder, or cannot be made.
+            If the path exists and `overwrite` is false, is not a run's folder, is in use, or cannot be made.
         """
         folder = cls(path)
-        try:
-            exists = folder.path.exists()
-        except OSError as error:
-            raise InputError(f"{argument}: got {folder.path}, expected a usable path ({error.strerror}).") from None
-        if exists:
-            if not overwrite:
-                raise InputError(
-                    f"{argument}: got {folder.path}, which exists, expected a new folder; "
-                    "choose another, continue it with `ccdtools resume`, or add --overwrite."
-                )
-            if folder.path.is_symlink() or not (folder.path / "run.json").is_file():
-                raise InputError(
-                    f"{argument}: got {folder.path}, which holds no run, expected a run's folder to overwrite."
-                )
-            shutil.rmtree(folder.path)
+        folder.check_new(overwrite=overwrite, argument=argument)
+        if folder.path.exists():
+            with folder.locked(argument), folder.writing(argument):
+                shutil.rmtree(folder.path)
         try:
             folder.path.mkdir(parents=True)
-        except OSError as error:
-            raise InputError(
-                f"{argument}: got {folder.path}, expected a folder that can be made ({error.strerror})."
-            ) from None
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise InputError(argument, str(path)[:80], f"a folder that can be made ({reason})") from None
         return folder
+
+    def check_new(self, *, overwrite: bool = False, argument: str = "path") -> None:
+        """Raise unless there is nothing at the path yet, or a run that is to be overwritten."""
+        if not os.path.lexists(self.path):
+            return
+        if not overwrite:
+            cure = "Choose another, continue it with `ccdtools resume`, or add --overwrite."
+            raise InputError(argument, f"{self.path}, which exists", "a new folder", cure)
+        if self.path.is_symlink() or not (self.path / "run.json").is_file():
+            raise InputError(argument, f"{self.path}, which holds no run", "a run's folder to overwrite")
+
+    @contextmanager
+    def locked(self, argument: str = "folder") -> Iterator[None]:
+        """Keep other processes out; the system lets go of the lock when this process ends, however it ends.
+
+        Raises
+        ------
+        InputError
+            If another process works in the folder, or nothing can be written there.
+        """
+        with self.writing(argument):
+            file = (self.path / LOCK).open("a")
+        with file:
+            if not _locks(file):
+                got = f"{self.path}, in which another process is running"
+                raise InputError(argument, got, "a folder that nobody else works in", "Wait until that run has ended.")
+            yield
+
+    @contextmanager
+    def writing(self, argument: str = "folder") -> Iterator[None]:
+        """Turn a failure to write (no space, no permission, a file in the way) into one clear `InputError`."""
+        try:
+            yield
+        except BrokenPipeError:
+            raise
+        except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
+            got = f"{self.path}, where {error.filename} is in the way"
+            raise InputError(argument, got, "a run's folder") from None
+        except OSError as error:
+            got = f"{self.path} ({error.strerror or error})"
+            raise InputError(argument, got, WRITABLE, MEND) from None
+
+    def check_layout(self) -> None:
+        """Raise unless the path holds a run, with folders where folders belong and files where files belong.
+
+        Raises
+        ------
+        InputError
+            If it does not; the message names what is in the way.
+        """
+        if not self.path.is_dir():
+            raise InputError("folder", f"{self.path}, which is no folder", "the folder of a run")
+        for name in FOLDERS:
+            if os.path.lexists(self.path / name) and not (self.path / name).is_dir():
+                raise InputError("folder", f"{self.path} with a file {name}", f"a folder {name}, or none")
+        for name in FILES:
+            if (self.path / name).is_dir():
+                raise InputError("folder", f"{self.path} with a folder {name}", f"a file {name}, or none")
+        self.read_json("run.json")
+
+    def check_stages(self) -> None:
+        """Read everything that is finished, so that damage is reported before anything is computed."""
+        for name in self.finished():
+            self.read_stage(name)
 
     def write_json(self, name: str, values: dict[str, Any]) -> None:
         """Write `values` to a JSON file; NaN and infinity become null."""
-        text = json.dumps(jsonable(values), indent=2, ensure_ascii=False, allow_nan=False)
+        self.write_text(name, _text(values) + "\n")
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a file whole or not at all; its path."""
+        self.write_bytes(name, text.encode("utf-8", errors="surrogateescape"))
+        return self.path / name
+
+    def write_bytes(self, name: str, content: bytes) -> None:
+        """Write a file whole or not at all."""
         partial = self.path / f"{name}.partial"
-        partial.write_text(text + "\n", encoding="utf-8")
-        os.replace(partial, self.path / name)
+        with self.writing():
+            partial.parent.mkdir(exist_ok=True)
+            partial.write_bytes(content)
+            os.replace(partial, self.path / name)
 
     def read_json(self, name: str) -> dict[str, Any]:
         """The values of a JSON file.
@@ -88,18 +166,28 @@ class RunFolder:
         Raises
         ------
         InputError
-            If it is missing or no JSON.
+            If it is missing, or holds no JSON object.
         """
         try:
-            return json.loads((self.path / name).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            raise InputError(f"folder: got {self.path} without a readable {name}, expected a run's folder.") from None
+            values = json.loads((self.path / name).read_text(encoding="utf-8", errors="surrogateescape"))
+        except (OSError, ValueError, RecursionError):
+            values = None
+        if not isinstance(values, dict):
+            raise InputError("folder", f"{self.path} without a readable {name}", "a run's folder")
+        return values
 
-    def stage(self, name: str, compute: Callable[[], Stage]) -> Stage:
-        """The stage of that name: read if it was finished before, else computed and written."""
-        if not self.has(name):
-            self._write_stage(name, compute())
+    def keep_stage(self, name: str, stage: Stage) -> Stage:
+        """Write a stage; it is returned as it is read back, so that a resumed run goes on from the same values."""
+        self._write_stage(name, stage)
         return self.read_stage(name)
+
+    def save_policy(self, policy: Any, notes: dict[str, str]) -> None:
+        """Write the final policy (a `LearnedPolicy`) with notes."""
+        path = self.path / "policy.safetensors"
+        partial = path.with_suffix(".partial")
+        with self.writing():
+            _saved(partial, lambda path: policy.save(path, **notes))
+            os.replace(partial, path)
 
     def has(self, name: str) -> bool:
         """Whether a stage is finished."""
@@ -110,19 +198,42 @@ class RunFolder:
         if not self._stages.is_dir():
             return []
         folders = [p for p in self._stages.iterdir() if p.is_dir() and not p.name.endswith(".partial")]
-        return [p.name for p in sorted(folders, key=lambda p: (p / "values.json").stat().st_mtime_ns)]
+        return [p.name for p in sorted(folders, key=_written_at)]
 
     def read_stage(self, name: str) -> Stage:
-        """A finished stage."""
+        """A finished stage.
+
+        Raises
+        ------
+        InputError
+            If a file of it is missing, was changed, or belongs to another run.
+        """
         try:
+            self._check_manifest(name)
             return self._read(name)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, CheckpointError) as error:
-            raise InputError(
-                f"folder: got a damaged stage {self._stages / name} ({error}), expected it as written; "
-                "delete it, and the run computes it again."
-            ) from None
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            got = f"a damaged stage {self._stages / name} ({error})"
+            raise InputError("folder", got, "it as written", "Delete it, and the run computes it again.") from None
+
+    def _check_manifest(self, name: str) -> None:
+        """Raise a `ValueError` that names the first file which is not as this run wrote it."""
+        folder = self._stages / name
+        kept = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        present = _hashes(folder)
+        if not isinstance(kept, dict) or kept.get("stage") != name or not isinstance(kept.get("files"), dict):
+            raise ValueError(f"{MANIFEST} is not of this stage")
+        for file in sorted({*kept["files"], *present}):
+            if file not in present:
+                raise ValueError(f"{file} is missing")
+            if present[file] != kept["files"].get(file):
+                raise ValueError(f"{file} is not as it was written")
+        if kept.get("run") != self._identity():
+            raise ValueError("it belongs to another run, or run.json was changed since")
 
     def _read(self, name: str) -> Stage:
+        """The contents of a stage's files."""
+        from learning import checkpoint  # loads torch, which a wrong option need not wait for
+
         folder = self._stages / name
         values = json.loads((folder / "values.json").read_text(encoding="utf-8"))
         with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
@@ -131,18 +242,31 @@ class RunFolder:
         return Stage(values, loaded, networks)
 
     def _write_stage(self, name: str, stage: Stage) -> None:
+        """Write a stage beside its place, and move it there when it is whole."""
+        from learning import checkpoint
+
         partial = self._stages / f"{name}.partial"
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-        text = json.dumps(jsonable(stage.values), indent=2, ensure_ascii=False, allow_nan=False)
-        (partial / "values.json").write_text(text, encoding="utf-8")
-        np.savez_compressed(partial / "arrays.npz", **stage.arrays)  # type: ignore[arg-type]
-        for key, network in stage.networks.items():
-            checkpoint.save(partial / f"{key}.safetensors", network)
-        os.replace(partial, self._stages / name)
+        with self.writing():
+            shutil.rmtree(partial, ignore_errors=True)
+            partial.mkdir(parents=True)
+            (partial / "values.json").write_text(_text(stage.values), encoding="utf-8")
+            np.savez_compressed(partial / "arrays.npz", **stage.arrays)  # type: ignore[arg-type]
+            for key, network in stage.networks.items():
+                _saved(partial / f"{key}.safetensors", functools.partial(checkpoint.save, network=network))
+            manifest = {"stage": name, "run": self._identity(), "files": _hashes(partial)}
+            (partial / MANIFEST).write_text(_text(manifest), encoding="utf-8")
+            os.replace(partial, self._stages / name)
+
+    def _identity(self) -> str:
+        """Hash of what the run was begun with; empty for a folder without run.json."""
+        if not (self.path / "run.json").is_file():
+            return ""
+        canonical = json.dumps(self.read_json("run.json"), sort_keys=True)
+        return hashlib.sha256(canonical.encode()).hexdigest()
 
     @property
     def _stages(self) -> Path:
+        """Where the stages are."""
         return self.path / "stages"
 
 
@@ -161,3 +285,52 @@ def jsonable(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     return value
+
+
+def _text(values: dict[str, Any]) -> str:
+    """Indented JSON."""
+    return json.dumps(jsonable(values), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def _hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file of a stage but its manifest, by name."""
+    files = sorted(p for p in folder.iterdir() if p.name != MANIFEST)
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+def _written_at(stage: Path) -> int:
+    """When the stage was moved into its place, or 0 if it is damaged [ns]."""
+    try:
+        return (stage / "values.json").stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _saved(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a network to a path; a failure is an `OSError`, as of any other file."""
+    from learning.exceptions import CheckpointError
+
+    try:
+        write(path)
+    except CheckpointError as error:
+        raise OSError(str(error.got)) from None
+
+
+def _locks(file: IO[str]) -> bool:
+    """Lock an open file for this process alone; False if another one holds it."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except ImportError:  # Windows
+        import msvcrt
+
+        try:
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+        except OSError:
+            return False
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True

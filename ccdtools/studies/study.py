@@ -1,17 +1,17 @@
-"""What a case study declares: one object, in one short file."""
+"""What a case study declares: one object, checked when it is made."""
 
 from __future__ import annotations
 
-import importlib.util
-import pkgutil
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
-from pathlib import Path
+from itertools import product
 
+import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField
+from ccdtools.checks import as_count, as_instance, as_vector, as_weight, has_method, shown
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.disturbances.disturbance import Disturbance
@@ -19,6 +19,11 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import LinearModel, discretise
 from ccdtools.plants.plant import Plant
 from invariant_sets import Polytope
+from mpc import MPCError, lqr
+
+MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
+MODEL_RUNS = 200  # runs logged in a deployment where the real plant is the model itself
+CHECKED_DESIGNS = 64  # besides the corners of the design box
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +41,11 @@ class RealPlant:
         Runs logged in a deployment.
     steps : int
         Length of a run.
+
+    Raises
+    ------
+    InputError
+        If a field is of another kind or size, or a deployment would log fewer than 500 samples.
     """
 
     plant: Plant
@@ -43,6 +53,16 @@ class RealPlant:
     x0: ArrayField
     runs: int
     steps: int
+
+    def __post_init__(self) -> None:
+        as_instance("real.plant", self.plant, Plant, "a ccdtools.Plant")
+        object.__setattr__(self, "x0", as_vector("real.x0", self.x0, self.plant.nx, of="one per state"))
+        object.__setattr__(self, "runs", as_count("real.runs", self.runs))
+        object.__setattr__(self, "steps", as_count("real.steps", self.steps))
+        if self.runs * self.steps < MINIMUM_LOG:
+            got = f"{self.runs} of {self.steps} steps"
+            raise InputError("real.runs", got, f"at least {MINIMUM_LOG} samples to learn the discrepancy from")
+        _check_disturbance("real.disturbance", self.disturbance, self.plant)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,19 +75,18 @@ class Study:
     plant : Plant
         Linear in x, u, w; its design space and sampling time come with it.
     X, U : Polytope
-        State and input limits.
+        State and input limits; both bounded and around the origin, U a box.
     objective : QuadraticObjective
     disturbance : Disturbance
         What the nominal model assumes.
     x0 : (nx,) array
-        Start of every evaluation.
+        Start of every evaluation, within X.
     p0 : (np,) array
         First design.
-    real : RealPlant
+    real : RealPlant, optional
+        The model itself by default: its disturbance, 200 runs of an evaluation.
     steps : int
         Length of an evaluation.
-    disturbance_unit : str
-        For figures.
     quantile_weight : (nx, nx) array, optional
         Q_q of the penalty on the quantile width; 0.1 Q by default.
     paper_networks : tuple of int
@@ -76,6 +95,12 @@ class Study:
         Latin hypercube samples of the initialisation.
     sampling_guard : {"warn", "ignore"}
         Whether a sampling time that does not resolve the plant is warned of, see `discretise`.
+
+    Raises
+    ------
+    InputError
+        If a field is of another kind or size, the model is not finite over the design box or cannot be stabilised
+        at `p0`, `x0` lies outside X, or the real plant is another one than the model describes.
     """
 
     name: str
@@ -87,20 +112,67 @@ class Study:
     disturbance: Disturbance
     x0: ArrayField
     p0: ArrayField
-    real: RealPlant
+    real: RealPlant = None  # type: ignore[assignment]  # a RealPlant once the object exists
     steps: int = 100
-    disturbance_unit: str = "-"
     quantile_weight: ArrayField = None
     paper_networks: tuple[int, ...] = (32, 32, 16, 16)
     samples: int = 1000
     sampling_guard: str = "warn"
 
     def __post_init__(self) -> None:
-        x0 = np.array(self.x0, dtype=float).reshape(-1)
-        if len(x0) != self.plant.nx or not np.isfinite(x0).all():
-            raise InputError(f"x0: got {x0.tolist()}, expected {self.plant.nx} finite values.")
-        object.__setattr__(self, "x0", x0)
-        object.__setattr__(self, "p0", self.plant.design.check(self.p0, argument="p0"))
+        self._check_kinds()
+        _check_finite(self.plant)
+        _check_disturbance("disturbance", self.disturbance, self.plant)
+        object.__setattr__(self, "x0", as_vector("x0", self.x0, self.plant.nx, of="one per state"))
+        p0 = as_vector("p0", self.p0, self.plant.design.dim, of="one per design parameter")
+        object.__setattr__(self, "p0", self.plant.design.check(p0, argument="p0"))
+        if self.quantile_weight is not None:
+            weight = as_weight("quantile_weight", self.quantile_weight, self.plant.nx)
+            object.__setattr__(self, "quantile_weight", weight)
+        if self.real is None:
+            itself = RealPlant(self.plant, self.disturbance, self.x0, MODEL_RUNS, max(self.steps, 3))
+            object.__setattr__(self, "real", itself)
+        self._check_limits()
+        self._check_stabilisable()
+        _check_same_plant(self.plant, as_instance("real", self.real, RealPlant, "a RealPlant, or None for the model"))
+
+    def _check_kinds(self) -> None:
+        """Raise unless every field is of its kind."""
+        for argument in ("name", "title"):
+            value = getattr(self, argument)
+            if not isinstance(value, str) or not value.strip() or len(value.splitlines()) > 1:
+                raise InputError(argument, shown(value), "one line of text")
+        as_instance("plant", self.plant, Plant, "a ccdtools.Plant")
+        as_instance("X", self.X, Polytope, "a Polytope")
+        as_instance("U", self.U, Polytope, "a Polytope")
+        as_instance("objective", self.objective, QuadraticObjective, "a QuadraticObjective")
+        object.__setattr__(self, "steps", as_count("steps", self.steps))
+        object.__setattr__(self, "samples", as_count("samples", self.samples))
+        if not isinstance(self.paper_networks, list | tuple):
+            raise InputError("paper_networks", shown(self.paper_networks), "the widths of the hidden layers")
+        widths = tuple(as_count("paper_networks", width) for width in self.paper_networks)
+        object.__setattr__(self, "paper_networks", widths)
+
+    def _check_limits(self) -> None:
+        """Raise unless X and U can be regulated in, and the start lies within X."""
+        for argument, limits in (("X", self.X), ("U", self.U)):
+            if limits.is_empty:
+                raise InputError(argument, "an empty set", "limits with a point between them")
+        self.problem()  # checks dimensions, boundedness, that U is a box, and the sizes of Q and R
+        for argument, limits in (("X", self.X), ("U", self.U)):
+            if not limits.contains(np.zeros(limits.dim)):
+                raise InputError(argument, "a set without the origin", "limits around the point that is regulated to")
+        if not self.X.contains(self.x0):
+            raise InputError("x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
+
+    def _check_stabilisable(self) -> None:
+        """Raise unless LQR exists at the first design."""
+        A, B, _ = self.model.matrices(self.p0)
+        try:
+            lqr(A, B, Q=self.objective.Q, R=self.objective.R)
+        except MPCError as error:
+            got = f"{self.plant.design.describe(self.p0)}, where LQR fails ({error})"
+            raise InputError("p0", got, "a design at which the model can be stabilised") from None
 
     @cached_property
     def model(self) -> LinearModel:
@@ -110,61 +182,74 @@ class Study:
     @property
     def weight(self) -> Array:
         """Q_q of the penalty on the quantile width."""
-        return 0.1 * self.objective.Q if self.quantile_weight is None else np.asarray(self.quantile_weight, float)
+        return 0.1 * self.objective.Q if self.quantile_weight is None else self.quantile_weight
 
     def problem(self) -> CoDesignProblem:
         """The co-design problem on the nominal model, from the evaluation's start."""
         scenarios = FixedStart(self.x0, self.disturbance)
         return CoDesignProblem(self.model, self.X, self.U, self.objective, scenarios, self.steps)
 
-    def started(self, *, x0: Array | None = None, p0: Array | None = None) -> Study:
+    def started(self, *, x0: ArrayLike | None = None, p0: ArrayLike | None = None) -> Study:
         """The same study from another state or design; a real start equal to the old x0 moves along."""
-        if x0 is not None:
-            x0 = np.array(x0, dtype=float).reshape(-1)
-            if x0.shape != self.x0.shape:
-                raise InputError(f"x0: got {len(x0)} values, expected {len(self.x0)}.")
-            real = replace(self.real, x0=x0) if np.array_equal(self.real.x0, self.x0) else self.real
-            return replace(self, x0=x0, real=real).started(p0=p0)
-        return self if p0 is None else replace(self, p0=p0)
+        if x0 is None:
+            return self if p0 is None else replace(self, p0=p0)
+        x0 = as_vector("x0", x0, self.plant.nx, of="one per state")
+        real = replace(self.real, x0=x0) if np.array_equal(self.real.x0, self.x0) else self.real
+        return replace(self, x0=x0, real=real, p0=self.p0 if p0 is None else p0)
 
 
-def load_study(name: str) -> Study:
-    """The study of a name, or the one that a Python file declares as ``study``.
-
-    Any module of `ccdtools.studies.cases` with a ``study`` is found by its file name.
-
-    Raises
-    ------
-    InputError
-        If there is no such study, or the file declares none.
-    """
-    if name.endswith(".py"):
-        path = Path(name)
-        if not path.is_file():
-            raise InputError(f"study: got {name}, which is not a file, expected a Python file that declares `study`.")
-        spec = importlib.util.spec_from_file_location(path.stem, path)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        try:
-            spec.loader.exec_module(module)
-        except (Exception, SystemExit) as error:
-            reason = " ".join(str(error).split())
-            raise InputError(
-                f"study: got {name}, which stops with {type(error).__name__}: {reason}; expected a file that runs."
-            ) from error
-    elif name in study_names():
-        module = import_module(f"ccdtools.studies.cases.{name}")
-    else:
-        raise InputError(f"study: got {name!r}, expected one of {', '.join(study_names())}, or a Python file.")
-    study = getattr(module, "study", None)
-    if not isinstance(study, Study):
-        raise InputError(f"study: got {name}, which declares no `study`, expected a ccdtools.studies.Study.")
-    return study
+def _check_disturbance(argument: str, disturbance: Disturbance, plant: Plant) -> None:
+    """Raise unless two samples of the disturbance have the channels of the plant."""
+    has_method(argument, disturbance, "sample", "an object with sample(runs, steps, rng)")
+    try:
+        drawn = np.asarray(disturbance.sample(1, 2, np.random.default_rng(0)))
+    except InputError:
+        raise
+    except Exception as error:
+        reason = f"a {type(disturbance).__name__} whose sample(1, 2, rng) stops with {type(error).__name__}: {error}"
+        raise InputError(argument, " ".join(reason.split()), f"samples of shape (1, 2, {plant.nw})") from error
+    if drawn.shape != (1, 2, plant.nw):
+        got = f"samples of shape {drawn.shape}"
+        if drawn.ndim == 3:
+            got = f"{drawn.shape[2]} channel{'' if drawn.shape[2] == 1 else 's'}"
+        raise InputError(argument, got, f"{plant.nw}, one per disturbance of the plant")
+    if drawn.dtype.kind not in "iuf" or not np.isfinite(drawn).all():
+        raise InputError(argument, "a sample that is not a finite number", "finite samples")
 
 
-def study_names() -> list[str]:
-    """Names of the studies that come with the package."""
-    from ccdtools.studies import cases
+def _check_finite(plant: Plant) -> None:
+    """Raise unless the derivatives of the dynamics are finite at the corners of the design box and between them."""
+    z = ca.vertcat(plant.x, plant.u, plant.w)
+    at_zero = ca.substitute(ca.densify(ca.jacobian(plant.dynamics, z)), z, ca.SX.zeros(z.shape))
+    matrices = ca.Function("matrices", [plant.p], [at_zero])
+    for design in designs_to_check(plant):
+        if not np.isfinite(np.asarray(matrices(design), dtype=float)).all():
+            got = f"dynamics that are not finite at {plant.design.describe(design)}"
+            raise InputError("plant", got, "finite ones over the whole design box", "Move the bounds of the design.")
 
-    return sorted(module.name for module in pkgutil.iter_modules(cases.__path__))
+
+def designs_to_check(plant: Plant) -> Array:
+    """The corners of the design box (of its first six parameters), its centre and seeded points between, (n, np)."""
+    space = plant.design
+    corners = np.array(list(product((0.0, 1.0), repeat=min(space.dim, 6))))
+    corners = np.pad(corners, ((0, 0), (0, space.dim - corners.shape[1])), constant_values=0.5)
+    between = space.latin_hypercube(CHECKED_DESIGNS, np.random.default_rng(0))
+    return np.vstack([space.from_unit(corners), space.from_unit(np.full((1, space.dim), 0.5)), between])
+
+
+def _check_same_plant(model: Plant, real: RealPlant) -> None:
+    """Raise unless the real plant has the states, inputs, design and sampling time of the model, and is finite."""
+    plant = real.plant
+    for what, own, other in (("states", plant.nx, model.nx), ("inputs", plant.nu, model.nu)):
+        if own != other:
+            raise InputError("real.plant", f"{own} {what}", f"{other}, as the model has")
+    if not np.isclose(plant.dt, model.dt, rtol=1e-9, atol=0.0):
+        raise InputError("real.plant", f"dt = {plant.dt:g} s", f"{model.dt:g} s, the sampling time of the model")
+    own_space = (tuple(plant.design.names), plant.design.lower.tolist(), plant.design.upper.tolist())
+    if own_space != (tuple(model.design.names), model.design.lower.tolist(), model.design.upper.tolist()):
+        raise InputError("real.plant", "another design space", "the parameters and bounds of the model")
+    u, w = np.zeros(plant.nu), np.zeros(plant.nw)
+    for design in designs_to_check(plant):
+        if not np.isfinite(np.asarray(plant.step(real.x0, u, w, design), dtype=float)).all():
+            got = f"a first step that is not finite at {plant.design.describe(design)}"
+            raise InputError("real.plant", got, "finite dynamics over the whole design box")

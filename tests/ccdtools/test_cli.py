@@ -12,9 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ccdtools.cli import main
-
-CCDTOOLS = [sys.executable, "-m", "ccdtools.cli"]
+CCDTOOLS = [sys.executable, "-m", "ccdtools"]
 
 TWO_MASSES = '''
 """Two masses and a spring between them: the spring is the design."""
@@ -122,69 +120,6 @@ def test_resume_of_a_finished_run_computes_nothing_again(quick_run):
     assert results_of(cwd / "out") == before
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["run", "unheard-of"], "study: got 'unheard-of', expected one of illustrative, suspension"),
-        (["run", "suspension", "--generations", "0"], "--generations: got 0, expected at least 1"),
-        (["run", "suspension", "--seed=-1"], "--seed: got -1"),
-        (["run", "suspension", "--preset", "papr"], "--preset: got 'papr', expected one of default, paper"),
-        (["run", "suspension", "--expert", "pid"], "--expert: got 'pid'"),
-        (["run", "suspension", "--design-gradient", "up"], "--design-gradient: got 'up'"),
-        (["run", "suspension", "--p0=1e4,5000"], "p0: got c_s = 5000, expected a value in [500, 3000]"),
-        (["run", "illustrative", "--x0=1,2,3"], "x0: got 3 values, expected 2"),
-        (["run", "illustrative", "--x0=one,2"], "--x0: got 'one,2', expected numbers"),
-        (["run", "illustrative", "--p0=nan"], "p0: got p = nan"),
-        (["run", "suspension", "--driver", "wild"], "driver: got 'wild', expected one of mild, aggressive"),
-        (["run", "suspension", "--disturbance", "no.csv"], "--disturbance:"),
-        (["run", "suspension", "--disturbance", "nan.csv"], "--disturbance:"),
-        (["run", "suspension", "--disturbance", "two.csv"], "--disturbance:"),
-        (["run", "suspension", "--disturbance", "uneven.csv"], "--disturbance:"),
-        (["run", "suspension", "--disturbance", "short.csv"], "disturbance: got 3 samples, expected at least 500"),
-        (["run", "suspension", "--disturbance", "two.csv", "--column", "c"], "--"),
-        (["run", "suspension", "--road", "r.csv"], "--road: got it without --speed"),
-        (["run", "suspension", "--road", "r.csv", "--speed", "v.csv", "--driver", "mild"], "expected one source"),
-        (["run", "illustrative", "--disturbance", "short.csv"], "--disturbance: got one disturbance, expected 2"),
-        (["run", "broken.py"], "broken.py, which stops with SyntaxError"),
-        (["run", "exit.py"], "exit.py, which stops with SystemExit"),
-        (["run", "flat.py"], "upper"),
-        (["run", "suspension", "--disturbance", "huge.csv"], "check the units"),
-        (["run", "suspension", "--disturbance", "titled.csv", "--column", "dz_dt"], "unequal sampling"),
-        (["run", "suspension", "--output", "n" * 300], "expected a usable path"),
-        (["resume", "odd"], "run.json of another kind"),
-        (["run", "empty.py"], "empty.py, which declares no `study`"),
-        (["run", "absent.py"], "absent.py, which is not a file"),
-        (["resume", "nowhere"], "folder: got nowhere without a readable run.json"),
-    ],
-)
-def test_bad_input_is_one_clear_line(tmp_path, monkeypatch, capsys, arguments, message):
-    (tmp_path / "broken.py").write_text("study = = 1\n")
-    (tmp_path / "empty.py").write_text("")
-    (tmp_path / "exit.py").write_text("raise SystemExit(3)")
-    (tmp_path / "flat.py").write_text(
-        TWO_MASSES.replace("X=Polytope.from_bounds(-box, box)", "X=Polytope.from_bounds(-box, box[:2])")
-    )
-    (tmp_path / "huge.csv").write_text("dz_dt\n" + "1e300\n-1e300\n" * 300)
-    (tmp_path / "titled.csv").write_text("Time [s],dz_dt\n" + "".join(f"{0.05 * i**1.1},0\n" for i in range(600)))
-    (tmp_path / "odd").mkdir()
-    (tmp_path / "odd" / "run.json").write_text("[]")
-    (tmp_path / "nan.csv").write_text("dz_dt\n0.1\nnan\n" + "0.0\n" * 600)
-    (tmp_path / "two.csv").write_text("a,b\n" + "0.1,0.2\n" * 600)
-    (tmp_path / "uneven.csv").write_text(
-        "time,dz_dt\n0,0\n0.05,0\n0.2,0\n" + "".join(f"{0.3 + i},0\n" for i in range(600))
-    )
-    (tmp_path / "short.csv").write_text("dz_dt\n0.1\n0.2\n0.1\n")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["ccdtools", *arguments])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert len(error.strip().splitlines()) == 1
-    assert not (tmp_path / "runs").exists()
-
-
 def test_interrupted_run_keeps_what_it_finished_and_its_command_continues_it(tmp_path, quick_run):
     arguments = ["run", "illustrative", "--quick", "--generations", "1", "--output", "my run"]
     process = subprocess.Popen(
@@ -207,6 +142,19 @@ def test_interrupted_run_keeps_what_it_finished_and_its_command_continues_it(tmp
     # The same seed gives the same run, interrupted or not; only times differ.
     whole, resumed = (results_of(f) for f in (quick_run[0] / "out", tmp_path / "my run"))
     assert resumed["generations"] == whole["generations"]
+
+
+def test_the_template_runs_as_it_is_written(tmp_path):
+    written = ccdtools("new", "spring_cart", cwd=tmp_path)
+    assert written.returncode == 0, written.stderr
+    source = (tmp_path / "spring_cart.py").read_text()
+    assert 'name="spring_cart"' in source
+    assert 'title="Spring cart"' in source
+    done = ccdtools("run", "spring_cart.py", "--quick", "--generations", "1", "--output", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    results = results_of(tmp_path / "out")
+    assert results["headline"] in done.stdout
+    assert results["headline"] in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
 def test_third_study_is_one_file(tmp_path):

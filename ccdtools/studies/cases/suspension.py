@@ -51,7 +51,6 @@ study = Study(
     x0=[-0.1, -1.0, -0.1, -0.5],
     p0=[27692.0, 1906.5],
     real=RealPlant(quarter_car(nonlinear=True), GeneratedRoad("mild"), x0=np.zeros(4), runs=1, steps=15000),
-    disturbance_unit="ż₀ [m/s]",
     paper_networks=(16, 32, 32, 16),
     samples=1000,
     sampling_guard="ignore",  # the paper's dt: the wheel oscillates at 9.6 to 10.3 Hz, half the sampling rate is 10 Hz

@@ -12,11 +12,9 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.expert import feasible_sets
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
-from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 from invariant_sets import ParametricSet
-from mpc import lqr
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +62,6 @@ class FinishedRun:
     def chosen(self) -> list[int]:
         """The row of every history that its co-design returned."""
         return [_returned(h, p, self.problem) for h, p in zip(self.histories, self.designs[1:])]
-
-    def lqr(self, design: Array) -> LinearFeedback:
-        """Saturated LQR of the nominal model."""
-        A, B, _ = self.study.model.matrices(design)
-        K = lqr(A, B, Q=self.study.objective.Q, R=self.study.objective.R)[0]
-        return LinearFeedback(K, *self.problem.input_bounds)
 
     def describe(self, design: Array) -> str:
         """One design with its units."""

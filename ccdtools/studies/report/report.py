@@ -11,20 +11,23 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
-from ccdtools.studies.report import plotting
-from ccdtools.studies.report.figures import pictures
+from ccdtools.arrays import Array
+from ccdtools.studies.report import style
+from ccdtools.studies.report.figures import figures
 from ccdtools.studies.report.finished_run import FinishedRun
-from ccdtools.studies.report.tables import (
+from ccdtools.studies.report.formatting import (
     active_bounds_text,
+    axis_label,
     design_text,
-    difference_text,
+    duration,
+    generation_name,
     number,
-    percentage,
     place,
-    verdict,
+    share,
     with_minus,
-    write_tables,
 )
+from ccdtools.studies.report.tables import fewer_runs_notes, write_tables
+from ccdtools.studies.report.verdicts import difference_text, reference_of, saw_fewer_runs, verdict
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 
@@ -46,38 +49,36 @@ def write_report(study: Study, folder: RunFolder) -> Path:
     """
     run = FinishedRun(study, folder, folder.read_json("results.json"))
     write_tables(run.results, folder)
-    place = folder.path / "figures"
-    place.mkdir(exist_ok=True)
-    figures = []
-    for picture in pictures(run):
-        image = plotting.png(picture.figure)
-        (place / f"{picture.name}.png").write_bytes(image)
-        figures.append({"name": picture.name, "title": picture.title, "caption": picture.caption,
-                        "image": base64.b64encode(image).decode("ascii")})  # fmt: skip
-    page = folder.path / "report.html"
-    page.write_text(render(run, figures), encoding="utf-8")
-    return page
+    shown = []
+    for figure in figures(run):
+        image = style.png(figure.figure)
+        folder.write_bytes(f"figures/{figure.name}.png", image)
+        shown.append({"name": figure.name, "title": figure.title, "caption": figure.caption,
+                      "image": base64.b64encode(image).decode("ascii")})  # fmt: skip
+    return folder.write_text("report.html", render(run, shown))
 
 
-def render(run: FinishedRun, figures: list[dict[str, str]]) -> str:
+def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
     """The page, from results.json and the figures (name, title, caption, image in base64)."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {
-        "number": lambda value, digits=4: with_minus(number(value, digits)), "minus": with_minus,
-        "percentage": percentage, "duration": _duration,
+        "number": lambda value, digits=4: with_minus(number(value, digits)), "minus": with_minus, "share": share,
+        "duration": duration, "generation": generation_name,
+        "design": lambda design: design_text(run.results, design),
+        "capitalize_first": lambda text: text[:1].upper() + text[1:],
     }  # fmt: skip
     page = files("ccdtools.studies.report").joinpath("report.html").read_text(encoding="utf-8")
-    template = environment.from_string(page)
     results = run.results
-    return template.render(
-        r=results, study=run.study, designs=_headlines(run), gradients=_gradients(results), blocks=_blocks(results),
-        figures={figure["name"]: figure for figure in figures}, signals=_signal_rows(run),
-        configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
-        single=run.study.real.runs == 1,
+    return environment.from_string(page).render(
+        r=results, study=run.study, designs=_cards(run), gradients=_gradients(results), blocks=_blocks(results),
+        figures={figure["name"]: figure for figure in shown}, signals=_signal_rows(run) + _design_rows(run),
+        weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
+        single=run.study.real.runs == 1, real_is_model=run.study.real.plant is run.study.plant,
+        updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],
     )  # fmt: skip
 
 
-def _headlines(run: FinishedRun) -> list[dict[str, Any]]:
+def _cards(run: FinishedRun) -> list[dict[str, Any]]:
     """The start and every generation: design, bounds and the returns of the learned policy beside LQR's."""
     results = run.results
     generations: list[dict[str, Any]] = [{"generation": 0, "design": results["start"]}, *results["generations"]]
@@ -101,7 +102,7 @@ def _headlines(run: FinishedRun) -> list[dict[str, Any]]:
 
 
 def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """The design gradients of every co-design, with cosine and length beside the finite differences."""
+    """The design gradients of every co-design, with angle and length relative to the finite differences."""
     labels = {
         "finite_difference": "finite differences", "pathwise": "pathwise", "network_input": "network input (paper)",
     }  # fmt: skip
@@ -110,19 +111,25 @@ def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
         check = generation["gradient_check"]
         if check is None:
             continue
-        reference = np.array(check["finite_difference"], dtype=float)
-        rows = []
-        for name, label in labels.items():
-            values = np.array(check[name], dtype=float)
-            lengths = np.linalg.norm(values), np.linalg.norm(reference)
-            product = float(lengths[0] * lengths[1])
-            rows.append({
-                "label": label, "values": check[name],
-                "cosine": float(values @ reference) / product if product else None,
-                "length": float(lengths[0] / lengths[1]) if lengths[1] else None,
-            })  # fmt: skip
+        gradients = {label: np.array(check[name], dtype=float) for name, label in labels.items()}
+        reference = gradients["finite differences"]
+        rows = [
+            {"label": label, "values": values.tolist(), "cosine": _cosine(values, reference),
+             "length": _ratio(np.linalg.norm(values), np.linalg.norm(reference))}
+            for label, values in gradients.items()
+        ]  # fmt: skip
         tables.append({"generation": generation["generation"], "names": check["names"], "rows": rows})
     return tables
+
+
+def _cosine(values: Array, reference: Array) -> float | None:
+    """Cosine of the angle between two vectors; None where one of them is zero."""
+    return _ratio(values @ reference, np.linalg.norm(values) * np.linalg.norm(reference))
+
+
+def _ratio(value: Any, size: Any) -> float | None:
+    """`value` / `size`; None where that is not a number."""
+    return float(value / size) if size > 0 and np.isfinite(value) else None
 
 
 def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
@@ -130,12 +137,16 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
     blocks: list[dict[str, Any]] = []
     for g, plant in dict.fromkeys((row["generation"], row["plant"]) for row in results["comparison"]):
         rows = [row for row in results["comparison"] if (row["generation"], row["plant"]) == (g, plant)]
-        reference = next((row for row in rows if row["controller"] == "LQR"), None)
-        verdicts = ["reference" if row is reference else verdict(row, reference) for row in rows]
+        reference = reference_of(rows, rows[0])
+        shown = []
+        for row in rows:
+            gain, ends = difference_text(row)
+            word = "reference" if row is reference else verdict(row, reference)
+            shown.append({"row": row, "verdict": word, "gain": gain, "ends": ends,
+                          "star": saw_fewer_runs(row, reference)})  # fmt: skip
         blocks.append({
-            "generation": g, "plant": place(rows[0]),
-            "design": design_text(results, rows[0]["design"]), "bounds": active_bounds_text(rows[0]["active_bounds"]),
-            "rows": list(zip(rows, verdicts, (difference_text(row) for row in rows))),
+            "generation": g, "plant": place(rows[0]), "design": design_text(results, rows[0]["design"]),
+            "bounds": active_bounds_text(rows[0]["active_bounds"]), "rows": shown, "notes": fewer_runs_notes(rows),
         })  # fmt: skip
     return blocks
 
@@ -149,6 +160,25 @@ def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
     return rows
 
 
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(seconds, 60)
-    return f"{int(minutes)} min {rest:.0f} s" if minutes else f"{rest:.1f} s"
+def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
+    """Q and R: their diagonals by signal name, with whatever lies beside the diagonal as a matrix."""
+    plant, objective = run.study.plant, run.study.objective
+    rows = []
+    for symbol, weight, names in (("Q", objective.Q, plant.state_names), ("R", objective.R, plant.input_names)):
+        diagonal = np.diag(weight)
+        if np.array_equal(weight, np.diag(diagonal)):
+            entries = ", ".join(f"{name}: {with_minus(number(value))}" for name, value in zip(names, diagonal))
+            rows.append((f"{symbol}, diagonal", entries))
+        else:
+            text = "; ".join(", ".join(with_minus(number(value)) for value in line) for line in weight)
+            rows.append((symbol, f"[{text}]"))
+    return rows
+
+
+def _design_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
+    """Design parameters with their bounds."""
+    space = run.problem.design
+    return [
+        (f"design {axis_label(name, unit)}", float(low), float(high))
+        for name, unit, low, high in zip(space.names, space.units, space.lower, space.upper)
+    ]

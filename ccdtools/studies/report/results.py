@@ -8,14 +8,15 @@ from importlib.metadata import version
 from typing import Any
 
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.run_folder import Stage
+from ccdtools.studies.report.headline import headline
+from ccdtools.studies.run_folder import Stage, jsonable
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
 
 
 def generation_entry(
-    generation: int, evaluation: Evaluation, *, found: Stage, service: Stage, learned: Stage, returns: Stage
+    generation: int, evaluation: Evaluation, *, found: Stage, deployed: Stage, learned: Stage, returns: Stage
 ) -> dict[str, Any]:
     """One element of ``generations``, from the stages of a generation."""
     keep = ("model", "model_return", "nominal_return", "updated_model_return")
@@ -24,11 +25,12 @@ def generation_entry(
         "design": evaluation.problem.design.as_dict(found.arrays["design"]),
         "active_bounds": found.values["active_bounds"],
         **{name: returns.values[name] for name in keep},
-        "deployed_return": service.values["deployed_return"],
-        "deployed_diverged": service.values["diverged"],
-        "online_updates": service.values["updates"],
+        "deployed_return": deployed.values["deployed_return"],
+        "deployed_diverged": deployed.values["diverged"],
+        "online_updates": deployed.values["updates"],
         "quantiles": learned.values["scores"],
         "gradient_check": found.values["gradient_check"],
+        "redesign": found.values["redesign"],
     }
 
 
@@ -42,7 +44,7 @@ def results(
 ) -> dict[str, Any]:
     """Everything that the tables show, with what is needed to run it again."""
     study, config, space = evaluation.study, evaluation.config, evaluation.problem.design
-    return {
+    contents: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "study": study.name, "title": study.title, "seed": evaluation.seed,
         "quick": config.quick, "preset": config.preset,
@@ -52,9 +54,11 @@ def results(
         "state_names": study.plant.state_names, "input_names": study.plant.input_names,
         "design_space": {"names": space.names, "units": space.units, "lower": space.lower, "upper": space.upper},
         "start": space.as_dict(study.p0),
+        "objective": {"Q": study.objective.Q, "R": study.objective.R},
         "initialisation": {key: value for key, value in initial.values.items() if key != "report"},
         "generations": list(generations),
         "comparison": list(comparison),
         "configuration": config.as_dict(),
         "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
     }  # fmt: skip
+    return jsonable(contents | {"headline": headline(contents)})

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ccdtools.studies.report.formatting import (
+    active_bounds_text,
+    design_text,
+    generation_name,
+    number,
+    place,
+    share,
+)
+from ccdtools.studies.report.verdicts import difference_text, reference_of, saw_fewer_runs
 from ccdtools.studies.run_folder import RunFolder
 
 Row = dict[str, Any]
-NOT_WORSE = 0.005  # a controller is not worse than LQR if its interval lies above −0.5 % of |LQR|
-NEGLIGIBLE = 1e-4  # per cent: below it, two returns are the same up to solver tolerances
 HEADINGS = (
     "plant", "gen", "controller", "mean", "std", "n", "vs LQR", "95 % interval", "diverged", "outside X", "µs/step",
 )  # fmt: skip
@@ -24,7 +32,7 @@ def write_tables(results: Mapping[str, Any], folder: RunFolder) -> list[Path]:
         "generations.csv": generation_rows(results),
         "learning_curves.csv": learning_rows(results, folder),
     }
-    return [_write(folder.path / name, rows) for name, rows in tables.items()]
+    return [folder.write_text(name, _csv(rows)) for name, rows in tables.items()]
 
 
 def comparison_rows(results: Mapping[str, Any]) -> list[Row]:
@@ -34,7 +42,11 @@ def comparison_rows(results: Mapping[str, Any]) -> list[Row]:
         | {name: row[name] for name in ("plant", "model", "generation", "controller")}
         | _design_columns(results, row)
         | _summary_columns("", row)
-        | {"median": row["median"], "paired_to_lqr": row["paired_to_lqr"]["mean"]}
+        | {
+            "median": row["median"],
+            "paired_to_lqr": row["paired_to_lqr"]["mean"],
+            "lqr_mean_on_these_runs": row["lqr_mean"],
+        }
         | dict(zip(("paired_low95", "paired_high95"), row["paired_to_lqr"]["ci95"]))
         | {name: row[name] for name in ("diverged", "violations", "step_time_us")}
         for row in results["comparison"]
@@ -72,7 +84,7 @@ def learning_rows(results: Mapping[str, Any], folder: RunFolder) -> list[Row]:
             values = {name: arrays[f"history_{name}"][k] for name in ("model_return", "std", "diverged")}
             rows.append(
                 _run_columns(results)
-                | {"generation": g, "measured_on": measured_on(generation)}
+                | {"generation": g, "measured_on": place(generation)}
                 | {name: int(arrays[f"history_{name}"][k]) for name in ("iteration", "env_steps")}
                 | dict(zip(names, arrays["history_design"][k].tolist()))
                 | {name: float(value) for name, value in values.items()}
@@ -82,153 +94,82 @@ def learning_rows(results: Mapping[str, Any], folder: RunFolder) -> list[Row]:
 
 def console_table(results: Mapping[str, Any]) -> str:
     """The comparison as aligned plain text, a block per generation and plant; the active bounds are named."""
-    blocks: list[list[Sequence[str]]] = []
-    titles: list[str] = []
-    for generation, plant in dict.fromkeys((row["generation"], row["plant"]) for row in results["comparison"]):
-        rows = [row for row in results["comparison"] if (row["generation"], row["plant"]) == (generation, plant)]
-        titles.append(_block_title(results, rows[0]))
-        blocks.append([_cells(row) for row in rows])
-    everything = [HEADINGS, *(cells for block in blocks for cells in block)]
+    rows = results["comparison"]
+    everything = [HEADINGS, *(_cells(row, rows) for row in rows)]
     widths = [max(len(cells[i]) for cells in everything) for i in range(len(HEADINGS))]
-    quick = "QUICK: fewer samples, not a result\n" if results["quick"] else ""
-    head = f"{results['title']}, seed {results['seed']}\n{quick}{_line(HEADINGS, widths)}\n{'-' * (sum(widths) + 18)}"
-    last: Any = None
-    lines = [head]
-    for title, block in zip(titles, blocks):
-        lines += [title] * (title != last) + [_line(cells, widths) for cells in block]
-        last = title
-    return "\n".join(lines)
+    quick = ["QUICK: fewer samples, not a result"] if results["quick"] else []
+    rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
+    lines = [f"{results['title']}, seed {results['seed']}", *quick, _line(HEADINGS, widths), rule]
+    title = ""
+    for row, cells in zip(rows, everything[1:]):
+        if _block_title(results, row) != title:
+            title = _block_title(results, row)
+            lines.append(title)
+        lines.append(_line(cells, widths))
+    return "\n".join([*lines, *fewer_runs_notes(rows)])
 
 
-def active_bounds_text(active: Mapping[str, str]) -> str:
-    """Active design bounds as a phrase: "k_s lower, c_s upper", or "none"."""
-    return ", ".join(f"{name} {side}" for name, side in active.items()) or "none"
-
-
-def place(row: Mapping[str, Any]) -> str:
-    """Where a comparison row was measured."""
-    return {"nominal": "nominal model", "real": "real plant"}.get(row["model"], row["model"])
-
-
-def measured_on(generation: Mapping[str, Any]) -> str:
-    """What the returns of a co-design's learning curve were measured on."""
-    return "nominal model" if generation["model"] == "nominal" else "replayed errors"
-
-
-def design_text(results: Mapping[str, Any], design: Mapping[str, float]) -> str:
-    """A design with its units."""
-    units = dict(zip(results["design_space"]["names"], results["design_space"]["units"]))
-    return ", ".join(
-        f"{name} = {value:.6g}{'' if units[name] == '-' else ' ' + units[name]}" for name, value in design.items()
-    )
-
-
-def difference_text(row: Mapping[str, Any]) -> tuple[str, str]:
-    """The paired difference of a comparison row and its interval as text; rounding errors of equal runs are zero."""
-    if any(value is None for value in (row["paired_to_lqr"]["mean"], *row["paired_to_lqr"]["ci95"])):
-        return number(row["paired_to_lqr"]["mean"], 3), "n/a"
-    size = NEGLIGIBLE / 100 * abs(row["mean"] or 0.0)
-    mean, low, high = (
-        number(value if abs(value) >= size else 0.0, 3)
-        for value in (row["paired_to_lqr"]["mean"], *row["paired_to_lqr"]["ci95"])
-    )
-    return mean, f"[{low}, {high}]"
-
-
-def percent_of_reference(row: Mapping[str, Any], reference: Mapping[str, Any] | None) -> tuple[float, ...] | None:
-    """Paired difference of a comparison row and its interval in per cent of |LQR|; None where there is none."""
-    paired = (row["paired_to_lqr"]["mean"], *row["paired_to_lqr"]["ci95"])
-    if reference is None or not reference["mean"] or any(value is None for value in paired):
-        return None
-    return tuple(100 * value / abs(reference["mean"]) for value in paired)
-
-
-def verdict(row: Mapping[str, Any], reference: Mapping[str, Any] | None) -> str:
-    """Return "better", "not worse", "worse" or "open", as the interval of the paired difference to LQR says."""
-    percent = percent_of_reference(row, reference)
-    if percent is None:
-        return "no pairs"
-    _, low, high = percent
-    if low > 0:
-        return "better"
-    if low > -100 * NOT_WORSE:
-        return "not worse"
-    return "worse" if high < 0 else "open"
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """A number to so many significant digits, without exponent where that can be read; "n/a" for nothing."""
-    if value is None:
-        return "n/a"
-    if value != 0 and not 1e-3 <= abs(value) < 1e6:
-        return f"{value:.{digits - 1}e}"
-    shown = float(f"{value:.{digits}g}")
-    if shown == 0:
-        return "0"
-    decimals = max(0, digits - 1 - _exponent(shown))
-    return f"{shown:.{decimals}f}"
-
-
-def percentage(fraction: float | None) -> str:
-    """A fraction in per cent; "n/a" for nothing."""
-    if fraction is None:
-        return "n/a"
-    return f"{100 * fraction:.3g} %"
-
-
-def _exponent(value: float) -> int:
-    return int(f"{value:e}".split("e")[1])
+def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """One line per controller and generation that saw fewer runs than LQR did, with LQR's mean on those runs."""
+    notes: dict[tuple[str, int], list[str]] = {}
+    for row in rows:
+        reference = reference_of(rows, row)
+        if reference is not None and saw_fewer_runs(row, reference):
+            runs = f"first {row['n']} of {reference['n']} runs"
+            text = f"{place(row)}, {runs}, mean of LQR on these {number(row['lqr_mean'])}"
+            notes.setdefault((row["controller"], row["generation"]), []).append(text)
+    return [f"* {name}, {generation_name(g)}: {'; '.join(texts)}" for (name, g), texts in notes.items()]
 
 
 def _block_title(results: Mapping[str, Any], row: Mapping[str, Any]) -> str:
-    stage = "start" if row["generation"] == 0 else f"generation {row['generation']}"
+    """The design that a block of rows is about."""
     bounds = active_bounds_text(row["active_bounds"])
-    return f"{stage}: {design_text(results, row['design'])}; active bounds: {bounds}"
+    return f"{generation_name(row['generation'])}: {design_text(results, row['design'])}; active bounds: {bounds}"
 
 
-def _cells(row: Mapping[str, Any]) -> list[str]:
+def _cells(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The cells of one row; a star marks a controller that saw fewer runs than LQR."""
     mean, interval = difference_text(row)
-    plant = place(row)
     reference = row["controller"] == "LQR"
+    star = " *" if saw_fewer_runs(row, reference_of(rows, row)) else ""
     return [
-        plant, str(row["generation"]), row["controller"], number(row["mean"]), number(row["std"], 3), str(row["n"]),
-        "-" if reference else mean,
-        "-" if reference else interval,
-        percentage(row["diverged"]), percentage(row["violations"]), number(row["step_time_us"], 3),
+        place(row), str(row["generation"]), row["controller"] + star, number(row["mean"]), number(row["std"], 3),
+        str(row["n"]), "-" if reference else mean, "-" if reference else interval, share(row["diverged"]),
+        share(row["violations"]), number(row["step_time_us"], 3),
     ]  # fmt: skip
 
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+    """Cells in columns; words to the left, numbers to the right."""
     left = {0, 2}
     aligned = (c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(cells, widths)))
     return "  ".join(aligned).rstrip()
 
 
 def _run_columns(results: Mapping[str, Any]) -> Row:
+    """Which run a row belongs to."""
     return {"study": results["study"], "seed": results["seed"], "mode": "QUICK" if results["quick"] else "full"}
 
 
 def _design_columns(results: Mapping[str, Any], row: Mapping[str, Any]) -> Row:
+    """The design of a row, a column per parameter."""
     return {name: row["design"][name] for name in results["design_space"]["names"]} | {
         "active_bounds": active_bounds_text(row["active_bounds"])
     }
 
 
 def _summary_columns(prefix: str, summary: Mapping[str, Any]) -> Row:
+    """Mean, standard deviation, number and interval of a summary."""
     low, high = summary["ci95"]
     values = {name: summary[name] for name in ("mean", "std", "n")}
     return {f"{prefix}{name}": value for name, value in (values | {"low95": low, "high95": high}).items()}
 
 
-def _write(path: Path, rows: Sequence[Row]) -> Path:
+def _csv(rows: Sequence[Row]) -> str:
+    """Rows as CSV text, a column for every name that occurs."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, names)
-        writer.writeheader()
-        writer.writerows(rows)
-    return path
-
-
-def with_minus(text: str) -> str:
-    """`text` with the minus sign of a printed page."""
-    return text.replace("-", "−")
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, names)
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

@@ -17,9 +17,12 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
 from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
-from ccdtools.studies.report import plotting
+from ccdtools.studies.report import return_plots, style
+from ccdtools.studies.report.formatting import number, share, signed_percent
+from ccdtools.studies.report.headline import headline
 from ccdtools.studies.report.report import write_report
-from ccdtools.studies.report.tables import console_table, number, percentage, verdict
+from ccdtools.studies.report.tables import console_table
+from ccdtools.studies.report.verdicts import verdict
 from invariant_sets import Polytope
 from learning.networks import NetworkConfig
 
@@ -53,7 +56,7 @@ def finished(study: Study, path, *, generations: int = 1, quick: bool = True):
     )  # fmt: skip
     folder = RunFolder.create(path)
     results = Generations(
-        study, config, folder, generations=generations, seed=3, say=lambda line: None, progress=False
+        study, config, folder, generations=generations, seed=3, echo=lambda line: None, progress=False
     ).run()
     write_report(study, folder)
     return folder, folder.read_json("results.json") if results else {}
@@ -113,8 +116,8 @@ def test_quick_is_marked_in_every_output(illustrative, masses):
         assert ("QUICK" in console_table(results)) == marked
         for name in ("comparison.csv", "generations.csv", "learning_curves.csv"):
             assert {row["mode"] for row in rows_of(folder, name)} == {"QUICK" if marked else "full"}
-    assert [text.get_text() for text in plotting.blank(4, 3, quick=True).texts] == ["QUICK"]
-    assert not plotting.blank(4, 3).texts
+    assert [text.get_text() for text in style.blank(4, 3, quick=True).texts] == ["QUICK"]
+    assert not style.blank(4, 3).texts
 
 
 def test_tables_repeat_the_results(illustrative, masses):
@@ -177,32 +180,133 @@ def test_a_folder_without_results_is_an_error(tmp_path):
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(-73.1234, "-73.12"), (None, "n/a"), (0.0, "0"), (1e4, "10000"), (3.1e-5, "3.100e-05"), (9.9999, "10.00")],
+    [(-73.1234, "-73.12"), (None, "n/a"), (0.0, "0"), (1e4, "10000"), (3.1e-5, "3.100·10⁻⁵"), (9.9999, "10.00")],
 )
 def test_numbers_have_four_digits(value, text):
     assert number(value) == text
 
 
 def test_fractions_are_shown_in_per_cent():
-    assert percentage(0.000667) == "0.0667 %"
-    assert percentage(None) == "n/a"
+    assert share(0.000667) == "0.07 %"
+    assert share(1e-6) == "< 0.01 %"
+    assert share(0.0) == "0 %"
+    assert share(None) == "n/a"
+
+
+@pytest.mark.parametrize(
+    ("percent", "text"), [(-0.000815, "0 %"), (0.344, "+0.34 %"), (-12.34, "−12 %"), (5.0, "+5 %")]
+)
+def test_changes_are_shown_without_false_digits(percent, text):
+    assert signed_percent(percent) == text
 
 
 @pytest.mark.parametrize(
     ("ends", "expected"),
     [((0.1, 0.2), "better"), ((-0.4, 0.2), "not worse"), ((-0.7, 0.1), "open"), ((-0.9, -0.6), "worse"),
-     ((None, None), "no pairs")],
+     ((None, None), "no pairs"), ((1e-13, 3e-13), "equal"), ((-3e-13, -1e-13), "equal"), ((0.0, 0.0), "equal"),
+     ((-2.0, -1e-9), "open")],
 )  # fmt: skip
-def test_verdict_reads_the_interval_in_per_cent_of_lqr(ends, expected):
+def test_verdict_reads_the_interval_in_per_cent_of_lqr_and_takes_rounding_for_equal(ends, expected):
     low, high = ends
-    mean = None if low is None else (low + high) / 2
-    row = {"paired_to_lqr": {"mean": mean, "ci95": [low, high]}}
-    assert verdict(row, {"mean": -100.0}) == expected
+    gain = None if low is None else (low + high) / 2
+    mean = None if gain is None else -100.0 + gain
+    row = {"paired_to_lqr": {"mean": gain, "ci95": [low, high]}, "mean": mean, "n": 50, "diverged": 0.0}
+    row["lqr_mean"] = -100.0
+    assert verdict(row, {"mean": -100.0, "n": 50, "diverged": 0.0}) == expected
+
+
+def test_mpc_stands_beside_lqr_on_the_runs_that_both_saw(illustrative):
+    text = console_table(illustrative[1])
+    rows = [row for row in illustrative[1]["comparison"] if row["controller"] in ("MPC", "LQR")][:2]
+    mpc, lqr = sorted(rows, key=lambda row: row["n"])
+    shared = mpc["mean"] - mpc["paired_to_lqr"]["mean"]
+    assert mpc["n"] < lqr["n"]
+    assert f"first {mpc['n']} of {lqr['n']} runs, mean of LQR on these {number(shared)}" in text
+    assert "MPC *" in text
+
+
+def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False):
+    """Results with costs on the real plant at the start and after two generations."""
+    def row(generation, controller, cost, ci):
+        gain = {"mean": (ci[0] + ci[1]) / 2, "ci95": list(ci)}
+        return {"plant": "real", "model": "real", "generation": generation, "controller": controller, "mean": -cost,
+                "lqr_mean": -lqr if generation else -start, "n": 30, "diverged": 0.0, "paired_to_lqr": gain}  # fmt: skip
+
+    redesigns = [None, {"accepted": accepted}]
+    entries = [
+        {"generation": g + 1, "design": {"p": 2.0 if g == 0 or not moved else 3.0}, "redesign": redesigns[g],
+         "online_updates": [{"accepted": False}]}
+        for g in range(2)
+    ]  # fmt: skip
+    rows = [row(0, "LQR", start, (0.0, 0.0)), row(0, "learned", start, (0.0, 0.0)), row(2, "LQR", lqr, (0.0, 0.0)),
+            row(2, "learned", learned, ends)]  # fmt: skip
+    space = {"names": ["p"], "units": ["-"], "lower": [1.0], "upper": [4.0]}
+    return {"comparison": rows, "generations": entries, "start": {"p": 1.0}, "design_space": space, "quick": False}
+
+
+@pytest.mark.parametrize(
+    ("results", "sentence"),
+    [
+        (
+            outcome(8384, 6425, 6425),
+            "real plant: cost −23 % (8384 → 6425), all of it from the design; the learned policy equals LQR; "
+            "generation 2 changed nothing.",
+        ),
+        (
+            outcome(100, 80, 72, ends=(7.9, 8.1), accepted=True),
+            "real plant: cost −28 % (100 → 72), −20 % from the design and −8 % from the policy; the learned policy "
+            "costs 10 % less than LQR at the same design; generation 2 changed the policy only.",
+        ),
+        (
+            outcome(100, 100.1, 100, moved=True, ends=(-1, 1)),
+            "real plant: cost unchanged within 0.5 % (100 → 100); the learned policy and LQR cannot be told apart on "
+            "these runs; generation 2 moved the design to p = 3.",
+        ),
+        (
+            outcome(0.0, 0.0, 0.004, ends=(-0.005, -0.003)),
+            "real plant: cost 0.004; LQR at the start design: 0; generation 2 changed nothing.",
+        ),
+    ],
+)
+def test_the_headline_says_what_came_out(results, sentence):
+    assert headline(results) == sentence
+
+
+def test_the_headline_comes_first(illustrative):
+    folder, results = illustrative
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert page.index("real plant: cost") < page.index("What came out")
+    assert results["headline"].startswith("QUICK run, not a result: real plant: cost")
+
+
+def test_the_page_says_how_many_updates_were_accepted_and_states_the_problem(illustrative):
+    folder, results = illustrative
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    for generation in results["generations"]:
+        updates = generation["online_updates"]
+        assert f"{sum(u['accepted'] for u in updates)} of {len(updates)} updates of the policy in service" in page
+    assert "Q, diagonal: x1: 1.000, x2: 1.000" in page
+    assert "quantile loss (pinball loss)" in page
+
+
+def test_the_redesign_is_reported_whether_taken_or_not(illustrative):
+    folder, results = illustrative
+    redesign = results["generations"][1]["redesign"]
+    assert results["generations"][0]["redesign"] is None
+    assert redesign["texts"]
+    assert ("Design and policy stay." in (folder.path / "report.html").read_text(encoding="utf-8")) == (
+        not redesign["accepted"]
+    )
+
+
+def test_a_generation_has_one_colour_in_every_figure():
+    colours = [style.generation_colour(g) for g in range(len(style.GENERATIONS))]
+    assert len(set(colours) | set(style.COLOURS.values())) == len(colours) + len(style.COLOURS)
 
 
 def test_a_controller_keeps_its_colour_and_strangers_get_their_own():
-    colours = plotting.controller_colours(["LQR", "learned", "tube MPC", "H∞"])
-    assert colours["LQR"] == plotting.COLOURS["LQR"]
+    colours = style.controller_colours(["LQR", "learned", "tube MPC", "H∞"])
+    assert colours["LQR"] == style.COLOURS["LQR"]
     assert len({colours[name] for name in ("LQR", "learned", "tube MPC", "H∞")}) == 4
 
 
@@ -212,13 +316,13 @@ def test_landscape_of_nothing_but_divergence_is_still_drawn():
         ax = figure.add_subplot()
         mean = np.full((3, 3), -1.0 if fine else np.nan)
         axis = np.linspace(0, 1, 3)
-        plotting.plot_landscape_map(
+        return_plots.plot_landscape_map(
             ax, axis, axis, mean, np.full((3, 3), fine), [np.array([[0.1, 0.1], [0.5, 0.5]])], labels=("a", "b")
         )
-        assert plotting.png(figure).startswith(b"\x89PNG")
+        assert style.png(figure).startswith(b"\x89PNG")
     figure = Figure()
     nothing = np.full(3, np.nan)
-    plotting.plot_landscape_curve(
+    return_plots.plot_landscape_curve(
         figure.add_subplot(), axis, nothing, nothing, np.ones(3), [axis], label="a", allowed=0.01
     )
-    assert plotting.png(figure).startswith(b"\x89PNG")
+    assert style.png(figure).startswith(b"\x89PNG")

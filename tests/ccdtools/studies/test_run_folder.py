@@ -1,6 +1,9 @@
-"""A run's folder: whole stages, nothing overwritten, plain JSON."""
+"""A run's folder: whole stages, nothing overwritten, nothing damaged, plain JSON."""
 
+import errno
 import json
+import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -23,27 +26,11 @@ def stage(value=1.0):
 
 
 def test_a_stage_comes_back_as_it_was_written(folder):
-    back = folder.stage("one", stage)
+    back = folder.keep_stage("one", stage())
     assert back.values == {"value": 1.0, "none": None}
     np.testing.assert_array_equal(back.arrays["a"], np.arange(6.0).reshape(2, 3))
     x = torch.randn(4, 1)
     torch.testing.assert_close(back.networks["agent"].latent(x), stage().networks["agent"].latent(x))
-
-
-def test_a_finished_stage_is_read_and_not_computed_again(folder):
-    folder.stage("one", stage)
-    again = RunFolder(folder.path).stage("one", lambda: pytest.fail("computed twice"))
-    assert again.values["value"] == 1.0
-
-
-def test_a_stage_that_fails_leaves_nothing(folder):
-    def fails():
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        folder.stage("one", fails)
-    assert not folder.has("one")
-    assert folder.finished() == []
 
 
 def test_a_stage_cut_off_while_it_was_written_is_not_finished(folder, monkeypatch):
@@ -51,18 +38,18 @@ def test_a_stage_cut_off_while_it_was_written_is_not_finished(folder, monkeypatc
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("ccdtools.studies.run_folder.checkpoint.save", cut)
+        patch.setattr("learning.checkpoint.save", cut)
         with pytest.raises(KeyboardInterrupt):
-            folder.stage("one", stage)
+            folder.keep_stage("one", stage())
     assert not folder.has("one")
     assert folder.finished() == []
-    assert folder.stage("one", lambda: stage(2.0)).values["value"] == 2.0
+    assert folder.keep_stage("one", stage(2.0)).values["value"] == 2.0
     assert [p.name for p in (folder.path / "stages").iterdir()] == ["one"]
 
 
 def test_finished_stages_are_listed_oldest_first(folder):
     for name in ("zebra", "apple", "mango"):
-        folder.stage(name, Stage)
+        folder.keep_stage(name, Stage())
     assert folder.finished() == ["zebra", "apple", "mango"]
 
 
@@ -72,7 +59,7 @@ def test_a_new_folder_has_finished_nothing(folder):
 
 
 def test_nothing_in_the_folder_is_a_pickle(folder):
-    folder.stage("one", stage)
+    folder.keep_stage("one", stage())
     assert {p.suffix for p in folder.path.rglob("*") if p.is_file()} == {".json", ".npz", ".safetensors"}
 
 
@@ -80,7 +67,7 @@ def test_nothing_in_the_folder_is_a_pickle(folder):
 
 
 def test_an_existing_folder_is_refused(folder):
-    with pytest.raises(InputError, match=r"--output: got .*run, which exists, expected a new folder"):
+    with pytest.raises(InputError, match=r"path: got .*run, which exists, expected a new folder"):
         RunFolder.create(folder.path)
     with pytest.raises(InputError, match="elsewhere: got"):
         RunFolder.create(folder.path, argument="elsewhere")
@@ -88,7 +75,7 @@ def test_an_existing_folder_is_refused(folder):
 
 def test_a_run_is_overwritten_when_asked(folder):
     folder.write_json("run.json", {})
-    folder.stage("one", Stage)
+    folder.keep_stage("one", Stage())
     again = RunFolder.create(folder.path, overwrite=True)
     assert again.finished() == []
 
@@ -105,7 +92,7 @@ def test_a_folder_that_holds_no_run_is_never_overwritten(tmp_path):
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"--output: got .*, expected a folder that can be made \(Not a directory\)"):
+    with pytest.raises(InputError, match=r"path: got .*, expected a folder that can be made \(Not a directory\)"):
         RunFolder.create(tmp_path / "file" / "run")
 
 
@@ -146,3 +133,68 @@ def test_a_missing_or_broken_json_is_refused(folder, content):
         (folder.path / "run.json").write_text(content)
     with pytest.raises(InputError, match=r"folder: got .*run without a readable run.json, expected a run's folder"):
         folder.read_json("run.json")
+
+
+@pytest.mark.parametrize("damage", ["missing", "cut", "edited", "added", "renamed", "other run", "no manifest"])
+def test_a_stage_that_is_not_as_this_run_wrote_it_is_refused(folder, damage):
+    folder.write_json("run.json", {"seed": 0})
+    folder.keep_stage("one", stage())
+    place = folder.path / "stages" / "one"
+    if damage == "missing":
+        (place / "agent.safetensors").unlink()
+    elif damage == "cut":
+        (place / "arrays.npz").write_bytes((place / "arrays.npz").read_bytes()[:-20])
+    elif damage == "edited":
+        (place / "values.json").write_text("{}")
+    elif damage == "added":
+        (place / "spare.safetensors").write_bytes(b"")
+    elif damage == "renamed":
+        place = place.rename(place.with_name("two"))
+    elif damage == "other run":
+        folder.write_json("run.json", {"seed": 1})
+    else:
+        (place / "manifest.json").unlink()
+    with pytest.raises(InputError, match=r"folder: got a damaged stage .*, expected it as written. Delete it, and"):
+        folder.check_stages()
+
+
+@pytest.mark.parametrize("name", ["stages", "figures"])
+def test_a_file_where_a_folder_belongs_is_refused(folder, name):
+    folder.write_json("run.json", {})
+    (folder.path / name).write_text("")
+    with pytest.raises(InputError, match=f"folder: got .* with a file {name}, expected a folder {name}, or none"):
+        folder.check_layout()
+
+
+def test_a_folder_where_a_file_belongs_is_refused(folder):
+    folder.write_json("run.json", {})
+    (folder.path / "report.html").mkdir()
+    with pytest.raises(InputError, match=r"with a folder report.html, expected a file report.html, or none"):
+        folder.check_layout()
+
+
+def test_two_at_once_are_one_too_many(folder):
+    other = RunFolder(folder.path)
+    with folder.locked(), pytest.raises(InputError, match="in which another process is running"), other.locked():
+        pass
+    with other.locked():
+        pass
+
+
+def test_a_folder_in_use_is_not_overwritten(folder):
+    folder.write_json("run.json", {})
+    with folder.locked(), pytest.raises(InputError, match="in which another process is running"):
+        RunFolder.create(folder.path, overwrite=True)
+    assert (folder.path / "run.json").is_file()
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EACCES])
+def test_a_disk_that_takes_no_more_is_one_clear_line(folder, monkeypatch, number):
+    def full(self, *args, **kwargs):
+        raise OSError(number, os.strerror(number), str(self))
+
+    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
+    for write in (lambda: folder.keep_stage("one", stage()), lambda: folder.write_json("results.json", {})):
+        with pytest.raises(InputError, match=re.escape(f"({os.strerror(number)}), expected a folder that can be")):
+            write()

@@ -48,8 +48,8 @@ def test_a_configuration_is_plain_values(study, preset):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"preset": "fast"}, "--preset: got 'fast', expected one of default, paper"),
-        ({"expert": "pid"}, "--expert: got 'pid', expected one of lqr, mpc"),
+        ({"preset": "fast"}, "preset: got 'fast', expected one of default, paper"),
+        ({"expert": "pid"}, "expert: got 'pid', expected one of lqr, mpc"),
         ({"design_gradient": "magic"}, "design_gradient: got 'magic'"),
     ],
 )

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from ccdtools.co_design.expert import EXPERTS
+from ccdtools.checks import as_choice
 from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
-from ccdtools.exceptions import InputError
+from ccdtools.studies.options import EXPERTS, PRESETS
 from ccdtools.studies.study import Study
 from ccdtools.twin.deployment import ONLINE_TRAINING, OnlineConfig
 from learning.networks import NetworkConfig
@@ -15,7 +15,6 @@ from learning.ppo import PPOConfig
 from learning.quantile import QuantileConfig
 from learning.warm_start import CloningConfig
 
-PRESETS = ("default", "paper")
 PAPER_RATE = 1e-5
 PAPER_EPOCHS = 10_000
 
@@ -80,10 +79,8 @@ def configuration(
     InputError
         If `preset`, `expert` or `design_gradient` is unknown.
     """
-    if preset not in PRESETS:
-        raise InputError(f"--preset: got {preset!r}, expected one of {', '.join(PRESETS)}.")
-    if expert not in EXPERTS:
-        raise InputError(f"--expert: got {expert!r}, expected one of {', '.join(EXPERTS)}.")
+    as_choice("preset", preset, PRESETS)
+    as_choice("expert", expert, EXPERTS)
     config = StudyConfig(preset=preset, expert=expert, samples=study.samples)
     if preset == "paper":
         config = _paper(config, study)

@@ -1,0 +1,75 @@
+"""What the command line prints: errors on one line, and characters that the terminal can show."""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import sys
+from typing import Any
+
+PLAIN = {
+    "→": "->", "⁺": "+", "⁻": "^-", "−": "-", "…": "...", "·": "*", "×": "x", "≤": "<=", "≥": ">=", "“": '"', "”": '"',
+    "’": "'", "–": "-", "₀": "0", "₁": "1", "₂": "2", "∞": "inf", "ż": "dz", "ᵀ": "'", "²": "^2", "³": "^3", "µ": "u",
+}  # fmt: skip
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)
+EXPECTED = {
+    "study": "the name of a study, or a Python file",
+    "folder": "the folder of an interrupted run",
+    "name": "a name for the study file",
+}
+
+
+def plain_where_needed() -> None:
+    """Have standard output and error replace what their encoding lacks, instead of failing on it."""
+    codecs.register_error("ccdtools.plain", _in_plain)
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="ccdtools.plain")
+
+
+def one_line_of(error: Exception, *, ours: tuple[type[Exception], ...]) -> str | None:
+    """What to print of an error that the user can mend; None of a defect of this program."""
+    if callable(getattr(error, "format_message", None)):
+        return _of_usage(error)
+    if isinstance(error, ours):
+        return " ".join(str(error).split())
+    if isinstance(error, OSError) and error.errno in UNWRITABLE:
+        return f"{error.filename or 'output'}: got {error.strerror}, expected a file that can be written and has room."
+    if isinstance(error, MemoryError):
+        return f"memory: got too little ({error}), expected room for the study; take fewer runs or steps."
+    return None
+
+
+def _of_usage(error: Any) -> str:
+    """A complaint of the option parser in the grammar of the package."""
+    help_of = f" See `{error.ctx.command_path} --help`." if getattr(error, "ctx", None) is not None else ""
+    kind = type(error).__name__
+    if kind == "NoSuchOption":
+        near = f" Did you mean {' or '.join(error.possibilities)}?" if error.possibilities else ""
+        return f"{error.option_name}: got an unknown option, expected one that exists.{near}{help_of}"
+    if kind == "NoSuchCommand" or (kind == "UsageError" and "command" in error.format_message().lower()):
+        return f"command: got {_last_word(error)}, expected run, resume, new or studies.{help_of}"
+    if kind == "MissingParameter":
+        name = error.param.name if error.param is not None else "argument"
+        return f"{name}: got nothing, expected {EXPECTED.get(name, 'a value')}.{help_of}"
+    if kind == "BadOptionUsage":
+        took = "expected a value after it" if "requires" in error.format_message() else "expected it alone"
+        got = "got it without a value" if "requires" in error.format_message() else "got it with a value"
+        return f"{error.option_name}: {got}, {took}.{help_of}"
+    if "extra argument" in error.format_message():
+        extra = error.format_message().partition("(")[2].rstrip(").")
+        return f"arguments: got {extra} besides what is needed, expected no more.{help_of}"
+    return f"arguments: got {' '.join(error.format_message().split())}{help_of}"
+
+
+def _last_word(error: Any) -> str:
+    """The word in quotation marks at the end of a message."""
+    return repr(error.format_message().rstrip(".").split("'")[-2]) if "'" in error.format_message() else "nothing"
+
+
+def _in_plain(error: UnicodeError) -> tuple[str, int]:
+    """A replacement in ASCII for the characters that an encoding lacks."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end

@@ -1,0 +1,131 @@
+"""Finding a study: by the name of one that comes with the package, or in a Python file."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+from ccdtools.exceptions import InputError
+from ccdtools.studies.options import study_names
+from ccdtools.studies.study import Study
+
+OURS = ("ccdtools", "mpc", "learning", "invariant_sets")
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedStudy:
+    """A study with the SHA-256 of every source file it was declared in, by file name."""
+
+    study: Study
+    sources: dict[str, str]
+
+
+def load_study(name: str | Path) -> Study:
+    """The study of a name, or the one that a Python file declares as ``study``.
+
+    Any module of `ccdtools.studies.cases` with a ``study`` is found by its file name.
+
+    Raises
+    ------
+    InputError
+        If there is no such study, or the file declares none or stops with an error.
+    """
+    return load_with_sources(name).study
+
+
+def load_with_sources(name: str | Path) -> LoadedStudy:
+    """The study of a name or a file, as `load_study` finds it, with its sources."""
+    if not isinstance(name, str | Path):
+        raise InputError("study", f"a {type(name).__name__}", f"one of {', '.join(study_names())}, or a Python file")
+    text = str(name)
+    if text.endswith(".py"):
+        module, neighbours = _executed(Path(text))
+    elif text in study_names():
+        module, neighbours = import_module(f"ccdtools.studies.cases.{text}"), []
+    else:
+        raise InputError("study", repr(text), f"one of {', '.join(study_names())}, or a Python file")
+    study = getattr(module, "study", None)
+    if not isinstance(study, Study):
+        raise InputError("study", f"{text}, which declares no `study`", "a ccdtools.studies.Study of that name")
+    files = [Path(m.__file__) for m in (module, *neighbours) if m.__file__]
+    return LoadedStudy(study, {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files})
+
+
+def _executed(path: Path) -> tuple[ModuleType, list[ModuleType]]:
+    """The module of a file, and the modules of its folder that it imported."""
+    if not path.is_file():
+        raise InputError("study", f"{path}, which is not a file", "a Python file that declares `study`")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    with _importing_from(path.resolve().parent) as neighbours:
+        try:
+            spec.loader.exec_module(module)
+        except (Exception, SystemExit) as error:
+            raise InputError("study", _place_and_reason(path, error), "a file that runs") from error
+    return module, neighbours
+
+
+@contextmanager
+def blamed_on_source(study: str) -> Iterator[None]:
+    """Turn an exception raised in the user's own study file while it runs into an `InputError` with its line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        path = Path(study)
+        place = _place_and_reason(path, error)
+        if not study.endswith(".py") or place.startswith(f"{path}, "):
+            raise
+        raise InputError("study", place, "a file that runs") from error
+
+
+@contextmanager
+def _importing_from(folder: Path) -> Iterator[list[ModuleType]]:
+    """Have `folder` first on the path; the list holds what was imported from it, which the next study imports anew."""
+    before = set(sys.modules)
+    imported: list[ModuleType] = []
+    sys.path.insert(0, str(folder))
+    try:
+        yield imported
+    finally:
+        sys.path.remove(str(folder))
+        for name in sorted(set(sys.modules) - before):
+            file = getattr(sys.modules[name], "__file__", None)
+            if file and _is_beside(Path(file), folder):
+                imported.append(sys.modules.pop(name))
+
+
+def _is_beside(file: Path, folder: Path) -> bool:
+    """Whether a source file is the user's own: in the study's folder, and no part of an installed package."""
+    if not file.is_absolute() or not file.resolve().is_relative_to(folder):
+        return False
+    parts = file.resolve().relative_to(folder).parts
+    return parts[0] not in OURS and not {"site-packages", "dist-packages"} & set(parts)
+
+
+def _place_and_reason(path: Path, error: BaseException) -> str:
+    """FILE:LINE of an error in a study file, or in a file beside it, and what the error says, on one line."""
+    place = str(path)
+    folder = path.resolve().parent
+    for frame in traceback.extract_tb(error.__traceback__):
+        file = Path(frame.filename)
+        if file.resolve() == path.resolve():
+            place = f"{path}:{frame.lineno}"
+        elif _is_beside(file, folder):
+            place = f"{file}:{frame.lineno}"
+    if isinstance(error, SyntaxError) and error.filename:
+        place = f"{error.filename}:{error.lineno}"
+    reason = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
+    kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+    return f"{place}, which stops with {kind}{reason}".rstrip(". ")

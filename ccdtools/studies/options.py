@@ -1,0 +1,176 @@
+"""What a run is asked for, checked before anything that is slow to import is imported."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from ccdtools.checks import as_choice, as_count, shown
+from ccdtools.exceptions import InputError
+
+PRESETS = ("default", "paper")
+EXPERTS = ("lqr", "mpc", "explicit")
+DESIGN_GRADIENTS = ("pathwise", "network_input")
+DRIVERS = ("mild", "aggressive")
+FILES = ("disturbance", "road", "speed")
+WHOLE = re.compile(r"[+-]?[0-9]{1,40}")
+NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of ``ccdtools run``; kept in run.json, so that `resume` needs the folder alone.
+
+    Attributes
+    ----------
+    study : str
+        Name of a study, or the absolute path of its file.
+    generations, seed, quick, preset, expert, design_gradient
+        As in `Generations` and `configuration`.
+    x0, p0 : list of float or None
+        Another initial state and first design.
+    disturbance, column, road, speed, driver : str or None
+        Files of a recorded disturbance, or the driver of a generated one.
+
+    Raises
+    ------
+    InputError
+        If a value is of another kind or unknown, or two options exclude each other; it names the option.
+    """
+
+    study: str
+    generations: int = 2
+    seed: int = 0
+    quick: bool = False
+    preset: str = "default"
+    expert: str = "lqr"
+    design_gradient: str | None = None
+    x0: list[float] | None = None
+    p0: list[float] | None = None
+    disturbance: str | None = None
+    column: str | None = None
+    road: str | None = None
+    speed: str | None = None
+    driver: str | None = None
+
+    def __post_init__(self) -> None:
+        _check_study(self.study)
+        as_count("--generations", self.generations)
+        as_count("--seed", self.seed, least=0)
+        if not isinstance(self.quick, bool):
+            raise InputError("--quick", shown(self.quick), "true or false")
+        as_choice("--preset", self.preset, PRESETS)
+        as_choice("--expert", self.expert, EXPERTS)
+        if self.design_gradient is not None:
+            as_choice("--design-gradient", self.design_gradient, DESIGN_GRADIENTS)
+        if self.driver is not None:
+            as_choice("--driver", self.driver, DRIVERS)
+        for name in ("x0", "p0"):
+            _check_numbers(f"--{name}", getattr(self, name))
+        for name in (*FILES, "column"):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, str):
+                raise InputError(f"--{name}", shown(value), "text")
+        self._check_source()
+
+    def _check_source(self) -> None:
+        """Raise unless the disturbance comes from one source, with all that belongs to it."""
+        given = self.sources()
+        if len(given) > 1:
+            raise InputError(f"--{given[1]}", f"it together with --{given[0]}", "one source of the disturbance")
+        for own, other in (("road", "speed"), ("speed", "road")):
+            if getattr(self, own) is not None and getattr(self, other) is None:
+                expected = "both: elevation over distance, speed over time"
+                raise InputError(f"--{own}", f"it without --{other}", expected)
+        if self.column is not None and self.disturbance is None:
+            raise InputError("--column", "it without --disturbance", "the file it is a column of")
+
+    def sources(self) -> list[str]:
+        """Names of the options that say where the disturbance comes from."""
+        return [name for name in ("disturbance", "road", "driver") if getattr(self, name) is not None]
+
+    def check_files(self) -> None:
+        """Raise unless the files of a recording are there; a resumed run has its own copy and needs them no more."""
+        for name in FILES:
+            value = getattr(self, name)
+            if value is not None and not _is_file(value):
+                raise InputError(f"--{name}", f"{value!r}, which is not a file", "the path of a CSV file")
+
+    @classmethod
+    def from_json(cls, values: object) -> Options:
+        """The options kept in a run.json.
+
+        Raises
+        ------
+        InputError
+            If a name or a value is not one of this version.
+        """
+        known = {field.name for field in fields(cls)}
+        if not isinstance(values, Mapping) or set(values) != known:
+            raise InputError("folder", "a run.json of another kind", "one of this version of ccdtools")
+        try:
+            return cls(**{str(name): value for name, value in values.items()})
+        except InputError as error:
+            name = f"run.json, {error.argument.removeprefix('--').replace('-', '_')}"
+            raise InputError(name, error.got, error.expected, error.cure) from None
+
+
+def study_names() -> list[str]:
+    """Names of the studies that come with the package."""
+    cases = Path(__file__).parent / "cases"
+    return sorted(file.stem for file in cases.glob("*.py") if not file.stem.startswith("_"))
+
+
+def located(study: str) -> str:
+    """The study's name, or the absolute path of its file: a run may be resumed from elsewhere."""
+    return str(Path(study).resolve()) if study.endswith(".py") and "\0" not in study else study
+
+
+def whole_number(argument: str, text: str) -> int:
+    """The whole number that a text holds."""
+    if not WHOLE.fullmatch(text):
+        raise InputError(argument, repr(text[:40]), "a whole number")
+    return int(text)
+
+
+def numbers(argument: str, text: str | None) -> list[float] | None:
+    """The numbers of a text like "-3,0.5"; None of None."""
+    if text is None:
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    if not all(NUMBER.fullmatch(part) and math.isfinite(float(part)) for part in parts):
+        raise InputError(argument, repr(text[:40]), "finite numbers separated by commas")
+    return [float(part) for part in parts]
+
+
+def _check_study(study: Any) -> None:
+    """Raise unless it is the name of a study, or a Python file."""
+    expected = f"one of {', '.join(study_names())}, or a Python file"
+    if not isinstance(study, str):
+        raise InputError("study", shown(study), expected)
+    if study.endswith(".py") and not _is_file(study):
+        raise InputError("study", f"{study}, which is not a file", "a Python file that declares `study`")
+    if not study.endswith(".py") and study not in study_names():
+        cure = f"A file needs its ending: {study}.py." if _is_file(f"{study}.py") else ""
+        raise InputError("study", repr(study[:60]), expected, cure)
+
+
+def _check_numbers(argument: str, values: Any) -> None:
+    """Raise unless it is None or a list of finite numbers."""
+    if values is None:
+        return
+    kinds_right = isinstance(values, list) and all(type(v) in (int, float) and math.isfinite(v) for v in values)
+    if not kinds_right or not values:
+        raise InputError(argument, shown(values), "a list of finite numbers")
+
+
+def _is_file(path: str) -> bool:
+    """Whether there is a file at a path."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,88 @@
+"""Numbers and names as people read them: in the report, the figures and the console."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+PLACES = {"nominal": "nominal model", "real": "real plant"}
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number to so many significant digits, as a power of ten only where it is very small or large."""
+    if value is None:
+        return "n/a"
+    if value != 0 and not 1e-3 <= abs(value) < 1e6:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        return f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPT)}"
+    shown = float(f"{value:.{digits}g}")
+    if shown == 0:
+        return "0"
+    decimals = max(0, digits - 1 - int(f"{shown:e}".split("e")[1]))
+    return f"{shown:.{decimals}f}"
+
+
+def share(fraction: float | None) -> str:
+    """A fraction in per cent, without false digits: "0.07 %", "12 %"; "n/a" for nothing."""
+    if fraction is None:
+        return "n/a"
+    percent = 100 * fraction
+    if percent == 0:
+        return "0 %"
+    return "< 0.01 %" if 0 < percent < 0.01 else f"{_rounded(percent)} %"
+
+
+def signed_percent(percent: float) -> str:
+    """A change in per cent with its sign: "+0.34 %", "−12 %"; what rounds to nothing is "0 %"."""
+    text = _rounded(percent)
+    return "0 %" if float(text) == 0 else with_minus(f"{'+' if percent > 0 else ''}{text} %")
+
+
+def _rounded(percent: float) -> str:
+    """Two decimals below 1, one below 10, none above."""
+    decimals = 2 if abs(percent) < 1 else 1 if abs(percent) < 10 else 0
+    text = f"{percent:.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def with_minus(text: str) -> str:
+    """`text` with the minus sign of a printed page."""
+    return text.replace("-", "−")
+
+
+def duration(seconds: float) -> str:
+    """Minutes and seconds."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{seconds:.1f} s"
+
+
+def place(row: Mapping[str, Any]) -> str:
+    """Where the returns of a row or a generation were measured."""
+    return PLACES.get(row["model"], row["model"])
+
+
+def generation_name(generation: int) -> str:
+    """The start, or a generation by its number."""
+    return "start" if generation == 0 else f"generation {generation}"
+
+
+def active_bounds_text(active: Mapping[str, str]) -> str:
+    """Active design bounds as a phrase: "k_s lower, c_s upper", or "none"."""
+    return ", ".join(f"{name} {side}" for name, side in active.items()) or "none"
+
+
+def design_text(results: Mapping[str, Any], design: Mapping[str, float]) -> str:
+    """A design with its units."""
+    units = dict(zip(results["design_space"]["names"], results["design_space"]["units"]))
+    return ", ".join(f"{name} = {value:.6g}{unit_text(units[name])}" for name, value in design.items())
+
+
+def unit_text(unit: str) -> str:
+    """A unit behind a number; nothing for a number without one."""
+    return "" if unit == "-" else f" {unit}"
+
+
+def axis_label(name: str, unit: str) -> str:
+    """A name with its unit, for an axis or a heading."""
+    return name if unit == "-" else f"{name} [{unit}]"

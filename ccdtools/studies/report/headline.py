@@ -1,0 +1,105 @@
+"""What came out, in one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ccdtools.studies.report.formatting import design_text, share, signed_percent
+from ccdtools.studies.report.verdicts import NOT_WORSE, percent_of_reference, verdict
+
+Results = Mapping[str, Any]
+SMALL_PART = 0.02  # of a whole: a part below it goes unmentioned
+SAME_DESIGN = 1e-3  # of the range of a design parameter
+
+
+def headline(results: Results) -> str:
+    """Cost on the real plant before and after, where the change comes from, and what each generation did."""
+    last = len(results["generations"])
+    parts = [_cost(results, last), _policy(results, last), *_generations(results)]
+    quick = "QUICK run, not a result: " if results["quick"] else ""
+    return quick + "; ".join(part for part in parts if part) + "."
+
+
+def _row(results: Results, generation: int, controller: str) -> dict[str, Any]:
+    """A row of the comparison on the real plant."""
+    rows = (r for r in results["comparison"] if r["plant"] == "real" and r["generation"] == generation)
+    return next(r for r in rows if r["controller"] == controller)
+
+
+def _cost(results: Results, last: int) -> str:
+    """The change of the cost from LQR at the start design to the learned policy at the last one."""
+    before = _row(results, 0, "LQR")
+    lqr = _row(results, last, "LQR")
+    after = _row(results, last, "learned")
+    lost = f", with {share(after['diverged'])} of its runs diverged" if after["diverged"] else ""
+    if after["mean"] is None:
+        return "real plant: every run of the learned policy diverges"
+    if before["mean"] is None or lqr["mean"] is None or before["mean"] == 0:
+        return f"real plant: cost {_cost_text(after)}{lost}; LQR at the start design: {_cost_text(before)}"
+    change = 100 * (before["mean"] - after["mean"]) / abs(before["mean"])
+    costs = f"({_cost_text(before)} → {_cost_text(after)}{lost})"
+    if abs(change) < NOT_WORSE:
+        return f"real plant: cost unchanged within {NOT_WORSE:g} % {costs}"
+    return f"real plant: cost {signed_percent(change)} {costs}, {_origin(before, lqr, after)}"
+
+
+def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) -> str:
+    """How much of the change comes from the design, how much from the policy."""
+    whole = after["mean"] - before["mean"]
+    by_design = (lqr["mean"] - before["mean"]) / whole
+    if abs(1 - by_design) <= SMALL_PART:
+        return "all of it from the design"
+    if abs(by_design) <= SMALL_PART:
+        return "all of it from the policy"
+    size = abs(before["mean"])
+    design = signed_percent(100 * (before["mean"] - lqr["mean"]) / size)
+    policy = signed_percent(100 * (lqr["mean"] - after["mean"]) / size)
+    return f"{design} from the design and {policy} from the policy"
+
+
+def _policy(results: Results, last: int) -> str:
+    """The learned policy beside LQR at the same design."""
+    row = _row(results, last, "learned")
+    reference = _row(results, last, "LQR")
+    percent = percent_of_reference(row, reference)
+    word = verdict(row, reference)
+    if percent is None:
+        return "the learned policy equals LQR" if word == "equal" else ""
+    if word == "equal" or (word in ("better", "not worse") and percent[2] < NOT_WORSE):
+        return "the learned policy equals LQR" + ("" if word == "equal" else f" within {NOT_WORSE:g} %")
+    if word in ("better", "worse"):
+        less = signed_percent(abs(percent[0])).removeprefix("+")
+        return f"the learned policy costs {less} {'less' if word == 'better' else 'more'} than LQR at the same design"
+    return "the learned policy and LQR cannot be told apart on these runs"
+
+
+def _generations(results: Results) -> list[str]:
+    """What each generation changed, where it is less than the design."""
+    space = results["design_space"]
+    width = [high - low for low, high in zip(space["lower"], space["upper"])]
+    before = results["start"]
+    phrases = []
+    for generation in results["generations"]:
+        now = generation["design"]
+        away = max(abs(now[name] - before[name]) / w for name, w in zip(space["names"], width))
+        phrases.append(_phrase(results, generation, moved=away > SAME_DESIGN))
+        before = now
+    return [phrase for phrase in phrases if phrase]
+
+
+def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> str:
+    """What one generation changed; nothing for the first one, which is expected to move the design."""
+    name = f"generation {generation['generation']}"
+    redesign = generation["redesign"]
+    updated = any(update["accepted"] for update in generation["online_updates"])
+    if redesign is None:
+        return "" if moved else f"{name} left the design where it was"
+    if moved:
+        return f"{name} moved the design to {design_text(results, generation['design'])}"
+    return f"{name} changed the policy only" if redesign["accepted"] or updated else f"{name} changed nothing"
+
+
+def _cost_text(row: Mapping[str, Any]) -> str:
+    """The cost of a row: minus its mean return."""
+    return "all runs diverged" if row["mean"] is None else f"{-row['mean']:.4g}"

@@ -1,0 +1,75 @@
+"""How every figure of the report looks: colours, lines, sizes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+COLOURS = {  # Okabe and Ito: told apart by colour-blind readers
+    "LQR": "#0072B2", "learned": "#D55E00", "learned (sampled)": "#E69F00",
+    "MPC": "#009E73", "PID": "#CC79A7", "passive": "#7F7F7F",
+}  # fmt: skip
+OTHERS = ("#56B4E9", "#BCBD22", "#17BECF", "#9467BD")  # controllers that are not listed above
+GENERATIONS = ("#3D3D3D", "#6A3D9A", "#B15928", "#8A8A00", "#1B7F79", "#A0205F")  # the start, generation 1, 2, …
+OTHER_DESIGNS: tuple[tuple[str, Any], ...] = (
+    ("#9A9A9A", (0, (1, 1.5))), ("#9A9A9A", (0, (6, 2, 1, 2))), ("#C4C4C4", "-"), ("#C4C4C4", (0, (3, 2))),
+)  # fmt: skip
+LINES: dict[str, dict[str, Any]] = {  # LQR broad and pale below, so that it is seen where the learned policy equals it
+    "LQR": {"lw": 4.0, "alpha": 0.45, "solid_capstyle": "round", "zorder": 2},
+    "learned": {"lw": 1.1, "zorder": 3},
+}
+BOUND: dict[str, Any] = {"color": "#444444", "lw": 0.9, "ls": (0, (5, 3))}
+NOT_WORSE_STRIP = "#DDEBDD"
+CHOSEN = "#D4A017"  # star of the iterate that was returned
+DPI = 130
+SETTINGS: Any = {
+    "axes.grid": True, "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False,
+    "axes.labelsize": 9, "axes.titlesize": 9, "grid.color": "#E3E3E3", "grid.linewidth": 0.6,
+    "xtick.labelsize": 8, "ytick.labelsize": 8, "legend.fontsize": 8, "legend.framealpha": 0.8,
+    "axes.unicode_minus": True, "hatch.linewidth": 0.5,
+}  # fmt: skip
+
+
+def styled() -> AbstractContextManager[None]:
+    """The settings, for figures that are made or saved within."""
+    return rc_context(SETTINGS)
+
+
+def blank(width: float, height: float, *, quick: bool = False) -> Figure:
+    """An empty figure of that size [inch], marked in its corner if the run was quick."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    if quick:
+        figure.text(0.003, 0.003, "QUICK", ha="left", va="bottom", fontsize=8, weight="bold", color="#B00020")
+    return figure
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file."""
+    buffer = io.BytesIO()
+    with styled():
+        figure.savefig(buffer, format="png", dpi=DPI)
+    return buffer.getvalue()
+
+
+def controller_colours(names: Sequence[str]) -> dict[str, str]:
+    """One colour per controller, the same in every figure."""
+    strangers = [name for name in dict.fromkeys(names) if name not in COLOURS]
+    return COLOURS | {name: OTHERS[i % len(OTHERS)] for i, name in enumerate(strangers)}
+
+
+def generation_colour(generation: int) -> str:
+    """One colour per generation, the same in every figure; 0 is the start."""
+    return GENERATIONS[generation % len(GENERATIONS)]
+
+
+def without_grid(ax: Axes) -> Axes:
+    """Axes for a map: framed, no grid."""
+    ax.grid(False)
+    ax.spines[:].set_visible(True)
+    return ax
