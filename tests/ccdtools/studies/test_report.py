@@ -229,8 +229,8 @@ def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False
     """Results with costs on the real plant at the start and after two generations."""
     def row(generation, controller, cost, ci):
         gain = {"mean": (ci[0] + ci[1]) / 2, "ci95": list(ci)}
-        return {"plant": "real", "model": "real", "generation": generation, "controller": controller, "mean": -cost,
-                "lqr_mean": -lqr if generation else -start, "n": 30, "diverged": 0.0, "paired_to_lqr": gain}  # fmt: skip
+        return {"plant": "real", "model": "real", "generation": generation, "controller": controller, "n": 30,
+                "mean": -cost, "lqr_mean": -lqr if generation else -start, "diverged": 0.0, "paired_to_lqr": gain}  # fmt: skip
 
     redesigns = [None, {"accepted": accepted}]
     entries = [
