@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
-from invariant_sets.polytope import Polytope
 
 Array = np.ndarray
 
 
-def plot_polytope(P: Polytope, *, ax: Any = None, coordinates: Any = None, **style: Any) -> Any:
+def plot_polytope(P: Any, *, ax: Any = None, coordinates: Any = None, **style: Any) -> Any:
     """Draw a polytope and return the artist: a patch in the plane, a face collection in space.
 
     Parameters
@@ -31,23 +30,25 @@ def plot_polytope(P: Polytope, *, ax: Any = None, coordinates: Any = None, **sty
     ------
     InputError, EmptySetError, UnboundedError
     """
-    if not isinstance(P, Polytope):
-        raise InputError(f"P must be a Polytope, got {type(P).__name__}.")
+    _check_drawable(P, "P")
     if P.is_empty:
         raise EmptySetError("The set is empty; there is nothing to draw.")
     if not P.is_bounded:
         raise UnboundedError("The set is unbounded; intersect it with a box before drawing it.")
     shown = np.arange(min(P.dim, 3)) if coordinates is None else np.atleast_1d(coordinates)
     if len(shown) > 3:
-        raise InputError(f"coordinates has {len(shown)} entries, expected one, two or three.")
+        raise InputError("coordinates", f"{len(shown)} entries", "one, two or three")
     if len(shown) != P.dim or (shown != np.arange(P.dim)).any():
         P = P.projection(shown)
     return _draw_space(P, ax, style) if P.dim == 3 else _draw_plane(P, ax, style)
 
 
-def plot_family(sets: Iterable[Polytope], *, values: Iterable[float] | None = None, labels: Iterable[str] | None = None,
+def plot_family(sets: Iterable[Any], *, values: Iterable[float] | None = None, labels: Iterable[str] | None = None,
                 ax: Any = None, coordinates: Any = None, **style: Any) -> list[Any]:
     """Draw sets of several designs in colours ordered by `values`, largest first, and return the artists.
+
+    In the plane a fill is opaque and pale, and every outline lies above all fills: the legend shows the colours that
+    are seen, and no set hides another's outline.
 
     Parameters
     ----------
@@ -60,35 +61,59 @@ def plot_family(sets: Iterable[Polytope], *, values: Iterable[float] | None = No
     ax, coordinates, **style
         As in `plot_polytope`.
     """
-    from matplotlib import colormaps
-
     family = list(sets)
+    for member in family:
+        _check_drawable(member, "sets")
     numbers = np.arange(len(family), dtype=float) if values is None else np.array(list(values), dtype=float)
     names = [None] * len(family) if labels is None else list(labels)
     if not len(numbers) == len(names) == len(family):
-        raise InputError(f"values and labels have {len(numbers)} and {len(names)} entries, expected {len(family)}.")
+        raise InputError("values, labels", f"{len(numbers)} and {len(names)} entries", f"{len(family)}, one a set")
     if not family:
         return []
-    spread = np.ptp(numbers) or 1.0
-    colours = colormaps["viridis"]((numbers - numbers.min()) / spread)
-    if ax is None:
-        dim = family[0].dim if coordinates is None else len(np.atleast_1d(coordinates))
-        ax = _axes(min(dim, 3))
+    dim = min(3, family[0].dim if coordinates is None else len(np.atleast_1d(coordinates)))
+    ax = _axes(dim) if ax is None else ax
     artists = []
+    colours = _family_colours(numbers)
     for k in sorted(range(len(family)), key=lambda k: -family[k].volume):
         if not family[k].is_empty:
-            chosen = {"facecolor": (*colours[k][:3], 0.15), "edgecolor": colours[k], "label": names[k], **style}
+            chosen = {**_fill(colours[k], dim), "label": names[k], **style}
             artists.append(plot_polytope(family[k], ax=ax, coordinates=coordinates, **chosen))
+            if dim < 3:
+                outline = {"facecolor": "none", "edgecolor": colours[k], **style, "zorder": 2}
+                plot_polytope(family[k], ax=ax, coordinates=coordinates, **outline)
     return artists
 
 
+def _family_colours(numbers: Array) -> Array:
+    """Return one colour a number, (k, 3); the palest end of the map is left out, since it vanishes on white."""
+    from matplotlib import colormaps
+
+    spread = np.ptp(numbers) or 1.0
+    return colormaps["viridis"](0.85 * (numbers - numbers.min()) / spread)[:, :3]
+
+
+def _fill(colour: Array, dim: int) -> dict[str, Any]:
+    """Return the style of one member of a family: opaque and pale in the plane, translucent in space."""
+    if dim == 3:
+        return {"facecolor": (*colour, 0.15), "edgecolor": colour}
+    return {"facecolor": tuple(0.75 + 0.25 * colour), "edgecolor": colour, "zorder": 1}
+
+
+def _check_drawable(P: Any, name: str) -> None:
+    """Refuse what is no polytope; the class itself imports this module for its `plot`."""
+    if not all(hasattr(type(P), attribute) for attribute in ("dim", "vertices", "projection")):
+        raise InputError(name, f"a {type(P).__name__}", "a Polytope")
+
+
 def _axes(dim: int) -> Any:
+    """Return new axes, three-dimensional where `dim` is 3."""
     from matplotlib import pyplot as plt
 
     return plt.figure().add_subplot(projection="3d" if dim == 3 else None)
 
 
-def _draw_plane(P: Polytope, ax: Any, style: dict[str, Any]) -> Any:
+def _draw_plane(P: Any, ax: Any, style: dict[str, Any]) -> Any:
+    """Draw a set of one or two coordinates as a patch."""
     from matplotlib.patches import Polygon
 
     ax = _axes(2) if ax is None else ax
@@ -98,7 +123,8 @@ def _draw_plane(P: Polytope, ax: Any, style: dict[str, Any]) -> Any:
     return patch
 
 
-def _draw_space(P: Polytope, ax: Any, style: dict[str, Any]) -> Any:
+def _draw_space(P: Any, ax: Any, style: dict[str, Any]) -> Any:
+    """Draw a set of three coordinates as a collection of faces."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     ax = _axes(3) if ax is None else ax
@@ -109,7 +135,7 @@ def _draw_space(P: Polytope, ax: Any, style: dict[str, Any]) -> Any:
     return faces
 
 
-def _faces(P: Polytope) -> list[Array]:
+def _faces(P: Any) -> list[Array]:
     """Return the vertices of every face of a body in space, in order around the face."""
     V = P.vertices
     if P.affine_dim < 3:
