@@ -18,7 +18,8 @@ word           arguments                what they hold
 called run by run, because each run meets a disturbance of its own.
 
 A controller with memory has ``reset``. `simulate` never changes the one it is given: it copies it, once for all runs
-if ``reset(n)`` takes their number, else once per run, and resets the copies.
+if ``reset(n)`` takes their number, else once per run, and resets the copies. One without memory that learns in a closed
+loop, such as `mpc.OffsetFreeMPC`, has ``loop(n)`` instead, which makes such a controller for n runs.
 """
 
 from __future__ import annotations

@@ -77,6 +77,9 @@ class Driver:
 
     def __init__(self, controller: Controller, surroundings: Surroundings, runs: int, nu: int) -> None:
         self.needs = needs_of(controller)
+        if callable(getattr(controller, "loop", None)):
+            controller = controller.loop(1 if "preview" in self.needs else runs)  # type: ignore[attr-defined]
+            self.needs = needs_of(controller)
         if "reference" in self.needs and surroundings.reference is None:
             raise InputError("reference", "nothing", "a reference, which the controller needs")
         self.surroundings = surroundings

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_instance
+from ccdtools.checks import as_floats, as_instance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import LinearModel
 from ccdtools.trajectory import Trajectory
@@ -37,7 +37,7 @@ class Residuals(Immutable):
     def __post_init__(self) -> None:
         for name in ("e", "x", "u", "p", "e_next"):
             value = getattr(self, name)
-            object.__setattr__(self, name, frozen(np.array(value, dtype=float)))
+            object.__setattr__(self, name, frozen(as_floats(name, value)))
 
     def __repr__(self) -> str:
         return f"Residuals({self.runs} runs of {self.steps} steps, {self.x.shape[2]} states)"

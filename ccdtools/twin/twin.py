@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Immutable
-from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_share, as_weight
+from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_share, as_weight, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import LinearModel
 from ccdtools.trajectory import Trajectory
@@ -34,7 +34,11 @@ class DigitalTwin(Immutable):
 
     def __post_init__(self) -> None:
         as_instance("model", self.model, LinearModel, "a LinearModel", "Pass discretise(plant).")
+        if not isinstance(self.logs, tuple | list) or not all(isinstance(log, Residuals) for log in self.logs):
+            raise InputError("logs", shown(self.logs), "a tuple of Residuals")
         object.__setattr__(self, "logs", tuple(self.logs))
+        if self.discrepancy is not None:
+            as_instance("discrepancy", self.discrepancy, Discrepancy, "a Discrepancy or None")
 
     def __repr__(self) -> str:
         samples = sum(log.runs * log.steps for log in self.logs)

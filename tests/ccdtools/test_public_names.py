@@ -31,6 +31,15 @@ def test_importing_ccdtools_loads_neither_torch_nor_casadi():
     assert out.strip() == "[]"
 
 
+def test_stating_a_problem_loads_no_torch():
+    code = (
+        "import sys, ccdtools; ccdtools.CoDesignProblem, ccdtools.FixedStart, ccdtools.simulate, ccdtools.discretise; "
+        "print(sorted({'torch', 'matplotlib', 'ccdtools.twin.twin'} & set(sys.modules)))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "[]"
+
+
 def test_every_error_of_the_packages_has_one_base():
     assert issubclass(ccdtools.InputError, ccdtools.CCDError)
     assert issubclass(learning.exceptions.InputError, learning.LearningError)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ccdtools import InputError, simulate
-from ccdtools.controllers.baselines import baselines
+from ccdtools.controllers.baselines import baselines, saturated_lqr
 from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
 from ccdtools.simulation import Scenario
 from ccdtools.statistics import summarise
@@ -105,6 +105,54 @@ def test_violations_are_the_fraction_of_states_outside_X(illustrative, controlle
 def test_a_comparison_without_lqr_is_refused(illustrative, controllers, scenario):
     with pytest.raises(InputError, match=r"controllers: got \['passive'\], expected 'LQR' among them"):
         scored(illustrative, {"passive": controllers["passive"]}, scenario)
+
+
+# ── the table ──
+
+
+@pytest.fixture(scope="module")
+def table(illustrative, scenario):
+    problem = illustrative.problem()
+    gains = {"LQR": saturated_lqr(problem, DESIGN), "weak": LinearFeedback([[0.3, 0.3]], [-1], [1]), "passive": Passive()}
+    return compare(gains, scenario, design=DESIGN, objective=problem.objective, X=problem.X, limit=problem.limit)
+
+
+def test_the_table_is_read_by_number_and_by_name(table):
+    assert [score.controller for score in table] == ["LQR", "weak", "passive"]
+    assert len(table) == 3
+    assert table[0] is table["LQR"]
+    with pytest.raises(KeyError, match="the controllers are LQR, weak, passive"):
+        table["PID"]
+
+
+def test_the_rows_hold_what_the_scores_hold(table):
+    rows = table.rows()
+    assert rows[1]["mean"] == table["weak"].summary.mean
+    assert rows[1]["minus_lqr"] == table["weak"].paired_to_lqr.mean
+    assert rows[1]["lqr_mean"] == table["LQR"].summary.mean
+    frame = table.to_frame()
+    assert list(frame["controller"]) == ["LQR", "weak", "passive"]
+
+
+def test_the_table_prints_and_shows_every_controller(table):
+    assert len(repr(table).splitlines()) == 4
+    html = table._repr_html_()
+    assert html.count("<tr>") == 4
+    assert all(name in html for name in ("LQR", "weak", "passive"))
+
+
+def test_the_picture_shows_each_mean_and_its_interval(table):
+    ax = table.plot()
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["LQR", "weak", "passive"]
+    (container,) = ax.containers
+    np.testing.assert_allclose(container.lines[0].get_xdata(), [score.summary.mean for score in table])
+    assert table.plot(ax=ax) is ax
+
+
+def test_the_lqr_stands_beside_a_controller_on_the_runs_that_both_saw(illustrative, controllers, scenario):
+    rows = scored(illustrative, {name: controllers[name] for name in ("LQR", "MPC")}, scenario, few={"MPC": 7})
+    assert rows["MPC"].lqr_mean == pytest.approx(rows["MPC"].summary.mean - rows["MPC"].paired_to_lqr.mean)
+    assert rows["MPC"].lqr_mean != rows["LQR"].summary.mean
 
 
 # ── replicates ──
