@@ -74,6 +74,7 @@ POLICY = cc.LearnedPolicy(AGENT, P0)
 QUICK = cc.CoDesignConfig(iterations=1, runs=2, pathwise_runs=2, evaluation_runs=2)
 LOG = cc.simulate(MODEL, LQR, x0=[[1.0, 0.0]] * 2, steps=40, disturbance=cc.Gaussian([0.1]), design=P0, rng=rng())
 SCENARIO = cc.Scenario(MODEL, np.ones((3, 2)), np.zeros((3, 5, 1)))
+ROAD = np.zeros((1, 9, 1))
 NETWORK = QuantileNetwork(5, 2, (0.1, 0.5, 0.9), (4,))
 
 
@@ -369,11 +370,11 @@ CALLS = {
     "held out 1.5": (lambda: cc.OnlineConfig(held_out=1.5), "held_out"),
     "training nothing": (lambda: cc.OnlineConfig(training=None), "training"),
     "an updated deployment of a policy": (
-        lambda: cc.deploy_and_update(PROBLEM, MODEL, POLICY, P0, x0=[[0, 0]], disturbance=np.zeros((1, 9, 1)), rng=rng()),
+        lambda: cc.deploy_and_update(PROBLEM, MODEL, POLICY, P0, x0=[[0, 0]], disturbance=ROAD, rng=rng()),
         "agent",
     ),
     "an updated deployment from a seed": (
-        lambda: cc.deploy_and_update(PROBLEM, MODEL, AGENT, P0, x0=[[0, 0]], disturbance=np.zeros((1, 9, 1)), rng=1),
+        lambda: cc.deploy_and_update(PROBLEM, MODEL, AGENT, P0, x0=[[0, 0]], disturbance=ROAD, rng=1),
         "rng",
     ),
     "a twin of a plant": (lambda: cc.DigitalTwin(plant()), "model"),
@@ -408,7 +409,9 @@ CALLS = {
     "a comparison in another X": (lambda: compare(X=INPUTS), "X"),
     "a comparison without an objective": (lambda: compare(objective=None), "objective"),
     "a comparison of few -1": (lambda: compare(few={"LQR": -1}), "few['LQR']"),
-    "a comparison at another design": (lambda: compare(controllers={"LQR": LQR, "l": POLICY}, design=[3, 0.5]), "design"),
+    "a comparison at another design": (
+        lambda: compare(controllers={"LQR": LQR, "learned": POLICY}, design=[3, 0.5]), "design",
+    ),
     "a summary of a table": (lambda: summarise(np.zeros((2, 2))), "values"),
     "a summary of text": (lambda: summarise("12"), "values"),
     "pairs of two lengths": (lambda: paired_difference([1.0], [1.0, 2.0]), "a, b"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import LearnedPolicy, simulate
+from ccdtools import LearnedPolicy, QuadraticObjective, simulate
 from ccdtools.co_design.differentiable_model import Stepper, matrices, observe, returns, scenario_tensors, to_design
 from ccdtools.twin.discrepancy import Discrepancy
 from learning.quantile import QuantileNetwork
@@ -51,6 +51,22 @@ def test_returns_in_torch_equal_a_simulation_of_the_same_policy(study, clone):
     run = simulate(study.model, LearnedPolicy(agent, study.p0), x0=x0, steps=30, disturbance=w, design=study.p0)
     np.testing.assert_allclose(total, run.returns(study.objective), rtol=2e-4)
     assert not lost.any()
+
+
+class Scaled(QuadraticObjective):
+    """Three times the reward."""
+
+    def rewards(self, x_next, u):
+        return 3.0 * super().rewards(x_next, u)
+
+
+def test_an_objective_of_ones_own_is_what_the_design_is_trained_on(illustrative, clone):
+    problem, agent = illustrative.problem(), clone(illustrative)
+    own = replace(problem, objective=Scaled(problem.objective.Q, problem.objective.R))
+    scenarios = scenario_tensors(problem, 20, np.random.default_rng(0))
+    with torch.no_grad():
+        plain, scaled = (returns(one, agent, torch.tensor([2.0]), *scenarios)[0] for one in (problem, own))
+    torch.testing.assert_close(scaled, 3.0 * plain)
 
 
 def test_a_run_that_diverges_is_frozen_and_counted_as_in_a_simulation(illustrative, clone):

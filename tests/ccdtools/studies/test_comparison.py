@@ -113,7 +113,8 @@ def test_a_comparison_without_lqr_is_refused(illustrative, controllers, scenario
 @pytest.fixture(scope="module")
 def table(illustrative, scenario):
     problem = illustrative.problem()
-    gains = {"LQR": saturated_lqr(problem, DESIGN), "weak": LinearFeedback([[0.3, 0.3]], [-1], [1]), "passive": Passive()}
+    weak = LinearFeedback([[0.3, 0.3]], [-1], [1])
+    gains = {"LQR": saturated_lqr(problem, DESIGN), "weak": weak, "passive": Passive()}
     return compare(gains, scenario, design=DESIGN, objective=problem.objective, X=problem.X, limit=problem.limit)
 
 
