@@ -46,10 +46,10 @@ def _of_usage(error: Any) -> str:
     help_of = f" See `{error.ctx.command_path} --help`." if getattr(error, "ctx", None) is not None else ""
     kind = type(error).__name__
     if kind == "NoSuchOption":
-        near = f" Did you mean {' or '.join(error.possibilities)}?" if error.possibilities else ""
+        near = f" Did you mean {error.possibilities[0]}?" if error.possibilities else ""
         return f"{error.option_name}: got an unknown option, expected one that exists.{near}{help_of}"
     if kind == "NoSuchCommand" or (kind == "UsageError" and "command" in error.format_message().lower()):
-        return f"command: got {_last_word(error)}, expected run, resume, new or studies.{help_of}"
+        return f"command: got {_quoted_word(error)}, expected run, resume, new or studies.{help_of}"
     if kind == "MissingParameter":
         name = error.param.name if error.param is not None else "argument"
         return f"{name}: got nothing, expected {EXPECTED.get(name, 'a value')}.{help_of}"
@@ -58,14 +58,15 @@ def _of_usage(error: Any) -> str:
         got = "got it without a value" if "requires" in error.format_message() else "got it with a value"
         return f"{error.option_name}: {got}, {took}.{help_of}"
     if "extra argument" in error.format_message():
-        extra = error.format_message().partition("(")[2].rstrip(").")
+        extra = error.format_message().rpartition("(")[2].rstrip(").")
         return f"arguments: got {extra} besides what is needed, expected no more.{help_of}"
     return f"arguments: got {' '.join(error.format_message().split())}{help_of}"
 
 
-def _last_word(error: Any) -> str:
-    """The word in quotation marks at the end of a message."""
-    return repr(error.format_message().rstrip(".").split("'")[-2]) if "'" in error.format_message() else "nothing"
+def _quoted_word(error: Any) -> str:
+    """The first word in quotation marks of a message."""
+    parts = error.format_message().split("'")
+    return repr(parts[1]) if len(parts) > 1 else "nothing"
 
 
 def _in_plain(error: UnicodeError) -> tuple[str, int]:

@@ -69,7 +69,7 @@ class RunFolder:
         """
         folder = cls(path)
         folder.check_new(overwrite=overwrite, argument=argument)
-        if folder.path.exists():
+        if os.path.lexists(folder.path):
             with folder.locked(argument), folder.writing(argument):
                 shutil.rmtree(folder.path)
         try:

@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from small_runs import tiny
 
 from ccdtools.co_design.objective import QuadraticObjective
-from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
@@ -24,7 +24,6 @@ from ccdtools.studies.report.report import write_report
 from ccdtools.studies.report.tables import console_table
 from ccdtools.studies.report.verdicts import verdict
 from invariant_sets import Polytope
-from learning.networks import NetworkConfig
 
 
 def two_masses() -> Study:
@@ -46,14 +45,7 @@ def two_masses() -> Study:
 
 def finished(study: Study, path, *, generations: int = 1, quick: bool = True):
     """A run of hardly any iterations: the folder and its results."""
-    config = configuration(study, quick=True)
-    tiny = CoDesignConfig(iterations=2, runs=16, pathwise_runs=16, evaluation_runs=20, evaluate_every=1)
-    config = replace(
-        config, quick=quick, samples=15, model_runs=30, real_runs=30, mpc_runs=2, real_steps=500, codesign=tiny,
-        redesign=tiny, network=NetworkConfig((8,)), cloning=replace(config.cloning, steps=50),
-        online=replace(config.online, updates=1, judged=20, training=tiny),
-        quantile=replace(config.quantile, steps=50),
-    )  # fmt: skip
+    config = replace(tiny(configuration(study, quick=True)), quick=quick)
     folder = RunFolder.create(path)
     results = Generations(
         study, config, folder, generations=generations, seed=3, echo=lambda line: None, progress=False
@@ -230,7 +222,8 @@ def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False
     def row(generation, controller, cost, ci):
         gain = {"mean": (ci[0] + ci[1]) / 2, "ci95": list(ci)}
         return {"plant": "real", "model": "real", "generation": generation, "controller": controller, "n": 30,
-                "mean": -cost, "lqr_mean": -lqr if generation else -start, "diverged": 0.0, "paired_to_lqr": gain}  # fmt: skip
+                "mean": -cost, "lqr_mean": -lqr if generation else -start, "diverged": 0.0,
+                "paired_to_lqr": gain}  # fmt: skip
 
     redesigns = [None, {"accepted": accepted}]
     entries = [
