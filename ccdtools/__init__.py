@@ -24,9 +24,11 @@ if TYPE_CHECKING:
     from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
     from ccdtools.exceptions import CCDError, InputError, SamplingWarning
     from ccdtools.plants.design_space import DesignSpace
-    from ccdtools.plants.discretisation import LinearModel, discretise
+    from ccdtools.plants.discretisation import discretise
+    from ccdtools.plants.linear_model import LinearModel
     from ccdtools.plants.plant import Plant
-    from ccdtools.simulation import Scenario, simulate
+    from ccdtools.scenario import Scenario
+    from ccdtools.simulation import simulate
     from ccdtools.studies.comparison import compare
     from ccdtools.studies.study import RealPlant, Study
     from ccdtools.trajectory import Trajectory
@@ -95,7 +97,7 @@ _HOMES = {
     "InputError": "exceptions",
     "LearnedPolicy": "controllers.learned",
     "LinearFeedback": "controllers.controllers",
-    "LinearModel": "plants.discretisation",
+    "LinearModel": "plants.linear_model",
     "OnlineConfig": "twin.deployment",
     "Passive": "controllers.controllers",
     "Plant": "plants.plant",
@@ -104,7 +106,7 @@ _HOMES = {
     "Recorded": "disturbances.disturbance",
     "Reference": "controllers.signals",
     "SamplingWarning": "exceptions",
-    "Scenario": "simulation",
+    "Scenario": "scenario",
     "Study": "studies.study",
     "Sum": "disturbances.disturbance",
     "Trajectory": "trajectory",

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_count, as_floats, as_generator, finite, shown
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Driver, Reference, Surroundings
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.discretisation import LinearModel
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.trajectory import Trajectory
 
 Step = Callable[[Array, Array, Array], Array]
@@ -55,70 +54,6 @@ class Simulable(Protocol):
     def stepper(self, p: Array, *, batch: int) -> Step:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at one design, for n = `batch`."""
         ...
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Scenario(Immutable):
-    """A plant with initial states and disturbances: what every controller meets alike.
-
-    Parameters
-    ----------
-    plant : Plant, LinearModel or TwinPlant
-    x0 : (nx,) or (n, nx) array_like
-        Initial states, one per run.
-    disturbance : (T, nw) or (n, T, nw) array_like
-        Its length is that of the runs.
-    reference : Reference or (nx,) or (T, nx) array_like, optional
-        What tracking controllers follow.
-    output : (ny, nx) array_like, optional
-        Measured outputs, for controllers that need them.
-
-    Raises
-    ------
-    InputError
-        If the shapes disagree with each other or with the plant.
-    """
-
-    plant: Any
-    x0: ArrayField
-    disturbance: ArrayField
-    reference: Reference | ArrayField = None
-    output: ArrayField = None
-
-    def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        plant = as_simulable(self.plant)
-        w = as_floats("disturbance", self.disturbance)
-        steps = w.shape[-2] if w.ndim > 1 else len(np.atleast_1d(w))
-        x0, w = _runs(plant, self.x0, self.disturbance, max(steps, 1))
-        for name, value in (("plant", plant), ("x0", frozen(x0)), ("disturbance", frozen(w)),
-                            ("reference", _reference(plant, self.reference)),
-                            ("output", _output(plant, self.output))):  # fmt: skip
-            set_(self, name, value)
-
-    def __repr__(self) -> str:
-        return f"Scenario({type(self.plant).__name__}, {len(self.x0)} runs of {self.steps} steps)"
-
-    @property
-    def steps(self) -> int:
-        """Length of the runs."""
-        return self.disturbance.shape[1]
-
-    def first(self, runs: int, steps: int | None = None) -> Scenario:
-        """The first so many runs of it, and of these the first so many steps."""
-        length = self.steps if steps is None else as_count("steps", steps)
-        w = self.disturbance[: as_count("runs", runs), :length]
-        return Scenario(self.plant, self.x0[:runs], w, self.reference, self.output)
-
-    def run(
-        self, controller: Controller, *, design: ArrayLike | None = None, limit: ArrayLike | None = None,
-        progress: bool = False,
-    ) -> Trajectory:  # fmt: skip
-        """Its closed-loop trajectories under a controller; see `simulate`."""
-        return simulate(
-            self.plant, controller, x0=self.x0, steps=self.steps, disturbance=self.disturbance, design=design,
-            limit=limit, reference=self.reference, output=self.output, progress=progress,
-        )  # fmt: skip
 
 
 def simulate(
@@ -173,9 +108,9 @@ def simulate(
     p = _design(plant, design)
     _check_own_design(controller, p, plant.design)
     steps = as_count("steps", steps)
-    x, w = _runs(plant, x0, _drawn(plant, x0, disturbance, steps, rng), steps)
+    x, w = matched_runs(plant, x0, _drawn(plant, x0, disturbance, steps, rng), steps)
     bound = _bound(limit, plant.nx)
-    surroundings = Surroundings(w, _reference(plant, reference), _output(plant, output))
+    surroundings = Surroundings(w, as_reference(plant, reference), as_output(plant, output))
     driver = Driver(controller, surroundings, len(x), plant.nu)
     return _run(plant, driver, x, w, p, bound, progress)
 
@@ -259,7 +194,7 @@ def _bound(limit: ArrayLike | None, nx: int) -> Array:
     return np.broadcast_to(bound, (nx,))
 
 
-def _reference(plant: Simulable, reference: Reference | ArrayLike | None) -> Reference | None:
+def as_reference(plant: Simulable, reference: Reference | ArrayLike | None) -> Reference | None:
     """The reference, if its sizes are those of the plant."""
     if reference is None:
         return None
@@ -268,7 +203,7 @@ def _reference(plant: Simulable, reference: Reference | ArrayLike | None) -> Ref
     return reference
 
 
-def _output(plant: Simulable, output: ArrayLike | None) -> Array | None:
+def as_output(plant: Simulable, output: ArrayLike | None) -> Array | None:
     """The output matrix (ny, nx)."""
     return None if output is None else as_array("output", output, ("ny", plant.nx))
 
@@ -293,7 +228,7 @@ def _states(plant: Simulable, x0: ArrayLike) -> Array:
     return finite("x0", x)
 
 
-def _runs(plant: Simulable, x0: ArrayLike, disturbance: ArrayLike, steps: int) -> tuple[Array, Array]:
+def matched_runs(plant: Simulable, x0: ArrayLike, disturbance: ArrayLike, steps: int) -> tuple[Array, Array]:
     """Initial states (n, nx) and disturbances (n, T, nw), as many of each."""
     x = _states(plant, x0)
     w = as_floats("disturbance", disturbance)

@@ -45,7 +45,8 @@ def summarise(values: ArrayLike) -> Summary:
 
 def paired_difference(a: ArrayLike, b: ArrayLike) -> PairedDifference:
     """Mean of a − b over pairs (n,), with its interval."""
-    first, second = as_floats("a", a), as_floats("b", b)
+    first = as_floats("a", a)
+    second = as_floats("b", b)
     if first.shape != second.shape:
         raise InputError("a, b", f"shapes {first.shape} and {second.shape}", "as many of each")
     summary = summarise(first - second)

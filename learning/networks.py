@@ -116,7 +116,8 @@ class ActorCritic(nn.Module):
             self.register_buffer(f"{name}_scale", torch.tensor((high - low) / 2, dtype=torch.float32))
         self.register_buffer("value_offset", torch.zeros(()))
         self.register_buffer("value_scale", torch.ones(()))
-        n_obs, n_act = len(self.observation_offset), len(self.action_offset)
+        n_obs = len(self.observation_offset)
+        n_act = len(self.action_offset)
         c = self.config
         with torch.random.fork_rng():
             torch.manual_seed(seed)

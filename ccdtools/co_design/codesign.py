@@ -70,17 +70,20 @@ def codesign(
 def _check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
     """Raise an `InputError` unless `agent` was made for the states, designs and inputs of `problem`."""
     as_instance("agent", agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
-    nx, space = problem.model.nx, problem.design
+    nx = problem.model.nx
+    space = problem.design
     observed = len(agent.observation_offset)
     if observed != nx + space.dim:
         raise InputError("agent", f"{observed} inputs", f"{nx} states and {space.dim} design parameters")
-    offset, scale = agent.observation_offset[nx:].double().numpy(), agent.observation_scale[nx:].double().numpy()
+    offset = agent.observation_offset[nx:].double().numpy()
+    scale = agent.observation_scale[nx:].double().numpy()
     if (np.abs(np.stack([space.lower, space.upper]) - offset) > EDGE * scale).any():
         raise InputError(
             "agent", f"one made for designs in {(offset - scale).tolist()} to {(offset + scale).tolist()}",
             "the whole box of designs", "Pass input_bounds=problem.observation_bounds to fit_actor_critic.",
         )  # fmt: skip
-    middle, half = agent.action_offset.double().numpy(), agent.action_scale.double().numpy()
+    middle = agent.action_offset.double().numpy()
+    half = agent.action_scale.double().numpy()
     lower, upper = problem.input_bounds
     if (
         len(middle) != len(lower)
@@ -95,7 +98,8 @@ def _check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
 
 def _check_objective(problem: CoDesignProblem) -> None:
     """Raise an `InputError` unless the objective gives one differentiable reward per row of torch tensors."""
-    x, u = torch.zeros(2, problem.model.nx, requires_grad=True), torch.zeros(2, problem.model.nu)
+    x = torch.zeros(2, problem.model.nx, requires_grad=True)
+    u = torch.zeros(2, problem.model.nu)
     try:
         rewards = problem.objective.rewards(x, u)
         fits = torch.is_tensor(rewards) and rewards.shape == (2,) and rewards.requires_grad

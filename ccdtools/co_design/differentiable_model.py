@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.plants.discretisation import LinearModel
+from ccdtools.plants.linear_model import LinearModel
 from learning.networks import ActorCritic
 
 
@@ -93,17 +93,20 @@ def returns(problem: CoDesignProblem, agent: ActorCritic, p: Tensor, x0: Tensor,
     w : (n, T, nw) tensor
     """
     step = Stepper.at(problem, p)
-    x, e = x0, torch.zeros_like(x0)
+    x = x0
+    e = torch.zeros_like(x0)
     total = torch.zeros(len(x0))
     running = torch.ones(len(x0), dtype=torch.bool)
     for k in range(w.shape[1]):
         u = agent.action(agent.latent(observe(x, p)))
         x_next, e_next, reward = step(x, e, u, w[:, k])
         if not bool(running.all()):
-            x_next, e_next = torch.where(running[:, None], x_next, x), torch.where(running[:, None], e_next, e)
+            x_next = torch.where(running[:, None], x_next, x)
+            e_next = torch.where(running[:, None], e_next, e)
             reward = torch.where(running, reward, 0.0)
         total = total + reward
-        x, e = x_next, e_next
+        x = x_next
+        e = e_next
         running = running & ~step.left(x.detach())
     return total, ~running
 

@@ -27,7 +27,9 @@ class DesignEnv:
     """
 
     def __init__(self, problem: CoDesignProblem, p: Tensor, *, runs: int, rng: np.random.Generator) -> None:
-        self.problem, self.runs, self._rng = problem, runs, rng
+        self.problem = problem
+        self.runs = runs
+        self._rng = rng
         self.move(p)
 
     def move(self, p: Tensor) -> None:
@@ -37,7 +39,9 @@ class DesignEnv:
     def reset(self) -> Tensor:
         """Fresh scenarios; observations (runs, nx + np)."""
         self._x0, self._w = scenario_tensors(self.problem, self.runs, self._rng)
-        self._x, self._e, self._k = self._x0, torch.zeros_like(self._x0), 0
+        self._x = self._x0
+        self._e = torch.zeros_like(self._x0)
+        self._k = 0
         return observe(self._x, self._step.p)
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:

@@ -142,7 +142,8 @@ def _accepted(problem, sets, samples, distinct, rng, progress) -> tuple[Array, A
     designs = problem.design.from_unit(cube[:, problem.model.nx :])
     if distinct < samples:
         designs = problem.design.latin_hypercube(distinct, rng)[np.arange(samples) % distinct]
-    chosen, feasible = [], []
+    chosen = []
+    feasible = []
     for i in tqdm(range(samples), desc="X_fea(p)", disable=not progress, leave=False):
         set_of_design = sets.at(designs[i])
         if set_of_design.contains(states[i]):
@@ -156,10 +157,12 @@ def _accepted(problem, sets, samples, distinct, rng, progress) -> tuple[Array, A
 
 def _follow(problem, loops: _Loops, x: Array, gamma: float, rng, progress):
     """States, inputs and values of the closed loops at `VISITS`, and the fraction that diverged."""
-    n, steps = len(x), VISITS[-1] + TAIL
+    n = len(x)
+    steps = VISITS[-1] + TAIL
     w = problem.scenarios.sample(n, steps, rng)[1]
     rewards = np.empty((steps, n))
-    visited, actions = [], []
+    visited = []
+    actions = []
     for k in trange(steps, desc="expert", disable=not progress, leave=False):
         u = loops.inputs(x)
         if k in VISITS:
@@ -181,11 +184,13 @@ class _Loops:
     """The expert's closed loops, one design each."""
 
     def __init__(self, problem, p, feasible, expert, horizon, progress) -> None:
-        self.problem, self.feasible = problem, feasible
+        self.problem = problem
+        self.feasible = feasible
         self._filters: dict[int, AdmissibleInputs] = {}
         self.A, self.B, self.E = problem.model.matrices(p)
         self.lower, self.upper = problem.input_bounds
-        Q, R = problem.objective.Q, problem.objective.R
+        Q = problem.objective.Q
+        R = problem.objective.R
         self.K = np.array([lqr(A, B, Q=Q, R=R)[0] for A, B in zip(self.A, self.B)])
         self.controllers: list[Controller] | None = None
         if expert != "lqr":
@@ -222,8 +227,10 @@ class _Loops:
     def _rows(self) -> tuple[Array, Array, Array]:
         """All X_fea(p) stacked: F A (n, m, nx), F B (n, m, nu) and g (n, m), rows scaled to the size of X."""
         m = max(len(S.b) for S in self.feasible)
-        n, nx = len(self.feasible), self.problem.model.nx
-        F, g = np.zeros((n, m, nx)), np.ones((n, m))
+        n = len(self.feasible)
+        nx = self.problem.model.nx
+        F = np.zeros((n, m, nx))
+        g = np.ones((n, m))
         for i, S in enumerate(self.feasible):
             size = np.abs(S.A) @ self.problem.state_scale
             F[i, : len(S.b)], g[i, : len(S.b)] = S.A / size[:, None], S.b / size

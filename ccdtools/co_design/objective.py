@@ -43,7 +43,9 @@ class QuadraticObjective(Immutable):
 
     def rewards(self, x_next: Any, u: Any) -> Any:
         """Rewards (...,) of next states (..., nx) and inputs (..., nu); NumPy arrays or torch tensors."""
-        Q, R = self.Q, self.R
+        Q = self.Q
+        R = self.R
         if not isinstance(x_next, np.ndarray):
-            Q, R = x_next.new_tensor(Q.tolist()), x_next.new_tensor(R.tolist())
+            Q = x_next.new_tensor(Q.tolist())
+            R = x_next.new_tensor(R.tolist())
         return -((x_next @ Q) * x_next).sum(-1) - ((u @ R) * u).sum(-1)

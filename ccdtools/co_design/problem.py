@@ -13,7 +13,7 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.discretisation import LinearModel
+from ccdtools.plants.linear_model import LinearModel
 from invariant_sets import Polytope
 
 DIVERGENCE = 1e3  # a run is lost when a state exceeds this many half-widths of X

@@ -42,7 +42,8 @@ class GradientCheck(Immutable):
 
     def cosine(self, method: str) -> float:
         """Cosine of the angle between a method's gradient and the finite differences."""
-        a, b = getattr(self, method), self.finite_difference
+        a = getattr(self, method)
+        b = self.finite_difference
         return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
 
     def __str__(self) -> str:
@@ -81,7 +82,8 @@ class History(Immutable):
             object.__setattr__(self, column.name, frozen(np.array(getattr(self, column.name))))
 
     def __repr__(self) -> str:
-        first, last = self.model_return[0], self.model_return[-1]
+        first = self.model_return[0]
+        last = self.model_return[-1]
         return f"History({len(self.iteration)} evaluations, return {first:.4g} → {last:.4g})"
 
 

@@ -29,7 +29,8 @@ def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gen
     as_generator("rng", rng)
     design = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(design)
-    Q, R = problem.objective.Q, problem.objective.R
+    Q = problem.objective.Q
+    R = problem.objective.R
     return {
         "passive": Passive(problem.model.nu),
         REFERENCE: saturated_lqr(problem, design),

@@ -56,7 +56,8 @@ class LearnedPolicy(Immutable):
 
     def _check_design(self) -> None:
         """Raise an `InputError` if the design is not one that the agent was made for."""
-        size, most = len(self.design), len(self._forward.offset) - 1
+        size = len(self.design)
+        most = len(self._forward.offset) - 1
         if size > most:
             raise InputError(
                 "design", f"{size} values", f"at most {most}: the agent observes {most + 1} numbers, (x, p)"

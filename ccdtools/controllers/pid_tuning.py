@@ -45,7 +45,8 @@ def tuned_pid(
     for name, number in (("runs", runs), ("screened", screened), ("starts", starts), ("refinements", refinements)):
         as_count(name, number)
     design = problem.design.check_one(design)
-    model, nu = problem.model, problem.model.nu
+    model = problem.model
+    nu = problem.model.nu
     lower, upper = problem.input_bounds
     A, B, _ = model.matrices(design)
     C_all = _default_outputs(B) if outputs is None else as_array("outputs", outputs, ("k", nu, model.nx))

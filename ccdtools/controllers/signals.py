@@ -102,7 +102,9 @@ class Driver:
 
     def _signals(self, k: int, x: Array, last: Array, run: int | slice) -> dict[str, Any]:
         """The keyword arguments of one call; `x` and `last` are rows of the run, or of all runs."""
-        around, ahead, signals = self.surroundings, self.horizon, dict[str, Any]()
+        around = self.surroundings
+        ahead = self.horizon
+        signals = dict[str, Any]()
         if "time" in self.needs:
             signals["time"] = k
         if "reference" in self.needs and around.reference is not None:

@@ -88,7 +88,8 @@ def read_road(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
         If the file, a column or a cell is not as described.
     """
     table = _read_table(path, argument)
-    distance, elevation = table.column("distance"), table.column("elevation")
+    distance = table.column("distance")
+    elevation = table.column("elevation")
     table.check_increasing("distance", distance)
     return distance, elevation
 
@@ -114,7 +115,8 @@ def read_speed(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]
         If the file, a column or a cell is not as described, or a speed is negative.
     """
     table = _read_table(path, argument)
-    time, speed = table.column("time"), table.column("speed")
+    time = table.column("time")
+    speed = table.column("speed")
     table.check_increasing("time", time)
     if (speed < 0).any():
         row = int(np.argmax(speed < 0))

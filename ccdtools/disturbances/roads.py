@@ -75,7 +75,8 @@ def road_disturbance(
 
 def _curve(x_name: str, x: ArrayLike, y_name: str, y: ArrayLike) -> tuple[Array, Array]:
     """Two finite vectors of one length, the first strictly increasing."""
-    x, y = as_floats(x_name, x), as_floats(y_name, y)
+    x = as_floats(x_name, x)
+    y = as_floats(y_name, y)
     if x.ndim != 1 or x.shape != y.shape or len(x) < 2:
         shapes = f"shapes {x.shape} and {y.shape}"
         raise InputError(f"{x_name}, {y_name}", shapes, "two vectors of one length, at least 2")
@@ -133,6 +134,7 @@ def _plateau(x: Array, length: float, edge: float) -> Array:
 
 
 def _sinusoid(x: Array, length: float) -> Array:
+    """One period of a raised cosine, from 0 to 1 and back."""
     return 0.5 - 0.5 * np.cos(2 * np.pi * x / length)
 
 
@@ -202,7 +204,8 @@ def _obstacles(distance: Array, rng: np.random.Generator) -> Array:
     begin = rng.uniform(*GAP)
     while begin < distance[-1]:  # GAP[0] > 0 bounds the number of turns
         kind = kinds[rng.integers(len(kinds))]
-        length, height = rng.uniform(*kind.length), rng.choice(kind.signs) * rng.uniform(*kind.height)
+        length = rng.uniform(*kind.length)
+        height = rng.choice(kind.signs) * rng.uniform(*kind.height)
         here = slice(*np.searchsorted(distance, (begin, begin + length)))
         elevation[here] += height * kind.profile(distance[here] - begin, length)
         begin += length + rng.uniform(*GAP)
@@ -264,7 +267,8 @@ def generate_speed(
 def _plan(duration: float, style: Style, rng: np.random.Generator) -> tuple[Array, Array]:
     """Instants and speeds between which the speed is linear: hold, change, hold, …"""
     speed = rng.uniform(*style.speeds)
-    knots, aims = [0.0], [speed]
+    knots = [0.0]
+    aims = [speed]
     while knots[-1] < duration:  # style.hold[0] > 0 bounds the number of turns
         knots.append(knots[-1] + rng.uniform(*style.hold))
         aims.append(speed)
@@ -307,6 +311,7 @@ class GeneratedRoad:
         return np.stack([self._drive(steps, child) for child in rng.spawn(runs)])[:, :, None]
 
     def _drive(self, steps: int, rng: np.random.Generator) -> Array:
+        """One drive on a fresh road, (steps,)."""
         time, speed = generate_speed(steps * self.dt, rng=rng, driver=self.driver, dt=self.dt)
         distance, elevation = generate_road(float(np.trapezoid(speed, time)) + 1.0, rng=rng)
         return road_disturbance(distance, elevation, time, speed, dt=self.dt, steps=steps)

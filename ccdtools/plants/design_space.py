@@ -115,7 +115,8 @@ class DesignSpace(Immutable):
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
         """`n` designs spread by Latin hypercube sampling, (n, np)."""
-        n, rng = as_count("n", n), as_generator("rng", rng)
+        n = as_count("n", n)
+        rng = as_generator("rng", rng)
         return self.from_unit(qmc.LatinHypercube(self.dim, rng=rng).random(n) if self.dim else np.zeros((n, 0)))
 
     def active_bounds(self, p: ArrayLike, *, tol: float = 1e-3) -> dict[str, str]:
@@ -147,6 +148,11 @@ class DesignSpace(Immutable):
         if array.ndim > 2 or array.shape[-1] != self.dim:
             raise InputError(argument, f"shape {array.shape}", f"{self.dim} values ({', '.join(self.names)})")
         return array
+
+
+def sample_designs(design: DesignSpace | None) -> Array:
+    """Samples of a box of designs; the empty design where there is none, (n, np)."""
+    return np.zeros((1, 0)) if design is None else design.spread()
 
 
 def _unit(unit: str) -> str:

@@ -126,7 +126,9 @@ class Plant:
         """
         if not self.continuous:
             return self.right_hand_side
-        f, h, x = self.right_hand_side, self.dt / self.substeps, self.x
+        f = self.right_hand_side
+        h = self.dt / self.substeps
+        x = self.x
         held = (self.u, self.w, self.p)
         for _ in range(self.substeps):
             k1 = f(x, *held)
@@ -146,6 +148,7 @@ class Plant:
 
     @cached_property
     def _vectorised_step(self) -> Vectorised:
+        """`step` on batches of arrays."""
         return Vectorised(self.step)
 
 

@@ -83,7 +83,8 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
         search = minimize(lambda v: -frequency(v), fastest, method="Nelder-Mead", bounds=bounds,
                           options={"maxfev": 60 * design.dim})  # fmt: skip
         if -search.fun > found:
-            fastest, found = search.x, -float(search.fun)
+            fastest = search.x
+            found = -float(search.fun)
     return FastestMode(found, design.from_unit(fastest), dt)
 
 

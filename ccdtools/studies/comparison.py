@@ -18,7 +18,7 @@ from ccdtools.controllers.baselines import REFERENCE
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
-from ccdtools.simulation import Scenario
+from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference, Summary, paired_difference, summarise
 from ccdtools.trajectory import Trajectory
 from invariant_sets import Polytope
@@ -185,7 +185,8 @@ def _score(
     """One controller's row, paired to the run of the reference."""
     n = len(run.states)
     kept = ~(run.diverged | reference.diverged[:n])
-    own, other = run.rewards(objective), reference.rewards(objective)[:n]
+    own = run.rewards(objective)
+    other = reference.rewards(objective)[:n]
     visited = run.states[~run.diverged][:, 1:].reshape(-1, run.states.shape[2])
     shared = replicates(other[kept], n)
     return Score(

@@ -16,7 +16,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.disturbances.disturbance import Recorded
 from ccdtools.exceptions import InputError
-from ccdtools.simulation import Scenario
+from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise
 from ccdtools.studies.comparison import Score, compare
 from ccdtools.studies.presets import StudyConfig

@@ -10,7 +10,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.simulation import Scenario
+from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.trajectory import Trajectory

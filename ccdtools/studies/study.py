@@ -16,7 +16,8 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
-from ccdtools.plants.discretisation import LinearModel, discretise
+from ccdtools.plants.discretisation import discretise
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
 from invariant_sets import Polytope
 from mpc import MPCError, lqr

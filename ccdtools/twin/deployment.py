@@ -16,7 +16,8 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
-from ccdtools.simulation import Scenario, Simulable, simulate
+from ccdtools.scenario import Scenario
+from ccdtools.simulation import Simulable, simulate
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.replay import Replay, replay_problem
@@ -185,8 +186,12 @@ class _Service:
         self, problem: CoDesignProblem, whole: Scenario, design: Array, agent: ActorCritic, rng: np.random.Generator,
         config: OnlineConfig,
     ) -> None:  # fmt: skip
-        self.problem, self.whole, self.design, self.agent = problem, whole, design, agent
-        self.rng, self.config = rng, config
+        self.problem = problem
+        self.whole = whole
+        self.design = design
+        self.agent = agent
+        self.rng = rng
+        self.config = config
         self.pieces: list[Trajectory] = []
         self.updates: list[OnlineUpdate] = []
         self.train: list[Residuals] = []
@@ -224,7 +229,8 @@ class _Service:
 
     def _update(self) -> None:
         """Train a candidate, and put it into service if it is better on what it was not trained on."""
-        config, problem = self.config, replay_problem(self.problem, self.train, self.config.window)
+        config = self.config
+        problem = replay_problem(self.problem, self.train, self.config.window)
         candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=config.training).agent
         gain = self._gain(candidate)
         accepted = gain.ci95[0] > 0
@@ -250,7 +256,8 @@ class _Service:
 
 def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
     """The part to train on and the part to judge on: the last runs, or the end of the only one."""
-    runs, steps = errors.runs, errors.steps
+    runs = errors.runs
+    steps = errors.steps
     if runs > 1:
         cut = max(1, runs - max(1, round(held_out * runs)))
         return errors.part(slice(None, cut), slice(None)), errors.part(slice(cut, None), slice(None))
@@ -292,5 +299,6 @@ def joined(pieces: Sequence[Trajectory], runs: int) -> Trajectory:
     starts = np.cumsum([0, *(p.inputs.shape[1] for p in pieces)])
     lost = [start + int(p.diverged_at[0]) for start, p in zip(starts, pieces) if p.diverged_at[0] >= 0]
     if lost:  # a stretch after the loss started afresh from where the run was stopped
-        states[:, lost[0] + 1 :], inputs[:, lost[0] + 1 :] = states[:, lost[0] + 1, None], 0.0
+        states[:, lost[0] + 1 :] = states[:, lost[0] + 1, None]
+        inputs[:, lost[0] + 1 :] = 0.0
     return Trajectory(states, inputs, disturbances, np.array([lost[0] if lost else -1]), first.design, first.dt)

@@ -12,7 +12,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_choice, as_flag, as_instance, as_weight
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.discretisation import LinearModel
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.twin.residuals import Residuals
 from learning.quantile import QuantileNetwork, pinball
 
@@ -187,6 +187,7 @@ def score_quantiles(network: QuantileNetwork, inputs: Array, e_next: Array, trai
     inside = (e_next >= quantiles[:, 0]) & (e_next <= quantiles[:, -1])
 
     def root_mean_square(error: Array) -> tuple[float, ...]:
+        """Of every column of the errors (n, nx)."""
         return tuple(np.sqrt(np.mean(error**2, axis=0)).tolist())
 
     return QuantileScores(

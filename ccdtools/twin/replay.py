@@ -51,7 +51,8 @@ class Replay(Immutable):
         windows = np.array([len(e.x) * max(e.x.shape[1] - steps + 1, 0) for e in self.logs])
         draw = np.sort(rng.integers(0, windows.sum(), runs))
         edges = np.concatenate([[0], np.cumsum(windows)])
-        x0, w = [], []
+        x0 = []
+        w = []
         for errors, first, last in zip(self.logs, edges[:-1], edges[1:]):
             chosen = draw[(draw >= first) & (draw < last)] - first
             run, start = np.divmod(chosen, max(errors.x.shape[1] - steps + 1, 1))
@@ -68,7 +69,8 @@ class Replay(Immutable):
             If no logged run is as long as `steps`.
         """
         self._require(steps)
-        x0, w = [], []
+        x0 = []
+        w = []
         for errors in self.logs:
             length, nx = errors.e_next.shape[1:]
             whole = length // steps * steps

@@ -10,7 +10,7 @@ import numpy as np
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_floats, as_instance
 from ccdtools.exceptions import InputError
-from ccdtools.plants.discretisation import LinearModel
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.trajectory import Trajectory
 
 
@@ -77,7 +77,8 @@ def residuals(model: LinearModel, log: Trajectory) -> Residuals:
     if not kept.any():
         raise InputError("log", f"{len(kept)} runs that all diverged", "at least one that did not")
     A, B, _ = model.matrices(log.design)
-    x, u = log.states[kept], log.inputs[kept]
+    x = log.states[kept]
+    u = log.inputs[kept]
     e_next = x[:, 1:] - x[:, :-1] @ A.T - u @ B.T
     e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next)

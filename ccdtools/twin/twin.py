@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Immutable
 from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_share, as_weight, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.discretisation import LinearModel
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked

@@ -106,7 +106,10 @@ class _Run:
 
     def __init__(self, problem, judge, agent, design, rng, config) -> None:
         self.judge = judge
-        self.problem, self.agent, self.rng, self.config = problem, agent, rng, config
+        self.problem = problem
+        self.agent = agent
+        self.rng = rng
+        self.config = config
         self.v = torch.tensor(problem.design.to_unit(design), dtype=torch.float32).requires_grad_(True)
         self.generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
         self.ppo = PPO(agent, config.ppo)

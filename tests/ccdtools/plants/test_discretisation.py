@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ccdtools import DesignSpace, InputError, LinearModel, Plant, discretise
-from ccdtools.plants.discretisation import expm, zero_order_hold
+from ccdtools.plants.zero_order_hold import expm, zero_order_hold
 from ccdtools.studies.cases.suspension import quarter_car
 from mpc import lqr
 

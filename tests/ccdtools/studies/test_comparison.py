@@ -9,7 +9,7 @@ import pytest
 from ccdtools import InputError, simulate
 from ccdtools.controllers.baselines import baselines, saturated_lqr
 from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
-from ccdtools.simulation import Scenario
+from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise
 from ccdtools.studies.comparison import compare, replicates, step_time
 from mpc import LinearMPC

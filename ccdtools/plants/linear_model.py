@@ -1,0 +1,217 @@
+"""A linear discrete model whose matrices are functions of the design."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finite, shown
+from ccdtools.exceptions import InputError
+from ccdtools.plants.design_space import DesignSpace, sample_designs
+from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
+from ccdtools.plants.zero_order_hold import zero_order_hold
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LinearModel:
+    """x⁺ = A(p) x + B(p) u + E(p) w, exact, symbolic and differentiable in p.
+
+    Made by `discretise` or `LinearModel.from_state_space`.
+
+    Parameters
+    ----------
+    symbols : casadi.SX (np, 1)
+        The design p.
+    A, B, E : casadi.SX (nx, nx), (nx, nu) and (nx, nw)
+        Expressions in p.
+    dt : float
+        Sampling time [s].
+    design : DesignSpace or None
+        The box of designs; None where the model has none.
+
+    Raises
+    ------
+    InputError
+        If the shapes disagree, or a matrix is not finite somewhere in the box of designs.
+    """
+
+    symbols: ca.SX
+    A: ca.SX
+    B: ca.SX
+    E: ca.SX
+    dt: float
+    design: DesignSpace | None
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "symbols", as_symbols("symbols", self.symbols))
+        for name in ("A", "B", "E"):
+            M = as_expression(name, getattr(self, name))
+            check_known(name, M, symbols=self.symbols)
+            set_(self, name, M)
+        nx = self.A.shape[0]
+        if self.A.shape != (nx, nx) or nx == 0:
+            raise InputError("A", f"shape {self.A.shape}", "a square matrix (nx, nx)")
+        for name, M in (("B", self.B), ("E", self.E)):
+            if M.shape[0] != nx:
+                raise InputError(name, f"shape {M.shape}", f"{nx} rows, one per state")
+        set_(self, "dt", as_positive("dt", self.dt, unit="s"))
+        if self.design is not None:
+            as_instance("design", self.design, DesignSpace, "a DesignSpace or None")
+        check_finite(self.function, self.design, "the matrices")
+
+    @classmethod
+    def from_state_space(cls, system: Any, *, E: ArrayLike | None = None, dt: float | None = None) -> LinearModel:
+        """The model of a `control.StateSpace`, without a design.
+
+        Parameters
+        ----------
+        system : control.StateSpace
+            Discrete, or continuous together with `dt`. Its inputs are u; its outputs are not used.
+        E : (nx, nw) array_like, optional
+            Disturbance matrix, in the same time domain as `system`.
+        dt : float, optional
+            Sampling time [s] for a continuous system.
+
+        Raises
+        ------
+        InputError
+            If `system` is no state space; a continuous system comes without a positive `dt`, or a discrete one with
+            a different `dt`; or if `E` has the wrong number of rows.
+        """
+        A, B = _state_space_matrices(system)
+        E = np.zeros((len(A), 0)) if E is None else as_floats("E", E)
+        E = E.reshape(len(E), -1) if E.ndim == 1 else E
+        if E.ndim != 2 or len(E) != len(A):
+            raise InputError("E", f"shape {E.shape}", f"{len(A)} rows, one per state")
+        finite("E", E)
+        p = ca.SX(0, 1)
+        constants = (ca.SX(ca.DM(A)), ca.SX(ca.DM(B)), ca.SX(ca.DM(E)) if E.size else ca.SX(len(A), 0))
+        if system.dt:
+            own = 1.0 if system.dt is True else float(system.dt)
+            if dt is not None and not math.isclose(own, as_positive("dt", dt, unit="s")):
+                raise InputError("dt", dt, f"{own} or nothing", f"The system is sampled at {own} s.")
+            return cls(p, *constants, own, None)
+        if dt is None:
+            cure = "The system is continuous; to simulate it, sample it first: system.sample(dt)."
+            raise InputError("dt", "nothing", "a sampling time [s]", cure)
+        dt = as_positive("dt", dt, unit="s")
+        return cls(p, *zero_order_hold(*constants, dt, symbols=p, design=None), dt, None)
+
+    def __repr__(self) -> str:
+        sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances, dt = {self.dt:g} s"
+        return f"LinearModel({sizes}, design: {self.design!r})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        packed = pack([self.symbols], [self.A, self.B, self.E])
+        return {"expressions": packed, "dt": self.dt, "design": self.design}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        (symbols,), (A, B, E) = unpack(state["expressions"])
+        values = {"symbols": symbols, "A": A, "B": B, "E": E, "dt": state["dt"], "design": state["design"]}
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return self.A.shape[0]
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return self.B.shape[1]
+
+    @property
+    def nw(self) -> int:
+        """Number of disturbances."""
+        return self.E.shape[1]
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """p → [A B E], (nx, nx + nu + nw)."""
+        return ca.Function("matrices", [self.symbols], [ca.densify(ca.horzcat(self.A, self.B, self.E))])
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """p → ∂vec[A B E]/∂p, (nx·(nx + nu + nw), np), vec by columns."""
+        matrices = ca.densify(ca.horzcat(self.A, self.B, self.E))
+        return ca.Function("jacobian", [self.symbols], [ca.densify(ca.jacobian(ca.vec(matrices), self.symbols))])
+
+    def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
+        """A (nx, nx), B (nx, nu) and E (nx, nw) at a design (np,); stacked along axis 0 for designs (n, np).
+
+        Raises
+        ------
+        InputError
+            If a design has the wrong shape, lies outside its bounds, or makes a matrix infinite.
+        """
+        p = self._checked(p)
+        columns = self.nx + self.nu + self.nw
+        stacked = np.asarray(self.function(np.atleast_2d(p).T), dtype=float)
+        if not np.isfinite(stacked).all():
+            where = f"a design at which the model is not finite: {p.tolist()}"
+            raise InputError("design", where, "one where A, B and E are finite", "Leave it out of the design bounds.")
+        matrices = np.ascontiguousarray(stacked.reshape(self.nx, -1, columns).transpose(1, 0, 2))
+        M = matrices if p.ndim == 2 else matrices[0]
+        return (
+            np.ascontiguousarray(M[..., : self.nx]),
+            np.ascontiguousarray(M[..., self.nx : self.nx + self.nu]),
+            np.ascontiguousarray(M[..., self.nx + self.nu :]),
+        )
+
+    def derivatives(self, p: ArrayLike) -> tuple[Array, Array, Array]:
+        """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) at a design (np,)."""
+        p = np.zeros(0) if self.design is None else self.design.check_one(p)
+        J = np.asarray(self.jacobian(p), dtype=float)
+        T = J.reshape(-1, self.nx, len(p)).transpose(1, 0, 2)
+        return T[:, : self.nx], T[:, self.nx : self.nx + self.nu], T[:, self.nx + self.nu :]
+
+    def state_space(self, p: ArrayLike = ()):
+        """The model at one design as a `control.StateSpace` with inputs u, outputs x and its dt."""
+        import control
+
+        A, B, _ = self.matrices(p)
+        return control.ss(A, B, np.eye(self.nx), np.zeros((self.nx, self.nu)), self.dt)
+
+    def stepper(self, p: ArrayLike, *, batch: int) -> Callable[[Array, Array, Array], Array]:
+        """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,)."""
+        A, B, E = self.matrices(p)
+        return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T
+
+    def _checked(self, p: ArrayLike) -> Array:
+        """Designs within their bounds; nothing for a model without a design."""
+        if self.design is None:
+            return np.zeros(0)
+        return self.design.check(p)
+
+
+def check_finite(function: ca.Function, design: DesignSpace | None, what: str) -> None:
+    """Raise an `InputError` if `function` of the design is not finite at some sample of its box."""
+    for p in sample_designs(design):
+        if not np.isfinite(np.asarray(function(p), dtype=float)).all():
+            where = design.describe(p) if design is not None else "the only design"
+            raise InputError(
+                "design", f"bounds that hold {where}, where {what} are not finite", "a box in which they are",
+                "Move the bounds, or look for a division by zero.",
+            )  # fmt: skip
+
+
+def _state_space_matrices(system: Any) -> tuple[Array, Array]:
+    """A (nx, nx) and B (nx, nu) of a `control.StateSpace`."""
+    if not all(hasattr(system, name) for name in ("A", "B", "dt")):
+        cure = "Convert it with control.ss(system)." if hasattr(system, "num") else ""
+        raise InputError("system", shown(system), "a control.StateSpace", cure)
+    A = as_array("system.A", np.atleast_2d(system.A), ("nx", "nx"))
+    B = as_array("system.B", np.atleast_2d(system.B), (len(A), "nu"))
+    if A.shape[0] != A.shape[1]:
+        raise InputError("system.A", f"shape {A.shape}", "a square matrix")
+    return A, B

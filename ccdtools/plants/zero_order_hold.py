@@ -1,0 +1,52 @@
+"""The matrix exponential of a zero-order hold, symbolic in the design.
+
+References
+----------
+Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23(3), 1978, eq. (1.1);
+Moler and Van Loan, "Nineteen dubious ways …, twenty-five years later", SIAM Review 45, 2003, method 3
+(scaling and squaring), after balancing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import matrix_balance
+
+from ccdtools.plants.design_space import DesignSpace, sample_designs
+
+TAYLOR_DEGREE = 14  # with ‖M‖₁ ≤ 1/2 the first neglected term is (1/2)¹⁵/15! ≈ 2e-17
+
+
+def zero_order_hold(
+    A: ca.SX, B: ca.SX, E: ca.SX, dt: float, *, symbols: ca.SX, design: DesignSpace | None
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Discrete A, B, E from continuous ones, symbolic in `symbols`: exp([[A, B, E], [0, 0, 0]] dt)."""
+    nx = A.shape[0]
+    inputs = B.shape[1] + E.shape[1]
+    M = ca.SX(nx + inputs, nx + inputs)
+    M[:nx, :] = ca.horzcat(A, B, E) * dt
+    function = ca.Function("M", [symbols], [M])
+    samples = np.array([np.asarray(function(p), dtype=float) for p in sample_designs(design)])
+    # One fixed diagonal similarity for the whole box: symbolic in p, and it keeps the norm, hence the rounding, small.
+    _, (scale, _) = matrix_balance(np.max(np.abs(samples), axis=0), permute=False, separate=True)
+    norm = max(float(np.linalg.norm(S / scale[:, None] * scale[None, :], 1)) for S in samples)
+    squarings = max(0, math.ceil(math.log2(max(norm, 1e-300))) + 2)
+    D = ca.diag(ca.DM(scale))
+    D_inv = ca.diag(ca.DM(1 / scale))
+    F = D @ expm(D_inv @ M @ D, squarings=squarings) @ D_inv
+    return F[:nx, :nx], F[:nx, nx : nx + B.shape[1]], F[:nx, nx + B.shape[1] :]
+
+
+def expm(M: ca.SX, *, squarings: int) -> ca.SX:
+    """exp(M) by Taylor expansion of M/2ˢ and s squarings; accurate to rounding for ‖M‖₁ ≤ 2ˢ⁻¹."""
+    eye = ca.SX.eye(M.shape[0])
+    S = M / 2.0**squarings
+    F = eye
+    for k in range(TAYLOR_DEGREE, 0, -1):
+        F = eye + (S @ F) / k
+    for _ in range(squarings):
+        F = F @ F
+    return F

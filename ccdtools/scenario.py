@@ -1,0 +1,80 @@
+"""What every controller of a comparison meets alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import ArrayField, Immutable, frozen
+from ccdtools.checks import as_count, as_floats
+from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.signals import Reference
+from ccdtools.simulation import as_output, as_reference, as_simulable, matched_runs, simulate
+from ccdtools.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Scenario(Immutable):
+    """A plant with initial states and disturbances: what every controller meets alike.
+
+    Parameters
+    ----------
+    plant : Plant, LinearModel or TwinPlant
+    x0 : (nx,) or (n, nx) array_like
+        Initial states, one per run.
+    disturbance : (T, nw) or (n, T, nw) array_like
+        Its length is that of the runs.
+    reference : Reference or (nx,) or (T, nx) array_like, optional
+        What tracking controllers follow.
+    output : (ny, nx) array_like, optional
+        Measured outputs, for controllers that need them.
+
+    Raises
+    ------
+    InputError
+        If the shapes disagree with each other or with the plant.
+    """
+
+    plant: Any
+    x0: ArrayField
+    disturbance: ArrayField
+    reference: Reference | ArrayField = None
+    output: ArrayField = None
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        plant = as_simulable(self.plant)
+        w = as_floats("disturbance", self.disturbance)
+        steps = w.shape[-2] if w.ndim > 1 else len(np.atleast_1d(w))
+        x0, w = matched_runs(plant, self.x0, self.disturbance, max(steps, 1))
+        for name, value in (("plant", plant), ("x0", frozen(x0)), ("disturbance", frozen(w)),
+                            ("reference", as_reference(plant, self.reference)),
+                            ("output", as_output(plant, self.output))):  # fmt: skip
+            set_(self, name, value)
+
+    def __repr__(self) -> str:
+        return f"Scenario({type(self.plant).__name__}, {len(self.x0)} runs of {self.steps} steps)"
+
+    @property
+    def steps(self) -> int:
+        """Length of the runs."""
+        return self.disturbance.shape[1]
+
+    def first(self, runs: int, steps: int | None = None) -> Scenario:
+        """The first so many runs of it, and of these the first so many steps."""
+        length = self.steps if steps is None else as_count("steps", steps)
+        w = self.disturbance[: as_count("runs", runs), :length]
+        return Scenario(self.plant, self.x0[:runs], w, self.reference, self.output)
+
+    def run(
+        self, controller: Controller, *, design: ArrayLike | None = None, limit: ArrayLike | None = None,
+        progress: bool = False,
+    ) -> Trajectory:  # fmt: skip
+        """Its closed-loop trajectories under a controller; see `simulate`."""
+        return simulate(
+            self.plant, controller, x0=self.x0, steps=self.steps, disturbance=self.disturbance, design=design,
+            limit=limit, reference=self.reference, output=self.output, progress=progress,
+        )  # fmt: skip
