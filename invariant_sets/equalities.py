@@ -8,6 +8,8 @@ Ruiz (2001), A scaling algorithm to equilibrate both rows and columns norms in m
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from invariant_sets.tolerances import CLOSER, DEPENDENT, FLAT
@@ -15,8 +17,25 @@ from invariant_sets.tolerances import CLOSER, DEPENDENT, FLAT
 Array = np.ndarray
 
 
-def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> tuple[Array, Array] | None:
-    """Return a point and a basis (n, k) of {x : E x = e}; None if there is no such point.
+@dataclass(frozen=True)
+class AffineHull:
+    """{centre + basis y}, in which the coordinates `free` of x each depend on one y alone.
+
+    Attributes
+    ----------
+    centre, basis : (n,) and (n, k) arrays
+        A point, and columns that span the hull.
+    free : (k,) int array
+        The coordinate of x that column j moves and no other column does.
+    """
+
+    centre: Array
+    basis: Array
+    free: Array
+
+
+def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | None:
+    """Return {x : E x = e}; None if there is no such point.
 
     Parameters
     ----------
@@ -34,7 +53,7 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> tuple[Array, 
     """
     n = len(scale)
     if not len(e):
-        return centre.copy(), np.diag(scale)
+        return AffineHull(centre.copy(), np.diag(scale), np.arange(n))
     size = np.abs(E * scale).max(axis=1)
     rows = np.column_stack([E * scale, e]) / size[:, None]
     terms = np.abs(rows)
@@ -57,7 +76,7 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> tuple[Array, 
     basis[bound] = -rows[solved][:, free]
     point = np.zeros(n)  # the dependent coordinates are computed anew: a correction would keep old rounding
     point[bound] = rows[solved, n]
-    return scale * (point + basis @ (centre[free] / scale[free])), scale[:, None] * basis
+    return AffineHull(scale * (point + basis @ (centre[free] / scale[free])), scale[:, None] * basis, free)
 
 
 def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) -> None:

@@ -1,5 +1,9 @@
 """The exceptions of `invariant_sets`: misuse is raised, a numerical outcome is a status in a result."""
 
+from __future__ import annotations
+
+from typing import Any
+
 
 class InvariantSetsError(Exception):
     """Base of every error that `invariant_sets` raises on purpose."""
@@ -41,3 +45,30 @@ class EmptySetError(InvariantSetsError, ValueError):
 
 class NumericalError(InvariantSetsError, ArithmeticError):
     """No solver could finish; the data are too badly conditioned for double precision."""
+
+
+class TimeLimitError(InvariantSetsError, TimeoutError):
+    """An operation would take longer than its time limit, or more memory than one hull may have.
+
+    Attributes
+    ----------
+    operation : str
+        What was asked for.
+    seconds : float or None
+        The time limit; None if there was none.
+    reason : str
+        What would take so long.
+    outer : Polytope or None
+        A set that contains the answer.
+    """
+
+    def __init__(self, operation: str, seconds: float | None, reason: str, outer: Any = None) -> None:
+        super().__init__(operation, seconds, reason, outer)  # all of them, so that the exception can be pickled
+        self.operation = operation
+        self.seconds = seconds
+        self.reason = reason
+        self.outer = outer
+
+    def __str__(self) -> str:
+        limit = "" if self.seconds is None else f" within {self.seconds:g} s"
+        return f"{self.operation} does not end{limit}: {self.reason}. Its attribute `outer` contains the answer."

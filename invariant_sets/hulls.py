@@ -14,9 +14,9 @@ import numpy as np
 
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
+from invariant_sets.tolerances import CHECKED, EPS, FLAT, REDUNDANT, ROUNDING, SAME
 
 Array = np.ndarray
-SAME = 1e-9  # vertices and rows closer than this part of the set are one
 
 
 def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Array, Array]:
@@ -84,7 +84,7 @@ def _check_vertices(V: Array, F: Array, g: Array) -> None:
     """Raise `NumericalError` unless the vertices agree with LPs in 20 directions (five and more dimensions)."""
     D = np.random.default_rng(0).standard_normal((20, F.shape[1]))
     exact = np.array([-minimise(-d, F, g)[0] for d in D])
-    if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=1e-7 * np.abs(exact).max()):
+    if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=CHECKED * np.abs(exact).max()):
         raise NumericalError(f"The vertices of a set with {len(g)} rows in {F.shape[1]} dimensions could not be "
                              "enumerated reliably.")
 
@@ -128,7 +128,7 @@ def _distinct_by_pairs(points: Array, tol: float) -> Array:
     return np.flatnonzero(close.argmax(axis=1) == np.arange(len(points)))
 
 
-def irredundant_rows(F: Array, g: Array, tol: float = 1e-11) -> Array:
+def irredundant_rows(F: Array, g: Array, tol: float = REDUNDANT) -> Array:
     """Return the indices of the rows that {F y <= g} needs (unit rows, 0 inside).
 
     Qhull's dual removes most; then one LP per row removes duplicates and rows that only touch: a row goes if the
@@ -152,7 +152,7 @@ def strongly_irredundant_rows(F: Array, g: Array) -> Array:
     {F y <= g} with 0 inside may be unbounded: then 0 is a vertex of the dual hull and counts for nothing.
     """
     n = F.shape[1]
-    if n == 1 or len(g) <= n + 1 or g.min() <= 1e-9:
+    if n == 1 or len(g) <= n + 1 or g.min() <= FLAT:
         return np.arange(len(g))
     try:
         hull = convex_hull(np.vstack([F / g[:, None], np.zeros(n)]))
@@ -161,12 +161,38 @@ def strongly_irredundant_rows(F: Array, g: Array) -> Array:
     return np.sort(hull.vertices[hull.vertices < len(g)])
 
 
+def hull_of_points(V: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Return unit rows (A, b), equalities (A_eq, b_eq) and the vertices' indices of the hull of the points V (k, n).
+
+    The points are taken to units in which they spread by one; a set that is flat in those gets equalities.
+    """
+    centre = V.mean(axis=0)
+    scale = np.ptp(V, axis=0) / 2
+    still = scale <= ROUNDING * np.abs(V).max(axis=0)
+    scale[still] = np.where(centre[still] != 0.0, np.abs(centre[still]), 1.0)
+    Y = (V - centre) / scale
+    _, s, vt = np.linalg.svd(Y, full_matrices=len(Y) < 2 * Y.shape[1])
+    rank = int((s > FLAT * max(s.max(initial=0.0), FLAT)).sum())
+    N, M = vt[:rank], vt[rank:] / scale
+    extreme = np.arange(1)
+    A, b = np.zeros((0, V.shape[1])), np.zeros(0)
+    if rank:
+        F, g, extreme = hull_rows(Y @ N.T)
+        rows = F @ N
+        rows[np.abs(rows) <= EPS] = 0.0  # rounding here, but not always in the units of x
+        A, b = rows / scale, g + rows @ (centre / scale)
+        norms = np.linalg.norm(A, axis=1)
+        A, b = A / norms[:, None], b / norms
+    M = M / np.linalg.norm(M, axis=1)[:, None]
+    return A, b, M, M @ centre, extreme
+
+
 def hull_rows(points: Array) -> tuple[Array, Array, Array]:
     """Return facets (F, g) with unit rows of the hull of full-dimensional points (k, n), and its vertices' indices."""
     if points.shape[1] == 1:
         ends = np.array([points.argmax(), points.argmin()])
         return np.array([[1.0], [-1.0]]), points[ends, 0] * [1.0, -1.0], ends
     hull = convex_hull(points)
-    equations = merge_points(np.unique(hull.equations, axis=0), tol=1e-11)
+    equations = merge_points(np.unique(hull.equations, axis=0), tol=REDUNDANT)
     index = hull.vertices[distinct(points[hull.vertices])]
     return np.ascontiguousarray(equations[:, :-1]), -equations[:, -1], index

@@ -1,8 +1,6 @@
 """`Body`: a set as {centre + basis y : F y <= g}, full-dimensional and well scaled in y; found from any rows.
 
-The set is looked at through a window, a box in coordinates of its own. What the window shows decides the next one: it
-moves closer until the extents of the set are one, and further away while the set reaches its edges. So what is
-large, small or zero is judged by the set's own extents, and a row that cannot reach the window has no influence.
+What is large, small or zero is judged by the set's own extents, which a `Window` finds.
 """
 
 from __future__ import annotations
@@ -12,14 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from invariant_sets.equalities import eliminated, starting_scale
-from invariant_sets.linear_programs import Ball, largest_ball, maximise_in_box, minimise, ray_along
-from invariant_sets.tolerances import CANCELLED, CLOSED, CLOSER, FLAT, ROUNDING, SETTLED, THIN
+from invariant_sets.linear_programs import inscribed_ball, minimise
+from invariant_sets.tolerances import CANCELLED, FLAT, ROUNDING, THIN
+from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look, pinched
 
 Array = np.ndarray
-_HALF = 4.0  # half width of the window, in coordinates in which the set should have half widths of one
-_FURTHER = 1e3  # factor of one step away
-_UNLIKE = 3.0  # decades: a scale that is wrong by more is replaced
-_STEPS = 80  # windows at most; one step is a factor of 1e3 or more, and doubles span 1e616
 
 
 @dataclass(frozen=True)
@@ -36,6 +31,10 @@ class Body:
         Rows of unit norm, g > 0. Rows that can never touch a bounded set are left out.
     bounded : bool
         Whether the set is bounded.
+    free : (k,) int array
+        The coordinate of x that column j of the basis moves and no other column does.
+    half_widths : (n,) array
+        Half the widths of the bounding box; 0 where it is flat, a length of the rows where it has no end.
     """
 
     centre: Array
@@ -43,44 +42,23 @@ class Body:
     F: Array
     g: Array
     bounded: bool
-
-
-@dataclass(frozen=True)
-class _Window:
-    """What is seen of {x : A x <= b} in x = centre + basis y, |y| <= `_HALF`.
-
-    Attributes
-    ----------
-    centre, basis : (n,) and (n, k) arrays
-        The coordinates.
-    F, g, error : (m, k), (m,) and (m,) arrays
-        The rows that depend on y, of unit norm, and by how much g may be wrong from rounding.
-    index : (m,) int array
-        Their numbers in A.
-    near : (q,) int array
-        Those of F that can touch the window.
-    ball : Ball
-        A largest ball in the window; its multipliers belong to the rows in `near`.
-    unbounded : (k,) bool array
-        Coordinates in which the set is known to have no end.
-    """
-
-    centre: Array
-    basis: Array
-    F: Array
-    g: Array
-    error: Array
-    index: Array
-    near: Array
-    ball: Ball
-    unbounded: Array
+    free: Array
+    half_widths: Array
 
     @property
-    def multipliers(self) -> Array:
-        """Multipliers of the ball for all rows, (m,)."""
-        full = np.zeros(len(self.g))
-        full[self.near] = self.ball.dual
-        return full
+    def inverse(self) -> Array:
+        """The matrix (k, n) that takes x − centre to y."""
+        inverse = np.zeros(self.basis.shape[::-1])
+        columns = np.arange(len(self.free))
+        inverse[columns, self.free] = 1 / self.basis[self.free, columns]
+        return inverse
+
+    @property
+    def normals(self) -> Array:
+        """Rows (n − k, n) that span the orthogonal complement of the hull, one for each coordinate that is not free."""
+        n = len(self.centre)
+        rows = np.eye(n) - self.basis @ self.inverse
+        return rows[np.setdiff1d(np.arange(n), self.free)]
 
 
 def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
@@ -110,18 +88,19 @@ def _solved(A: Array, b: Array, E: Array, e: Array, scale: Array) -> Body | None
     hidden, rescaled = 0, 0
     while True:  # every pass adds an equality, of which there are n at most, or rescales, three times at most
         hull = eliminated(E, e, centre, scale)
-        window = None if hull is None else _look(A, b, *hull, cancelled=FLAT if hidden else CANCELLED)
-        if window is None:
+        window = None if hull is None else look(A, b, hull.centre, hull.basis,
+                                                       cancelled=FLAT if hidden else CANCELLED)
+        if hull is None or window is None:
             return None
-        measured = _half_widths(window, scale)
-        if len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > _UNLIKE:
+        measured = half_widths(window, scale)
+        if len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > UNLIKE:
             centre, scale, rescaled = window.centre, measured, rescaled + 1
         elif window.basis.shape[1] == 0 or window.ball.radius > FLAT or hidden > n:
-            return _body(window)
+            return _body(window, hull.free)
         else:
-            rows = _hidden_equalities(window)
+            rows = hidden_equalities(window)
             centre = window.centre + window.basis @ window.ball.centre
-            level = b[rows] if _pinched(window)[0] == 0 else A[rows] @ centre  # exact, or halfway through a thin set
+            level = b[rows] if pinched(window)[0] == 0 else A[rows] @ centre  # exact, or halfway through a thin set
             E, e = np.vstack([E, A[rows]]), np.append(e, level)
             scale, hidden, rescaled = measured, hidden + 1, 0
 
@@ -159,163 +138,36 @@ def _box(A: Array, b: Array) -> Body | None:
     sides = np.vstack([np.eye(n)[:, solid], -np.eye(n)[:, solid]])
     ends = np.concatenate([(upper - centre), (centre - lower)]) / np.tile(np.where(solid, half, 1.0), 2)
     used = np.isfinite(ends) & np.tile(solid, 2)
-    return Body(centre, np.diag(half)[:, solid], sides[used], ends[used], bool(used.sum() == 2 * solid.sum()))
+    return Body(centre, np.diag(half)[:, solid], sides[used], ends[used], bool(used.sum() == 2 * solid.sum()),
+                np.flatnonzero(solid), np.where(solid, half, 0.0))
 
 
-def _look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -> _Window | None:
-    """Return the window in which the extents of the set are one; None if the set is empty.
-
-    The window ends where the set is solid and has the right size, or is flat: then `ball.radius` <= `FLAT`, and no
-    closer look would change that.
-    """
-    k = basis.shape[1]
-    unbounded, settled, resized = np.zeros(k, bool), False, 0
-    for _ in range(_STEPS):
-        window = _window(A, b, centre, basis, unbounded, cancelled)
-        if window is None or k == 0:
-            return window
-        radius = window.ball.radius
-        if radius > FLAT and settled:
-            return window
-        if radius <= FLAT:
-            level, residual = _pinched(window)
-            if level < 0 and radius < -(FLAT if settled else THIN) and not residual.any():
-                return None
-            if radius < -THIN:
-                basis = basis * np.where(residual, _FURTHER, 1.0)
-                continue
-            if settled or level == 0:
-                return window
-        lower, upper = _extents(window)
-        beyond = ((lower < -0.99 * _HALF) | (upper > 0.99 * _HALF)) & ~unbounded
-        if beyond.any():
-            endless = _endless(window, lower, upper) & beyond
-            unbounded = unbounded | endless
-            if (beyond & ~endless).any():
-                basis = basis * np.where(beyond & ~endless, _FURTHER, 1.0)
-                continue
-        middle, half = _frame(window, lower, upper, unbounded)
-        right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < _UNLIKE or resized > 3
-        resized += 1 if unbounded.any() else 0
-        settled = bool((half[~unbounded] >= SETTLED).all()) and right_size
-        centre, basis = centre + basis @ middle, basis * half
-    return window
-
-
-def _window(A: Array, b: Array, centre: Array, basis: Array, unbounded: Array, cancelled: float) -> _Window | None:
-    """Return what is seen in the coordinates given; None if a row that is parallel to the hull excludes all of it."""
-    F, g = A @ basis, b - A @ centre
-    error = ROUNDING * (np.abs(b) + np.abs(A) @ np.abs(centre))
-    if basis.shape[1] < basis.shape[0]:
-        terms = np.abs(A) @ np.abs(basis)
-        F = np.where(np.abs(F) > cancelled * terms, F, 0.0)
-        parallel = ~F.any(axis=1)
-        if (g[parallel] < -error[parallel] - 100 * cancelled * terms[parallel].sum(axis=1)).any():
-            return None
-    else:
-        parallel = np.zeros(len(b), bool)
-    index = np.flatnonzero(~parallel)
-    size = np.abs(F[index]).max(axis=1, initial=0.0)
-    F = F[index] / size[:, None]
-    norms = np.linalg.norm(F, axis=1)
-    F, g, error = F / norms[:, None], g[index] / size / norms, error[index] / size / norms
-    near = np.flatnonzero(g <= _HALF * np.abs(F).sum(axis=1))
-    ball = Ball(1.0, np.zeros(F.shape[1]), np.zeros(len(near)))
-    if len(near):
-        ball = largest_ball(F[near], g[near], 1.0, box=_HALF)
-    return _Window(centre, basis, F, g, error, index, near, ball, unbounded)
-
-
-def _pinched(window: _Window) -> tuple[float, Array]:
-    """Return how much room the rows that hold the ball leave, and in which coordinates they do not close.
-
-    With multipliers λ >= 0 and Fᵀλ = 0 every point has λᵀg >= 0: a negative λᵀg proves that the set is empty (Farkas),
-    and a zero one that the rows hold with equality. Zero is returned where rounding decides.
-    """
-    dual = window.multipliers
-    level, doubt = float(dual @ window.g), float(dual @ window.error)
-    terms = dual @ np.abs(window.F)
-    residual = np.abs(dual @ window.F) > CLOSED * terms
-    return (0.0 if abs(level) <= doubt else level), residual
-
-
-def _extents(window: _Window) -> tuple[Array, Array]:
-    """Return the lower and upper ends (k,) of what is seen of the set, at most `_HALF`."""
-    k = window.F.shape[1]
-    F, g = window.F[window.near], window.g[window.near] + 1.01 * max(-window.ball.radius, 0.0)
-    ends = maximise_in_box(np.vstack([np.eye(k), -np.eye(k)]), F, g, _HALF)
-    return -ends[k:], ends[:k]
-
-
-def _endless(window: _Window, lower: Array, upper: Array) -> Array:
-    """Return the coordinates (k,) in which the set has no end, as a ray of its recession cone proves."""
-    k = window.F.shape[1]
-    answer = np.zeros(k, bool)
-    for j in range(k):
-        for end, side in ((upper[j], 1.0), (-lower[j], -1.0)):
-            if end > 0.99 * _HALF and not answer[j]:
-                answer[j] = ray_along(side * np.eye(k)[j], window.F) is not None
-    return answer
-
-
-def _frame(window: _Window, lower: Array, upper: Array, unbounded: Array) -> tuple[Array, Array]:
-    """Return middle and half width (k,) of the next window.
-
-    A coordinate without an end gets the smallest length at which a row feels it as much as the other coordinates.
-    """
-    middle, half = (lower + upper) / 2, np.maximum((upper - lower) / 2, CLOSER)
-    if not unbounded.any():
-        return middle, half
-    ends = np.where(lower > -0.99 * _HALF, lower, np.where(upper < 0.99 * _HALF, upper, window.ball.centre))
-    middle = np.where(unbounded, ends, middle)
-    slope = np.abs(window.F)
-    felt = slope[:, ~unbounded] @ half[~unbounded] + np.abs(window.g - window.F @ middle)
-    felt = np.where(felt > np.maximum(window.error, CLOSER), felt, np.inf)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        length = np.where(slope > CANCELLED, felt[:, None] / slope, np.inf).min(axis=0, initial=np.inf)
-    length = np.where(np.isfinite(length), np.clip(length, CLOSER, 1 / CLOSER), 1.0)
-    return middle, np.where(unbounded, length, half)
-
-
-def _half_widths(window: _Window, scale: Array) -> Array:
-    """Return half the width of the set in every coordinate of x, (n,); `scale` in those in which it has none."""
-    basis, k = window.basis, window.basis.shape[1]
-    reach = np.abs(basis).sum(axis=1)
-    if k < len(basis) and k > 0 and len(window.near):
-        mixed = np.count_nonzero(basis, axis=1) > 1
-        D = basis[mixed] / reach[mixed, None]
-        g = window.g[window.near] + 1.01 * max(-window.ball.radius, 0.0)
-        ends = maximise_in_box(np.vstack([D, -D]), window.F[window.near], g, _HALF)
-        reach[mixed] *= np.maximum((ends[:len(D)] + ends[len(D):]) / 2, FLAT)
-    return np.where(reach > ROUNDING * np.abs(window.centre), reach, scale)
-
-
-def _hidden_equalities(window: _Window) -> Array:
-    """Return the numbers in A of independent rows that hold with equality on the whole of a flat set.
-
-    The slack of a row of multiplier λᵢ is at most radius / λᵢ: with the largest ones it is a few times `FLAT`.
-    """
-    dual = window.multipliers
-    order = np.argsort(-dual)
-    kept: list[int] = []
-    directions = np.zeros((0, window.F.shape[1]))
-    for i in order[dual[order] > 0.05 * dual.max()]:
-        rest = window.F[i] - directions.T @ (directions @ window.F[i])
-        size = np.linalg.norm(rest)
-        if size > 0.01:
-            directions = np.vstack([directions, rest / size])
-            kept.append(int(i))
-    return window.index[kept]
-
-
-def _body(window: _Window) -> Body:
+def _body(window: Window, free: Array) -> Body:
     """Return the window as a `Body` about the centre of its ball, without rows that cannot touch the set."""
     y, bounded = window.ball.centre, not window.unbounded.any()
     touching = np.arange(len(window.g))
     if bounded:
         touching = np.flatnonzero(window.g <= (1 + THIN) * np.abs(window.F).sum(axis=1))
     F, g = window.F[touching], window.g[touching]
-    return Body(window.centre + window.basis @ y, window.basis, F, np.maximum(g - F @ y, FLAT), bounded)
+    return Body(window.centre + window.basis @ y, window.basis, F, np.maximum(g - F @ y, FLAT), bounded, free,
+                half_widths(window, np.zeros(len(window.centre))))
+
+
+def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
+    """Return the `Body` of {A x <= b} with the vertices V (k, n); None if it is flat or V are not its vertices."""
+    lower, upper = V.min(axis=0), V.max(axis=0)
+    centre, half = (lower + upper) / 2, (upper - lower) / 2
+    if (half <= ROUNDING * np.abs(centre)).any():
+        return None
+    F, g = A * half, b - A @ centre
+    norms = np.linalg.norm(F, axis=1)
+    if not norms.all():
+        return None
+    F, g = F / norms[:, None], g / norms
+    radius, y = inscribed_ball(F, g, cap=1.0)
+    if radius <= FLAT or (((V - centre) / half @ F.T).max(axis=0) > g + THIN).any():
+        return None
+    return Body(centre + half * y, np.diag(half), F, g - F @ y, True, np.arange(len(half)), half)
 
 
 def null_space(rows: Array) -> Array:

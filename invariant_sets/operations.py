@@ -1,4 +1,4 @@
-"""Operations that make a new set out of one or two: the second half of `Polytope`.
+"""Operations that make a new set out of one or two.
 
 No operator is overloaded: P.minkowski_sum(Q) and P.pontryagin_difference(Q) are not inverse to each other, which
 P + Q and P − Q would suggest. (P ⊖ Q) ⊕ Q ⊆ P ⊆ (P ⊕ Q) ⊖ Q, with equality on the right for convex sets.
@@ -6,72 +6,93 @@ P + Q and P − Q would suggest. (P ⊖ Q) ⊕ Q ⊆ P ⊆ (P ⊕ Q) ⊖ Q, with
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from invariant_sets.exceptions import InputError
-from invariant_sets.interior_form import FLAT, Body, unit_rows
+from invariant_sets.exceptions import InputError, TimeLimitError
+from invariant_sets.generators import Generators, generators, rows_of
+from invariant_sets.hulls import irredundant_rows
+from invariant_sets.interior_form import Body
 from invariant_sets.linear_programs import inscribed_ball
-from invariant_sets.projection import project_rows
-from invariant_sets.validation import as_floats, as_matrix, as_vector, check_finite
-
-if TYPE_CHECKING:
-    from invariant_sets.polytope import Polytope
+from invariant_sets.polyhedron import Polyhedron
+from invariant_sets.time_limits import Deadline, LimitReached, check_time_limit
+from invariant_sets.tolerances import CANCELLED, FLAT, ROUNDING
+from invariant_sets.validation import as_floats, as_matrix, as_vector, brief, check_finite
 
 Array = np.ndarray
-_EPS = 32 * np.finfo(float).eps
-_ROUND = 1e-12  # of the width of the sets: what a difference of supports may be wrong by
+Set = TypeVar("Set", bound=Polyhedron)
 
 
-class SetOperations:
+class SetOperations(Polyhedron):
     """Set operations, to be inherited by `Polytope`. Every one returns a new set."""
 
-    A: Array
-    b: Array
-    A_eq: Array
-    b_eq: Array
+    def minimal(self) -> Self:
+        """Return the same set without redundant rows (weakly redundant ones and duplicates too).
 
-    if TYPE_CHECKING:  # supplied by Polytope
-        @property
-        def _body(self) -> Body | None: ...
-        @property
-        def dim(self) -> int: ...
-        @property
-        def is_empty(self) -> bool: ...
-        @property
-        def vertices(self) -> Array: ...
-        def _supports(self, D: Array) -> Array: ...
+        Equalities hidden in the inequalities become rows of A_eq. The empty set becomes 0·x <= −1.
+        """
+        body = self._body
+        if body is None:
+            return type(self).empty(self.dim)
+        kept = irredundant_rows(body.F, body.g) if len(body.g) else np.zeros(0, int)
+        A, A_eq = body.F[kept] @ body.inverse, body.normals
+        norms, norms_eq = np.linalg.norm(A, axis=1), np.linalg.norm(A_eq, axis=1)
+        A, A_eq = A / norms[:, None], A_eq / norms_eq[:, None]
+        right = body.g[kept] / norms + A @ body.centre
+        return type(self)._with_vertices(A, right, A_eq, A_eq @ body.centre, self._vertices)
 
-    def intersection(self, other: Polytope) -> Polytope:
+    def intersection(self, other: Polyhedron) -> Self:
         """Return P ∩ Q, both of the same dimension."""
         other = same_space(self, other)
-        return _new(self, np.vstack([self.A, other.A]), np.append(self.b, other.b),
-                    np.vstack([self.A_eq, other.A_eq]), np.append(self.b_eq, other.b_eq))
+        return type(self)(np.vstack([self.A, other.A]), np.append(self.b, other.b),
+                          np.vstack([self.A_eq, other.A_eq]), np.append(self.b_eq, other.b_eq))
 
-    def cartesian_product(self, other: Polytope) -> Polytope:
+    def cartesian_product(self, other: Polyhedron) -> Self:
         """Return P × Q = {(x, y) : x in P, y in Q}."""
-        other = _polytope(other, self)
-        return _new(self, _diagonal(self.A, other.A), np.append(self.b, other.b),
-                    _diagonal(self.A_eq, other.A_eq), np.append(self.b_eq, other.b_eq))
+        other = _checked_set(other)
+        return type(self)(_diagonal(self.A, other.A), np.append(self.b, other.b),
+                          _diagonal(self.A_eq, other.A_eq), np.append(self.b_eq, other.b_eq))
 
-    def minkowski_sum(self, other: Polytope) -> Polytope:
+    def minkowski_sum(self, other: Polyhedron, *, time_limit: float | None = None) -> Self:
         """Return P ⊕ Q = {x + y : x in P, y in Q}: everything that can be reached by adding the two.
+
+        Parameters
+        ----------
+        other : Polytope
+            Q, of the same dimension.
+        time_limit : float, optional
+            Seconds; none if left out. The cost of a hull is estimated before it is begun.
+
+        Raises
+        ------
+        TimeLimitError
+            If the sum would take longer, or more memory than a hull may have. Its `outer` is a set that contains the
+            sum and touches it along every row of P and Q.
 
         Notes
         -----
-        Bounded sets through sums of vertices and their hull (Qhull), unbounded ones by Fourier–Motzkin.
+        The hull (Qhull) of the sums of vertices; for unbounded sets, of points and rays.
         """
         other = same_space(self, other)
-        if self.is_empty or other.is_empty:
-            return _nothing(self)
-        if self._body.bounded and other._body.bounded:  # type: ignore[union-attr]
-            sums = self.vertices[:, None, :] + other.vertices[None, :, :]
-            return type(self).from_vertices(sums.reshape(-1, self.dim))  # type: ignore[attr-defined]
-        both = np.hstack([np.eye(self.dim), np.eye(self.dim)])
-        return self.cartesian_product(other).affine_map(both)
+        deadline = Deadline.after(check_time_limit(time_limit))
+        mine, theirs = self._body, other._body
+        if mine is None or theirs is None:
+            return type(self).empty(self.dim)
+        D = np.vstack([self.A, other.A, np.eye(self.dim), -np.eye(self.dim)])
+        try:
+            if mine.bounded and theirs.bounded:
+                count = len(self.vertices) * len(other.vertices)
+                deadline.check_hull(count, max(self.affine_dim, other.affine_dim))
+                sums = self.vertices[:, None, :] + other.vertices[None, :, :]
+                return type(self).from_vertices(sums.reshape(-1, self.dim))
+            both = _generators_of(self, deadline).plus(_generators_of(other, deadline))
+            return type(self)(*rows_of(both, deadline))
+        except LimitReached as limit:
+            outer = _touching(type(self), D, self._supports(D) + other._supports(D))
+            raise TimeLimitError("minkowski_sum", time_limit, str(limit), outer) from None
 
-    def pontryagin_difference(self, other: Polytope) -> Polytope:
+    def pontryagin_difference(self, other: Polyhedron) -> Self:
         """Return P ⊖ Q = {x : x + y in P for every y in Q}: P, tightened by all that Q may do.
 
         P ⊖ ∅ is the whole space, by that definition.
@@ -83,44 +104,27 @@ class SetOperations:
         """
         other = same_space(self, other)
         n = self.dim
-        if other.is_empty:
-            return _new(self, np.zeros((0, n)), np.zeros(0))
-        if self.is_empty:
-            return _nothing(self)
+        mine, theirs = self._body, other._body
+        if theirs is None:
+            return type(self)(np.zeros((0, n)), np.zeros(0))
+        if mine is None:
+            return type(self).empty(n)
         reach = other._supports(self.A) if len(self.b) else np.zeros(0)
-        upper, lower = ((other._supports(self.A_eq), -other._supports(-self.A_eq)) if len(self.b_eq)
-                        else (np.zeros(0), np.zeros(0)))
-        size = np.maximum(1.0, np.abs(upper))
+        upper, lower = np.zeros(0), np.zeros(0)
+        if len(self.b_eq):
+            upper, lower = other._supports(self.A_eq), -other._supports(-self.A_eq)
+        size = np.abs(self.A_eq) @ (mine.half_widths + theirs.half_widths) + np.abs(upper) * (ROUNDING / FLAT)
         if np.isinf(reach).any() or np.isinf(upper).any() or (upper - lower > FLAT * size).any():
-            return _nothing(self)
-        right, middle = self.b - reach, (upper + lower) / 2
+            return type(self).empty(n)
+        right = self.b - reach
         if len(right):
-            right = self._without_rounding(other, right, _EPS * (np.abs(self.b) + np.abs(reach)))
-        return _nothing(self) if right is None else _new(self, self.A, right, self.A_eq, self.b_eq - middle)
+            error = ROUNDING * (np.abs(self.A) @ (mine.half_widths + theirs.half_widths)) \
+                + _EPS * (np.abs(self.b) + np.abs(reach))
+            right = _meeting(self.A, right, error, mine, theirs)
+        values = self.b_eq - (upper + lower) / 2
+        return type(self).empty(n) if right is None else type(self)(self.A, right, self.A_eq, values)
 
-    def _without_rounding(self, other: Polytope, right: Array, error: Array) -> Array | None:
-        """Return the right-hand sides of P ⊖ Q with rows that meet in one point, up to rounding, meeting exactly.
-
-        P ⊖ P is {0}, a point whose own size says nothing about rounding; that of P does. None if empty.
-        """
-        body, theirs = self._body, other._body
-        assert body is not None
-        assert theirs is not None
-        extent = 2 * np.linalg.norm(np.hstack([body.basis, theirs.basis]), axis=1)
-        margin = _ROUND * (np.abs(self.A) @ extent) + error
-        slope, point = self.A @ body.basis, body.centre - theirs.centre
-        norms = np.linalg.norm(slope, axis=1)
-        moving = norms > 1e-13 * norms.max(initial=0.0)
-        if moving.any():
-            room = (right - self.A @ point)[moving]
-            _, y = inscribed_ball(slope[moving] / norms[moving, None], room / norms[moving], cap=1.0)
-            point = point + body.basis @ y
-        level = self.A @ point
-        if (right - level < -margin).any():
-            return None
-        return np.where(right - level <= margin, level, right)
-
-    def affine_map(self, M: Any, c: Any = None) -> Polytope:
+    def affine_map(self, M: Any, c: Any = None, *, time_limit: float | None = None) -> Self:
         """Return {M x + c : x in P}. M may be singular or change the dimension.
 
         Parameters
@@ -129,32 +133,42 @@ class SetOperations:
             Matrix, k >= 1.
         c : (k,) array, optional
             Translation; zero if left out.
+        time_limit : float, optional
+            Seconds; none if left out. The cost of a hull is estimated before it is begun.
+
+        Raises
+        ------
+        TimeLimitError
+            If the map would take longer; its `outer` contains the image and touches it along the coordinates.
 
         Notes
         -----
-        Where M is injective on the affine hull the rows are transformed. Elsewhere bounded sets go through the
-        hull of the mapped vertices, unbounded ones through Fourier–Motzkin.
+        Where M is injective on the affine hull the rows are transformed. Elsewhere the image is the hull of the
+        mapped vertices, for unbounded sets of the mapped points and rays.
         """
         M = as_matrix(M, "M", columns=self.dim)
         if len(M) == 0:
-            raise InputError(f"M has shape {M.shape}, expected at least one row.")
+            raise InputError("M", f"shape {M.shape}", "at least one row")
         c = np.zeros(len(M)) if c is None else as_vector(c, "c", size=len(M))
+        deadline = Deadline.after(check_time_limit(time_limit))
         body = self._body
         if body is None:
-            return _nothing(self, len(M))
-        origin, G = M @ body.centre + c, M @ body.basis
-        size = np.abs(M) @ np.abs(body.basis).max(axis=1, initial=0.0)  # the units of each image coordinate
-        units = np.where(size > 0, size, 1.0)
-        left, s, vt = np.linalg.svd(G / units[:, None], full_matrices=True)
-        rank = int((s > FLAT * s.max(initial=0.0)).sum()) if s.any() else 0
-        if rank < body.basis.shape[1] and body.bounded:
-            return type(self).from_vertices(self.vertices @ M.T + c)  # type: ignore[attr-defined]
-        F, g = unit_rows(*project_rows(body.F @ vt.T, body.g, rank), always=True)
-        back = left[:, :rank].T / s[:rank, None] / units  # image → the first `rank` coordinates of vt y
-        normal = left[:, rank:].T / units
-        return _new(self, F @ back, g + F @ back @ origin, normal, normal @ origin)
+            return type(self).empty(len(M))
+        rows = _mapped_rows(body, M, c)
+        if rows is not None:
+            return type(self)(*rows)
+        try:
+            if body.bounded:
+                points = self.vertices @ M.T + c
+                deadline.check_hull(len(points), min(len(M), body.basis.shape[1]))
+                return type(self).from_vertices(_without_cancelled(points, self.vertices, M, c))
+            return type(self)(*rows_of(_generators_of(self, deadline).image(M, c), deadline))
+        except LimitReached as limit:
+            D = np.vstack([np.eye(len(M)), -np.eye(len(M))])
+            outer = _touching(type(self), D, self._supports(D @ M) + D @ c)
+            raise TimeLimitError("affine_map", time_limit, str(limit), outer) from None
 
-    def preimage(self, M: Any, c: Any = None) -> Polytope:
+    def preimage(self, M: Any, c: Any = None) -> Self:
         """Return {x : M x + c in P}. M may be singular; the result is then unbounded.
 
         Parameters
@@ -166,69 +180,140 @@ class SetOperations:
         """
         M = as_matrix(M, "M", rows=self.dim)
         if M.shape[1] == 0:
-            raise InputError(f"M has shape {M.shape}, expected at least one column.")
+            raise InputError("M", f"shape {M.shape}", "at least one column")
         c = np.zeros(self.dim) if c is None else as_vector(c, "c", size=self.dim)
-        return _new(self, self.A @ M, self.b - self.A @ c, self.A_eq @ M, self.b_eq - self.A_eq @ c)
+        return type(self)(*_pulled_back(self.A, self.b, M, c), *_pulled_back(self.A_eq, self.b_eq, M, c))
 
-    def projection(self, coordinates: Any) -> Polytope:
-        """Return the projection onto the given coordinates, in the given order: some value of the others exists."""
+    def projection(self, coordinates: Any, *, time_limit: float | None = None) -> Self:
+        """Return the projection onto the given coordinates, in the given order: some value of the others exists.
+
+        `time_limit` as in `affine_map`.
+        """
         kept = self._coordinates(coordinates)
-        return self.affine_map(np.eye(self.dim)[kept])
+        return self.affine_map(np.eye(self.dim)[kept], time_limit=time_limit)
 
-    def slice(self, coordinates: Any, values: Any) -> Polytope:
+    def slice(self, coordinates: Any, values: Any) -> Self:
         """Return the cut where `coordinates` have the given values, as a set of the other coordinates."""
         fixed = self._coordinates(coordinates)
         values = as_vector(values, "values", size=len(fixed))
         free = np.setdiff1d(np.arange(self.dim), fixed)
         if len(free) == 0:
-            raise InputError(f"coordinates fixes all {self.dim} coordinates; use contains for a point.")
+            raise InputError("coordinates", f"all {self.dim} of them", "fewer", "Use contains for a point.")
         M, c = np.eye(self.dim)[:, free], np.zeros(self.dim)
         c[fixed] = values
         return self.preimage(M, c)
 
-    def scale(self, factor: float) -> Polytope:
+    def scale(self, factor: float) -> Self:
         """Return {factor·x : x in P}, about the origin. Factor 0 gives {0}, a negative one also reflects."""
         value = as_floats(factor, "factor")
         if value.ndim != 0:
-            raise InputError(f"factor has shape {value.shape}, expected a number; use affine_map for a matrix.")
+            raise InputError("factor", f"shape {value.shape}", "a number", "Use affine_map for a matrix.")
         check_finite(value, "factor")
         n, k = self.dim, float(value)
         if self.is_empty:
-            return _nothing(self)
+            return type(self).empty(n)
         if k == 0.0:
-            return _new(self, np.zeros((0, n)), np.zeros(0), np.eye(n), np.zeros(n))
+            return type(self)(A_eq=np.eye(n), b_eq=np.zeros(n))
         sign = np.sign(k)
-        return _new(self, sign * self.A, abs(k) * self.b, sign * self.A_eq, abs(k) * self.b_eq)
+        return type(self)(sign * self.A, abs(k) * self.b, sign * self.A_eq, abs(k) * self.b_eq)
 
     def _coordinates(self, coordinates: Any) -> Array:
-        index = np.atleast_1d(np.asarray(coordinates))
+        """Return distinct indices of coordinates, or raise `InputError`."""
+        try:
+            index = np.atleast_1d(np.asarray(coordinates))
+        except ValueError:  # ragged
+            index = np.zeros(0)
         if (index.ndim != 1 or len(index) == 0 or index.dtype.kind not in "iu" or (index < 0).any()
                 or (index >= self.dim).any() or len(np.unique(index)) != len(index)):
-            raise InputError(f"coordinates must be distinct integers from 0 to {self.dim - 1}, got {coordinates!r}.")
+            raise InputError("coordinates", brief(coordinates), f"distinct integers from 0 to {self.dim - 1}")
         return index
 
 
-def same_space(P: Any, Q: Any, name: str = "other") -> Polytope:
+def same_space(P: Polyhedron, Q: Set, name: str = "other") -> Set:
     """Return Q, or raise `InputError` unless it is a `Polytope` of P's dimension."""
-    Q = _polytope(Q, P, name)
+    Q = _checked_set(Q, name)
     if Q.dim != P.dim:
-        raise InputError(f"{name} has dimension {Q.dim}, expected {P.dim}.")
+        raise InputError(name, f"a set of dimension {Q.dim}", f"dimension {P.dim}")
     return Q
 
 
-def _polytope(Q: Any, P: Any, name: str = "other") -> Polytope:
-    if not isinstance(Q, SetOperations):
-        raise InputError(f"{name} must be a Polytope, got {type(Q).__name__}.")
-    return Q  # type: ignore[return-value]
-
-
-def _new(P: SetOperations, A: Array, b: Array, A_eq: Array | None = None, b_eq: Array | None = None) -> Polytope:
-    return type(P)(A, b, A_eq, b_eq)  # type: ignore[call-arg, return-value]
-
-
-def _nothing(P: SetOperations, dim: int | None = None) -> Polytope:
-    return _new(P, np.zeros((1, P.dim if dim is None else dim)), np.array([-1.0]))
+def _checked_set(Q: Set, name: str = "other") -> Set:
+    """Return Q, or raise `InputError` unless it is a `Polytope`."""
+    if not isinstance(Q, Polyhedron):
+        raise InputError(name, f"{type(Q).__name__}", "a Polytope")
+    return Q
 
 
 def _diagonal(P: Array, Q: Array) -> Array:
+    """Return the block diagonal matrix of P and Q."""
     return np.block([[P, np.zeros((len(P), Q.shape[1]))], [np.zeros((len(Q), P.shape[1])), Q]])
+
+
+def _touching(kind: type[Set], D: Array, values: Array) -> Set:
+    """Return the set of rows D x <= values, of those that are finite."""
+    finite = np.isfinite(values)
+    return kind(D[finite], values[finite])
+
+
+def _generators_of(P: Polyhedron, deadline: Deadline) -> Generators:
+    """Return points, rays and lines of a set that is not empty."""
+    body = P._body
+    assert body is not None
+    if body.bounded:
+        return Generators(P.vertices, np.zeros((0, P.dim)), np.zeros((0, P.dim)))
+    return generators(body.F, body.g, deadline).image(body.basis, body.centre)
+
+
+def _mapped_rows(body: Body, M: Array, c: Array) -> tuple[Array, Array, Array, Array] | None:
+    """Return the rows of the image of a body under M, None if M is not injective on its hull."""
+    G = M @ body.basis
+    terms = np.abs(M) @ np.abs(body.basis)
+    G = np.where(np.abs(G) > CANCELLED * terms, G, 0.0)
+    origin = M @ body.centre + c
+    size = np.abs(G).max(axis=1, initial=0.0)
+    units = np.where(size > 0, size, np.where(origin != 0, np.abs(origin), 1.0))  # of the image coordinates
+    left, s, vt = np.linalg.svd(G / units[:, None], full_matrices=True)
+    rank = int((s > FLAT * s.max(initial=0.0)).sum()) if s.any() else 0
+    if rank < body.basis.shape[1]:
+        return None
+    back = vt.T @ (left[:, :rank].T / s[:rank, None]) / units  # image → y
+    rows, normal = body.F @ back, left[:, rank:].T / units
+    norms, norms_eq = np.linalg.norm(rows, axis=1), np.linalg.norm(normal, axis=1)
+    rows, normal = rows / norms[:, None], normal / norms_eq[:, None]
+    return rows, body.g / norms + rows @ origin, normal, normal @ origin
+
+
+def _without_cancelled(points: Array, V: Array, M: Array, c: Array) -> Array:
+    """Return mapped points with coordinates that have cancelled set to zero."""
+    terms = np.abs(V) @ np.abs(M).T + np.abs(c)
+    return np.where(np.abs(points) > CANCELLED * terms, points, 0.0)
+
+
+def _pulled_back(A: Array, b: Array, M: Array, c: Array) -> tuple[Array, Array]:
+    """Return the rows A (M x + c) <= b on x, with what has cancelled set to zero."""
+    rows, right = A @ M, b - A @ c
+    rows = np.where(np.abs(rows) > _EPS * (np.abs(A) @ np.abs(M)), rows, 0.0)
+    constant = ~rows.any(axis=1)  # such a row only says whether its right-hand side is negative
+    cancelled = constant & (np.abs(right) <= CANCELLED * (np.abs(b) + np.abs(A) @ np.abs(c)))
+    return rows, np.where(cancelled, 0.0, right)
+
+
+def _meeting(A: Array, right: Array, error: Array, mine: Body, theirs: Body) -> Array | None:
+    """Return the right-hand sides of P ⊖ Q with rows that meet in one point, up to `error`, meeting exactly.
+
+    P ⊖ P is {0}, a point whose own size says nothing about rounding; that of P does. None if empty.
+    """
+    slope, point = A @ mine.basis, mine.centre - theirs.centre
+    norms = np.linalg.norm(slope, axis=1)
+    moving = norms > CANCELLED * np.linalg.norm(np.abs(A) @ np.abs(mine.basis), axis=1)
+    if moving.any():
+        room = (right - A @ point)[moving]
+        _, y = inscribed_ball(slope[moving] / norms[moving, None], room / norms[moving], cap=1.0)
+        point = point + mine.basis @ y
+    level = A @ point
+    if (right - level < -error).any():
+        return None
+    return np.where(right - level <= error, level, right)
+
+
+_EPS = 32 * np.finfo(float).eps  # of the sum of absolute terms: what a sum may be wrong by

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
+from invariant_sets.operations import SetOperations
+from invariant_sets.tolerances import TOUCHING
 
 Array = np.ndarray
 
 
-def plot_polytope(P: Any, *, ax: Any = None, coordinates: Any = None, **style: Any) -> Any:
+def plot_polytope(P: SetOperations, *, ax: Any = None, coordinates: Any = None, **style: Any) -> Any:
     """Draw a polytope and return the artist: a patch in the plane, a face collection in space.
 
     Parameters
@@ -30,7 +32,8 @@ def plot_polytope(P: Any, *, ax: Any = None, coordinates: Any = None, **style: A
     ------
     InputError, EmptySetError, UnboundedError
     """
-    _check_drawable(P, "P")
+    if not isinstance(P, SetOperations):
+        raise InputError("P", f"a {type(P).__name__}", "a Polytope")
     if P.is_empty:
         raise EmptySetError("The set is empty; there is nothing to draw.")
     if not P.is_bounded:
@@ -43,8 +46,9 @@ def plot_polytope(P: Any, *, ax: Any = None, coordinates: Any = None, **style: A
     return _draw_space(P, ax, style) if P.dim == 3 else _draw_plane(P, ax, style)
 
 
-def plot_family(sets: Iterable[Any], *, values: Iterable[float] | None = None, labels: Iterable[str] | None = None,
-                ax: Any = None, coordinates: Any = None, **style: Any) -> list[Any]:
+def plot_family(sets: Iterable[SetOperations], *, values: Iterable[float] | None = None,
+                labels: Iterable[str] | None = None, ax: Any = None, coordinates: Any = None,
+                **style: Any) -> list[Any]:
     """Draw sets of several designs in colours ordered by `values`, largest first, and return the artists.
 
     In the plane a fill is opaque and pale, and every outline lies above all fills: the legend shows the colours that
@@ -99,12 +103,6 @@ def _fill(colour: Array, dim: int) -> dict[str, Any]:
     return {"facecolor": tuple(0.75 + 0.25 * colour), "edgecolor": colour, "zorder": 1}
 
 
-def _check_drawable(P: Any, name: str) -> None:
-    """Refuse what is no polytope; the class itself imports this module for its `plot`."""
-    if not all(hasattr(type(P), attribute) for attribute in ("dim", "vertices", "projection")):
-        raise InputError(name, f"a {type(P).__name__}", "a Polytope")
-
-
 def _axes(dim: int) -> Any:
     """Return new axes, three-dimensional where `dim` is 3."""
     from matplotlib import pyplot as plt
@@ -112,7 +110,7 @@ def _axes(dim: int) -> Any:
     return plt.figure().add_subplot(projection="3d" if dim == 3 else None)
 
 
-def _draw_plane(P: Any, ax: Any, style: dict[str, Any]) -> Any:
+def _draw_plane(P: SetOperations, ax: Any, style: dict[str, Any]) -> Any:
     """Draw a set of one or two coordinates as a patch."""
     from matplotlib.patches import Polygon
 
@@ -123,7 +121,7 @@ def _draw_plane(P: Any, ax: Any, style: dict[str, Any]) -> Any:
     return patch
 
 
-def _draw_space(P: Any, ax: Any, style: dict[str, Any]) -> Any:
+def _draw_space(P: SetOperations, ax: Any, style: dict[str, Any]) -> Any:
     """Draw a set of three coordinates as a collection of faces."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -135,20 +133,21 @@ def _draw_space(P: Any, ax: Any, style: dict[str, Any]) -> Any:
     return faces
 
 
-def _faces(P: Any) -> list[Array]:
+def _faces(P: SetOperations) -> list[Array]:
     """Return the vertices of every face of a body in space, in order around the face."""
     V = P.vertices
     if P.affine_dim < 3:
         return [_around(V)]
     M = P.minimal()
     scale = M._row_scales[0]
-    touching = np.abs(V @ M.A.T - M.b) <= 1e-7 * scale
+    touching = np.abs(V @ M.A.T - M.b) <= TOUCHING * scale
     return [_around(V[touching[:, i]]) for i in range(len(M.b))]
 
 
 def _around(V: Array) -> Array:
     """Return coplanar points in the order of their angle about the mean."""
     offset = V - V.mean(axis=0)
+    offset = offset / np.maximum(np.ptp(V, axis=0), np.finfo(float).tiny)
     plane = np.linalg.svd(offset, full_matrices=False)[2][:2]
     x = offset @ plane.T
     return V[np.argsort(np.arctan2(x[:, -1], x[:, 0]))]

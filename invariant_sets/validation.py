@@ -19,7 +19,7 @@ def as_floats(value: Any, name: str) -> Array:
             return np.array(raw, dtype=np.float64, order="C")
     except (TypeError, ValueError):
         pass
-    raise InputError(f"{name} must be an array of real numbers, got {type(value).__name__} {_brief(value)}.")
+    raise InputError(name, f"{type(value).__name__} {brief(value)}", "an array of real numbers")
 
 
 def as_matrix(value: Any, name: str, *, rows: int | None = None, columns: int | None = None,
@@ -28,7 +28,7 @@ def as_matrix(value: Any, name: str, *, rows: int | None = None, columns: int | 
     array = as_floats(value, name)
     if array.ndim != 2 or rows not in (None, array.shape[0]) or columns not in (None, array.shape[1]):
         expected = f"({'m' if rows is None else rows}, {'n' if columns is None else columns})"
-        raise InputError(f"{name} has shape {array.shape}, expected {expected}.")
+        raise InputError(name, f"shape {array.shape}", expected)
     if finite:
         check_finite(array, name)
     return array
@@ -40,7 +40,7 @@ def as_vector(value: Any, name: str, *, size: int | None = None, finite: bool = 
     if array.ndim == 0:
         array = array.reshape(1)
     if array.ndim != 1 or size not in (None, array.shape[0]):
-        raise InputError(f"{name} has shape {array.shape}, expected ({'n' if size is None else size},).")
+        raise InputError(name, f"shape {array.shape}", f"({'n' if size is None else size},)")
     if finite:
         check_finite(array, name)
     return array
@@ -55,7 +55,7 @@ def as_batch(value: Any, name: str, columns: int, *, finite: bool = True,
     if single:
         array = array.reshape(1, -1)
     if array.ndim != 2 or array.shape[1] != columns:
-        raise InputError(f"{name} has shape {np.shape(value)}, expected ({columns},) or (k, {columns}).")
+        raise InputError(name, f"shape {array.shape}", f"({columns},) or (k, {columns})")
     if finite:
         check_finite(array, name)
     return array, single
@@ -65,7 +65,7 @@ def check_finite(array: Array, name: str) -> None:
     """Raise `InputError` where `array` holds NaN or infinity."""
     if not np.isfinite(array).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InputError(f"{name} must be finite, got {array[index]} at index {index}.")
+        raise InputError(name, f"{array[index]} at index {index}", "finite numbers")
 
 
 def check_tolerance(tol: Any, name: str = "tol") -> float:
@@ -73,24 +73,23 @@ def check_tolerance(tol: Any, name: str = "tol") -> float:
     try:
         value = float(tol)
     except (TypeError, ValueError):
-        raise InputError(f"{name} must be a number >= 0, got {_brief(tol)}.") from None
+        raise InputError(name, brief(tol), "a finite number >= 0") from None
     if not 0.0 <= value < np.inf:
-        raise InputError(f"{name} must be a finite number >= 0, got {value}.")
+        raise InputError(name, value, "a finite number >= 0")
     return value
 
 
 def check_count(value: Any, name: str, minimum: int = 0) -> int:
     """Return `value` as an int, or raise `InputError` if it is below `minimum` or no integer."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
-        raise InputError(f"{name} must be an integer >= {minimum}, got {_brief(value)}.")
+        raise InputError(name, brief(value), f"an integer >= {minimum}")
     return int(value)
 
 
 def check_rng(rng: Any) -> np.random.Generator:
     """Return `rng` if it is a `numpy.random.Generator`, else raise `InputError`."""
     if not isinstance(rng, np.random.Generator):
-        raise InputError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}; "
-                         "make one with numpy.random.default_rng(seed).")
+        raise InputError("rng", brief(rng), "a numpy.random.Generator", "Make one with numpy.random.default_rng(seed).")
     return rng
 
 
@@ -100,6 +99,7 @@ def frozen(array: Array) -> Array:
     return array
 
 
-def _brief(value: Any) -> str:
+def brief(value: Any) -> str:
+    """Return the repr of a value in 60 characters at most."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -13,9 +13,9 @@ import numpy as np
 from invariant_sets.engine.flat_hull import InputMap, Motion, stay_on_hull
 from invariant_sets.interior_form import Body, normals, null_space
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
+from invariant_sets.polyhedron import counter_clockwise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
-from invariant_sets.validation import frozen
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -61,13 +61,8 @@ class Frame:
         rows = F @ self.back
         normal = normals(self.basis) if k < n else np.zeros((0, n))
         rows, right = unit(rows, g)
-        P = Polytope(rows, right + rows @ self.centre, normal, normal @ self.centre)
-        if V is not None:
-            if k == 2:
-                middle = V.mean(axis=0)
-                V = V[np.argsort(np.arctan2(V[:, 1] - middle[1], V[:, 0] - middle[0]))]
-            P.__dict__["vertices"] = frozen(self.centre + V @ self.basis.T)
-        return P
+        V = None if V is None else counter_clockwise(self.centre + V @ self.basis.T)
+        return Polytope._with_vertices(rows, right + rows @ self.centre, normal, normal @ self.centre, V)
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def test_point_segment_and_triangle_in_space_are_flat():
 
 
 def test_empty_and_unbounded_sets_say_so():
-    empty = Polytope.from_bounds([1, 0], [0, 1])
+    empty = Polytope.empty(2)
     assert empty.is_empty
     assert empty.vertices.shape == (0, 2)
     assert empty.volume == 0.0

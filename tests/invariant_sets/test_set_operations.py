@@ -121,7 +121,7 @@ def test_difference_of_boxes_is_flat_where_they_are_equally_wide():
 def test_difference_with_a_larger_set_is_empty_and_with_nothing_is_everything():
     P, Q = Polytope.from_bounds([-1, -1], [1, 1]), Polytope.from_bounds([-2, 0], [2, 0])
     assert P.pontryagin_difference(Q).is_empty
-    nothing = Polytope.from_bounds([1, 1], [0, 0])
+    nothing = Polytope.empty(2)
     assert P.pontryagin_difference(nothing).contains([1e9, -1e9])
     assert Q.pontryagin_difference(P).is_empty
 
@@ -239,14 +239,14 @@ def test_subset_and_equality_see_a_difference_of_a_millionth(rng):
 
 
 def test_empty_set_passes_through_every_operation():
-    empty, P = Polytope.from_bounds([1, 1], [0, 0]), Polytope.from_bounds([0, 0], [1, 1])
+    empty, P = Polytope.empty(2), Polytope.from_bounds([0, 0], [1, 1])
     results = [empty.intersection(P), empty.cartesian_product(P), empty.minkowski_sum(P), P.minkowski_sum(empty),
                empty.pontryagin_difference(P), empty.affine_map(np.ones((3, 2))), empty.preimage(np.ones((2, 3))),
                empty.projection([0]), empty.slice([0], [0.5]), empty.scale(2), empty.scale(0), empty.minimal()]
     assert all(result.is_empty for result in results)
     assert empty.is_subset(P)
     assert not P.is_subset(empty)
-    assert empty.equals(Polytope.from_bounds([3, 0], [2, 0]))
+    assert empty.equals(Polytope([[1, 0], [-1, 0]], [2, -3]))
     assert empty.support([1, 0]) == -np.inf
     assert not empty.contains([0.5, 0.5])
     assert (empty.affine_dim, empty.is_bounded) == (-1, True)
@@ -273,4 +273,4 @@ def test_repr_and_html_say_what_the_set_is():
     P = Polytope.from_bounds([0, 0], [1, 2])
     assert repr(P) == "Polytope(dim=2, 4 inequalities)"
     assert "[0, 2]" in P._repr_html_()
-    assert "<td>True</td>" in Polytope.from_bounds([1], [0])._repr_html_()
+    assert "<td>True</td>" in Polytope.empty(1)._repr_html_()

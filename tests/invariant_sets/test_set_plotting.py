@@ -52,7 +52,7 @@ def test_flat_and_one_dimensional_sets_are_drawn(axes):
 
 
 def test_a_family_is_coloured_by_its_values_and_skips_empty_sets(axes):
-    sets = [TRIANGLE, TRIANGLE.scale(2), Polytope.from_bounds([1, 1], [0, 0])]
+    sets = [TRIANGLE, TRIANGLE.scale(2), Polytope.empty(2)]
     artists = plot_family(sets, values=[0.5, 3.0, 1.0], labels=["a", "b", "c"], ax=axes)
     assert [artist.get_label() for artist in artists] == ["b", "a"]
     assert len({artist.get_edgecolor() for artist in artists}) == 2

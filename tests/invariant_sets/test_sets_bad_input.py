@@ -175,19 +175,19 @@ def test_every_public_function_is_in_the_table():
     passive = {"Certificate", "InvariantSetsError", "SetResult", "Status"}
     assert public - passive <= tested
     methods = {name for name, value in inspect.getmembers(Polytope) if not name.startswith("_") and callable(value)}
-    assert methods - set(CALLS) <= {"from_bounds", "from_vertices", "bounding_box", "chebyshev_ball", "minimal", "plot"}
+    assert methods - set(CALLS) <= {"from_bounds", "from_vertices", "bounding_box", "chebyshev_ball", "minimal", "plot", "empty"}
     assert len(invariant_sets.__all__) <= 15
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
     ({"A": np.ones((2, 3))}, r"A: got shape \(2, 3\), expected a square matrix"),
-    ({"B": np.ones((3, 1))}, r"B has shape \(3, 1\), expected \(2, n\)"),
+    ({"B": np.ones((3, 1))}, r"B: got shape \(3, 1\), expected \(2, n\)"),
     ({"B": np.ones((2, 0))}, "Use a zero column for no input"),
     ({"W": box([-1], [1])}, "W: got a set of dimension 1, expected dimension 2"),
     ({"W": box([0, 0], [np.inf, 1])}, "W: got an unbounded set, expected a bounded"),
-    ({"W": box([1, 1], [0, 0])}, "W: got an empty set, expected a bounded"),
+    ({"W": Polytope.empty(2)}, "W: got an empty set, expected a bounded"),
     ({"W": None, "E": np.eye(2)}, "E: got a matrix without W"),
-    ({"tol": -1.0}, r"tol must be a finite number >= 0, got -1.0"),
+    ({"tol": -1.0}, r"tol: got -1.0, expected a finite number >= 0"),
 ])
 def test_messages_say_what_was_got_and_expected(arguments, message):
     with pytest.raises(InvariantSetsError, match=message):
@@ -196,25 +196,28 @@ def test_messages_say_what_was_got_and_expected(arguments, message):
 
 def test_other_messages():
     for call, message in [
-        (lambda: Polytope([[1, 0]], [1], A_eq=[[1, 0]]), "must be given together"),
-        (lambda: box([np.inf], [np.inf]), "excludes every point"),
+        (lambda: Polytope([[1, 0]], [1], A_eq=[[1, 0]]), "b_eq: got nothing, expected A_eq and b_eq together"),
+        (lambda: box([np.inf], [np.inf]), "lower: got an infinite bound that excludes every point"),
         (lambda: box([0, 0], [np.inf, 1]).vertices, "intersect it with a box"),
         (lambda: box([0, 0], [np.inf, 1]).volume, "intersect it with a box"),
-        (lambda: box([1], [0]).bounding_box(), "the set is empty"),
-        (lambda: box([1], [0]).sample(1, rng=RNG), "the set is empty"),
-        (lambda: box([1], [0]).chebyshev_ball(), "the set is empty"),
-        (lambda: P.slice([0, 1], [0, 0]), "fixes all 2 coordinates"),
-        (lambda: AdmissibleInputs(A, B, X, box([1], [0])), "no input can be admissible"),
+        (lambda: Polytope.empty(1).bounding_box(), "the set is empty"),
+        (lambda: Polytope.empty(1).sample(1, rng=RNG), "the set is empty"),
+        (lambda: Polytope.empty(1).chebyshev_ball(), "the set is empty"),
+        (lambda: P.slice([0, 1], [0, 0]), "coordinates: got all 2 of them"),
+        (lambda: AdmissibleInputs(A, B, X, Polytope.empty(1)), "no input can be admissible"),
         (lambda: AdmissibleInputs(A, B, X, box([0], [np.inf])), "U is unbounded"),
         (lambda: FILTER.project(np.zeros((2, 2)), np.zeros((3, 1))), "u_proposed: got 3 rows, expected 2"),
         (lambda: FAMILY.contains(np.zeros((2, 2)), np.ones((3, 1))), "p: got 3 rows, expected 2"),
         (lambda: ParametricSet(lambda p: A, X, U).at([1.0]), "expected a tuple"),
         (lambda: minimal_robust_positively_invariant_set(A, W), "spectral radius 1.2, expected less than 1"),
-        (lambda: plot_polytope(box([1], [0])), "nothing to draw"),
+        (lambda: plot_polytope(Polytope.empty(1)), "nothing to draw"),
         (lambda: plot_polytope(box([0, 0], [np.inf, 1])), "unbounded"),
-        (lambda: plot_polytope(np.eye(2)), "must be a Polytope"),
-        (lambda: plot_polytope(box([0] * 4, [1] * 4), coordinates=[0, 1, 2, 3]), "expected one, two or three"),
-        (lambda: plot_family([P], values=[1, 2]), "expected 1"),
+        (lambda: plot_polytope(np.eye(2)), "P: got ndarray, expected a Polytope"),
+        (lambda: plot_polytope(box([0] * 4, [1] * 4), coordinates=[0, 1, 2, 3]), "coordinates: got 4 entries, expected one, two or three"),
+        (lambda: plot_family([P], values=[1, 2]), "values and labels: got 2 and 1 entries, expected 1 each"),
+        (lambda: box([1, 0], [0, 1]), "lower: got 1 above upper, 0, at index 0, expected lower <= upper. Exchange them"),
+        (lambda: Polytope(), "A: got neither A nor A_eq"),
+        (lambda: [1.0] in P, r"x: got shape \(1,\), expected \(2,\)"),
     ]:
         with pytest.raises(InvariantSetsError, match=message):
             call()
@@ -222,7 +225,7 @@ def test_other_messages():
 
 # --- odd but legitimate sets: right answers ------------------------------------------------------------------
 
-EMPTY = box([1, 1], [0, 0])
+EMPTY = Polytope.empty(2)
 
 
 def all_invariance(X, U=U, A=A):

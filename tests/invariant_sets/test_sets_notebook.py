@@ -39,7 +39,7 @@ def test_every_name_on_the_mpt3_page_exists():
     for cell in ours:
         for code in re.findall(r"`([^`]*)`", cell):
             for name in re.findall(r"\b(?:P|Q)\.(\w+)", code):
-                assert hasattr(Polytope, name) or name in Polytope.__annotations__
+                assert hasattr(Polytope, name) or name in Polytope.__dataclass_fields__
             for name in re.findall(r"(?<![.\w])([a-z]+_[a-z_]+)\(", code):
                 assert name in invariant_sets.__all__
             for name in re.findall(r"^\.(\w+)\(", code):
