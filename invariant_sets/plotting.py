@@ -32,8 +32,7 @@ def plot_polytope(P: SetOperations, *, ax: Any = None, coordinates: Any = None, 
     ------
     InputError, EmptySetError, UnboundedError
     """
-    if not isinstance(P, SetOperations):
-        raise InputError("P", f"a {type(P).__name__}", "a Polytope")
+    _check_drawable(P, "P")
     if P.is_empty:
         raise EmptySetError("The set is empty; there is nothing to draw.")
     if not P.is_bounded:
@@ -101,6 +100,12 @@ def _fill(colour: Array, dim: int) -> dict[str, Any]:
     if dim == 3:
         return {"facecolor": (*colour, 0.15), "edgecolor": colour}
     return {"facecolor": tuple(0.75 + 0.25 * colour), "edgecolor": colour, "zorder": 1}
+
+
+def _check_drawable(P: Any, name: str) -> None:
+    """Raise `InputError` unless P is a polytope."""
+    if not isinstance(P, SetOperations):
+        raise InputError(name, f"a {type(P).__name__}", "a Polytope")
 
 
 def _axes(dim: int) -> Any:

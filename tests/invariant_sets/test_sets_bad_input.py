@@ -175,7 +175,8 @@ def test_every_public_function_is_in_the_table():
     passive = {"Certificate", "InvariantSetsError", "SetResult", "Status"}
     assert public - passive <= tested
     methods = {name for name, value in inspect.getmembers(Polytope) if not name.startswith("_") and callable(value)}
-    assert methods - set(CALLS) <= {"from_bounds", "from_vertices", "bounding_box", "chebyshev_ball", "minimal", "plot", "empty"}
+    assert methods - set(CALLS) <= {"from_bounds", "from_vertices", "bounding_box", "chebyshev_ball", "minimal", "plot",
+                                       "empty"}
     assert len(invariant_sets.__all__) <= 15
 
 
@@ -212,10 +213,12 @@ def test_other_messages():
         (lambda: minimal_robust_positively_invariant_set(A, W), "spectral radius 1.2, expected less than 1"),
         (lambda: plot_polytope(Polytope.empty(1)), "nothing to draw"),
         (lambda: plot_polytope(box([0, 0], [np.inf, 1])), "unbounded"),
-        (lambda: plot_polytope(np.eye(2)), "P: got ndarray, expected a Polytope"),
-        (lambda: plot_polytope(box([0] * 4, [1] * 4), coordinates=[0, 1, 2, 3]), "coordinates: got 4 entries, expected one, two or three"),
-        (lambda: plot_family([P], values=[1, 2]), "values and labels: got 2 and 1 entries, expected 1 each"),
-        (lambda: box([1, 0], [0, 1]), "lower: got 1 above upper, 0, at index 0, expected lower <= upper. Exchange them"),
+        (lambda: plot_polytope(np.eye(2)), "P: got a ndarray, expected a Polytope"),
+        (lambda: plot_polytope(box([0] * 4, [1] * 4), coordinates=[0, 1, 2, 3]),
+         "coordinates: got 4 entries, expected one, two or three"),
+        (lambda: plot_family([P], values=[1, 2]), "values, labels: got 2 and 1 entries"),
+        (lambda: box([1, 0], [0, 1]),
+         "lower: got 1 above upper, 0, at index 0, expected lower <= upper. Exchange them"),
         (lambda: Polytope(), "A: got neither A nor A_eq"),
         (lambda: [1.0] in P, r"x: got shape \(1,\), expected \(2,\)"),
     ]:
