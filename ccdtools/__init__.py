@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ccdtools.scenario import Scenario
     from ccdtools.simulation import simulate
     from ccdtools.studies.comparison import compare
+    from ccdtools.studies.loading import load_study
     from ccdtools.studies.study import RealPlant, Study
     from ccdtools.trajectory import Trajectory
     from ccdtools.twin.deployment import OnlineConfig, deploy, deploy_and_update
@@ -73,6 +74,7 @@ __all__ = [
     "expert_dataset",
     "feasible_sets",
     "load_policy",
+    "load_study",
     "read_disturbance",
     "read_road",
     "read_speed",
@@ -120,6 +122,7 @@ _HOMES = {
     "expert_dataset": "co_design.expert",
     "feasible_sets": "co_design.expert",
     "load_policy": "controllers.learned",
+    "load_study": "studies.loading",
     "read_disturbance": "disturbances.recordings",
     "read_road": "disturbances.recordings",
     "read_speed": "disturbances.recordings",
