@@ -26,6 +26,7 @@ from invariant_sets import Polytope
 BLOCK = 100  # samples per replicate of a single long run
 MPC_RUNS = 100
 TIMED_CALLS = 50
+ROUNDING = 1e-6  # part of LQR's return: smaller differences are rounding and the tolerances of solvers
 
 
 @dataclass(frozen=True)
@@ -227,13 +228,24 @@ def step_time(controller: Controller, x: Array, scenario: Scenario) -> float:
 
 def _text_cells(score: Score) -> tuple[str, ...]:
     """The cells of a row of the printed table, padded to their columns."""
-    low, high = score.paired_to_lqr.ci95
-    difference = f"{score.paired_to_lqr.mean:.4g}" if score.controller != REFERENCE else "-"
-    interval = f"[{low:.4g}, {high:.4g}]" if score.controller != REFERENCE else "-"
+    floor = ROUNDING * abs(score.lqr_mean)
+    paired = score.paired_to_lqr
+    compared = score.controller != REFERENCE and np.isfinite(paired.mean)
+    difference = _shown(paired.mean, ".4g", floor) if compared else "-"
+    interval = f"[{', '.join(_shown(end, '.4g', floor) for end in paired.ci95)}]" if compared else "-"
+    mean = _shown(score.summary.mean, ".5g")
+    std = _shown(score.summary.std, ".3g")
     return (
-        f"{score.controller:<20}", f"{score.summary.mean:>11.5g}", f"{score.summary.std:>10.3g}",
-        f"{score.summary.n:>7}", f"{difference:>12}", f"  {interval:<24}", f"{score.diverged:>9.1%}",
+        f"{score.controller:<20}", f"{mean:>11}", f"{std:>10}", f"{score.summary.n:>7}",
+        f"{difference:>12}", f"  {interval:<24}", f"{score.diverged:>9.1%}",
     )  # fmt: skip
+
+
+def _shown(value: float, form: str, floor: float = 0.0) -> str:
+    """A number for people: 0 within rounding, a dash where there is none."""
+    if not np.isfinite(value):
+        return "-"
+    return "0" if abs(value) <= floor else format(value, form)
 
 
 def _html_row(cells: tuple[str, ...]) -> str:
