@@ -51,7 +51,7 @@ def discretise(plant: Plant, dt: float | None = None, *, sampling_guard: str = "
             raise InputError("dt", dt, f"{plant.dt} or nothing", f"The plant is discrete, sampled at {plant.dt} s.")
         return LinearModel(plant.p, A, B, E, dt, plant.design)
     if sampling_guard == "warn":
-        warn_of_aliasing(ca.Function("A", [plant.p], [A]), plant.design, dt)
+        warn_of_aliasing(plant, dt)
     A, B, E = zero_order_hold(A, B, E, dt, symbols=plant.p, design=plant.design)
     return LinearModel(plant.p, A, B, E, dt, plant.design)
 

@@ -8,12 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.exceptions import SamplingWarning
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.plant import Plant
 
 SHARE = 0.8  # of half the sampling rate: oscillations above it have under 2.5 samples a period
 SAMPLES_PER_PERIOD = 10  # of the sampling time that is recommended instead
@@ -88,16 +90,32 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
     return FastestMode(found, design.from_unit(fastest), dt)
 
 
-def warn_of_aliasing(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> None:
-    """Issue a `SamplingWarning` if some design has an oscillation near or beyond half the sampling rate."""
-    mode = fastest_mode(A, design, dt)
+def sampling_note(plant: Plant, dt: float | None = None) -> str:
+    """One sentence if a linear plant oscillates near or beyond half the sampling rate at some design; else nothing.
+
+    Parameters
+    ----------
+    plant : Plant
+        Linear in x; a discrete one has no modes to judge.
+    dt : float, optional
+        Sampling time [s]; the plant's own by default.
+    """
+    if not plant.continuous:
+        return ""
+    A = ca.Function("A", [plant.p], [ca.densify(ca.jacobian(plant.dynamics, plant.x))])
+    mode = fastest_mode(A, plant.design, plant.dt if dt is None else dt)
     if mode.resolved:
-        return
-    where = f" at {design.describe(mode.design)}" if design.dim else ""
-    warnings.warn(
-        f"dt = {dt:g} s samples at most {mode.nyquist:.3g} Hz, but the plant oscillates at {mode.frequency:.3g} Hz"
-        f"{where}: the samples do not show that oscillation as it is. Use dt = {mode.better_dt:g} s, or state that "
-        'this is intended with sampling_guard="ignore".',
-        SamplingWarning,
-        stacklevel=3,
+        return ""
+    where = f" at {plant.design.describe(mode.design)}" if plant.design.dim else ""
+    return (
+        f"dt = {mode.dt:g} s samples at most {mode.nyquist:.3g} Hz, but the plant oscillates at {mode.frequency:.3g} Hz"
+        f"{where}: the samples do not show that oscillation as it is. dt = {mode.better_dt:g} s would"
     )
+
+
+def warn_of_aliasing(plant: Plant, dt: float) -> None:
+    """Issue a `SamplingWarning` if `sampling_note` has something to say."""
+    note = sampling_note(plant, dt)
+    if note:
+        intended = 'If this is intended, pass sampling_guard="ignore".'
+        warnings.warn(f"{note}. {intended}", SamplingWarning, stacklevel=3)

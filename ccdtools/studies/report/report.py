@@ -12,6 +12,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from ccdtools.arrays import Array
+from ccdtools.plants.sampling_guard import sampling_note
 from ccdtools.studies.report import style
 from ccdtools.studies.report.figures import figures
 from ccdtools.studies.report.finished_run import FinishedRun
@@ -73,6 +74,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         r=results, study=run.study, designs=_cards(run), gradients=_gradients(results), blocks=_blocks(results),
         figures={figure["name"]: figure for figure in shown}, signals=_signal_rows(run) + _design_rows(run),
         weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
+        sampling=sampling_note(run.study.plant),
         single=run.study.real.runs == 1, real_is_model=run.study.real.plant is run.study.plant,
         updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],
     )  # fmt: skip

@@ -20,7 +20,7 @@ def oscillator(stiffness, design, dt, damping=0.0):
 
 def test_the_wheel_hop_of_the_suspension_is_found_where_it_is_fastest():
     with pytest.warns(SamplingWarning, match=r"at most 10 Hz, but the plant oscillates at 10.3 Hz at k_s = 40000 N/m, "
-                                             r"c_s = 500 N·s/m.*Use dt = 0.009 s"):  # fmt: skip
+                                             r"c_s = 500 N·s/m.*dt = 0.009 s would"):  # fmt: skip
         discretise(quarter_car())
 
 
