@@ -68,9 +68,8 @@ def test_a_preview_of_the_disturbance_lowers_the_cost():
 def test_offset_free_tracking_settles_in_spite_of_a_constant_disturbance(limited):
     regulator = mpc(E=E, rate_limit=1.0) if limited else mpc(E=E)
     w = np.tile([[[1.0]], [[-0.7]]], (1, 60, 1))
-    run = simulate(
-        PLANT, OffsetFreeMPC(regulator, [[1.0, 0.0]]), x0=np.zeros((2, 2)), steps=60, disturbance=w, reference=[1.0, 0.0]
-    )
+    controller = OffsetFreeMPC(regulator, [[1.0, 0.0]])
+    run = simulate(PLANT, controller, x0=np.zeros((2, 2)), steps=60, disturbance=w, reference=[1.0, 0.0])
     np.testing.assert_allclose(run.states[:, -1, 0], 1.0, atol=1e-3)
     plain = simulate(PLANT, LQR, x0=np.zeros((2, 2)), steps=60, disturbance=w)
     assert (np.abs(plain.states[:, -1, 0]) > 0.05).all()
