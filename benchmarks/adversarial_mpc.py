@@ -291,6 +291,64 @@ def bench_plants(count, seed):
     print(f"| median, largest time of a first solve [ms] | {1e3 * np.median(times):.1f}, {1e3 * max(times):.0f} |")
 
 
+class Scaled:
+    """The same set in other units: v = units * v'."""
+
+    def __init__(self, given, units):
+        self.A = given.A * units
+        self.b = given.b
+
+
+def in_other_units(data, x, signals, units):
+    """The same problem with states in sx, inputs in su and cost in c: (data, state, signals)."""
+    sx, su, c = units  # x = sx * x', u = su * u', cost = c * cost'
+    other = dict(data)
+    other["A"] = data["A"] / sx[:, None] * sx
+    other["B"] = data["B"] / sx[:, None] * su
+    other["Q"] = data["Q"] * np.outer(sx, sx) / c
+    other["R"] = data["R"] * np.outer(su, su) / c
+    for name, size in (("X", sx), ("terminal_set", sx), ("U", su)):
+        if name in data:
+            other[name] = Scaled(data[name], size)
+    if "rate_limit" in data:
+        other["rate_limit"] = data["rate_limit"] / su
+    if "soft" in data:
+        other["soft"] = tuple(np.array(data["soft"]) / c)
+    return other, x / sx, {name: value / su for name, value in signals.items()}
+
+
+def bench_units(count, seed):
+    """The same problems in units 1e-8 … 1e8 of states and inputs and 1e-12 … 1e12 of the cost."""
+    faults, compared = Counter(), 0
+    for i in range(count):
+        rng = np.random.default_rng([seed, 1, i])
+        data, x, signals = random_case(rng)
+        if rng.random() < 0.7:
+            data["horizon"] = int(rng.integers(3, 16))
+        x = x * 10.0 ** rng.uniform(0, 1)
+        units = 10.0 ** rng.uniform(-8, 8, len(x)), 10.0 ** rng.uniform(-8, 8, data["B"].shape[1]), 10.0 ** rng.uniform(-12, 12)
+        try:
+            base = LinearMPC(**data)
+        except (NotStabilisableError, NotConvexError, InputError):
+            continue
+        plan = base.solve(x, **signals)
+        other_data, other_x, other_signals = in_other_units(data, x, signals, units)
+        compared += 1
+        try:
+            other = LinearMPC(**other_data).solve(other_x, **other_signals)
+        except (NotStabilisableError, NotConvexError, InputError) as error:
+            faults[f"refused in other units: {error}"] += 1
+            continue
+        gap = np.abs(other.inputs[0] * units[1] - plan.inputs[0]) / base.input_extent
+        for fault, found in (("status", other.status is not plan.status), ("first input", gap.max() > 1e-4)):
+            if found:
+                faults[fault] += 1
+                print(f"  case {i}: {fault}; {plan!r} and {other!r}; gap {gap.max():.1e} soft={base.soft}", flush=True)
+    print(f"\n| {compared} random problems in other units | count |\n|---|---|")
+    for name, number in faults.items():
+        print(f"| {name} | {number} |")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("parts", nargs="*", default=["plants"])

@@ -68,11 +68,11 @@ def as_weight(name: str, value: ArrayLike, n: int) -> Array:
     return symmetric
 
 
-def as_horizon(value: Any) -> int:
-    """Return the horizon as a positive int."""
+def as_count(name: str, value: Any) -> int:
+    """Return a positive int."""
     whole = isinstance(value, Integral) or (isinstance(value, Real) and float(value).is_integer())
     if isinstance(value, (bool, np.bool_)) or not whole or not 1 <= value < 2**31:
-        raise InputError("horizon", _brief(value), "an integer >= 1")
+        raise InputError(name, _brief(value), "an integer >= 1")
     return int(value)
 
 

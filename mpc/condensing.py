@@ -14,6 +14,8 @@ from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.problem import MPCProblem
 from mpc.tolerances import DEFINITE
 
+_MOST_NUMBERS = 2e8  # entries of the prediction and cost matrices above which building the QP is refused (1.6 GB)
+
 
 def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> ParametricQP:
     """QP of `problem` in the free inputs, with the states eliminated.
@@ -35,6 +37,11 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
         The condensed Hessian is not positive definite.
     """
     layout = _Layout(problem, _sizes(problem, parameters))
+    if problem.horizon * problem.nx * layout.nv + layout.nv**2 > _MOST_NUMBERS:
+        raise InputError(
+            "horizon", problem.horizon, f"matrices of at most {_MOST_NUMBERS:.0e} numbers",
+            'Shorten it, block moves, or keep the states with solver="osqp".',
+        )  # fmt: skip
     nt, nv, at = layout.nt, layout.nv, layout.at
     U, X = _predict(problem, layout)
     W = _cost(problem, U, X, at, nv)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass
 from typing import Any
@@ -148,21 +149,25 @@ class DenseQP:
 
     def _residuals(self, z: Array, y: Array, q: Array, b: Array) -> Residuals:
         """Relative KKT residuals, from the scaled data alone."""
-        # where everything vanishes, as at the origin, the bounds say what is small
-        tiny = max(NEGLIGIBLE * _middle(b), np.finfo(float).tiny)
+        tiny = NEGLIGIBLE  # of the bounds, which say what is small where everything vanishes, as at the origin
         Hz = self._H @ z
         Gy = y @ self._G
-        Gz = self._G @ z
-        force = max(np.abs(Hz).max(initial=0.0), np.abs(q).max(initial=0.0), np.abs(Gy).max(initial=0.0), tiny)
-        size = np.maximum(np.abs(b), max(np.abs(z).max(initial=0.0), tiny))
-        active = max(np.abs(y).max(initial=0.0), force)
+        over = self._G @ z - b
         with np.errstate(invalid="ignore", over="ignore"):
+            force = max(_length(Hz), _length(q), _length(Gy), tiny)
+            size = np.maximum(np.abs(b), max(_length(z), tiny))
+            active = max(_length(y), force)
             return Residuals(
-                stationarity=float(np.abs(Hz + q + Gy).max(initial=0.0) / force),
-                primal=float(np.max((Gz - b) / size, initial=0.0)),
-                dual=float(np.max(-y, initial=0.0) / active),
-                complementarity=float(np.max(np.abs(y * (Gz - b)) / (active * size), initial=0.0)),
+                stationarity=_length(Hz + q + Gy) / force,
+                primal=float((over / size).max(initial=0.0)),
+                dual=max(-float(y.min(initial=0.0)), 0.0) / active,
+                complementarity=_length(y * over / size) / active,
             )
+
+
+def _length(v: Array) -> float:
+    """Euclidean norm."""
+    return math.sqrt(v @ v)
 
 
 def _typical(b: Array) -> float:
@@ -171,8 +176,3 @@ def _typical(b: Array) -> float:
     if not len(sizes):
         return 1.0
     return max(float(np.partition(sizes, len(sizes) // 10)[len(sizes) // 10]), np.finfo(float).tiny)
-
-
-def _middle(b: Array) -> float:
-    """Median of |b|, or 0 without rows."""
-    return float(np.partition(np.abs(b), len(b) // 2)[len(b) // 2]) if len(b) else 0.0

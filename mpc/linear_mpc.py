@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,10 +19,13 @@ from mpc.plan import Plan
 from mpc.problem import MPCProblem
 from mpc.solve_arguments import for_each_state, spread_signals
 from mpc.solving import CondensedSolver
+from mpc.sparse_qp import SparseSolver
 
 if TYPE_CHECKING:
     from mpc.explicit.explicit import ExplicitMPC
     from mpc.infeasibility import Explanation
+
+SOLVERS = ("daqp", "osqp", "clarabel")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,6 +61,9 @@ class LinearMPC(MPCProblem):
         linear >= 0, quadratic > 0.
     blocks : tuple of int, optional
         Move blocking: lengths of the blocks over which the input is held, summing to N.
+    solver : str
+        "daqp": active-set, on the condensed QP, fastest for up to some hundred inputs over the horizon. "osqp" or
+        "clarabel": with the states kept, for long horizons and many states. Each with a second solver behind it.
     uses : tuple of str, optional
         "reference" or "preview": what a closed loop is to hand over at every step, see `needs`.
 
@@ -71,17 +78,22 @@ class LinearMPC(MPCProblem):
     >>> u = controller(x)
     """
 
+    solver: str = field(default="daqp", kw_only=True)
     uses: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "uses", _checked_uses(self.uses, self.nw))
-        self._solvers[()] if self.rate_limit is None else self._solvers[("u_prev",)]  # builds the QP: fails here
+        if not isinstance(self.solver, str) or self.solver not in SOLVERS:
+            raise InputError("solver", repr(self.solver), f"one of {SOLVERS}")
+        self._solver_for(("u_prev",) if self.rate_limit is not None else ())  # builds the QP: fails here
 
     def __repr__(self) -> str:
-        qp = self._solvers[() if self.rate_limit is None else ("u_prev",)].qp
-        size = f"{qp.nz} variables, {qp.m} constraints"
-        return f"LinearMPC({self.nx} states, {self.nu} inputs, N={self.horizon}, {size})"
+        size = f"{self.nx} states, {self.nu} inputs, N={self.horizon}"
+        if self.solver != "daqp":
+            return f"LinearMPC({size}, {self.solver})"
+        qp = self._condensed[("u_prev",) if self.rate_limit is not None else ()].qp
+        return f"LinearMPC({size}, {qp.nz} variables, {qp.m} constraints)"
 
     @property
     def needs(self) -> frozenset[str]:
@@ -134,7 +146,7 @@ class LinearMPC(MPCProblem):
         start = time.perf_counter()
         x = as_array("x", x, (self.nx,))
         given = spread_signals(self, {"u_prev": u_prev, "x_ref": x_ref, "u_ref": u_ref, "w": w})
-        return self._solvers[tuple(sorted(given))].plan(x, given, start)
+        return self._solver_for(tuple(sorted(given))).plan(x, given, start)
 
     def solve_many(self, X: ArrayLike, **signals: ArrayLike) -> list[Plan]:
         """One plan per row of X (n, nx), in order, each warm-started from the one before it.
@@ -144,7 +156,9 @@ class LinearMPC(MPCProblem):
         """
         rows = as_array("X", X, (None, self.nx))
         each = for_each_state(self, signals, len(rows))
-        return [self._solvers[tuple(sorted(given))].plan(x, given, time.perf_counter()) for x, given in zip(rows, each)]
+        return [
+            self._solver_for(tuple(sorted(given))).plan(x, given, time.perf_counter()) for x, given in zip(rows, each)
+        ]
 
     def __call__(self, x: ArrayLike, **signals: ArrayLike) -> Array:
         """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu); finite for every finite x."""
@@ -172,7 +186,7 @@ class LinearMPC(MPCProblem):
 
         x = as_array("x", x, (self.nx,))
         given = spread_signals(self, dict(signals))
-        solver = self._solvers[tuple(sorted(given))]
+        solver = self._condensed[tuple(sorted(given))]
         return explain_infeasibility(self, solver.qp, solver.theta(x, given))
 
     def explicit(
@@ -206,25 +220,35 @@ class LinearMPC(MPCProblem):
         partition = solve_mpqp(problem, theta_set, max_regions=max_regions, time_limit=time_limit)
         return ExplicitMPC.from_partition(partition, self.input_rows)
 
+    def _solver_for(self, parameters: tuple[str, ...]) -> CondensedSolver | SparseSolver:
+        """The solver for a combination of signals."""
+        return (self._condensed if self.solver == "daqp" else self._sparse)[parameters]
+
     @cached_property
-    def _solvers(self) -> _Solvers:
-        return _Solvers(self)
+    def _condensed(self) -> _Built[CondensedSolver]:
+        return _Built(partial(CondensedSolver, self))
+
+    @cached_property
+    def _sparse(self) -> _Built[SparseSolver]:
+        return _Built(partial(SparseSolver, self, solver=self.solver))
 
 
-class _Solvers(dict[tuple[str, ...], CondensedSolver]):
-    """The solver for each combination of signals, built when first asked for."""
+Solver = TypeVar("Solver", CondensedSolver, SparseSolver)
 
-    def __init__(self, problem: MPCProblem):
+
+class _Built(dict[tuple[str, ...], Solver]):
+    """The solver for each combination of signals, built when first asked for; copies build theirs anew."""
+
+    def __init__(self, build: Callable[[tuple[str, ...]], Solver]):
         super().__init__()
-        self._problem = problem
+        self._build: Callable[[tuple[str, ...]], Solver] = build
 
-    def __missing__(self, parameters: tuple[str, ...]) -> CondensedSolver:
-        self[parameters] = CondensedSolver(self._problem, parameters)
+    def __missing__(self, parameters: tuple[str, ...]) -> Solver:
+        self[parameters] = self._build(parameters)
         return self[parameters]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copies build their solvers anew."""
-        return _Solvers, (self._problem,)
+        return _Built, (self._build,)
 
 
 def _checked_uses(value: Any, nw: int) -> tuple[str, ...]:

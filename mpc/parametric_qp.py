@@ -154,6 +154,8 @@ class ParametricQP:
 
     def without(self, rows: Iterable[int]) -> ParametricQP:
         """Return the problem without some of its constraints."""
+        if not isinstance(rows, Iterable):
+            raise InputError("rows", repr(rows), "the numbers of constraints")
         dropped = {self._row(i) for i in rows}
         kept = [i for i in range(self.m) if i not in dropped]
         return replace(self, G=self.G[kept], w=self.w[kept], S=self.S[kept], labels=tuple(self.labels[i] for i in kept))

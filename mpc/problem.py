@@ -13,8 +13,8 @@ from mpc.checks import (
     Array,
     as_array,
     as_blocks,
+    as_count,
     as_halfspaces,
-    as_horizon,
     as_pair,
     as_rate_limit,
     as_set,
@@ -25,8 +25,6 @@ from mpc.exceptions import InputError
 from mpc.halfspaces import along_axes, is_empty
 from mpc.lqr import lqr
 from mpc.tolerances import SMALL_BOUND
-
-_MOST_NUMBERS = 2e8  # entries of the prediction matrix above which building the QP is refused (1.6 GB)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,10 +65,9 @@ class MPCProblem:
     def __post_init__(self) -> None:
         A, B = as_pair(self.A, self.B)
         self._set(A=A, B=B, Q=as_weight("Q", self.Q, len(A)), R=as_weight("R", self.R, B.shape[1]))
-        self._set(horizon=as_horizon(self.horizon))
+        self._set(horizon=as_count("horizon", self.horizon))
         self._check_sets()
         self._check_options()
-        self._check_size()
         if self.P is None:
             gain, P = lqr(A, B, Q=self.Q, R=self.R)
             self._set(P=P, given_P=None, riccati_gain=gain)
@@ -103,17 +100,6 @@ class MPCProblem:
             self._set(soft=as_soft(self.soft))
         if self.blocks is not None:
             self._set(blocks=as_blocks(self.blocks, self.horizon))
-
-    def _check_size(self) -> None:
-        """Refuse horizons whose matrices would not fit into memory."""
-        free = len(self.blocks) if self.blocks is not None else self.horizon
-        if self.horizon * self.nx * free * self.nu > _MOST_NUMBERS:
-            raise InputError(
-                "horizon",
-                self.horizon,
-                f"matrices of at most {_MOST_NUMBERS:.0e} numbers",
-                "Shorten it or block moves.",
-            )
 
     @property
     def nx(self) -> int:

@@ -78,8 +78,14 @@ def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> 
 def violation_of(problem: MPCProblem, states: Array) -> float:
     """Largest violation of a state or terminal constraint, in the units of its bound."""
     (H, h), (HT, hT) = problem.state_rows, problem.terminal_rows
-    along = float(np.max(finite(states[1:] @ H.T) - h, initial=0.0))
-    return max(along, float(np.max(finite(HT @ states[-1]) - hT, initial=0.0)))
+    along = _largest(states[1:] @ H.T - h) if len(h) else 0.0
+    return max(along, _largest(HT @ states[-1] - hT)) if len(hT) else along
+
+
+def _largest(excess: Array) -> float:
+    """Largest entry, at least 0; the largest number where it overflows."""
+    largest = float(excess.max())
+    return max(largest, 0.0) if np.isfinite(largest) else float(np.finfo(float).max)
 
 
 def relative_violations(problem: MPCProblem, states: Array) -> Array:

@@ -2,34 +2,19 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
-
 import numpy as np
 
+from mpc.candidates import Candidate, stagewise_candidate
 from mpc.checks import Array
 from mpc.condensing import condense, row_units
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.feedback import block_lengths, stabilising_feedback
 from mpc.halfspaces import nearest_points
-from mpc.plan import Plan, Residuals, Status
+from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.relaxation import inputs_conflict, regulated, relax, saturated_regulator, typical_cost
-from mpc.rollout import Given, cost_of, pushes, relative_violations, rollout, rollout_with_feedback, violation_of
-from mpc.stages import Staging
-from mpc.stagewise import solve_stagewise
-from mpc.tolerances import FEASIBLE, KKT_REPORTED, OVERFLOW, RELAXATION_SHARES, RUNAWAY
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A plan before it is packed: inputs, states, status, residuals and the solver that found it."""
-
-    inputs: Array
-    states: Array
-    status: Status
-    residuals: Residuals
-    solver: str
+from mpc.rollout import Given, pushes, relative_violations, rollout, rollout_with_feedback
+from mpc.tolerances import KKT_REPORTED, OVERFLOW, RUNAWAY, UNIT_CIRCLE
 
 
 class CondensedSolver:
@@ -40,6 +25,7 @@ class CondensedSolver:
         self.qp = condense(problem, parameters)
         self.units = row_units(problem, self.qp.labels)
         self.feedback = stabilising_feedback(problem)
+        self.unstable = float(np.abs(np.linalg.eigvals(problem.A)).max()) > 1 + UNIT_CIRCLE
         # of a long unstable horizon the second form is the stagewise one, see `_in_another_form`
         self.dense = DenseQP(self.qp.H, self.qp.G, self.units, second=self.feedback is None)
 
@@ -57,10 +43,7 @@ class CondensedSolver:
             found = self._solve(x, theta, given, q, b)
             if found is None or not np.isfinite(found.inputs).all():
                 return saturated_regulator(self.problem, x, start)
-            violation = violation_of(self.problem, found.states)
-            cost = cost_of(self.problem, found.inputs, found.states, given)
-        duration = time.perf_counter() - start
-        return Plan(found.inputs, found.states, cost, found.status, found.residuals, violation, duration, found.solver)
+            return found.packed(self.problem, given, start)
 
     def _solve(self, x: Array, theta: Array, given: Given, q: Array, b: Array) -> Candidate | None:
         """The best candidate; None where input constraints contradict each other."""
@@ -108,21 +91,10 @@ class CondensedSolver:
 
     def _in_another_form(self, first: Candidate, x: Array, given: Given, q: Array) -> Candidate:
         """The plan found stage by stage, for an unstable plant and where that converges; otherwise the first one."""
-        second = None if self.feedback is None else self._stage_by_stage(first.inputs, x, given, q)
+        second = self._stage_by_stage(first.inputs, x, given, q) if self.unstable else None
         return first if second is None else second
 
     def _stage_by_stage(self, inputs: Array, x: Array, given: Given, q: Array) -> Candidate | None:
-        """The plan of `solve_stagewise`, with hard state constraints as squared violations; None if it did not end."""
-        problem = self.problem
-        price = problem.soft
-        if price is None and len(problem.state_rows[1]) + len(problem.terminal_rows[1]):
-            price = (0.0, typical_cost(self.qp, problem.input_extent, q) / RELAXATION_SHARES[0])
-        staging = Staging(problem, x, given, price)
-        found = solve_stagewise(staging.stages, staging.start, staging.first_guess(inputs))
-        if not found.converged:
-            return None
-        inputs, states = staging.plan(found.states, found.variables, x)
-        violated = problem.soft is None and relative_violations(problem, states).max() > FEASIBLE
-        status = Status.SOFTENED if violated else Status.SOLVED
-        residuals = Residuals(found.step, found.violation, 0.0, 0.0)
-        return Candidate(inputs, states, status, residuals, "stagewise")
+        """The plan found stage by stage; None if that did not converge."""
+        typical = typical_cost(self.qp, self.problem.input_extent, q)
+        return stagewise_candidate(self.problem, x, given, inputs, typical)

@@ -19,6 +19,7 @@ from mpc.stages import Stage
 from mpc.tolerances import BARRIER_STOP, ROUNDING, SLACK_FLOOR, STAGEWISE
 
 _MOST_STEPS = 200
+_PATIENCE = 2  # steps without gain after which a plan that is good enough is taken
 _TO_BOUNDARY = 0.995  # share of the longest step that keeps slacks and multipliers positive
 Arrays = list[Array]
 
@@ -157,12 +158,19 @@ class _Iteration:
 def solve_stagewise(stages: list[Stage], start: Array, variables: Arrays) -> StagewiseResult:
     """Solution from the scaled first state and a first guess of the variables of every stage."""
     at = _Iteration(stages, start, variables)
-    step = np.inf
+    best = StagewiseResult(at.states, list(at.variables), np.inf, at.violation)
+    waited = 0
     for _ in range(_MOST_STEPS):
         affine = [w * r for w, r in zip(at.weights, at.residuals)]
         predictor = at.direction(affine)
         step = max(float(np.abs(f[: st.nu]).max(initial=0.0)) for st, f in zip(stages, predictor.forward))
-        if not np.isfinite(step + at.violation) or max(step, at.violation) <= BARRIER_STOP:
+        if not np.isfinite(step + at.violation):
+            break
+        waited += 1
+        if max(step, at.violation) < max(best.step, best.violation):
+            best = StagewiseResult(at.states, list(at.variables), step, at.violation)
+            waited = 0
+        if max(step, at.violation) <= BARRIER_STOP or (best.converged and waited > _PATIENCE):
             break
         mean = at.mean_product()
         share = at.mean_product(predictor, at.longest(predictor)) / mean if mean > 0 else 0.0
@@ -173,8 +181,7 @@ def solve_stagewise(stages: list[Stage], start: Array, variables: Arrays) -> Sta
         ]
         direction = at.direction(centred)
         at.move(direction, min(1.0, _TO_BOUNDARY * at.longest(direction)))
-    step = step if np.isfinite(step) else np.inf
-    return StagewiseResult(at.states, at.variables, step, at.violation)
+    return best
 
 
 def _inverse(M: Array) -> Array:

@@ -20,6 +20,9 @@ PRIMAL = 1e-9
 INTERIOR_POINT = 1e-11
 """Residuals and gap at which Clarabel stops, on scaled data [-]."""
 
+OSQP = 1e-7
+"""Absolute and relative tolerance at which OSQP stops, on scaled data; its answer is polished afterwards [-]."""
+
 FEASIBLE = 1e-6
 """Violation, relative to the unit of its row, up to which a problem counts as feasible [-]. Well above what the LP and
 QP solvers themselves accept on scaled rows (1e-7 and `PRIMAL`), so that their rounding never decides."""
@@ -32,7 +35,7 @@ FAR_BOUND = 1e-7
 [-]."""
 
 NEGLIGIBLE = 1e-6
-"""Part of the median bound below which forces and steps count as zero in the residuals [-]."""
+"""Part of the bounds below which forces and steps count as zero in the residuals [-]."""
 
 # ---- weights and definiteness ----
 

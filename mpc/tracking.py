@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 
-from mpc.checks import Array, as_array, as_floats
+from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.exceptions import InputError
 from mpc.linear_mpc import LinearMPC
@@ -219,7 +219,7 @@ class OffsetFreeLoop:
 
     def reset(self, n: int = 1) -> None:
         """Forget the last states and start from the controller's own estimate."""
-        self._each = [self.controller] * n
+        self._each = [self.controller] * as_count("n", n)
         self._last: Array | None = None
 
     def __call__(self, x: ArrayLike, **signals: Any) -> Array:
@@ -227,19 +227,17 @@ class OffsetFreeLoop:
         states = as_floats("x", x)
         single = states.ndim == 1
         states = as_array("x", np.atleast_2d(states), (len(self._each), self.controller.mpc.nx))
-        last_input = signals.get("u_prev")
-        if self._last is not None and last_input is not None:
-            applied = as_array(
-                "u_prev", np.reshape(last_input, (len(states), -1)), (len(states), self.controller.mpc.nu)
-            )
+        applied = self._applied(signals.pop("u_prev", None))
+        if self._last is not None:
             self._each = [c.observe(*step) for c, *step in zip(self._each, self._last, applied, states)]
         self._last = states
-        u = np.array([c(s, **self._of_run(signals, i)) for i, (c, s) in enumerate(zip(self._each, states))])
+        limited = self.controller.mpc.rate_limit is not None
+        own = [{"u_prev": u} if limited else {} for u in applied]  # references are shared, the last input is not
+        u = np.array([c(s, **signals, **mine) for c, s, mine in zip(self._each, states, own)])
         return u[0] if single else u
 
-    def _of_run(self, signals: dict[str, Any], i: int) -> dict[str, Any]:
-        """The signals of one run: references are shared, the last input is its own."""
-        mine = {name: value for name, value in signals.items() if name != "u_prev"}
-        if "last_input" in self.controller.needs:
-            mine["u_prev"] = np.reshape(signals["u_prev"], (len(self._each), -1))[i]
-        return mine
+    def _applied(self, u_prev: Any) -> Array:
+        """The last inputs (n, nu) of all runs, checked."""
+        if u_prev is None:
+            raise InputError("u_prev", "nothing", "the input that was applied one step ago", "Before the first: zeros.")
+        return as_array("u_prev", np.atleast_2d(as_floats("u_prev", u_prev)), (len(self._each), self.controller.mpc.nu))
