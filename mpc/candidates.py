@@ -40,12 +40,14 @@ def stagewise_candidate(
     Hard state constraints become squared violations, weighed against the typical cost; where all of them hold, the
     problem was feasible.
     """
-    price = problem.soft
-    if price is None and len(problem.state_rows[1]) + len(problem.terminal_rows[1]):
-        price = (0.0, typical_cost / RELAXATION_SHARES[0])
-    staging = Staging(problem, x, given, price)
-    found = solve_stagewise(staging.stages, staging.start, staging.first_guess(inputs))
-    if not found.converged:
+    hard = problem.soft is None and len(problem.state_rows[1]) + len(problem.terminal_rows[1]) > 0
+    shares = (RELAXATION_SHARES[0], RELAXATION_SHARES[-1]) if hard else (1.0,)
+    for share in shares:  # a weight too stiff to solve is followed by a lower one
+        staging = Staging(problem, x, given, (0.0, typical_cost / share) if hard else problem.soft)
+        found = solve_stagewise(staging.stages, staging.start, staging.first_guess(inputs))
+        if found.converged:
+            break
+    else:
         return None
     inputs, states = staging.plan(found.states, found.variables, x)
     violated = problem.soft is None and relative_violations(problem, states).max() > FEASIBLE

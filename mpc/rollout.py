@@ -47,6 +47,18 @@ def rollout_with_feedback(
     return inputs, states, max(missed, rate_excess(problem, inputs, given))
 
 
+def admissible(problem: MPCProblem, inputs: Array, given: Given) -> Array:
+    """Inputs within U and the rate limit that follow the given ones."""
+    followed = nearest_points(np.nan_to_num(inputs), *problem.input_rows)
+    if problem.rate_limit is None:
+        return followed
+    last = given["u_prev"]
+    for k, wanted in enumerate(followed):
+        share = np.max(np.abs(wanted - last) / problem.rate_limit, initial=1.0)
+        last = followed[k] = last + (wanted - last) / share  # between two inputs of U, so in U
+    return followed
+
+
 def rate_excess(problem: MPCProblem, inputs: Array, given: Given) -> float:
     """Largest change of an input beyond the rate limit, relative to it [-]."""
     if problem.rate_limit is None:

@@ -9,11 +9,10 @@ from mpc.checks import Array
 from mpc.condensing import condense, row_units
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.feedback import block_lengths, stabilising_feedback
-from mpc.halfspaces import nearest_points
 from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.relaxation import inputs_conflict, regulated, relax, saturated_regulator, typical_cost
-from mpc.rollout import Given, pushes, relative_violations, rollout, rollout_with_feedback
+from mpc.rollout import Given, admissible, pushes, relative_violations, rollout, rollout_with_feedback
 from mpc.tolerances import KKT_REPORTED, OVERFLOW, RUNAWAY, UNIT_CIRCLE
 
 
@@ -76,7 +75,7 @@ class CondensedSolver:
             inputs = self.qp.inputs(result.z, theta)
             states = self.qp.states(result.z, theta)
         if not accurate:
-            inputs = nearest_points(np.nan_to_num(inputs), *self.problem.input_rows)
+            inputs = admissible(self.problem, inputs, given)
             states = rollout(self.problem, x, inputs, given)
         return Candidate(inputs, states, status if accurate else Status.INACCURATE, result.residuals, result.solver)
 

@@ -11,11 +11,10 @@ from scipy import sparse
 from mpc.candidates import Candidate, stagewise_candidate
 from mpc.checks import Array
 from mpc.feedback import stabilising_feedback
-from mpc.halfspaces import nearest_points
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
 from mpc.relaxation import inputs_conflict, regulated, saturated_regulator
-from mpc.rollout import Given, pushes, relative_violations, rollout, rollout_with_feedback
+from mpc.rollout import Given, admissible, pushes, relative_violations, rollout, rollout_with_feedback
 from mpc.stages import Staging
 from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERFLOW
 
@@ -163,9 +162,9 @@ class SparseSolver:
             starts = np.flatnonzero(~self._staging.held)
             deviations = inputs[starts] + np.einsum("bij,bj->bi", self.feedback, predicted[starts])
             return rollout_with_feedback(self.problem, x, deviations, self.feedback, given)
-        admissible = nearest_points(inputs, *self.problem.input_rows)
-        missed = float(np.abs((admissible - inputs) / self._staging.input_size).max())
-        return admissible, rollout(self.problem, x, admissible, given), missed
+        within = admissible(self.problem, inputs, given)
+        missed = float(np.abs((within - inputs) / self._staging.input_size).max())
+        return within, rollout(self.problem, x, within, given), missed
 
 
 def _matrices(staging: Staging) -> tuple[Any, Any]:

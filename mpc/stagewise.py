@@ -18,7 +18,7 @@ from mpc.checks import Array
 from mpc.stages import Stage
 from mpc.tolerances import BARRIER_STOP, ROUNDING, SLACK_FLOOR, STAGEWISE
 
-_MOST_STEPS = 200
+_MOST_STEPS = 100
 _PATIENCE = 2  # steps without gain after which a plan that is good enough is taken
 _TO_BOUNDARY = 0.995  # share of the longest step that keeps slacks and multipliers positive
 Arrays = list[Array]
@@ -187,4 +187,5 @@ def solve_stagewise(stages: list[Stage], start: Array, variables: Arrays) -> Sta
 def _inverse(M: Array) -> Array:
     """Inverse of a symmetric positive definite matrix, scaled to a unit diagonal."""
     scale = 1 / np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
-    return np.asarray(np.linalg.pinv(M * scale * scale[:, None], hermitian=True) * scale * scale[:, None])
+    regular = M * scale * scale[:, None] + ROUNDING * np.eye(len(M))
+    return np.asarray(np.linalg.inv(regular) * scale * scale[:, None])

@@ -117,7 +117,7 @@ STEADY = 1e-9
 
 # ---- stage-by-stage solution, in scaled variables ----
 
-STAGEWISE = 1e-7
+STAGEWISE = 1e-6
 """Largest Newton step of an input, in units of its limits, at which a stagewise plan counts as solved [-]."""
 
 BARRIER_STOP = 1e-9
