@@ -118,7 +118,7 @@ def test_the_target_says_when_no_steady_state_exists():
     stuck = LinearMPC([[1.0, 0.0], [0.0, 0.5]], [[0.0], [1.0]], Q=1.0, R=1.0, horizon=5, P=np.eye(2), U=(-1, 1),
                       X=([-5, -5], [5, 5]), E=np.eye(2))  # fmt: skip
     controller = OffsetFreeMPC(stuck, [[0.0, 1.0]], disturbance=[0.3, 0.1])  # nothing balances the first push
-    with pytest.raises(InputError, match="no steady state in X and U .* drifts by"):
+    with pytest.raises(InputError, match=r"no steady state in X and U .* drifts by"):
         controller.target([0.5])
     best = controller.nearest_target([0.5])
     assert not best.steady

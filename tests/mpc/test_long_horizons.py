@@ -1,5 +1,7 @@
 """Unstable plants over long horizons: true statuses, and plans that say what their inputs do."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from adversarial_mpc import promises, random_case, verdict
@@ -58,7 +60,7 @@ def test_blocks_of_moves_over_a_long_horizon_of_an_unstable_plant(blocks):
     plan = mpc.solve([0.1, -0.1])
     assert plan.status is Status.SOLVED
     starts = np.cumsum([0, *blocks])
-    for start, end in zip(starts[:-1], starts[1:]):
+    for start, end in pairwise(starts):
         np.testing.assert_array_equal(plan.inputs[start:end], np.tile(plan.inputs[start], (end - start, 1)))
 
 

@@ -77,7 +77,7 @@ def test_regulators_are_the_same_in_other_units_and_coordinates():
         n, m = int(rng.integers(1, 6)), int(rng.integers(1, 4))
         A, B = rng.normal(size=(n, n)), rng.normal(size=(n, m))
         Q, R = np.diag(rng.uniform(0.1, 10, n)), np.diag(rng.uniform(0.1, 10, m))
-        K, P = lqr(A, B, Q=Q, R=R)
+        K, _ = lqr(A, B, Q=Q, R=R)
         sx, su, c = 10.0 ** rng.uniform(-8, 8, n), 10.0 ** rng.uniform(-8, 8, m), 10.0 ** rng.uniform(-12, 12)
         other, _ = lqr(
             A / sx[:, None] * sx, B / sx[:, None] * su, Q=Q * np.outer(sx, sx) / c, R=R * np.outer(su, su) / c
