@@ -191,7 +191,7 @@ class LinearMPC(MPCProblem):
 
     def explicit(
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,
-        time_limit: float = np.inf,
+        time_limit: float = np.inf, method: str = "tree", tree_time_limit: float = 10.0,
     ) -> ExplicitMPC:  # fmt: skip
         """The same law as a function of the state, computed for every state in advance.
 
@@ -203,8 +203,11 @@ class LinearMPC(MPCProblem):
         parameters : tuple of str
             Further quantities to leave open, see `build`.
         max_regions, time_limit : int and float
-            Limits, see `solve_mpqp`. The search tree that follows is not limited: 3 s for 800 regions in four
-            parameters, growing with the square of their number.
+            Limits on the regions, see `solve_mpqp`.
+        method : "tree" or "sequential"
+            How regions are found, see `ExplicitMPC.from_partition`.
+        tree_time_limit : float
+            Wall time for the search tree [s]; a tree that is stopped gives the same law, more slowly.
 
         Raises
         ------
@@ -218,7 +221,9 @@ class LinearMPC(MPCProblem):
         if theta_set is None:
             theta_set = default_parameters(self, problem)
         partition = solve_mpqp(problem, theta_set, max_regions=max_regions, time_limit=time_limit)
-        return ExplicitMPC.from_partition(partition, self.input_rows)
+        return ExplicitMPC.from_partition(
+            partition, self.input_rows, method=method, tree_time_limit=tree_time_limit
+        )
 
     def _solver_for(self, parameters: tuple[str, ...]) -> CondensedSolver | SparseSolver:
         """The solver for a combination of signals."""

@@ -136,3 +136,77 @@ TARGET_COST = 1e-8
 
 TARGET_DRIFT = 1e-6
 """Weight of the output error beside the squared drift where no state is steady [-]."""
+
+# ---- explicit laws: the multiparametric QP in scaled coordinates (unit rows, parameters in [-1, 1]) ----
+
+FLAT_INTERVAL = 1e-9
+"""Width of a parameter's interval, relative to its largest value, below which the parameter set is flat [-]."""
+
+REGION_RADIUS = 1e-7
+"""Radius of a ball below which a critical region counts as flat, scaled parameters [-]."""
+
+SAME_PLANE = 1e-7
+"""Difference of unit normals and offsets below which two facets lie on the same hyperplane [-]."""
+
+ZERO_ROW = 1e-10
+"""Normal of a multiplier or slack law, relative to what the size of the variables allows, below which it is zero [-];
+for its constant, ten times as much."""
+
+DEPENDENT_ROW = 1e-10
+"""Squared distance of a unit row from the span of others below which it depends on them [-]."""
+
+EXCHANGE = 1e-9
+"""Least coefficient of a dependent row on a member of the active set that can leave for it [-]."""
+
+DUPLICATE = 1e-9
+"""Difference of two unit rows below which only the tighter of them is kept [-]."""
+
+EQUALITY = 1e-11
+"""Distance of two opposite unit rows, in units of the bounds, below which they make an equality [-]."""
+
+IMPLIED_EQUALITY = 1e-8
+"""Largest slack of a row over a set without interior below which the row holds with equality [-]."""
+
+REDUNDANT = 1e-9
+"""How far a unit row may cut into the set of the others and still count as redundant [-]."""
+
+VANISHING_ROW = 1e-14
+"""Effect of the inputs on a row, relative to that of the parameters, below which the row restricts parameters only."""
+
+OPTIMAL_SET = 1e-10
+"""Violation of a unit row accepted, and relative multiplier dropped, in the QP at one parameter [-]."""
+
+PROJECTION = 1e-13
+"""Violation of a unit row accepted when a point is projected onto a region, scaled parameters [-]."""
+
+INSETS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
+"""Distances from all constraints tried in turn when a feasible parameter is sought, scaled [-]."""
+
+CROSSING = 1e-5
+"""Distance behind a facet at which the QP is solved to find the neighbour, scaled parameters [-]."""
+
+TIE = 1e-8
+"""Shift of the bounds that decides between active sets which are optimal together, in units of the bounds [-]."""
+
+# ---- explicit laws: point location ----
+
+INSIDE = 1e-7
+"""Distance outside a region, scaled parameters, at which a parameter still counts as inside [-]."""
+
+INSIDE_FLOAT = 1e-5
+"""The same in generated code of single precision [-]."""
+
+SIDE = 1e-9
+"""How far a region must reach across a hyperplane to lie on that side of it too, scaled parameters [-]."""
+
+SAME_HYPERPLANE_DIGITS = 8
+"""Decimal digits in which unit normals and offsets agree that are stored once."""
+
+EQUAL_LAW = 1e-9
+"""Difference of two laws of one input, relative to the values that input takes, below which they are one [-]."""
+
+LAW_ROUNDING = 1e-13
+"""The same, relative to the largest coefficient of that input: what rounding may change [-]."""
+
+FAR_AWAY = 4.0
+"""Distance from the centre, scaled parameters, beyond which only the direction of a parameter counts [-]."""

@@ -1,71 +1,123 @@
-"""Pairs of inequalities that make an equality, and their elimination: an exploration needs a set with an interior."""
+"""Inequalities that hold with equality everywhere, and their elimination: an exploration needs an interior."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import null_space
+from scipy.optimize import linprog
 
-from mpc.checks import Array
 from mpc.exceptions import InputError
-from mpc.parametric_qp import ParametricQP
+from mpc.explicit.scaled_qp import ScaledQP, with_parameter_rows
+from mpc.parametric_qp import Constraint
+from mpc.tolerances import EQUALITY, IMPLIED_EQUALITY, REDUNDANT, ZERO_ROW
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 
-def equality_pairs(problem: ParametricQP) -> list[tuple[int, int]]:
-    """Rows (i, j) with G_i = -G_j, S_i = -S_j and w_i = -w_j, up to their length."""
-    rows = np.hstack([problem.G / np.sqrt(np.diag(problem.H)), problem.S, problem.w[:, None]])
-    length = np.linalg.norm(rows[:, : problem.nz], axis=1)
-    pairs, known = [], {}
-    for i in np.flatnonzero(length > 0):
-        row = np.round(rows[i] / length[i], 9) + 0.0
-        known[row.tobytes()] = int(i)
-        opposite = known.get((-row + 0.0).tobytes())
-        if opposite is not None:
-            pairs.append((opposite, int(i)))
-    return pairs
+class FlatParameters(InputError):
+    """The equalities can be met at a flat set of parameters only."""
 
 
-def eliminate(problem: ParametricQP, pairs: list[tuple[int, int]]) -> tuple[ParametricQP, Array, Array, Ints]:
-    """The problem in the free directions y of the equalities: z = N y + T [θ; 1].
+class ImpliedEqualities(NamedTuple):
+    """Rows of M that hold with equality at every feasible point, and whether a row of the parameter set does."""
 
-    Returns
-    -------
-    reduced : ParametricQP
-        Without the rows of the pairs.
-    N, T : (nz, ny) and (nz, nt + 1) array
-        How z follows.
-    origin : int array
-        Row of the original problem behind each row of the reduced one.
+    rows: Ints
+    of_parameters: bool
+
+
+
+
+def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
+    """Pairs of rows of M that are opposite, with opposite bounds, judged in scaled coordinates."""
+    first, second = np.nonzero(qp.gram < ZERO_ROW - 1)
+    first, second = first[first < second], second[first < second]
+    size = np.maximum(1.0, np.maximum(np.abs(qp.D[first]), np.abs(qp.D[second])).max(axis=1, initial=0.0))
+    apart = np.abs(qp.D[first] + qp.D[second]).max(axis=1, initial=0.0) / size
+    close = (apart < EQUALITY) & (np.abs(qp.M[first] + qp.M[second]).max(axis=1, initial=0.0) < EQUALITY)
+    return [(int(i), int(j)) for i, j in zip(first[close], second[close])]
+
+
+def implied_equalities(qp: ScaledQP) -> ImpliedEqualities | None:
+    """Rows that hold with equality at every feasible point.
+
+    One linear program: the sum of the slacks, each counted up to a tenth, is largest. None when there is no feasible
+    point.
+    """
+    J, h = qp.joint
+    rows, columns = J.shape
+    program = linprog(
+        np.concatenate([np.zeros(columns), -np.ones(rows)]), A_ub=np.hstack([J, np.eye(rows)]), b_ub=h,
+        bounds=[(None, None)] * columns + [(0.0, 0.1)] * rows, method="highs",
+    )  # fmt: skip
+    if program.status != 0:
+        return None
+    slack = h - J @ program.x[:columns]
+    if slack.min() < -IMPLIED_EQUALITY:
+        return None
+    tight = np.flatnonzero(slack <= IMPLIED_EQUALITY)
+    return ImpliedEqualities(tight[tight < len(qp.M)], bool((tight >= len(qp.M)).any()))
+
+
+def irredundant_rows(qp: ScaledQP) -> Ints:
+    """Rows of M without those that the others imply, also where they touch the set."""
+    import daqp
+
+    J, h = qp.joint
+    kept = list(range(len(J)))
+    low = np.full(len(J), -1e30)
+    for i in reversed(range(len(qp.M))):
+        others = [j for j in kept if j != i]
+        # the point of the other constraints that lies farthest across row i within one unit of it
+        normals = np.ascontiguousarray(np.vstack([J[others], J[i]]))
+        bounds = np.concatenate([h[others], [h[i] + 1.0]])
+        point, _, flag, _ = daqp.solve(None, np.ascontiguousarray(-J[i]), normals, bounds, low[: len(bounds)])
+        if flag == 1 and J[i] @ point <= h[i] + REDUNDANT:
+            kept = others
+    return np.array([i for i in kept if i < len(qp.M)], dtype=np.int64)
+
+
+def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...]) -> ScaledQP:
+    """The problem in the directions y that the equalities leave free: v = P y + (least-norm solution) [t; 1].
+
+    The least-norm solution is orthogonal to P, so that the cost stays ½|y|² up to a constant.
+
+    Parameters
+    ----------
+    qp : ScaledQP
+        The problem.
+    equalities : list of int
+        Rows of M that hold with equality.
+    labels : tuple of Constraint
+        Names of the rows of the original problem, for the message.
 
     Raises
     ------
     InputError
-        The equalities leave no freedom in z, or restrict θ itself.
+        The equalities leave no freedom in v, or restrict the parameter.
     """
-    first = [i for i, _ in pairs]
-    G, right = problem.G[first], np.hstack([problem.S[first], problem.w[first, None]])
-    N: Array = np.asarray(null_space(G), dtype=np.float64)
-    T: Array = np.asarray(np.linalg.lstsq(G, right, rcond=None)[0], dtype=np.float64)
-    gap = float(np.abs(G @ T - right).max()) / max(1.0, float(np.abs(right).max()))
-    if N.shape[1] == 0 or gap > 1e-9:
-        raise InputError(
-            f"the equality in constraints {pairs[0][0]} and {pairs[0][1]} "
-            + ("leaves no input free" if gap <= 1e-9 else "cannot be met by the inputs for every parameter")
-            + ": lengthen the horizon, or give the set a width."
-        )
-    Tt, tc = T[:, :-1], T[:, -1]
-    dropped = {i for pair in pairs for i in pair}
-    origin = np.array([i for i in range(problem.m) if i not in dropped], dtype=np.int64)
-    p = problem.without(dropped)
-    HT, cross = p.H @ Tt, Tt.T @ p.F
-    reduced = replace(
-        p, H=N.T @ p.H @ N, F=N.T @ (HT + p.F), f=N.T @ (p.H @ tc + p.f),
-        Y=p.Y + Tt.T @ HT + cross + cross.T, y=p.y + Tt.T @ (p.H @ tc + p.f) + p.F.T @ tc,
-        c=p.c + float(0.5 * tc @ p.H @ tc + p.f @ tc), G=p.G @ N, S=p.S - p.G @ Tt, w=p.w - p.G @ tc,
-        Lz=p.Lz @ N, Lt=p.Lt + p.Lz @ Tt, l=p.l + p.Lz @ tc, Xz=p.Xz @ N, Xt=p.Xt + p.Xz @ Tt, x=p.x + p.Xz @ tc,
+    M, D = qp.M[equalities], qp.D[equalities]
+    U, s, Vt = np.linalg.svd(M)
+    rank = int((s > ZERO_ROW * s[0]).sum())
+    solution = Vt[:rank].T @ ((U[:, :rank].T @ D) / s[:rank, None])
+    gap = float((np.abs(M @ solution - D).max(axis=1) / np.maximum(1.0, np.abs(D).max(axis=1))).max())
+    met = gap <= 10 * IMPLIED_EQUALITY
+    if rank == qp.M.shape[1] or not met:
+        names = ", ".join(str(labels[qp.origin[i]]) for i in equalities[:3])
+        trouble = "leaves no input free" if met else "cannot be met by the inputs for every parameter"
+        cure = "Lengthen the horizon, or give the set a width."
+        kind = InputError if met else FlatParameters
+        raise kind("problem", f"an equality ({names}) that {trouble}", "freedom for the inputs", cure)
+    P = Vt[rank:].T
+    M = qp.M @ P
+    D = qp.D - qp.M @ solution
+    length = np.linalg.norm(M, axis=1)
+    inside = length > ZERO_ROW
+    beside = D[~inside & (np.abs(D).max(axis=1) > IMPLIED_EQUALITY)]  # these rows restrict the parameter
+    TA, Tb = with_parameter_rows(qp.TA, qp.Tb, beside)
+    M = np.ascontiguousarray(M[inside] / length[inside, None])
+    return replace(
+        qp, M=M, D=np.ascontiguousarray(D[inside] / length[inside, None]), tie=qp.tie[inside], gram=M @ M.T, TA=TA,
+        Tb=Tb, origin=qp.origin[inside], back=qp.back @ P, free=qp.free + qp.back @ solution,
     )  # fmt: skip
-    return reduced, N, T, origin

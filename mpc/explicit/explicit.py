@@ -10,17 +10,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mpc.checks import Array, as_floats
+from mpc.checks import Array, as_floats, as_halfspaces
 from mpc.exceptions import InfeasibleError, InputError
-from mpc.explicit.mpqp import MPQPStatus, Partition
-from mpc.explicit.search_tree import Ints, SearchTree, build_tree, locate
+from mpc.explicit.partition import Ints, MPQPStatus, Partition
+from mpc.explicit.search_tree import METHODS, Located, SearchTree, build_tree, find, region_points
 from mpc.halfspaces import nearest_points
+from mpc.tolerances import EQUAL_LAW, LAW_ROUNDING
 
 if TYPE_CHECKING:
     from invariant_sets import Polytope
     from mpc.explicit.codegen.codegen import CodeReport
     from mpc.parametric_qp import ParametricQP
     from mpc.problem import MPCProblem
+
+Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,7 @@ class ExplicitMPC:
     law_number : (n_regions,) int array
         Regions of equal number share their law.
     input_rows : (H, h)
-        Input set {u : Hu <= h} to which the law is saturated outside the partition.
+        Input set {u : Hu <= h}; inputs outside the partition are projected onto it.
     """
 
     partition: Partition
@@ -57,8 +60,26 @@ class ExplicitMPC:
     law_number: Ints
     input_rows: tuple[Array, Array]
 
+    def __post_init__(self) -> None:
+        for name in ("law", "law_number"):
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+        H, h = self.input_rows
+        object.__setattr__(self, "input_rows", (_read_only(H), _read_only(h)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields; what is computed from them is computed anew."""
+        return {name: value for name, value in self.__dict__.items() if name != "regions"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
+
     @classmethod
-    def from_partition(cls, partition: Partition, input_rows: tuple[Array, Array] | None = None) -> ExplicitMPC:
+    def from_partition(
+        cls, partition: Partition, input_rows: tuple[Array, Array] | None = None, *, method: str = "tree",
+        tree_time_limit: float = np.inf,
+    ) -> ExplicitMPC:  # fmt: skip
         """Explicit law of a solved multiparametric QP.
 
         Parameters
@@ -66,26 +87,35 @@ class ExplicitMPC:
         partition : Partition
             Result of `solve_mpqp`; an incomplete one gives a law with holes, which count as outside.
         input_rows : (H, h), optional
-            Input set, for saturation outside.
+            Input set, for inputs outside the partition.
+        method : "tree" or "sequential"
+            How regions are found: by a search tree, or by a scan of all regions, which needs no preparation.
+        tree_time_limit : float
+            Wall time for the search tree [s]. A tree that is stopped gives the same law; leaves that hold many regions
+            are scanned. See `tree.status`.
 
         Raises
         ------
         InfeasibleError
             The partition has no region.
+        InputError
+            Not a partition, an unknown method, or a limit that is not positive.
         """
+        if not isinstance(partition, Partition):
+            raise InputError("partition", type(partition).__name__, "the Partition that solve_mpqp returns")
         if not len(partition):
             raise InfeasibleError(f"the partition has no region: {MPQPStatus.INFEASIBLE.advice}")
         problem, nu = partition.problem, partition.problem.nu
         law = problem.Lz[:nu] @ partition.law
         law[:, :, :-1] += problem.Lt[:nu]
         law[:, :, -1] += problem.l[:nu]
-        number = _law_numbers(law, partition)
+        points = region_points(partition)
+        number = _law_numbers(law, partition, points.points[points.starts[:-1]])
         _, first = np.unique(number, return_index=True)
         law = law[first][number]  # laws that agree up to rounding become one
-        law.flags.writeable = False
-        number.flags.writeable = False
-        rows = (np.zeros((0, nu)), np.zeros(0)) if input_rows is None else input_rows
-        return cls(partition, build_tree(partition, number), law, number, rows)
+        rows = (np.zeros((0, nu)), np.zeros(0)) if input_rows is None else _as_rows(input_rows, nu)
+        tree = build_tree(partition, number, points, method=method, time_limit=tree_time_limit)
+        return cls(partition, tree, law, number, rows)
 
     @property
     def status(self) -> MPQPStatus:
@@ -120,39 +150,43 @@ class ExplicitMPC:
             for a, b, law, active in zip(p.offsets[:-1], p.offsets[1:], self.law, p.active_sets)
         )
 
-    def locate(self, theta: ArrayLike) -> Ints:
+    def locate(self, theta: ArrayLike, *, method: str = "tree") -> Ints:
         """Number of the region of each parameter (n, nt) -> (n,), or (nt,) -> (); -1 outside the partition."""
         points, single = self._points(theta)
-        region, outside = locate(self.tree, self.partition, self._scaled(points))
-        region = np.where(outside, -1, region)
+        found = self._find(points, method)
+        region = np.where(found.outside, -1, found.region)
         return region[0] if single else region
 
-    def evaluate(self, theta: ArrayLike) -> tuple[Array, np.ndarray[Any, np.dtype[np.bool_]]]:
+    def evaluate(self, theta: ArrayLike, *, method: str = "tree") -> tuple[Array, Flags]:
         """First input and whether the parameter lies outside the partition.
 
         Parameters
         ----------
         theta : (n, nt) or (nt,) array
             States, with further parameters behind them where the law has some.
+        method : "tree" or "sequential"
+            By the search tree, or by a scan of all regions; the same inputs.
 
         Returns
         -------
         u : (n, nu) or (nu,) array
-            Outside, the law of a region near by, saturated to the input set.
+            Outside a complete partition, the input where the straight line to `tree.centre` enters it; outside an
+            incomplete one, the law of the nearest region, projected onto the input set.
         outside : (n,) or () bool array
             True where no region holds the parameter: there the problem is infeasible, or not of interest.
 
         Raises
         ------
         InputError
-            Wrong shape, or NaN.
+            Wrong shape, NaN, or an unknown method.
         """
         from mpc.explicit.kernels.search import apply
 
         points, single = self._points(theta)
-        region, outside = locate(self.tree, self.partition, self._scaled(points))
+        found = self._find(points, method)
+        outside = found.outside
         u = np.empty((len(points), self.nu))
-        apply(points, region, self.law, u)
+        apply(points, found, self.partition.centre, self.partition.half, self.law, u)
         u[outside] = nearest_points(u[outside], *self.input_rows)
         return (u[0], outside[0]) if single else (u, outside)
 
@@ -163,11 +197,12 @@ class ExplicitMPC:
     def value(self, theta: ArrayLike) -> Array:
         """Optimal cost (n,) or (), infinite outside the partition."""
         points, single = self._points(theta)
-        region, outside = locate(self.tree, self.partition, self._scaled(points))
+        region, outside, _ = self._find(points, "tree")
         p, law = self.partition.problem, self.partition.law[region]
-        z = np.einsum("nij,nj->ni", law[:, :, :-1], points) + law[:, :, -1]
-        free = np.sum(points @ p.Y * points, axis=1) / 2 + points @ p.y + p.c
-        cost = np.sum(z @ p.H * z, axis=1) / 2 + np.sum((points @ p.F.T + p.f) * z, axis=1) + free
+        with np.errstate(over="ignore", invalid="ignore"):  # parameters far outside
+            z = np.einsum("nij,nj->ni", law[:, :, :-1], points) + law[:, :, -1]
+            free = np.sum(points @ p.Y * points, axis=1) / 2 + points @ p.y + p.c
+            cost = np.sum(z @ p.H * z, axis=1) / 2 + np.sum((points @ p.F.T + p.f) * z, axis=1) + free
         cost = np.where(outside, np.inf, cost)
         return cost[0] if single else cost
 
@@ -175,20 +210,20 @@ class ExplicitMPC:
         """Write `path`.npz (arrays) and `path`.json (everything else); see `load`."""
         from mpc.explicit.storage import save_explicit
 
-        return save_explicit(self, Path(path))
+        return save_explicit(self, as_path("path", path))
 
     @classmethod
     def load(cls, path: str | Path) -> ExplicitMPC:
-        """Read what `save` wrote; nothing is executed and nothing recomputed."""
-        from mpc.explicit.storage import load_explicit
+        """Read what `save` wrote; nothing is executed, and damaged or mixed files are refused."""
+        from mpc.explicit.storage import load_parts
 
-        return load_explicit(Path(path))
+        return cls(*load_parts(as_path("path", path)))
 
     def to_c(self, folder: str | Path, **options: Any) -> CodeReport:
         """Write the law as self-contained C99, see `codegen.write_c`."""
         from mpc.explicit.codegen.codegen import write_c
 
-        return write_c(self, Path(folder), **options)
+        return write_c(self, as_path("folder", folder), **options)
 
     def plot(self, what: str = "regions", **style: Any) -> Any:
         """Draw "regions", "law" or "value" of a law of two parameters, see `plotting.plot_explicit`."""
@@ -197,38 +232,80 @@ class ExplicitMPC:
         return plot_explicit(self, what, **style)
 
     def _points(self, theta: ArrayLike) -> tuple[Array, bool]:
+        """Parameters as rows of a new array, and whether a single one was given."""
         points = as_floats("theta", theta)
         single = points.ndim == 1
         points = points[None] if single else points
         if points.ndim != 2 or points.shape[1] != self.nt:
-            raise InputError(f"theta has shape {np.shape(theta)}, expected ({self.nt},) or (n, {self.nt}).")
+            raise InputError("theta", f"shape {np.shape(theta)}", f"({self.nt},) or (n, {self.nt})")
         if not np.isfinite(points).all():
-            raise InputError(f"theta is not finite in row {int(np.argwhere(~np.isfinite(points))[0, 0])}.")
+            row = int(np.argwhere(~np.isfinite(points))[0, 0])
+            raise InputError("theta", f"NaN or infinity in row {row}", "finite numbers")
         return points, single
 
-    def _scaled(self, points: Array) -> Array:
-        return (points - self.partition.centre) / self.partition.half
+    def _find(self, points: Array, method: str) -> Located:
+        """Regions of parameters."""
+        if method not in METHODS:
+            raise InputError("method", repr(method), "'tree' or 'sequential'")
+        with np.errstate(over="ignore"):
+            scaled = np.clip((points - self.partition.centre) / self.partition.half, -_LARGEST, _LARGEST)
+        return find(self.tree, self.partition, scaled, scan=method == "sequential")
+
+
+_LARGEST = 1e30  # scaled parameters beyond this are cut off
+
+
+def as_path(name: str, value: Any) -> Path:
+    """A path on disk."""
+    try:
+        return Path(value)
+    except TypeError:
+        raise InputError(name, type(value).__name__, "a path") from None
 
 
 def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:
     """Parameters of interest where none are named: X, or X × U when the last input is a parameter."""
     names = [name for name, _ in problem.parameters]
-    if mpc.X is None or set(names) - {"x", "u_prev"} or ("u_prev" in names and mpc.U is None):
-        raise InputError(f"theta_set is missing: pass a bounded Polytope of the parameters {names}.")
+    (HX, hX), (HU, hU) = mpc.state_rows, mpc.input_rows
+    if mpc.X is None or set(names) - {"x", "u_prev"} or ("u_prev" in names and not len(hU)):
+        raise InputError("theta_set", "None", f"a bounded Polytope of the parameters {names}")
     if names == ["x"]:
         return mpc.X
     from invariant_sets import Polytope
 
-    (HX, hX), (HU, hU) = mpc.state_rows, mpc.input_rows
-    rows = np.block([[HX, np.zeros((len(HX), mpc.nu))], [np.zeros((len(HU), mpc.nx)), HU]])
+    rows = np.block([[HX, np.zeros((len(HX), HU.shape[1]))], [np.zeros((len(HU), HX.shape[1])), HU]])
     return Polytope(rows, np.concatenate([hX, hU]))
 
 
-def _law_numbers(law: Array, partition: Partition) -> Ints:
-    """Equal numbers for equal laws, compared by their values over the parameter set."""
+def _as_rows(rows: Any, nu: int) -> tuple[Array, Array]:
+    """(H, h) of the input set, checked."""
+    if not isinstance(rows, tuple) or len(rows) != 2:
+        raise InputError("input_rows", type(rows).__name__, "a pair (H, h) with Hu <= h")
+    return as_halfspaces("input_rows", _Halfspaces(*rows), nu)
+
+
+@dataclass(frozen=True)
+class _Halfspaces:
+    """Anything with `.A` and `.b` is a set."""
+
+    A: Any
+    b: Any
+
+
+def _read_only(array: Any) -> Any:
+    """A read-only copy."""
+    array = np.array(array, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def _law_numbers(law: Array, partition: Partition, centres: Array) -> Ints:
+    """Equal numbers for equal laws; the laws of each input are compared in units of the values this input takes."""
     scaled = law.copy()
     scaled[:, :, :-1] *= partition.half
     scaled[:, :, -1] += law[:, :, :-1] @ partition.centre
-    size = np.abs(scaled).max() or 1.0
-    _, number = np.unique(np.round(scaled.reshape(len(law), -1) / size, 9) + 0.0, axis=0, return_inverse=True)
+    values = np.einsum("rij,rj->ri", scaled[:, :, :-1], centres) + scaled[:, :, -1]
+    step = np.maximum(EQUAL_LAW * np.abs(values).max(axis=0), LAW_ROUNDING * np.abs(scaled).max(axis=(0, 2)))
+    step = np.where(step > 0, step, 1.0)
+    _, number = np.unique(np.round(scaled / step[:, None] / 2).reshape(len(law), -1) + 0.0, axis=0, return_inverse=True)
     return number.astype(np.int64).ravel()

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_array
 from mpc.exceptions import InputError
-
-if TYPE_CHECKING:
-    from mpc.explicit.explicit import ExplicitMPC
+from mpc.explicit.limits import as_count
+from mpc.explicit.piecewise_law import PiecewiseLaw
 
 
 def plot_explicit(
-    law: ExplicitMPC, what: str = "regions", *, axes: tuple[int, int] = (0, 1), at: ArrayLike | None = None,
+    law: PiecewiseLaw, what: str = "regions", *, axes: tuple[int, int] = (0, 1), at: ArrayLike | None = None,
     component: int = 0, points: int = 201, ax: Any = None,
 ) -> Any:  # fmt: skip
     """Draw the regions, the law or the value function over two of the parameters.
@@ -45,19 +44,23 @@ def plot_explicit(
     import matplotlib.pyplot as plt
 
     if what not in ("regions", "law", "value"):
-        raise InputError(f"what is {what!r}, expected 'regions', 'law' or 'value'.")
-    if len({*axes}) != 2 or len(axes) != 2 or not all(0 <= i < law.nt for i in axes):
-        raise InputError(f"axes are {axes}, expected two different numbers below {law.nt}, one per parameter.")
+        raise InputError("what", repr(what), "'regions', 'law' or 'value'")
+    first, second = _as_axes(axes, law.nt)
+    if not _is_index(component, law.nu):
+        raise InputError("component", repr(component), f"the number of an input, below {law.nu}")
+    points = as_count("points", points)
     ax = plt.subplots(layout="constrained")[1] if ax is None else ax
     p = law.partition
     base = p.centre if at is None else as_array("at", at, (law.nt,))
     labels = [f"{name}[{i}]" for name, size in p.problem.parameters for i in range(size)]
-    ax.set(xlabel=labels[axes[0]], ylabel=labels[axes[1]], title=f"{what}, {len(law)} regions")
+    ax.set(xlabel=labels[first], ylabel=labels[second], title=f"{what}, {len(law)} regions")
     if what == "regions":
-        return _polygons(law, axes, base, ax)
-    grid = [np.linspace(p.centre[i] - p.half[i], p.centre[i] + p.half[i], points) for i in axes]
+        return _polygons(law, (first, second), base, ax)
+    grid = [np.linspace(p.centre[i] - p.half[i], p.centre[i] + p.half[i], points) for i in (first, second)]
     theta = np.tile(base, (points * points, 1))
-    theta[:, axes[0]], theta[:, axes[1]] = (g.ravel() for g in np.meshgrid(*grid))
+    across, up = np.meshgrid(*grid)
+    theta[:, first] = across.ravel()
+    theta[:, second] = up.ravel()
     u, outside = law.evaluate(theta)
     height = np.where(outside, np.nan, u[:, component]) if what == "law" else law.value(theta)
     height = np.ma.masked_invalid(height.reshape(points, points))
@@ -66,33 +69,37 @@ def plot_explicit(
     return drawn
 
 
-def _polygons(law: ExplicitMPC, axes: tuple[int, int], base: Array, ax: Any) -> list[Any]:
+def _as_axes(axes: Any, nt: int) -> tuple[int, int]:
+    """Two different parameters."""
+    pair = tuple(axes) if isinstance(axes, (tuple, list, np.ndarray)) else ()
+    if len(pair) != 2 or not all(_is_index(i, nt) for i in pair) or pair[0] == pair[1]:
+        raise InputError("axes", repr(axes), f"two different numbers below {nt}, one per parameter")
+    return int(pair[0]), int(pair[1])
+
+
+def _is_index(value: Any, count: int) -> bool:
+    """Whether a value is one of 0 … count - 1."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and bool(0 <= value < count)
+
+
+def _polygons(law: PiecewiseLaw, axes: tuple[int, int], base: Array, ax: Any) -> list[Any]:
+    """Regions as polygons; those that the section misses, or only touches, are left out."""
     import matplotlib.pyplot as plt
 
-    p = law.partition
+    from invariant_sets import Polytope
+
+    p, pair = law.partition, list(axes)
     colours = plt.get_cmap("tab20")(law.law_number % 20)
     drawn: list[Any] = []
     for r in range(len(law)):
         rows = slice(p.offsets[r], p.offsets[r + 1])
-        cut = p.H[rows][:, axes]
-        left = p.h[rows] - p.H[rows] @ base + cut @ base[list(axes)]
-        corners = _corners(cut * p.half[list(axes)], left - cut @ p.centre[list(axes)])
-        if len(corners) >= 3:
-            drawn += ax.fill(
-                *(corners * p.half[list(axes)] + p.centre[list(axes)]).T, facecolor=colours[r], edgecolor="k", lw=0.4
-            )
+        cut = p.H[rows][:, pair]
+        left = p.h[rows] - p.H[rows] @ base + cut @ base[pair]
+        section = Polytope(cut * p.half[pair], left - cut @ p.centre[pair])
+        if section.is_empty or section.affine_dim < 2:
+            continue
+        corners = section.vertices
+        around = corners - corners.mean(axis=0)
+        corners = corners[np.argsort(np.arctan2(around[:, 1], around[:, 0]))] * p.half[pair] + p.centre[pair]
+        drawn += ax.fill(*corners.T, facecolor=colours[r], edgecolor="k", lw=0.4)
     return drawn
-
-
-def _corners(A: Array, b: Array) -> Array:
-    """Corners of a polygon {A x <= b}, in order around it; all intersections of two sides that lie in it."""
-    i, j = np.triu_indices(len(A), 1)
-    determinant = A[i, 0] * A[j, 1] - A[i, 1] * A[j, 0]
-    crossing = np.abs(determinant) > 1e-12
-    i, j, determinant = i[crossing], j[crossing], determinant[crossing]
-    x = np.column_stack([b[i] * A[j, 1] - b[j] * A[i, 1], A[i, 0] * b[j] - A[j, 0] * b[i]]) / determinant[:, None]
-    x = x[(x @ A.T <= b + 1e-9).all(axis=1)]
-    if not len(x):
-        return x
-    around = x - x.mean(axis=0)
-    return x[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]

@@ -3,106 +3,131 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
 
 import daqp
 import numpy as np
 
 from mpc.checks import Array
-from mpc.explicit.scaled_qp import LeastDistance
+from mpc.explicit.exploration import Found, Limits
+from mpc.explicit.partition import MPQPStatus
+from mpc.explicit.scaled_qp import ScaledQP
+from mpc.tolerances import DEPENDENT_ROW, EXCHANGE, INSETS, PRIMAL, REDUNDANT, REGION_RADIUS, TIE, ZERO_ROW
 
-if TYPE_CHECKING:
-    from mpc.explicit.mpqp import MPQPStatus
-
-_RADIUS = 1e-7
-_INDEPENDENT = 1e-10
+_SEEDS = 8
+_BOX = 4.0  # linear programs look for parameters in [-4, 4], which holds the set
+_NONE = np.full(1, -1e30)
 Members = frozenset[int]
+Rows = tuple[Array, Array]
 
 
-def explore_all(
-    data: LeastDistance, max_regions: int, deadline: float
-) -> tuple[MPQPStatus, list[tuple[int, ...]], Array, np.ndarray[Any, np.dtype[np.int64]]]:
+def explore_all(qp: ScaledQP, limits: Limits) -> Found:
     """Explore optimal active sets of every dimension, changing any one constraint at a time.
 
     Arnström and Axehill (IEEE CDC 2024) show that the graph of optimal active sets is connected when those of lower
     dimension are kept as nodes; no facet, hash of bits or redundancy test is needed, only linear programs.
     """
-    from mpc.explicit.mpqp import MPQPStatus
-
-    start = _first(data)
-    if start is None:
-        return MPQPStatus.INFEASIBLE, [], np.zeros((0, data.D.shape[1])), np.zeros(1, dtype=np.int64)
-    seen, stack, regions, status = {start}, [start], {}, MPQPStatus.COMPLETE
+    stack = _first(qp)
+    status = MPQPStatus.COMPLETE if stack else MPQPStatus.INFEASIBLE
+    seen, regions, tied = set(stack), {}, False
     while stack:
         active = stack.pop()
-        rows = _region(data, active)
+        rows, zero, canonical = _region(qp, active)
         radius = -1.0 if rows is None else _radius(*rows)
-        if rows is None or radius < -_RADIUS:
+        if rows is None or radius < -REGION_RADIUS:
             continue
-        if radius >= _RADIUS:
-            regions[active] = _facets(*rows)
-        for neighbour in _neighbours(data, active):
+        if radius >= REGION_RADIUS:
+            tied = tied or zero
+            if canonical:
+                regions[active] = _facets(*rows)
+        for neighbour in _neighbours(qp, active):
             if neighbour not in seen:
                 seen.add(neighbour)
                 stack.append(neighbour)
-        if len(regions) >= max_regions or time.perf_counter() > deadline:
-            limit = len(regions) >= max_regions
-            status = MPQPStatus.REGION_LIMIT if limit else MPQPStatus.TIME_LIMIT
+        if len(regions) >= limits.max_regions and stack:
+            status = MPQPStatus.REGION_LIMIT
+            break
+        if time.perf_counter() > limits.deadline and stack:
+            status = MPQPStatus.TIME_LIMIT
             break
     sizes = np.cumsum([0] + [len(rows) for rows in regions.values()])
-    facets = np.vstack([np.zeros((0, data.D.shape[1])), *regions.values()])
-    return status, [tuple(sorted(active)) for active in regions], facets, sizes.astype(np.int64)
+    facets = np.vstack([np.zeros((0, qp.D.shape[1])), *regions.values()])
+    return Found(status, [tuple(sorted(active)) for active in regions], facets, sizes.astype(np.int64), tied)
 
 
-def _first(data: LeastDistance) -> Members | None:
-    """Active set at the feasible parameter nearest to the centre."""
-    n = data.D.shape[1] - 1
-    joint, _, flag, _ = daqp.solve(np.eye(data.J.shape[1]), np.zeros(data.J.shape[1]), data.J, data.Jb - 1e-3)
-    if flag != 1:
-        return None
-    b = data.D[:, :n] @ joint[:n] + data.D[:, n]
-    nz = data.M.shape[1]
-    _, _, flag, info = daqp.solve(np.eye(nz), np.zeros(nz), data.M, b, primal_tol=1e-9)
-    return frozenset(np.flatnonzero(info["lam"] > 1e-9).tolist()) if flag == 1 else None
+def _first(qp: ScaledQP) -> list[Members]:
+    """Independent active sets at feasible parameters near the centre and near random ones."""
+    n = qp.D.shape[1] - 1
+    J, h = qp.joint
+    targets = np.vstack([np.zeros(n), np.random.default_rng(0).uniform(-1, 1, size=(_SEEDS, n))])
+    found: list[Members] = []
+    for target in targets:
+        cost = np.concatenate([-target, np.zeros(J.shape[1] - n)])
+        for inset in INSETS:
+            joint, _, flag, _ = daqp.solve(np.eye(len(cost)), cost, J, h - inset, primal_tol=PRIMAL * 1e-2)
+            if flag == 1:
+                active = _optimal_set(qp, qp.D[:, :n] @ joint[:n] + qp.D[:, n])
+                if active is not None and active not in found:
+                    found.append(active)
+                break
+    return found
 
 
-def _law(data: LeastDistance, active: Members) -> Array | None:
-    """Multiplier law of an active set, None when its rows are dependent."""
+def _optimal_set(qp: ScaledQP, bounds: Array) -> Members | None:
+    """Active set at one parameter, with independent rows; None where it is infeasible."""
+    nz = qp.M.shape[1]
+    for shift in (0.0, TIE):
+        _, _, flag, info = daqp.solve(np.eye(nz), np.zeros(nz), qp.M, bounds + shift * qp.tie, primal_tol=PRIMAL)
+        active = frozenset(np.flatnonzero(info["lam"] > PRIMAL).tolist())
+        if flag == 1 and _law(qp, active) is not None:
+            return active
+    return None
+
+
+def _law(qp: ScaledQP, active: Members) -> Array | None:
+    """Multiplier law [t, 1, δ] of an active set, None when its rows are dependent."""
     act = sorted(active)
-    if len(act) > data.M.shape[1]:
+    if len(act) > qp.M.shape[1]:
         return None
-    gram = data.M[act] @ data.M[act].T
-    if act and np.linalg.eigvalsh(gram)[0] < _INDEPENDENT:
+    gram = qp.M[act] @ qp.M[act].T
+    if act and np.linalg.eigvalsh(gram)[0] < DEPENDENT_ROW:
         return None
-    return np.asarray(-np.linalg.solve(gram, data.D[act]), dtype=np.float64)
+    right = np.hstack([qp.D[act], qp.tie[act, None]])
+    return np.asarray(-np.linalg.solve(gram, right), dtype=np.float64)
 
 
-def _region(data: LeastDistance, active: Members) -> tuple[Array, Array] | None:
-    law = _law(data, active)
+def _region(qp: ScaledQP, active: Members) -> tuple[Rows | None, bool, bool]:
+    """Half-spaces of the region, whether a row is zero on it, and whether the symbolic perturbation keeps the set."""
+    law = _law(qp, active)
     if law is None:
-        return None
+        return None, False, False
     act = sorted(active)
-    rest = [i for i in range(len(data.D)) if i not in active]
-    slack = data.D[rest] + data.M[rest] @ data.M[act].T @ law
+    rest = [i for i in range(len(qp.D)) if i not in active]
+    slack = np.hstack([qp.D[rest], qp.tie[rest, None]]) + qp.M[rest] @ qp.M[act].T @ law
     rows = np.vstack([law, slack])
-    norm = np.linalg.norm(rows[:, :-1], axis=1)
-    constant = norm <= 1e-10 * np.maximum(np.abs(rows).sum(axis=1), 1.0)
-    if (rows[constant, -1] < -1e-9).any() or (np.abs(law[constant[: len(act)], -1]) < 1e-9).any():
-        return None
+    reach = np.linalg.norm(qp.M[act].T @ law[:, :-1], axis=0).sum()  # size of v(t), also where multipliers are huge
+    lever = np.linalg.norm(np.linalg.pinv(qp.M[act]), axis=0) if act else np.zeros(0)
+    scale = np.concatenate([lever * reach, np.abs(qp.D[rest]).sum(axis=1) + reach])
+    norm = np.linalg.norm(rows[:, :-2], axis=1)
+    constant = norm <= ZERO_ROW * scale
+    if (rows[constant, -2] < -10 * ZERO_ROW * scale[constant]).any():
+        return None, False, False
+    zero = constant & (rows[:, -2] <= 10 * ZERO_ROW * scale)
+    canonical = bool((rows[zero, -1] > 0).all())
     rows = rows[~constant] / norm[~constant, None]
-    return np.vstack([-rows[:, :-1], data.TA]), np.concatenate([rows[:, -1], data.Tb])
+    region = np.vstack([-rows[:, :-2], qp.TA]), np.concatenate([rows[:, -2], qp.Tb])
+    return region, bool(zero.any()), canonical
 
 
 def _radius(A: Array, b: Array) -> float:
     """Largest r <= 1 with a ball of radius r in the region; negative for an empty one."""
     n = A.shape[1]
     rows = np.ascontiguousarray(np.hstack([A, np.ones((len(A), 1))]))
-    upper = np.concatenate([np.full(n, 4.0), [1.0], b])
-    lower = np.concatenate([np.full(n, -4.0), [-8.0], np.full(len(b), -1e30)])
+    upper = np.concatenate([np.full(n, _BOX), [1.0], b])
+    lower = np.concatenate([np.full(n, -_BOX), [-8.0], np.repeat(_NONE, len(b))])
     cost = np.zeros(n + 1)
     cost[n] = -1.0
     point, _, flag, _ = daqp.solve(None, cost, rows, upper, lower)
-    # the second look: the margin is measured, not believed
+    # the radius is recomputed from the point
     return min(float(point[n]), float((b - A @ point[:n]).min())) if flag == 1 else -1.0
 
 
@@ -111,24 +136,24 @@ def _facets(A: Array, b: Array) -> Array:
     kept: list[int] = []
     for i in range(len(A)):
         others = [j for j in (*kept, *range(i + 1, len(A)))]
-        upper = np.ascontiguousarray(np.concatenate([np.full(A.shape[1], 4.0), b[others]]))
-        lower = np.concatenate([np.full(A.shape[1], -4.0), np.full(len(others), -1e30)])
+        upper = np.ascontiguousarray(np.concatenate([np.full(A.shape[1], _BOX), b[others]]))
+        lower = np.concatenate([np.full(A.shape[1], -_BOX), np.repeat(_NONE, len(others))])
         point, _, flag, _ = daqp.solve(None, np.ascontiguousarray(-A[i]), np.ascontiguousarray(A[others]), upper, lower)
-        if flag != 1 or A[i] @ point > b[i] + 1e-9:
+        if flag != 1 or A[i] @ point > b[i] + REDUNDANT:
             kept.append(i)
     return np.hstack([A[kept], b[kept, None]])
 
 
-def _neighbours(data: LeastDistance, active: Members) -> list[Members]:
+def _neighbours(qp: ScaledQP, active: Members) -> list[Members]:
     """One constraint more, one less, or one exchanged where the rows would be dependent."""
     found = [active - {j} for j in active]
     act = sorted(active)
-    gram = data.M[act] @ data.M[act].T
-    for i in set(range(len(data.M))) - active:
+    gram = qp.M[act] @ qp.M[act].T
+    for i in set(range(len(qp.M))) - active:
         more = active | {i}
-        if _law(data, more) is not None:
+        if _law(qp, more) is not None:
             found.append(more)
             continue
-        coefficient = np.linalg.solve(gram, data.M[act] @ data.M[i]) if act else np.zeros(0)
-        found.extend(more - {act[a]} for a in np.flatnonzero(coefficient > 1e-9))
+        coefficient = np.linalg.solve(gram, qp.M[act] @ qp.M[i]) if act else np.zeros(0)
+        found.extend(more - {act[a]} for a in np.flatnonzero(coefficient > EXCHANGE))
     return found

@@ -1,38 +1,102 @@
-"""The parametric QP as a least-distance problem, scaled for the exploration."""
+"""The parametric QP as a least-distance problem in scaled coordinates, on which the exploration works."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from mpc.checks import Array
-from mpc.exceptions import InputError
+from mpc.checks import Array, as_halfspaces
+from mpc.exceptions import InputError, NotConvexError
 from mpc.halfspaces import box_of
 from mpc.parametric_qp import ParametricQP
+from mpc.tolerances import DEFINITE, DUPLICATE, FLAT_INTERVAL, VANISHING_ROW
+
+Ints = np.ndarray[Any, np.dtype[np.int64]]
+
+
+class ParameterSet(NamedTuple):
+    """Parameters θ = centre + half * t of interest: {t : normals t <= bounds} in [-1, 1], unit rows."""
+
+    normals: Array
+    bounds: Array
+    centre: Array
+    half: Array
+
+
+def scale_parameters(theta_set: Any, n: int) -> ParameterSet:
+    """The parameter set in coordinates in which its bounding box is [-1, 1].
+
+    Raises
+    ------
+    InputError
+        Not a set in n dimensions, or empty, flat or unbounded.
+    """
+    if theta_set is None:
+        raise InputError("theta_set", "None", f"a bounded Polytope in {n} dimensions")
+    H, h = as_halfspaces("theta_set", theta_set, n)
+    low, high = _bounding_box(H, h)
+    centre = (low + high) / 2
+    half = (high - low) / 2
+    rows = np.hstack([H * half, (h - H @ centre)[:, None]])
+    length = np.linalg.norm(rows[:, :-1], axis=1)
+    rows = rows[length > 0] / length[length > 0, None]
+    return ParameterSet(np.ascontiguousarray(rows[:, :-1]), np.ascontiguousarray(rows[:, -1]), centre, half)
 
 
 @dataclass(frozen=True, eq=False)
-class LeastDistance:
-    """Minimise ½|v|² subject to Mv <= D [t; 1] for t in {TA t <= Tb}, unit rows, t in [-1, 1].
+class ScaledQP:
+    """Minimise ½|v|² subject to Mv <= D [t; 1] for t in {TA t <= Tb}, in which everything is about one.
 
-    The parameter is θ = centre + half * t and z = size L'⁻¹v - H⁻¹(Fθ + f). `J`, `Jb` are the joint constraints on
-    [t; v], `origin` the row of `problem.G` behind each row of M.
+    Attributes
+    ----------
+    M, D : (k, nz) and (k, nt + 1) array
+        Constraints, rows of M of unit length; rows that repeat another are left out.
+    tie : (k,) array
+        Shift of the bounds that decides between active sets which are optimal together; a function of the row alone.
+    gram : (k, k) array
+        MM'.
+    TA, Tb : (j, nt) and (j,) array
+        The parameter set, with the constraints in which no input occurs.
+    origin : (k,) int array
+        Row of `ParametricQP.G` behind each row of M.
+    back, free : (nz, nz) and (nz, nt + 1) array
+        z = back v + free [t; 1].
+    centre, half : (nt,) array
+        θ = centre + half * t.
     """
 
-    problem: ParametricQP
     M: Array
     D: Array
+    tie: Array
+    gram: Array
     TA: Array
     Tb: Array
-    J: Array
-    Jb: Array
-    gram: Array
-    origin: np.ndarray[Any, np.dtype[np.int64]]
+    origin: Ints
+    back: Array
+    free: Array
     centre: Array
     half: Array
+
+    @cached_property
+    def joint(self) -> tuple[Array, Array]:
+        """Unit rows (J, h) of the constraints on parameter and variable together, J [t; v] <= h."""
+        zeros = np.zeros((len(self.TA), self.M.shape[1]))
+        rows = np.vstack([np.hstack([-self.D[:, :-1], self.M]), np.hstack([self.TA, zeros])])
+        right = np.concatenate([self.D[:, -1], self.Tb])
+        length = np.linalg.norm(rows, axis=1)
+        return np.ascontiguousarray(rows / length[:, None]), right / length
+
+    def rows(self, kept: Ints) -> ScaledQP:
+        """The problem with some of its constraints only."""
+        return ScaledQP(
+            np.ascontiguousarray(self.M[kept]), np.ascontiguousarray(self.D[kept]), self.tie[kept],
+            np.ascontiguousarray(self.gram[np.ix_(kept, kept)]), self.TA, self.Tb, self.origin[kept],
+            self.back, self.free, self.centre, self.half,
+        )  # fmt: skip
 
     def unscale_rows(self, rows: Array) -> tuple[Array, Array]:
         """Half-spaces (k, nt + 1) in t as (H, h) in θ."""
@@ -40,96 +104,135 @@ class LeastDistance:
         return H, rows[:, -1] + H @ self.centre
 
     def law(self, active_sets: list[tuple[int, ...]]) -> Array:
-        """Minimiser law (n, nz, nt + 1) in the original units: z = law [θ; 1]."""
-        problem = self.problem
-        right = np.hstack([problem.F, problem.f[:, None]])
-        free = -np.linalg.solve(problem.H, right)
-        law = np.repeat(free[None], len(active_sets), axis=0)
-        Hinv_Gt = np.linalg.solve(problem.H, problem.G.T)
-        gram = problem.G @ Hinv_Gt
-        d = np.hstack([problem.S, problem.w[:, None]]) - problem.G @ free
+        """Minimiser law (n, nz, nt + 1) in the units of the problem: z = law [θ; 1]."""
+        law = np.repeat(self.free[None], len(active_sets), axis=0)
         for size in {len(act) for act in active_sets} - {0}:  # together where the number of active rows is the same
             which = [r for r, act in enumerate(active_sets) if len(act) == size]
-            act = self.origin[np.array([active_sets[r] for r in which])]
-            block = gram[act[:, :, None], act[:, None, :]]
-            length = 1 / np.sqrt(np.diagonal(block, axis1=1, axis2=2))
-            block = block * length[:, :, None] * length[:, None, :]
-            multiplier = -np.linalg.solve(block, d[act] * length[:, :, None]) * length[:, :, None]
-            law[which] -= Hinv_Gt.T[act].transpose(0, 2, 1) @ multiplier
+            act = np.array([active_sets[r] for r in which])
+            gram = self.gram[act[:, :, None], act[:, None, :]]
+            pull = np.linalg.solve(gram, self.D[act])
+            law[which] += self.back @ (self.M[act].transpose(0, 2, 1) @ pull)
+        law[:, :, :-1] /= self.half
+        law[:, :, -1] -= law[:, :, :-1] @ self.centre
         return law
 
 
-def least_distance(problem: ParametricQP, TA: Array, Tb: Array) -> LeastDistance:
-    """Scale parameters to [-1, 1] and rows to unit length; drop duplicate rows; move rows without z to the set."""
-    low, high = _bounding_box(TA, Tb)
-    centre, half = (low + high) / 2, (high - low) / 2
-    L = np.linalg.cholesky(problem.H)
-    M = solve_triangular(L, problem.G.T, lower=True).T
-    free = np.linalg.solve(problem.H, np.hstack([problem.F, problem.f[:, None]]))
-    D = np.hstack([problem.S, problem.w[:, None]]) + problem.G @ free
-    D[:, -1] += D[:, :-1] @ centre
-    D[:, :-1] *= half
-    rows = np.hstack([problem.S * half, (problem.w + problem.S @ centre)[:, None]])
+def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
+    """The problem with a unit Hessian, unit rows and parameters in [-1, 1].
+
+    Raises
+    ------
+    NotConvexError
+        The Hessian is not positive definite.
+    """
+    size, factor = _unit_hessian(problem)
+    cost = size[:, None] * np.hstack([problem.F * domain.half, (problem.F @ domain.centre + problem.f)[:, None]])
+    shift = -solve_triangular(factor, cost, lower=True)  # the unconstrained v
+    back = size[:, None] * solve_triangular(factor, np.eye(problem.nz), lower=True).T
+    M = problem.G @ back
+    right = np.hstack([problem.S * domain.half, (problem.w + problem.S @ domain.centre)[:, None]])
+    D = right - M @ shift
     length = np.linalg.norm(M, axis=1)
-    empty = length <= 1e-14 * max(float(length.max(initial=0.0)), np.finfo(float).tiny)
-    set_rows = np.vstack([np.hstack([TA * half, -(Tb - TA @ centre)[:, None]]), -rows[empty]])
-    norm = np.linalg.norm(set_rows[:, :-1], axis=1)
-    if (set_rows[norm == 0, -1] > 0).any():
-        raise InputError("theta_set is empty: it has a row 0 <= b with b < 0, or a constraint no input reaches.")
-    set_rows = set_rows[norm > 0] / norm[norm > 0, None]
-    origin = np.flatnonzero(~empty)
-    M, D = M[origin] / length[origin, None], D[origin] / length[origin, None]
-    size = float(np.median(np.abs(D).sum(axis=1))) if len(D) else 1.0
-    D = D / (size or 1.0)
-    kept = _without_duplicates(np.hstack([M, D[:, :-1]]), D[:, -1])
-    M, D, origin = np.ascontiguousarray(M[kept]), np.ascontiguousarray(D[kept]), origin[kept]
-    joint = np.vstack([
-        np.hstack([-D[:, :-1], M, -D[:, -1:]]),
-        np.hstack([set_rows[:, :-1], np.zeros((len(set_rows), M.shape[1])), set_rows[:, -1:]]),
-    ])  # fmt: skip
-    joint /= np.linalg.norm(joint[:, :-1], axis=1)[:, None]
-    return LeastDistance(
-        problem, M, D, np.ascontiguousarray(set_rows[:, :-1]), np.ascontiguousarray(-set_rows[:, -1]),
-        np.ascontiguousarray(joint[:, :-1]), np.ascontiguousarray(-joint[:, -1]), M @ M.T, origin, centre, half,
-    )  # fmt: skip
+    vanishing = _vanishing(length, right, shift)
+    TA, Tb = with_parameter_rows(domain.normals, domain.bounds, right[vanishing])
+    origin = np.flatnonzero(~vanishing)
+    M = M[origin] / length[origin, None]
+    D = D[origin] / length[origin, None]
+    unit = _unit_of(D)
+    D = D / unit
+    gram = M @ M.T
+    kept = _without_duplicates(M, D, gram)
+    tie = 1.0 + 0.5 * np.sin(M @ _waves(M.shape[1]) + D @ _waves(D.shape[1]))
+    whole = ScaledQP(M, D, tie, gram, TA, Tb, origin, unit * back, back @ shift, domain.centre, domain.half)
+    return whole.rows(kept)
 
 
-def _without_duplicates(normals: Array, offsets: Array) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Rows that remain when of parallel rows only the tightest is kept."""
-    tightest: dict[bytes, int] = {}
-    for i, key in enumerate(np.round(normals, 10) + 0.0):
-        known = tightest.setdefault(key.tobytes(), i)
-        if offsets[i] < offsets[known]:
-            tightest[key.tobytes()] = i
-    return np.array(sorted(tightest.values()), dtype=np.int64)
+def _waves(n: int) -> Array:
+    """Frequencies that make the tie-breaking shift of a row depend on every entry of it."""
+    return np.sqrt(2.0 + np.arange(n))
 
 
-def _bounding_box(A: Array, b: Array) -> tuple[Array, Array]:
-    """Box around {θ : Aθ <= b}: read off where every side is a row, by linear programs otherwise."""
-    single = np.count_nonzero(A, axis=1) == 1
-    box = box_of(A[single], b[single])
-    if box is None or not np.isfinite(box).all():
-        box = _box_by_linear_programs(A, b)
+def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
+    """Sizes of the variables that give the Hessian a unit diagonal, and the Cholesky factor of the result."""
+    diagonal = np.diag(problem.H)
+    size = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    H = problem.H * np.outer(size, size)
+    smallest = float(np.linalg.eigvalsh(H)[0]) if (diagonal > 0).all() else -1.0
+    if not smallest >= DEFINITE:
+        raise NotConvexError(
+            f"the Hessian H has the smallest scaled eigenvalue {smallest:.3g}, expected > {DEFINITE:g}: "
+            "add a cost on every variable.", "H", smallest,
+        )  # fmt: skip
+    return size, np.asarray(np.linalg.cholesky(H), dtype=np.float64)
+
+
+def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Which rows restrict the parameter only: moving v by its own size changes them by rounding."""
+    typical = float(np.abs(shift).sum(axis=1).max(initial=0.0))
+    theta = np.abs(right[:, :-1]).max(axis=1, initial=0.0)
+    return (length == 0) | (length * typical < VANISHING_ROW * theta)
+
+
+def with_parameter_rows(TA: Array, Tb: Array, right: Array) -> tuple[Array, Array]:
+    """The parameter set {t : TA t <= Tb} with rows 0 <= right [t; 1] added, as unit rows."""
+    length = np.linalg.norm(right[:, :-1], axis=1)
+    constant = length <= VANISHING_ROW * np.abs(right).max(axis=1, initial=0.0)
+    if (right[constant, -1] < 0).any():
+        raise InputError("theta_set", "a set that one constraint without inputs excludes", "some feasible parameter")
+    rows = right[~constant] / length[~constant, None]
+    return np.ascontiguousarray(np.vstack([TA, -rows[:, :-1]])), np.concatenate([Tb, rows[:, -1]])
+
+
+def _unit_of(D: Array) -> float:
+    """Size of the bounds: what parameters change in most rows, or the nearest row where that is more.
+
+    Rows far away have large constants, so the constants say nothing.
+    """
+    if not len(D):
+        return 1.0
+    change = np.sort(np.abs(D[:, :-1]).sum(axis=1))[len(D) // 2]
+    nearest = float(np.abs(D).sum(axis=1).min())
+    return max(float(change), nearest) or 1.0
+
+
+def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
+    """Rows that remain when of equal normals in v and t only the tightest is kept."""
+    first, second = np.nonzero(gram > 1 - DUPLICATE)
+    first, second = first[first < second], second[first < second]
+    size = np.maximum(1.0, np.abs(D[first, :-1]).max(axis=1, initial=0.0))
+    apart = np.abs(D[first, :-1] - D[second, :-1]).max(axis=1, initial=0.0) / size
+    close = (apart < DUPLICATE) & (np.abs(M[first] - M[second]).max(axis=1, initial=0.0) < DUPLICATE)
+    dropped = np.zeros(len(M), dtype=bool)
+    for i, j in zip(first[close], second[close]):
+        if not dropped[i] and not dropped[j]:
+            dropped[j if D[i, -1] <= D[j, -1] else i] = True
+    return np.flatnonzero(~dropped)
+
+
+def _bounding_box(H: Array, h: Array) -> tuple[Array, Array]:
+    """Box around {θ : Hθ <= h}: read off where every side is a row, by the set's own methods otherwise."""
+    single = np.count_nonzero(H, axis=1) == 1
+    box = box_of(H[single], h[single])
+    if box is None or not np.isfinite(box).all() or (h[~H.any(axis=1)] < 0).any():
+        box = _box_of_polytope(H, h)
     low, high = box
-    flat = np.flatnonzero(high - low <= 1e-9 * np.maximum(np.abs(low), np.abs(high)))
+    flat = np.flatnonzero(high - low <= FLAT_INTERVAL * np.maximum(np.abs(low), np.abs(high)))
     if len(flat):
         j = int(flat[0])
-        raise InputError(
-            f"theta_set is empty or flat: parameter {j} lies in [{low[j]:.6g}, {high[j]:.6g}]; expected full dimension."
-        )
+        got = f"a set with parameter {j} in [{low[j]:.6g}, {high[j]:.6g}]"
+        raise InputError("theta_set", got, "a bounded set of full dimension", "It is empty or flat.")
     return low, high
 
 
-def _box_by_linear_programs(A: Array, b: Array) -> tuple[Array, Array]:
-    from scipy.optimize import linprog
+def _box_of_polytope(H: Array, h: Array) -> tuple[Array, Array]:
+    """Bounding box by linear programs."""
+    from invariant_sets import Polytope
 
-    n = A.shape[1]
-    box = np.empty((2, n))
-    for side, sign in enumerate((1.0, -1.0)):
-        for j in range(n):
-            result = linprog(sign * np.eye(n)[j], A_ub=A, b_ub=b, bounds=(None, None))
-            if result.status != 0:
-                trouble = "empty" if result.status == 2 else f"unbounded in parameter {j}"
-                raise InputError(f"theta_set is {trouble}; expected a bounded set of full dimension.")
-            box[side, j] = sign * result.fun
-    return box[0], box[1]
+    polytope = Polytope(H, h)
+    if polytope.is_empty:
+        raise InputError("theta_set", "an empty set", "a bounded set of full dimension")
+    low, high = polytope.bounding_box()
+    unbounded = np.flatnonzero(~np.isfinite(low) | ~np.isfinite(high))
+    if len(unbounded):
+        raise InputError("theta_set", f"a set unbounded in parameter {int(unbounded[0])}", "a bounded set")
+    return low, high

@@ -1,22 +1,47 @@
-"""Point location: a binary tree of hyperplanes that ends in the regions a parameter can lie in."""
+"""Point location: a binary tree of hyperplanes that ends in the few regions a parameter can lie in."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
-from typing import Any
+from enum import Enum
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mpc.checks import Array
-from mpc.explicit.mpqp import Partition
+from mpc.exceptions import InputError
+from mpc.explicit.limits import as_seconds
+from mpc.explicit.partition import Ints, MPQPStatus, Partition
+from mpc.tolerances import CROSSING, INSIDE, SAME_HYPERPLANE_DIGITS
 
-Ints = np.ndarray[Any, np.dtype[np.int64]]
-_INSIDE = 1e-7  # a parameter this far outside, scaled to [-1, 1], still counts as inside
+_SMALL = 2000  # regions up to which leaves are divided until one law is left
+_BUCKET = 8  # regions in a leaf that are not divided further in larger partitions
+_MOST = 200  # entries of leaves for each region of the partition at which the tree stops to grow
+_PORTION = 20_000  # regions tested between two looks at the clock
+_POINTS = 64  # points that represent a region
+METHODS = ("tree", "sequential")
+
+Flags = np.ndarray[Any, np.dtype[np.bool_]]
+
+
+class TreeStatus(Enum):
+    """How the growth of a search tree ended; the value is the advice."""
+
+    COMPLETE = "Complete: every leaf holds regions of one law, or few."
+    TIME_LIMIT = "Stopped at `tree_time_limit`: some leaves hold many regions and are scanned. The law is the same."
+    SIZE_LIMIT = "Stopped at the limit on memory: some leaves hold many regions and are scanned. The law is the same."
+    SEQUENTIAL = "No tree: all regions are scanned. Pass method='tree' where many states are evaluated."
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return self.value
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SearchTree:
-    """Binary search tree over a partition, in scaled parameters t.
+    """Binary search tree over a partition, in scaled parameters t; its arrays are read-only.
 
     Attributes
     ----------
@@ -25,15 +50,27 @@ class SearchTree:
     nodes : (n_nodes, 3) int array
         Inner node: hyperplane, child where a't <= b, child where a't > b. Leaf: -1 and its slice of `leaf_regions`.
     leaf_regions : int array
-        Regions of the leaves; those of one leaf share their law wherever hyperplanes can tell regions apart.
+        Regions of the leaves.
     border : (n_border, nt + 1) array
-        Facets [a, b] that have every region on their side a't <= b: what violates one is outside.
+        Facets [a, b] that have every region on their side a't <= b; empty for an incomplete partition.
+    centre : (nt,) array
+        A point within the border, towards which outside parameters are pulled.
+    status : TreeStatus
+        Whether the tree has grown to the end.
     """
 
     planes: Array
     nodes: Ints
     leaf_regions: Ints
     border: Array
+    centre: Array
+    status: TreeStatus = TreeStatus.COMPLETE
+
+    def __post_init__(self) -> None:
+        for name in ("planes", "nodes", "leaf_regions", "border", "centre"):
+            array = np.array(getattr(self, name), order="C")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
 
     @property
     def depth(self) -> int:
@@ -45,11 +82,29 @@ class SearchTree:
         return int(level.max(initial=0))
 
     def __repr__(self) -> str:
-        return f"SearchTree({len(self.nodes)} nodes, depth {self.depth}, {len(self.planes)} hyperplanes)"
+        size = f"{len(self.nodes)} nodes, depth {self.depth}, {len(self.planes)} hyperplanes"
+        return f"SearchTree({size}, {self.status.name})"
 
 
-def build_tree(partition: Partition, laws: Ints) -> SearchTree:
-    """Search tree in which every leaf holds regions of one law.
+class Located(NamedTuple):
+    """Regions of parameters, whether each lies outside, and the scaled parameter at which the law is to be taken."""
+
+    region: Ints
+    outside: Flags
+    points: Array
+
+
+class RegionPoints(NamedTuple):
+    """Points of region r: points[starts[r] : starts[r + 1]], first its centre, then one on each facet."""
+
+    points: Array
+    starts: Ints
+
+
+def build_tree(
+    partition: Partition, laws: Ints, points: RegionPoints, *, method: str = "tree", time_limit: float = np.inf
+) -> SearchTree:
+    """Search tree whose leaves hold regions of one law, or few regions.
 
     Parameters
     ----------
@@ -57,68 +112,196 @@ def build_tree(partition: Partition, laws: Ints) -> SearchTree:
         At least one region.
     laws : (n_regions,) int array
         Number of each region's law; regions of the same law need not be told apart.
+    points : RegionPoints
+        See `region_points`.
+    method : "tree" or "sequential"
+        With "sequential" the tree is one leaf with all regions.
+    time_limit : float
+        Wall time for the growth [s]; at the limit the leaves reached so far are kept.
 
     References
     ----------
     Tøndel, Johansen and Bemporad, *Evaluation of piecewise affine control via binary search tree*, Automatica 39(5),
-    2003. Hyperplanes are chosen by the sides of whole regions; a child keeps the regions that meet its polytope.
+    2003. Here hyperplanes are judged by points of the regions at a node, and only the sides of the chosen one are
+    computed, so that the work grows little faster than the number of regions.
     """
-    from mpc.explicit.kernels import search as kernels
-
-    rows = partition.scaled_rows
-    planes = distinct_planes(rows)
-    centres = kernels.centres_of(rows, partition.offsets)
-    side = sides_of_regions(partition, planes, centres)
-    border = np.vstack([planes[(side == 1).all(axis=1)], -planes[(side == 2).all(axis=1)]])
-    splitting = np.flatnonzero(((side == 1).any(axis=1)) & ((side == 2).any(axis=1)))
-    side, planes = np.ascontiguousarray(side[splitting]), np.ascontiguousarray(planes[splitting])
-    nodes, leaf = kernels.grow(side, laws, planes, rows, partition.offsets, centres, 256 * len(partition) + 1)
-    used = np.unique(nodes[nodes[:, 0] >= 0, 0])
-    renumber = np.full(len(splitting) + 1, -1, dtype=np.int64)
-    renumber[used] = np.arange(len(used))
-    nodes[:, 0] = renumber[nodes[:, 0]]
-    return SearchTree(np.ascontiguousarray(planes[used]), nodes, leaf, border)
+    if method not in METHODS:
+        raise InputError("method", repr(method), "'tree' or 'sequential'")
+    deadline = time.perf_counter() + as_seconds("tree_time_limit", time_limit)
+    if method == "sequential":
+        planes, nodes, leaf = _one_leaf(partition)
+        status = TreeStatus.SEQUENTIAL
+    else:
+        planes, nodes, leaf, status = _grow(partition, laws, points, deadline)
+    border = np.zeros((0, partition.scaled_rows.shape[1]))
+    if partition.status is MPQPStatus.COMPLETE:
+        border = _border(partition, (planes, nodes, leaf), points)
+    return SearchTree(planes, nodes, leaf, border, _centre_of(border), status)
 
 
-def sides_of_regions(
-    partition: Partition, planes: Array, centres: Array | None = None
-) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """On which side of each hyperplane each region lies, (n_planes, n_regions): 1 below, 2 above, 3 both."""
-    from mpc.explicit.kernels import search as kernels
+def find(tree: SearchTree, partition: Partition, points: Array, *, scan: bool = False) -> Located:
+    """Region of every scaled point (n, nt), by the tree or by a scan of all regions.
 
-    rows = partition.scaled_rows
-    centres = kernels.centres_of(rows, partition.offsets) if centres is None else centres
-    side: np.ndarray[Any, np.dtype[np.uint8]] = kernels.sides(rows, partition.offsets, centres, planes, 1e-9)
-    return side
-
-
-def distinct_planes(rows: Array) -> Array:
-    """Rows up to sign, each once."""
-    leading = np.argmax(np.abs(rows[:, :-1]) > 1e-6, axis=1)
-    signed = rows * np.sign(rows[np.arange(len(rows)), leading])[:, None]
-    _, first = np.unique(np.round(signed, 8) + 0.0, axis=0, return_index=True)
-    return np.ascontiguousarray(signed[np.sort(first)])
-
-
-def locate(tree: SearchTree, partition: Partition, points: Array) -> tuple[Ints, np.ndarray[Any, np.dtype[np.bool_]]]:
-    """Region of every scaled point (n, nt) and whether the point lies outside the partition.
-
-    An outside point gets a region near by.
+    A point outside a complete partition is moved towards the centre until it lies on the border, and gets the region
+    there; a point outside an incomplete one gets the region from which it is least far, in scaled parameters. Such
+    points are moved in place.
     """
-    from mpc.explicit.kernels import search as kernels
+    where = _locator(partition, _one_leaf(partition) if scan else (tree.planes, tree.nodes, tree.leaf_regions))
+    region, outside, gap = _locate(where, tree.border, tree.centre, points)
+    lost = np.flatnonzero(gap > INSIDE)
+    if len(lost) and not scan:  # not in this leaf: look at every region
+        everywhere = _locator(partition, _one_leaf(partition))
+        region[lost], _, gap[lost] = _locate(everywhere, tree.border[:0], tree.centre, points[lost])
+    outside[lost] |= gap[lost] > INSIDE
+    return Located(region, outside, points)
 
-    rows = partition.scaled_rows
-    region, distance = np.empty(len(points), dtype=np.int64), np.empty(len(points))
-    kernels.locate(
-        points, tree.planes, tree.nodes, tree.leaf_regions, tree.border, rows, partition.offsets, _INSIDE, region,
-        distance,
+
+def distinct_planes(rows: Array) -> tuple[Array, Ints, Flags]:
+    """Rows up to sign, each once; the number of each row's hyperplane, and whether its sign is the other one."""
+    leading = np.argmax(np.abs(rows[:, :-1]) > 0.5 / np.sqrt(rows.shape[1]), axis=1)
+    flipped = rows[np.arange(len(rows)), leading] < 0
+    signed = np.where(flipped[:, None], -rows, rows)
+    rounded = np.round(signed, SAME_HYPERPLANE_DIGITS) + 0.0
+    _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    return np.ascontiguousarray(signed[first]), number.astype(np.int64).ravel(), flipped
+
+
+def _one_leaf(partition: Partition) -> tuple[Array, Ints, Ints]:
+    """Planes, nodes and leaf regions of a tree that scans all regions."""
+    n = partition.scaled_rows.shape[1]
+    every = np.arange(len(partition), dtype=np.int64)
+    return np.zeros((0, n)), np.array([[-1, 0, len(partition)]], dtype=np.int64), every
+
+
+def _locator(partition: Partition, tree: tuple[Array, Ints, Ints]) -> Any:
+    """Planes, nodes and leaf regions with the facets of the regions, for the compiled search."""
+    from mpc.explicit.kernels.search import Locator
+
+    planes, nodes, leaf = (_view(array) for array in tree)
+    return Locator(planes, nodes, leaf, partition.scaled_rows, partition.offsets)
+
+
+def _locate(where: Any, border: Array, centre: Array, points: Array) -> tuple[Ints, Flags, Array]:
+    """Region of every point, whether it was beyond the border, and its distance from the region."""
+    from mpc.explicit.kernels.search import locate
+
+    region = np.empty(len(points), dtype=np.int64)
+    outside = np.empty(len(points), dtype=bool)
+    gap = np.empty(len(points))
+    locate(where, _view(border), _view(centre), points, region, outside, gap)
+    return region, outside, gap
+
+
+def _view(array: Any) -> Any:
+    """A read-only view: the compiled search exists for one kind of array."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def region_points(partition: Partition) -> RegionPoints:
+    """Centre of every region and one point on each facet, scaled."""
+    from mpc.explicit.kernels.growth import points_of
+
+    sizes = np.minimum(np.diff(partition.offsets) + 1, _POINTS)
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    points = np.zeros((int(starts[-1]), partition.scaled_rows.shape[1] - 1))
+    points_of(partition.scaled_rows, partition.offsets, points, starts)
+    return RegionPoints(points, starts)
+
+
+def _grow(
+    partition: Partition, laws: Ints, points: RegionPoints, deadline: float
+) -> tuple[Array, Ints, Ints, TreeStatus]:
+    """Planes, nodes and leaf regions of a tree grown until the end or a limit, and which."""
+    from mpc.explicit.kernels.growth import FINISHED, GROW, LEAF, NEXT, NODES, POOL, Growth, Regions, grow
+
+    count = len(partition)
+    regions = Regions(partition.scaled_rows, partition.offsets, *points, laws)
+    growth = Growth(
+        nodes=np.zeros((4 * count + 4, 3), dtype=np.int64), parents=np.full(4 * count + 4, -1, dtype=np.int64),
+        first=np.zeros(4 * count + 4, dtype=np.int64), last=np.zeros(4 * count + 4, dtype=np.int64),
+        pool=np.zeros(8 * count + 8, dtype=np.int64), inside=np.zeros(8 * count + 8, dtype=np.uint64),
+        leaf=np.zeros(8 * count + 8, dtype=np.int64), counts=np.array([1, 0, count, 0], dtype=np.int64),
     )  # fmt: skip
-    lost = np.flatnonzero((distance > _INSIDE) & ((distance < np.inf) | (region < 0)))
-    if len(lost):  # within the border, or in a leaf without regions: look at every region
-        everywhere = np.array([[-1, 0, len(partition)]], dtype=np.int64)
-        found, gap = np.empty(len(lost), dtype=np.int64), np.empty(len(lost))
-        every = np.arange(len(partition), dtype=np.int64)
-        kernels.locate(points[lost], tree.planes, everywhere, every, tree.border[:0], rows, partition.offsets, _INSIDE,
-                       found, gap)  # fmt: skip
-        region[lost], distance[lost] = found, gap
-    return region, distance > _INSIDE
+    growth.last[0] = count
+    growth.pool[:count] = np.arange(count)
+    growth.inside[:count] = [(1 << int(size)) - 1 for size in np.diff(points.starts)]
+    bucket = 1 if count <= _SMALL else _BUCKET
+    status = TreeStatus.COMPLETE
+    while (code := grow(regions, growth, bucket, _PORTION)) != FINISHED:
+        if code == GROW:
+            growth = _roomier(growth)
+        if time.perf_counter() > deadline:
+            status = TreeStatus.TIME_LIMIT
+            break
+        waiting = growth.counts[POOL] - growth.first[growth.counts[NEXT]]
+        if growth.counts[LEAF] + waiting > _MOST * count + 10_000:
+            status = TreeStatus.SIZE_LIMIT
+            break
+    nodes = growth.nodes[: growth.counts[NODES]].copy()
+    leaf = growth.leaf[: growth.counts[LEAF]]
+    open_nodes = np.arange(growth.counts[NEXT], growth.counts[NODES])
+    if len(open_nodes):  # what was not looked at becomes a leaf as it is
+        shift = len(leaf) - growth.first[open_nodes[0]]
+        nodes[open_nodes] = np.column_stack([
+            np.full(len(open_nodes), -1), growth.first[open_nodes] + shift, growth.last[open_nodes] + shift,
+        ])  # fmt: skip
+        leaf = np.concatenate([leaf, growth.pool[growth.first[open_nodes[0]] : growth.counts[POOL]]])
+    inner = np.flatnonzero(nodes[:, 0] >= 0)
+    planes, number, flipped = distinct_planes(partition.scaled_rows[nodes[inner, 0]])
+    nodes[inner, 0] = number
+    nodes[inner[flipped], 1:] = nodes[inner[flipped], :0:-1]
+    return planes, nodes, leaf.copy(), status
+
+
+def _roomier(growth: Any) -> Any:
+    """The same growth with more room; regions of nodes already looked at are let go."""
+    from mpc.explicit.kernels.growth import NEXT, POOL
+
+    node, filled = growth.counts[NEXT], growth.counts[POOL]
+    begin = growth.first[node]
+    more = growth._asdict()
+    for name in ("nodes", "parents", "first", "last", "leaf"):
+        more[name] = np.concatenate([more[name], np.full_like(more[name], -1)])
+    for name in ("pool", "inside"):
+        kept = more[name][begin:filled]
+        more[name] = np.concatenate([kept, np.zeros(len(kept) + len(more[name]), dtype=kept.dtype)])
+    more["first"][node:] -= begin
+    more["last"][node:] -= begin
+    growth.counts[POOL] -= begin
+    return growth._replace(**more)
+
+
+def _border(partition: Partition, tree: tuple[Array, Ints, Ints], points: RegionPoints) -> Array:
+    """Facets with every region on one side and none just across; a complete partition is convex, so these bound it."""
+    from mpc.explicit.kernels.search import supporting
+
+    rows = partition.scaled_rows
+    _, number, flipped = distinct_planes(rows)
+    sides = np.zeros((int(number.max()) + 1, 2), dtype=bool)
+    sides[number, flipped.astype(int)] = True
+    one_sided = np.flatnonzero(~sides[number].all(axis=1))
+    one_sided = one_sided[np.unique(number[one_sided], return_index=True)[1]]
+    kept = np.zeros(len(one_sided), dtype=bool)
+    shuffled = np.random.default_rng(0).permutation(points.points)  # so that most hyperplanes are dismissed early
+    supporting(np.ascontiguousarray(rows[one_sided]), shuffled, kept)
+    candidates = one_sided[kept]
+    region = np.searchsorted(partition.offsets, candidates, side="right") - 1
+    facet = points.starts[region] + 1 + candidates - partition.offsets[region]
+    facet = np.minimum(facet, points.starts[region + 1] - 1)
+    across = points.points[facet] + CROSSING * rows[candidates, :-1]
+    _, _, gap = _locate(_locator(partition, tree), rows[:0], np.zeros(rows.shape[1] - 1), across)
+    return np.ascontiguousarray(rows[candidates[gap > INSIDE]])
+
+
+def _centre_of(border: Array) -> Array:
+    """A point well within the border; the origin where there is none."""
+    n = border.shape[1] - 1
+    centre = np.zeros(n)
+    if len(border):
+        from mpc.explicit.kernels.halfspace import interior_point
+
+        A = np.ascontiguousarray(border[:, :-1])
+        interior_point(A, np.ascontiguousarray(border[:, -1]), np.inf, centre)
+    return centre

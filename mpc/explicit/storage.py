@@ -1,30 +1,37 @@
-"""Explicit laws on disk: arrays in `.npz`, the rest in JSON, no pickle."""
+"""Explicit laws on disk: arrays in `.npz`, the rest in JSON, no pickle; both are checked when they are read."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 import zipfile
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mpc.exceptions import InputError
-from mpc.explicit.mpqp import MPQPStatus, Partition
-from mpc.explicit.search_tree import SearchTree
+from mpc.explicit.partition import MPQPStatus, Partition
+from mpc.explicit.piecewise_law import LawParts, PiecewiseLaw
+from mpc.explicit.search_tree import SearchTree, TreeStatus
 from mpc.parametric_qp import Constraint, ParametricQP
 
-if TYPE_CHECKING:
-    from mpc.explicit.explicit import ExplicitMPC
-
-_FORMAT = "explicit-mpc/1"
+_FORMAT = "explicit-mpc/2"
 _QP = ("H", "F", "f", "Y", "y", "G", "w", "S", "Lz", "Lt", "l", "Xz", "Xt", "x")
 _PARTITION = ("H", "h", "offsets", "law", "centre", "half")
-_TREE = ("planes", "nodes", "leaf_regions", "border")
+_TREE = ("planes", "nodes", "leaf_regions", "border", "centre")
+_UNREADABLE = (ValueError, KeyError, TypeError, IndexError, EOFError, OSError, MemoryError, OverflowError,
+               RecursionError, NotImplementedError, zipfile.BadZipFile, zlib.error)  # fmt: skip
+Arrays = dict[str, np.ndarray[Any, Any]]
 
 
-def save_explicit(law: ExplicitMPC, path: Path) -> tuple[Path, Path]:
+class _Inconsistent(ValueError):
+    """Something in the files contradicts something else; the message says what."""
+
+
+def save_explicit(law: PiecewiseLaw, path: Path) -> tuple[Path, Path]:
     """Write the two files and return their paths."""
     arrays, manifest = _files(path)
     problem, partition = law.partition.problem, law.partition
@@ -35,31 +42,55 @@ def save_explicit(law: ExplicitMPC, path: Path) -> tuple[Path, Path]:
     data |= {"law": law.law, "law_number": law.law_number}
     data |= {"input_H": law.input_rows[0], "input_h": law.input_rows[1], "members": members}
     data["member_counts"] = np.array([len(active) for active in partition.active_sets], dtype=np.int64)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(arrays, **data)
     text = {
-        "format": _FORMAT, "regions": len(partition), "status": partition.status.name, "nu": problem.nu,
+        "format": _FORMAT, "fingerprint": _fingerprint(data), "regions": len(partition),
+        "status": partition.status.name, "tree_status": law.tree.status.name, "nu": problem.nu,
         "parameters": [list(p) for p in problem.parameters], "constant_cost": problem.c,
         "solve_time": partition.solve_time, "labels": [list(label) for label in problem.labels],
     }  # fmt: skip
-    manifest.write_text(json.dumps(text, indent=1) + "\n")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        half_written = arrays.with_name(arrays.name + ".part")
+        with half_written.open("wb") as stream:
+            np.savez_compressed(stream, **data)
+        os.replace(half_written, arrays)
+        manifest.write_text(json.dumps(text, indent=1) + "\n")
+    except OSError as error:
+        raise InputError("path", f"{str(path)!r} ({error.strerror})", "a place that can be written to") from error
     return arrays, manifest
 
 
-def load_explicit(path: Path) -> ExplicitMPC:
-    """Read the two files."""
+def load_parts(path: Path) -> LawParts:
+    """Read the two files.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged, the two do not belong together, or an index points nowhere.
+    """
     arrays, manifest = _files(path)
+    for file in (manifest, arrays):
+        if not file.is_file():
+            raise InputError("path", f"no file {str(file)!r}", "the two files that `ExplicitMPC.save` wrote")
     try:
         text: dict[str, Any] = json.loads(manifest.read_text())
         if not isinstance(text, dict) or text.get("format") != _FORMAT:
             got = text.get("format") if isinstance(text, dict) else None
-            raise InputError(f"{manifest} has format {got!r}, expected {_FORMAT!r}.")
+            raise InputError("path", f"{manifest.name} of format {got!r}", repr(_FORMAT), "Save it again.")
         with arrays.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return _assemble(text, {name: file[name] for name in file.files})
+            data = {name: file[name] for name in file.files}
+        if text["fingerprint"] != _fingerprint(data):
+            raise _Inconsistent(f"{arrays.name} is not the file that {manifest.name} was written with")
+        _check_arrays(data, text)
+        return _assemble(text, data)
     except InputError:
         raise
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{manifest} and {arrays.name} cannot be read: {error!r}. Save it again.") from error
+    except _UNREADABLE as error:
+        why = str(error) or type(error).__name__
+        raise InputError(
+            "path", f"{manifest.name} and {arrays.name} that cannot be read ({why})", "an undamaged pair of files",
+            "Save the law again.",
+        ) from error  # fmt: skip
 
 
 def _files(path: Path) -> tuple[Path, Path]:
@@ -68,19 +99,88 @@ def _files(path: Path) -> tuple[Path, Path]:
     return stem.with_name(stem.name + ".npz"), stem.with_name(stem.name + ".json")
 
 
-def _assemble(text: dict[str, Any], data: dict[str, Any]) -> ExplicitMPC:
-    from mpc.explicit.explicit import ExplicitMPC
+def _fingerprint(data: Arrays) -> str:
+    """SHA-256 of names, types, shapes and contents of the arrays."""
+    digest = hashlib.sha256()
+    for name in sorted(data):
+        array = np.ascontiguousarray(data[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
 
+
+def _check_arrays(data: Arrays, text: dict[str, Any]) -> None:
+    """Raise where a shape, a type or an index does not fit: compiled code trusts them."""
+    regions, nu = int(text["regions"]), int(text["nu"])
+    m, nz = data["qp_G"].shape
+    nt = data["qp_F"].shape[1]
+    rows, nodes, leaf = len(data["partition_h"]), len(data["tree_nodes"]), len(data["tree_leaf_regions"])
+    planes, border, inputs = len(data["tree_planes"]), len(data["tree_border"]), len(data["qp_l"])
+    states = len(data["qp_x"])
+    shapes = {
+        "qp_H": (nz, nz), "qp_F": (nz, nt), "qp_f": (nz,), "qp_Y": (nt, nt), "qp_y": (nt,), "qp_G": (m, nz),
+        "qp_w": (m,), "qp_S": (m, nt), "qp_Lz": (inputs, nz), "qp_Lt": (inputs, nt), "qp_l": (inputs,),
+        "qp_Xz": (states, nz), "qp_Xt": (states, nt), "qp_x": (states,), "partition_H": (rows, nt),
+        "partition_h": (rows,), "partition_offsets": (regions + 1,), "partition_law": (regions, nz, nt + 1),
+        "partition_centre": (nt,), "partition_half": (nt,), "tree_planes": (planes, nt + 1), "tree_nodes": (nodes, 3),
+        "tree_leaf_regions": (leaf,), "tree_border": (border, nt + 1), "tree_centre": (nt,),
+        "law": (regions, nu, nt + 1), "law_number": (regions,), "input_H": (len(data["input_h"]), nu),
+        "input_h": (len(data["input_h"]),), "members": (len(data["members"]),), "member_counts": (regions,),
+    }  # fmt: skip
+    whole = {"partition_offsets", "tree_nodes", "tree_leaf_regions", "law_number", "members", "member_counts"}
+    for name, shape in shapes.items():
+        array, kind = data[name], np.int64 if name in whole else np.float64
+        if array.shape != shape or array.dtype != kind:
+            raise _Inconsistent(f"{name} has shape {array.shape} of {array.dtype}, not {shape} of {np.dtype(kind)}")
+        if kind is np.float64 and not np.isfinite(array).all():
+            raise _Inconsistent(f"{name} is not finite")
+    if regions < 1 or not 1 <= nu <= inputs or len(text["labels"]) != m:
+        raise _Inconsistent("the numbers of regions, inputs or labels do not fit the arrays")
+    if sum(int(size) for _, size in text["parameters"]) != nt or not (data["partition_half"] > 0).all():
+        raise _Inconsistent("the parameters do not fit the arrays")
+    _check_indices(data, regions, m)
+
+
+def _check_indices(data: Arrays, regions: int, m: int) -> None:
+    """Raise where an index points nowhere, or the tree has a cycle."""
+    offsets, number = data["partition_offsets"], data["law_number"]
+    if offsets[0] != 0 or (np.diff(offsets) < 0).any() or offsets[-1] != len(data["partition_h"]):
+        raise _Inconsistent("partition_offsets does not divide the facets among the regions")
+    if not np.array_equal(np.unique(number), np.arange(number.max() + 1)):
+        raise _Inconsistent("law_number does not count the laws")
+    counts, members = data["member_counts"], data["members"]
+    if (counts < 0).any() or counts.sum() != len(members) or not _within(members, m):
+        raise _Inconsistent("members does not name constraints")
+    nodes, leaf = data["tree_nodes"], data["tree_leaf_regions"]
+    inner = nodes[:, 0] >= 0
+    node = np.arange(len(nodes))[inner, None]
+    children, leaves = nodes[inner, 1:], nodes[~inner]
+    after = (children > node).all() and (children < len(nodes)).all()  # so that every walk ends
+    if not len(nodes) or not after or not _within(nodes[inner, 0], len(data["tree_planes"])):
+        raise _Inconsistent("tree_nodes has a hyperplane or a child that does not exist")
+    if (leaves[:, 0] != -1).any() or (leaves[:, 1] < 0).any() or (leaves[:, 1] > leaves[:, 2]).any():
+        raise _Inconsistent("tree_nodes has a leaf that is no slice")
+    if (leaves[:, 2] > len(leaf)).any() or not _within(leaf, regions):
+        raise _Inconsistent("tree_leaf_regions names a region that does not exist")
+
+
+def _within(indices: np.ndarray[Any, Any], count: int) -> bool:
+    """Whether all indices are in 0 … count - 1."""
+    return bool(((indices >= 0) & (indices < count)).all())
+
+
+def _assemble(text: dict[str, Any], data: Arrays) -> LawParts:
+    """The parts of the law from checked arrays."""
     problem = ParametricQP(
-        **{name: data[f"qp_{name}"] for name in _QP}, c=text["constant_cost"], nu=text["nu"],
-        parameters=tuple((name, size) for name, size in text["parameters"]),
-        labels=tuple(Constraint(*label) for label in text["labels"]),
+        **{name: data[f"qp_{name}"] for name in _QP}, c=float(text["constant_cost"]), nu=int(text["nu"]),
+        parameters=tuple((str(name), int(size)) for name, size in text["parameters"]),
+        labels=tuple(Constraint(str(kind), int(step), int(row)) for kind, step, row in text["labels"]),
     )  # fmt: skip
     ends = np.cumsum(data["member_counts"])
     partition = Partition(
-        problem=problem, status=MPQPStatus[text["status"]], solve_time=text["solve_time"],
+        problem=problem, status=MPQPStatus[text["status"]], solve_time=float(text["solve_time"]),
         active_sets=tuple(tuple(part.tolist()) for part in np.split(data["members"], ends)[:-1]),
         **{name: data[f"partition_{name}"] for name in _PARTITION},
     )  # fmt: skip
-    tree = SearchTree(**{name: data[f"tree_{name}"] for name in _TREE})
-    return ExplicitMPC(partition, tree, data["law"], data["law_number"], (data["input_H"], data["input_h"]))
+    tree = SearchTree(**{name: data[f"tree_{name}"] for name in _TREE}, status=TreeStatus[text["tree_status"]])
+    return LawParts(partition, tree, data["law"], data["law_number"], (data["input_H"], data["input_h"]))

@@ -109,7 +109,7 @@ def test_report_counts_the_bytes_of_the_tables(explicit_laws, tmp_path):
         report = explicit_laws[1].to_c(folder, method=method)
         subprocess.run([CC, "-std=c99", "-O2", "-c", "mpc.c"], cwd=folder, check=True)
         shown = subprocess.run(["size", "-A", "mpc.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
-        constants = sum(int(line.split()[1]) for line in shown.splitlines() if line.startswith(".rodata"))
+        constants = sum(int(line.split()[1]) for line in shown.splitlines() if line.split()[:1] == [".rodata"])
         assert report.flash_bytes == pytest.approx(constants, rel=0.05)
         assert f"{report.flash_bytes} bytes" in str(report)
 
@@ -138,9 +138,9 @@ def test_compiled_library_is_callable_from_python(explicit_laws, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"name": "1x"}, "expected a C identifier"),
-        ({"method": "hash"}, "got method 'hash'"),
-        ({"scalar": "half"}, "scalar 'half'"),
+        ({"name": "1x"}, "name: got '1x', expected a C identifier"),
+        ({"method": "hash"}, "method: got 'hash'"),
+        ({"scalar": "half"}, "scalar: got 'half'"),
     ],
 )
 def test_unknown_options_are_refused(explicit_laws, options, message, tmp_path):
@@ -148,16 +148,44 @@ def test_unknown_options_are_refused(explicit_laws, options, message, tmp_path):
         explicit_laws[0].to_c(tmp_path, **options)
 
 
-def test_regions_that_no_hyperplane_separates_are_refused(explicit_laws, tmp_path):
+@needs_compiler
+def test_leaves_with_several_laws_are_scanned(explicit_laws, tmp_path):
     law = explicit_laws[0]
-    leaf = replace(law.tree, nodes=np.array([[-1, 0, len(law)]]), leaf_regions=np.arange(len(law)))
-    with pytest.raises(InputError, match="no separating hyperplane; use method='sequential'"):
-        replace(law, tree=leaf).to_c(tmp_path)
+    root = law.tree.nodes[0]
+    coarse = np.array([[root[0], 1, 2], [-1, 0, len(law)], [-1, 0, len(law)]])
+    whole = replace(law, tree=replace(law.tree, nodes=coarse, leaf_regions=np.arange(len(law))))
+    whole.to_c(tmp_path)
+    theta = np.random.default_rng(1).uniform(-6, 6, size=(5000, 2))
+    u, outside = law.evaluate(theta)
+    out = run_c(tmp_path, theta, "double").reshape(-1, 2)
+    np.testing.assert_array_equal(out[:, 1], outside)
+    np.testing.assert_allclose(out[:, :1], u, atol=1e-9)
+
+
+@needs_compiler
+@pytest.mark.parametrize("size", [1.5, 1e3, 1e300])
+def test_both_methods_and_python_agree_outside(explicit_laws, size, tmp_path):
+    law = explicit_laws[1]
+    p = law.partition
+    theta = p.centre + size * p.half * np.random.default_rng(2).uniform(-1, 1, size=(2000, law.nt))
+    u, outside = law.evaluate(theta)
+    assert outside.mean() > 0.5
+    for method in ("tree", "sequential"):
+        law.to_c(tmp_path / method, method=method)
+        out = run_c(tmp_path / method, theta, "double").reshape(-1, law.nu + 1)
+        np.testing.assert_array_equal(out[:, -1], outside)
+        np.testing.assert_allclose(out[:, :-1], u, atol=1e-6 * np.abs(law.input_rows[1]).max())
+
+
+def test_a_folder_that_cannot_be_written_to_is_refused(explicit_laws, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"folder: got .* expected a folder that can be written to"):
+        explicit_laws[0].to_c(tmp_path / "file")
 
 
 def test_a_tree_of_an_incomplete_partition_is_refused(tmp_path):
     A, B = double_integrator()
     law = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=5, X=box([5, 5]), U=box([1])).explicit(max_regions=7)
-    with pytest.raises(InputError, match="needs a complete partition, got REGION_LIMIT"):
+    with pytest.raises(InputError, match=r"method: got 'tree' for a partition that is incomplete \(REGION_LIMIT\)"):
         law.to_c(tmp_path)
     assert law.to_c(tmp_path, method="sequential").regions == 7

@@ -236,9 +236,9 @@ def with_bounds(A, b):
     ("theta_set", "message"),
     [
         (box([1.0]), r"theta_set.A: got shape \(2, 1\), expected \(any, 2\)"),
-        (with_bounds([[1, 0], [-1, 0], [0, 1]], [1, 1, 1]), "theta_set is unbounded in parameter 1"),
-        (with_bounds([[1, 0], [-1, 0], [0, 1], [0, -1]], [1, -1, 1, 1]), "empty or flat: parameter 0"),
-        (with_bounds([[1, 1], [-1, -1], [1, -1], [-1, 1]], [-1, -1, 1, 1]), "theta_set is empty"),
+        (with_bounds([[1, 0], [-1, 0], [0, 1]], [1, 1, 1]), "theta_set: got a set unbounded in parameter 1"),
+        (with_bounds([[1, 0], [-1, 0], [0, 1], [0, -1]], [1, -1, 1, 1]), "parameter 0 in .* empty or flat"),
+        (with_bounds([[1, 1], [-1, -1], [1, -1], [-1, 1]], [-1, -1, 1, 1]), "theta_set: got an empty set"),
         (with_bounds([[1, 0], [-1, 0], [0, 1], [0, -1]], [1, 1, 1, np.nan]), "theta_set.b: got nan at index"),
     ],
 )
@@ -273,5 +273,5 @@ def test_an_equality_that_leaves_no_freedom_is_refused_by_name():
 
 def test_limits_must_be_positive():
     mpc = integrator(2, 0.1)
-    with pytest.raises(InputError, match="max_regions and time_limit must be positive"):
+    with pytest.raises(InputError, match="max_regions: got 0, expected a whole number >= 1"):
         solve_mpqp(mpc.build(), mpc.X, max_regions=0)

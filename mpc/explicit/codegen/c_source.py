@@ -17,7 +17,7 @@ HEADER = """\
 typedef @scalar@ @name@_real;
 
 /* Write the input that belongs to theta into u.
-   Returns 0; 1 where theta is outside the partition (u: the law of a region near by, saturated);
+   Returns 0; 1 where theta is outside the partition (u: @outside@);
    2 where theta is not finite (u: zero). */
 int @name@_law(const @name@_real theta[@NAME@_NT], @name@_real u[@NAME@_NU]);
 
@@ -34,6 +34,8 @@ SOURCE = """\
 #define NT @NAME@_NT
 #define NU @NAME@_NU
 #define TOLERANCE @tolerance@
+#define LARGE @large@
+#define FAR_AWAY @far@
 
 typedef @name@_real real;
 
@@ -52,10 +54,13 @@ static real distance(const real plane[NT + 1], const real theta[NT])
     return sum - plane[NT];
 }
 
+@border@
+@regions@
 @body@
 int @name@_law(const real theta[NT], real u[NU])
 {
-    int i, j, k, outside = 0;
+    real point[NT];
+    int i, j, k, outside;
     for (j = 0; j < NT; j++) {
         if (!(theta[j] >= -@largest@ && theta[j] <= @largest@)) {
             for (i = 0; i < NU; i++) {
@@ -63,10 +68,12 @@ int @name@_law(const real theta[NT], real u[NU])
             }
             return 2;
         }
+        point[j] = theta[j];
     }
-    k = find_law(theta, &outside);
+    outside = pull_back(point);
+    k = find_law(point, &outside);
     for (i = 0; i < NU; i++) {
-        u[i] = apply(k, i, theta);
+        u[i] = apply(k, i, point);
         if (outside && !(u[i] <= highest[i])) {
             u[i] = highest[i];
         }
@@ -124,64 +131,130 @@ static real apply(int k, int i, const real theta[NT])
 }
 """
 
-TREE = """\
-/* inner nodes: go below where planes[plane] is <= 0; a negative child is the law -1 - child */
-static const real planes[@nplanes@][NT + 1] = @planes@;
-static const @int@ node_plane[@nnodes@] = @plane@;
-static const @int@ node_below[@nnodes@] = @below@;
-static const @int@ node_above[@nnodes@] = @above@;
+BORDER = """\
 /* the partition lies where all of these are <= 0 */
 static const real border[@nborder@][NT + 1] = @border@;
+static const real room[@nborder@] = @room@; /* minus their values at the point inner */
+static const real inner[NT] = @inner@;
+static const real half[NT] = @half@;
 
-static int find_law(const real theta[NT], int *outside)
+/* move a point beyond the border towards inner until it is on it; 1 if it was beyond */
+static int pull_back(real theta[NT])
 {
-    int i, node = @root@;
+    real way[NT], far = 0, share = 1;
+    int i, j, beyond = 0;
+    for (i = 0; i < @nborder@ && !beyond; i++) {
+        beyond = !(distance(border[i], theta) <= TOLERANCE);
+    }
+    if (!beyond) {
+        return 0;
+    }
+    for (j = 0; j < NT; j++) {
+        way[j] = (theta[j] - inner[j]) / half[j];
+        way[j] = way[j] > LARGE ? LARGE : way[j] < -LARGE ? -LARGE : way[j];
+        far = way[j] > far ? way[j] : -way[j] > far ? -way[j] : far;
+    }
+    for (j = 0; j < NT; j++) {
+        way[j] *= half[j] * (far > FAR_AWAY ? FAR_AWAY / far : 1);
+    }
     for (i = 0; i < @nborder@; i++) {
-        if (!(distance(border[i], theta) <= TOLERANCE)) {
-            *outside = 1;
-            break;
+        real step = 0;
+        for (j = 0; j < NT; j++) {
+            step += border[i][j] * way[j];
+        }
+        if (step * share > room[i]) {
+            share = room[i] / step;
         }
     }
-    while (node >= 0) {
-        node = distance(planes[node_plane[node]], theta) <= 0 ? node_below[node] : node_above[node];
+    for (j = 0; j < NT; j++) {
+        theta[j] = inner[j] + share * way[j];
     }
-    return -1 - node;
+    return 1;
 }
 """
 
-SEQUENTIAL = """\
-/* region r lies where all planes rows[start[r]] ... rows[start[r + 1] - 1] are <= 0; -1 - i means minus plane i */
+NO_BORDER = """\
+/* the partition is incomplete: what lies in no region is outside */
+static int pull_back(const real theta[NT])
+{
+    (void)theta;
+    return 0;
+}
+"""
+
+REGIONS = """\
 static const real planes[@nplanes@][NT + 1] = @planes@;
+"""
+
+SCAN = """\
+/* region r lies where all planes rows[start[r]] ... rows[start[r + 1] - 1] are <= 0; -1 - i means minus plane i */
 static const @int@ start[@nregions@ + 1] = @start@;
 static const @int@ rows[@nrows@] = @rows@;
 static const @int@ law_of[@nregions@] = @law@;
 
-static int find_law(const real theta[NT], int *outside)
+/* law of the region that holds theta or is nearest to it, and how far theta is outside of it */
+static int scan(const real theta[NT], int first, int end, real *least)
 {
-    int r, i, best = 0;
-    real least = @largest@;
-    for (r = 0; r < @nregions@; r++) {
+    int e, i, best = 0;
+    *least = @largest@;
+    for (e = first; e < end && *least > 0; e++) {
+        const int r = @which@;
         real worst = -@largest@;
-        for (i = start[r]; i < start[r + 1]; i++) {
+        for (i = start[r]; i < start[r + 1] && worst < *least; i++) {
             const int row = rows[i];
             const real d = row >= 0 ? distance(planes[row], theta) : -distance(planes[-1 - row], theta);
-            if (d > worst) {
-                worst = d;
-            }
-            if (worst >= least) {
-                break;
-            }
+            worst = d > worst ? d : worst;
         }
-        if (worst < least) {
-            least = worst;
+        if (worst < *least) {
+            *least = worst;
             best = r;
         }
-        if (least <= 0) {
-            break;
-        }
     }
-    *outside = !(least <= TOLERANCE);
     return law_of[best];
+}
+"""
+
+TREE = """\
+/* inner nodes: go below where planes[plane] is <= 0; a negative child is the leaf -1 - child */
+static const @int@ node_plane[@nnodes@] = @plane@;
+static const @int@ node_below[@nnodes@] = @below@;
+static const @int@ node_above[@nnodes@] = @above@;
+@lists@
+static int find_law(const real theta[NT], int *outside)
+{
+    int node = @root@;
+    (void)outside;
+    while (node >= 0) {
+        node = distance(planes[node_plane[node]], theta) <= 0 ? node_below[node] : node_above[node];
+    }
+    node = -1 - node;
+@leaf@
+}
+"""
+
+LISTS = """\
+/* leaf @nlaws@ + l holds the regions members[lists[l]] ... members[lists[l + 1] - 1], of several laws */
+static const @int@ lists[@nlists@ + 1] = @list_start@;
+static const @int@ members[@nmembers@] = @members@;
+"""
+
+LEAF_LAW = """\
+    return node;"""
+
+LEAF_LIST = """\
+    if (node >= @nlaws@) {
+        real least;
+        return scan(theta, lists[node - @nlaws@], lists[node - @nlaws@ + 1], &least);
+    }
+    return node;"""
+
+SEQUENTIAL = """\
+static int find_law(const real theta[NT], int *outside)
+{
+    real least;
+    const int k = scan(theta, 0, @nregions@, &least);
+    *outside = *outside || !(least <= TOLERANCE);
+    return k;
 }
 """
 

@@ -5,22 +5,25 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mpc.checks import Array
 from mpc.exceptions import InputError
-from mpc.explicit.codegen.c_source import HEADER, LAW_DOUBLE, LAW_FLOAT, SEQUENTIAL, SOURCE, TREE, real, table
-from mpc.explicit.mpqp import MPQPStatus
-from mpc.explicit.search_tree import Ints, distinct_planes
+from mpc.explicit.codegen import c_source as c
+from mpc.explicit.codegen.c_source import real, table
+from mpc.explicit.partition import Ints, MPQPStatus
+from mpc.explicit.piecewise_law import PiecewiseLaw
+from mpc.explicit.search_tree import distinct_planes, region_points
 from mpc.halfspaces import box_of
+from mpc.tolerances import FAR_AWAY, INSIDE, INSIDE_FLOAT
 
-if TYPE_CHECKING:
-    from mpc.explicit.explicit import ExplicitMPC
-
-_TOLERANCE = {"double": 1e-7, "float": 1e-5}
+_TOLERANCE = {"double": INSIDE, "float": INSIDE_FLOAT}
+_LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
+_BYTES = {"double": 8, "float": 4}
 _COMPENSATED = 13  # multiply-adds that a product in twice the precision costs
+_LARGE = 1e30  # scaled parameters beyond this are cut off
 
 
 @dataclass(frozen=True)
@@ -50,13 +53,14 @@ class CodeReport:
 
 
 def write_c(
-    law: ExplicitMPC, folder: Path, *, name: str = "mpc", method: str = "tree", scalar: str = "double"
+    law: PiecewiseLaw, folder: Path, *, name: str = "mpc", method: str = "tree", scalar: str = "double"
 ) -> CodeReport:
     """Write `folder`/`name`.h and `name`.c, which define `int name_law(const name_real theta[], name_real u[])`.
 
-    The function returns 0; 1 where theta lies outside the partition (u is then the law of a region near by, saturated
-    where the input set is a box); 2 where theta is not finite (u is zero). Gains and hyperplanes that occur more than
-    once, up to sign for the hyperplanes, are stored once.
+    The function returns 0; 1 where theta lies outside the partition; 2 where it is not finite (u is zero). Outside, u
+    is what `ExplicitMPC.evaluate` gives, by either method: the input where the straight line to an inner point enters
+    the partition; for an incomplete partition the law of the nearest region, saturated where the input set is a box.
+    Gains and hyperplanes that occur more than once, up to sign for the hyperplanes, are stored once.
 
     Parameters
     ----------
@@ -67,7 +71,8 @@ def write_c(
     name : str
         A C identifier.
     method : "tree" or "sequential"
-        Binary search tree (fast), or a scan of the regions (small, and right for an incomplete partition too).
+        Binary search tree (fast; a leaf with several laws is scanned), or a scan of all regions (small, and right for
+        an incomplete partition too).
     scalar : "double" or "float"
         Type of the numbers.
 
@@ -79,36 +84,47 @@ def write_c(
     Raises
     ------
     InputError
-        An unknown option, or a tree for a partition that is incomplete or that no hyperplane separates.
+        An unknown option, a tree for a partition that is incomplete, or a folder that cannot be written to.
     """
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise InputError(f"name is {name!r}, expected a C identifier.")
-    if method not in ("tree", "sequential") or scalar not in _TOLERANCE:
-        raise InputError(
-            f"got method {method!r} and scalar {scalar!r}, expected 'tree' or 'sequential', 'double' or 'float'."
-        )
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise InputError("name", repr(name), "a C identifier")
+    if method not in ("tree", "sequential"):
+        raise InputError("method", repr(method), "'tree' or 'sequential'")
+    if scalar not in _TOLERANCE:
+        raise InputError("scalar", repr(scalar), "'double' or 'float'")
+    complete = law.status is MPQPStatus.COMPLETE
+    if method == "tree" and not complete:
+        got = f"'tree' for a partition that is incomplete ({law.status.name})"
+        raise InputError("method", got, "a complete partition", "Use method='sequential'.")
     law_text, numbers = _law_tables(law, scalar)
     count = int(law.law_number.max()) + 1
-    parts = _tree(law, law.law_number, scalar) if method == "tree" else _scan(law, law.law_number, scalar)
-    body, planes, operations, comparisons, parts_bytes = parts
+    search = _tree(law, scalar) if method == "tree" else _scan(law, scalar)
     low, high = _box(law)
     fields = {
-        "name": name, "NAME": name.upper(), "scalar": scalar, "nt": law.nt, "nu": law.nu, "body": body,
+        "name": name, "NAME": name.upper(), "scalar": scalar, "nt": law.nt, "nu": law.nu,
+        "border": _border(law, scalar), "regions": search.regions, "body": search.body,
         "law": law_text, "summary": f"{len(law)} regions, {count} laws, {method} search",
-        "low": table(low, scalar), "high": table(high, scalar),
-        "largest": "DBL_MAX" if scalar == "double" else "FLT_MAX", "tolerance": real(_TOLERANCE[scalar], scalar),
+        "low": table(low, scalar), "high": table(high, scalar), "large": real(_LARGE, scalar),
+        "largest": _LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar), "far": real(FAR_AWAY, scalar),
+        "outside": "the input where the straight line to an inner point enters it" if complete
+        else "the law of the nearest region, saturated",
     }  # fmt: skip
-    folder.mkdir(parents=True, exist_ok=True)
     files = (folder / f"{name}.h", folder / f"{name}.c")
-    for file, template in zip(files, (HEADER, SOURCE)):
-        file.write_text(_fill(template, fields))
-    width = 8 if scalar == "double" else 4
-    flash = parts_bytes + width * (numbers + 2 * law.nu)
-    operations += law.nu * law.nt * (1 if scalar == "double" else _COMPENSATED)
-    return CodeReport(files, method, scalar, len(law), count, planes, flash, operations, comparisons)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, template in zip(files, (c.HEADER, c.SOURCE)):
+            file.write_text(_fill(template, fields))
+    except OSError as error:
+        raise InputError("folder", f"{str(folder)!r} ({error.strerror})", "a folder that can be written to") from error
+    border = len(law.tree.border)
+    numbers += 2 * law.nu + search.numbers + (border * (law.nt + 2) + 2 * law.nt if border else 0)
+    rows = 2 * border + search.rows
+    operations = law.nt * rows + law.nu * law.nt * (1 if scalar == "double" else _COMPENSATED)
+    flash = _BYTES[scalar] * numbers + search.index_bytes
+    return CodeReport(files, method, scalar, len(law), count, border + search.planes, flash, operations, rows)
 
 
-def _law_tables(law: ExplicitMPC, scalar: str) -> tuple[str, int]:
+def _law_tables(law: PiecewiseLaw, scalar: str) -> tuple[str, int]:
     """C text of the distinct laws and how many numbers it holds.
 
     In double a law is a gain and its value at a point amid its regions; in float, gain and offset in two parts.
@@ -117,98 +133,154 @@ def _law_tables(law: ExplicitMPC, scalar: str) -> tuple[str, int]:
     if scalar == "float":
         rests = laws - laws.astype(np.float32)
         fields = {"nlaws": len(laws), "laws": table(laws, scalar), "rests": table(rests, scalar)}
-        return _fill(LAW_FLOAT, fields), 2 * laws.size
-    from mpc.explicit.kernels.search import centres_of
-
+        return _fill(c.LAW_FLOAT, fields), 2 * laws.size
     p = law.partition
-    centres = p.centre + p.half * centres_of(p.scaled_rows, p.offsets)
+    found = region_points(p)
+    centres = p.centre + p.half * found.points[found.starts[:-1]]
     points = np.array([centres[law.law_number == n].mean(axis=0) for n in range(len(laws))])
     laws[:, :, -1] += np.einsum("rij,rj->ri", laws[:, :, :-1], points)
     fields = {"nlaws": len(laws), "laws": table(laws, scalar), "points": table(points, scalar)}
-    return _fill(LAW_DOUBLE, fields), laws.size + points.size
+    return _fill(c.LAW_DOUBLE, fields), laws.size + points.size
 
 
-Parts = tuple[str, int, int, int, int]  # C text, hyperplanes, operations, comparisons, bytes
+class Search(NamedTuple):
+    """C text of the point location and its size: hyperplanes and rows of a worst-case call, numbers and index bytes."""
+
+    regions: str
+    body: str
+    planes: int
+    rows: int
+    numbers: int
+    index_bytes: int
 
 
-def _tree(law: ExplicitMPC, number: Ints, scalar: str) -> Parts:
-    """Tables of the search tree, and the border of the partition that decides what is outside."""
-    if law.status is not MPQPStatus.COMPLETE:
-        raise InputError(f"a tree needs a complete partition, got {law.status.name}; use method='sequential'.")
-    plane, below, above, root, depth = _compact(law, number)
-    border = _unscaled(law, law.tree.border)
-    planes = _unscaled(law, law.tree.planes)
-    kind, size = _index_type(max(len(plane), int(number.max(initial=0)) + 1, len(planes)))
-    text = _fill(TREE, {
-        "planes": table(planes, scalar), "nplanes": max(len(planes), 1), "border": table(border, scalar),
-        "nborder": len(border), "int": kind, "root": root, "nnodes": max(len(plane), 1),
-        "plane": table(plane, kind), "below": table(below, kind), "above": table(above, kind),
+class Leaves(NamedTuple):
+    """Inner nodes of a tree alone, and the regions of its leaves with several laws.
+
+    plane, below, above : a child is a node, or -1 - leaf; leaf k < laws is law k, leaf laws + l the list l.
+    """
+
+    plane: Ints
+    below: Ints
+    above: Ints
+    root: int
+    depth: int
+    lists: list[Ints]
+
+
+def _border(law: PiecewiseLaw, scalar: str) -> str:
+    """C text that decides what is outside and moves it onto the border."""
+    border = law.tree.border
+    if not len(border):
+        return c.NO_BORDER
+    p = law.partition
+    return _fill(c.BORDER, {
+        "border": table(_unscaled(law, border), scalar), "nborder": len(border),
+        "room": table(border[:, -1] - border[:, :-1] @ law.tree.centre, scalar),
+        "inner": table(p.centre + p.half * law.tree.centre, scalar), "half": table(p.half, scalar),
     })  # fmt: skip
-    width = 8 if scalar == "double" else 4
-    n_bytes = width * (planes.size + border.size) + size * 3 * len(plane)
-    return text, len(planes) + len(border), law.nt * (len(border) + depth), len(border) + depth, n_bytes
 
 
-def _compact(law: ExplicitMPC, number: Ints) -> tuple[Ints, Ints, Ints, int, int]:
-    """Inner nodes alone: a child is a node number, or -1 - law for a leaf. Children without regions are skipped."""
+def _tree(law: PiecewiseLaw, scalar: str) -> Search:
+    """Tables of the search tree, with those regions that share a leaf with other laws."""
+    laws = int(law.law_number.max()) + 1
+    found = _compact(law, laws)
+    members = np.concatenate([np.zeros(0, dtype=np.int64), *found.lists])
+    listed, renumbered = np.unique(members, return_inverse=True)
+    offsets = law.partition.offsets
+    wanted = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(offsets[r], offsets[r + 1]) for r in listed)])
+    inner = law.tree.planes
+    planes, number, flipped = distinct_planes(np.vstack([inner, law.partition.scaled_rows[wanted]]))
+    refs = np.where(flipped, -1 - number, number)
+    starts = np.concatenate([[0], np.cumsum(np.diff(offsets)[listed])])
+    list_start = np.concatenate([[0], np.cumsum([len(part) for part in found.lists])]).astype(np.int64)
+    # the planes of nodes keep their sign: below is where they are negative
+    below = np.where(flipped[found.plane], found.above, found.below)
+    above = np.where(flipped[found.plane], found.below, found.above)
+    largest = max(len(found.plane), laws + len(found.lists), len(planes), len(wanted), len(members))
+    kind, size = _index_type(largest)
+    fields: dict[str, Any] = {
+        "int": kind, "nplanes": max(len(planes), 1), "planes": table(_unscaled(law, planes), scalar),
+        "nnodes": max(len(found.plane), 1), "plane": table(number[found.plane], kind), "below": table(below, kind),
+        "above": table(above, kind), "root": found.root, "nlaws": laws, "nlists": len(found.lists),
+        "list_start": table(list_start, kind), "nmembers": max(len(members), 1), "members": table(renumbered, kind),
+        "nregions": len(listed), "start": table(starts, kind), "nrows": len(wanted),
+        "rows": table(refs[len(inner) :], kind), "law": table(law.law_number[listed], kind),
+        "which": "members[e]", "largest": _LARGEST[scalar],
+    }  # fmt: skip
+    regions, index, worst = _fill(c.REGIONS, fields), 3 * len(found.plane), 0
+    if found.lists:
+        regions += _fill(c.LISTS, fields) + "\n" + _fill(c.SCAN, fields)
+        index += len(list_start) + len(members) + len(starts) + len(wanted) + len(listed)
+        worst = max(int(np.diff(offsets)[part].sum()) for part in found.lists)
+    fields |= {"lists": "", "leaf": _fill(c.LEAF_LIST if found.lists else c.LEAF_LAW, fields)}
+    return Search(regions, _fill(c.TREE, fields), len(planes), found.depth + worst, planes.size, size * index)
+
+
+def _compact(law: PiecewiseLaw, laws: int) -> Leaves:
+    """Inner nodes alone; children without regions are skipped."""
     tree = law.tree
     target = np.zeros(len(tree.nodes), dtype=np.int64)  # what a reference to this node becomes
     depth = np.zeros(len(tree.nodes), dtype=np.int64)
     empty = np.zeros(len(tree.nodes), dtype=bool)
     inner: list[tuple[int, int, int]] = []
+    lists: list[Ints] = []
     for i in range(len(tree.nodes) - 1, -1, -1):  # children come after their parent
         plane, a, b = (int(v) for v in tree.nodes[i])
         if plane < 0:
-            held = np.unique(number[tree.leaf_regions[a:b]])
-            if len(held) > 1:
-                raise InputError("some regions share no separating hyperplane; use method='sequential'.")
+            held = np.unique(law.law_number[tree.leaf_regions[a:b]])
             empty[i] = len(held) == 0
-            target[i] = -1 - (held[0] if len(held) else 0)
+            if len(held) > 1:
+                target[i] = -1 - laws - len(lists)
+                lists.append(tree.leaf_regions[a:b])
+            else:
+                target[i] = -1 - (held[0] if len(held) else 0)
         elif empty[a] or empty[b]:
             kept = b if empty[a] else a
-            target[i], depth[i], empty[i] = target[kept], depth[kept], empty[kept]
+            target[i] = target[kept]
+            depth[i] = depth[kept]
+            empty[i] = empty[kept]
         else:
-            target[i], depth[i] = len(inner), 1 + max(depth[a], depth[b])
+            target[i] = len(inner)
+            depth[i] = 1 + max(depth[a], depth[b])
             inner.append((plane, int(target[a]), int(target[b])))
     columns = np.array(inner, dtype=np.int64).reshape(-1, 3).T
-    return columns[0], columns[1], columns[2], int(target[0]), int(depth[0])
+    return Leaves(columns[0], columns[1], columns[2], int(target[0]), int(depth[0]), lists)
 
 
-def _scan(law: ExplicitMPC, number: Ints, scalar: str) -> Parts:
+def _scan(law: PiecewiseLaw, scalar: str) -> Search:
     """Tables of the scan: every region lists its hyperplanes, with -1 - i for the other side of plane i."""
-    rows = law.partition.scaled_rows
-    planes = distinct_planes(rows)
-    # match rows to planes by their rounded values, with either sign
-    keys = {key.tobytes(): i for i, key in enumerate(np.round(planes, 8) + 0.0)}
-    flipped = {key.tobytes(): -1 - i for i, key in enumerate(np.round(-planes, 8) + 0.0)}
-    refs = np.array([(keys | flipped)[key.tobytes()] for key in np.round(rows, 8) + 0.0], dtype=np.int64)
+    rows, offsets = law.partition.scaled_rows, law.partition.offsets
+    planes, number, flipped = distinct_planes(rows)
     kind, size = _index_type(max(len(planes), len(rows), len(law)))
-    offsets = law.partition.offsets
-    text = _fill(SEQUENTIAL, {
+    fields = {
         "planes": table(_unscaled(law, planes), scalar), "nplanes": len(planes), "int": kind, "nregions": len(law),
-        "start": table(offsets, kind), "nrows": len(refs), "rows": table(refs, kind), "law": table(number, kind),
-        "largest": "DBL_MAX" if scalar == "double" else "FLT_MAX",
-    })  # fmt: skip
-    n_bytes = (8 if scalar == "double" else 4) * planes.size + size * (len(offsets) + len(refs) + len(number))
-    return text, len(planes), law.nt * len(rows), len(rows), n_bytes
+        "start": table(offsets, kind), "nrows": len(rows), "rows": table(np.where(flipped, -1 - number, number), kind),
+        "law": table(law.law_number, kind), "which": "e", "largest": _LARGEST[scalar],
+    }  # fmt: skip
+    regions = _fill(c.REGIONS, fields) + "\n" + _fill(c.SCAN, fields)
+    index_bytes = size * (len(offsets) + len(rows) + len(law))
+    return Search(regions, _fill(c.SEQUENTIAL, fields), len(planes), len(rows), planes.size, index_bytes)
 
 
-def _unscaled(law: ExplicitMPC, planes: Array) -> Array:
+def _unscaled(law: PiecewiseLaw, planes: Array) -> Array:
     """Hyperplanes [a, b] in the units of θ; the residual a'θ - b keeps its size."""
     p = law.partition
     a = planes[:, :-1] / p.half
     return np.hstack([a, (planes[:, -1] + a @ p.centre)[:, None]])
 
 
-def _box(law: ExplicitMPC) -> tuple[Array, Array]:
+def _box(law: PiecewiseLaw) -> tuple[Array, Array]:
     """Bounds of the inputs where the input set is a box, a very large number elsewhere."""
     low, high = box_of(*law.input_rows) or (np.full(law.nu, -np.inf), np.full(law.nu, np.inf))
     return np.maximum(low, -1e37), np.minimum(high, 1e37)
 
 
 def _index_type(largest: int) -> tuple[str, int]:
+    """C type that holds indices up to a number, and its bytes."""
     return ("int16_t", 2) if largest < 2**15 - 1 else ("int32_t", 4)
 
 
 def _fill(template: str, fields: dict[str, Any]) -> str:
+    """A template with its @fields@ filled in."""
     return re.sub(r"@(\w+)@", lambda match: str(fields[match[1]]), template)

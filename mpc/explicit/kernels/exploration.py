@@ -1,7 +1,7 @@
 """Compiled exploration of the graph of optimal active sets; imported only when an explicit law is computed.
 
-Active sets are bit masks in a hash table; `region_kernels.py` says what a region is, `halfspace_kernels.py` finds its
-facets. A region is queued once, when its active set is first considered.
+Active sets are bit masks in a hash table; `region.py` says what a region is, `halfspace.py` finds its facets. A region
+is queued once, when its active set is first considered.
 """
 
 from __future__ import annotations
@@ -9,11 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from mpc.explicit.kernels.data import DONE, KNOWN, QUEUED, ROWS
 from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, project
 from mpc.explicit.kernels.region import DEPENDENT, FLAT, FULL, gram_factor, gram_solve, optimal_set, region_rows
+from mpc.tolerances import EXCHANGE, INSETS, PROJECTION, SAME_PLANE, TIE
 
-DONE, GROW, PAUSED = 0, 1, 2  # why the exploration returned
-SAME = 1e-7  # normals and offsets closer than this describe the same hyperplane
+FINISHED, GROW, PAUSED = 0, 1, 2  # why the exploration returned
+_TWINS = 4  # rows on one hyperplane whose combinations are all tried
+_ROOM = 20  # active sets that one facet may add, beside exchanges
 
 
 @njit(cache=True)
@@ -23,6 +26,12 @@ def to_mask(act, k, mask):
         mask[q] = np.uint64(0)
     for a in range(k):
         mask[act[a] >> 6] |= np.uint64(1) << np.uint64(act[a] & 63)
+
+
+@njit(cache=True)
+def flip(mask, i):
+    """Exchange the membership of row i."""
+    mask[i >> 6] ^= np.uint64(1) << np.uint64(i & 63)
 
 
 @njit(cache=True)
@@ -60,148 +69,153 @@ def find(masks, table, mask):
 
 
 @njit(cache=True)
-def consider(gram, M, D, TA, Tb, mask, masks, kinds, table, queue, counts):
+def rehash(masks, table, count):
+    """Fill an empty hash table with the masks known so far."""
+    for index in range(count):
+        table[find(masks, table, masks[index])] = index
+
+
+@njit(cache=True)
+def consider(qp, graph, mask):
     """Kind of an active set: looked up, or found out and, when FULL, queued."""
-    slot = find(masks, table, mask)
-    if table[slot] >= 0:
-        return kinds[table[slot]]
-    m, n = len(D), D.shape[1] - 1
+    slot = find(graph.masks, graph.table, mask)
+    if graph.table[slot] >= 0:
+        return graph.kinds[graph.table[slot]]
+    m, n = len(qp.D), qp.D.shape[1] - 1
     act = np.empty(m, np.int64)
     k = from_mask(mask, act)
-    A, b, centre = np.empty((m + len(Tb), n)), np.empty(m + len(Tb)), np.empty(n)
-    kind = region_rows(gram, D, TA, Tb, M.shape[1], act, k, A, b)
-    if kind == FULL and interior_point(A, b, centre) == 0.0:
+    A, b, centre = np.empty((m + len(qp.Tb), n)), np.empty(m + len(qp.Tb)), np.empty(n)
+    kind = region_rows(qp, act, k, graph.tied, A, b)
+    if kind == FULL and interior_point(A, b, 0.0, centre) == 0.0:
         kind = FLAT
-    index = counts[0]
-    counts[0] += 1
-    table[slot] = index
-    kinds[index] = kind
-    for q in range(len(mask)):
-        masks[index, q] = mask[q]
+    index = graph.counts[KNOWN]
+    graph.counts[KNOWN] += 1
+    graph.table[slot] = index
+    graph.kinds[index] = kind
+    graph.masks[index] = mask
     if kind == FULL:
-        queue[counts[1]] = index
-        counts[1] += 1
+        graph.queue[graph.counts[QUEUED]] = index
+        graph.counts[QUEUED] += 1
     return kind
 
 
 @njit(cache=True)
-def explore(gram, M, D, TA, Tb, masks, kinds, table, queue, counts, offsets, rows, budget):
-    """Process queued regions: find the facets of each, and the optimal active sets behind every facet.
-
-    counts: [sets known, regions queued, regions processed, facet rows stored].
-    """
-    m, n = len(D), D.shape[1] - 1
-    words = masks.shape[1]
-    A, b, centre = np.empty((m + len(Tb), n)), np.empty(m + len(Tb)), np.empty(n)
-    facets, twins = np.empty(m + len(Tb), np.int64), np.empty(m + len(Tb), np.int64)
-    act, trial, theta = np.empty(m + 1, np.int64), np.empty(m + 1, np.int64), np.empty(n)
-    mask, flipped = np.empty(words, np.uint64), np.empty(words, np.uint64)
-    one = np.uint64(1)
-    while counts[2] < counts[1]:
-        if budget == 0:
-            return PAUSED
-        budget -= 1
-        mask[:] = masks[queue[counts[2]]]
-        k = from_mask(mask, act)
-        region_rows(gram, D, TA, Tb, M.shape[1], act, k, A, b)
-        interior_point(A, b, centre)
-        count = irredundant(A, b, centre, facets)
-        if counts[3] + count > len(rows) or counts[0] + count * (k + 20) > min(len(masks), len(table) // 2):
-            return GROW
-        for a in range(count):
-            for j in range(n):
-                rows[counts[3], j] = A[facets[a], j]
-            rows[counts[3], n] = b[facets[a]]
-            counts[3] += 1
-        offsets[counts[2] + 1] = counts[3]
-        counts[2] += 1
-        for a in range(count):
-            facet = facets[a]
-            if facet >= m:
-                continue  # the border of the parameter set
-            found = False
-            # rows that share the hyperplane: any combination of them may change membership
-            shared = 0
-            for i in range(m):
-                close = abs(b[i] - b[facet]) < SAME
-                for j in range(n):
-                    close = close and abs(A[i, j] - A[facet, j]) < SAME
-                if close and shared < 4:
-                    twins[shared] = i
-                    shared += 1
-            for combination in range(1, 1 << shared):
-                flipped[:] = mask
-                for s in range(shared):
-                    if combination >> s & 1:
-                        flipped[twins[s] >> 6] ^= one << np.uint64(twins[s] & 63)
-                kind = consider(gram, M, D, TA, Tb, flipped, masks, kinds, table, queue, counts)
-                found = found or kind == FULL
-                if kind == DEPENDENT and shared == 1:
-                    swapped = exchange(gram, M, D, TA, Tb, act, k, facet, mask, masks, kinds, table, queue, counts)
-                    found = found or swapped
-            if not found and across(A, b, facets, count, facet, theta):
-                kt = optimal_set(M, D, theta, trial)
-                if kt >= 0:
-                    to_mask(trial, kt, flipped)
-                    consider(gram, M, D, TA, Tb, flipped, masks, kinds, table, queue, counts)
-    return DONE
+def consider_parameter(qp, graph, theta, mask):
+    """True when the QP at θ is feasible and its active set has a region; of several such sets the one that counts."""
+    act = np.empty(len(qp.D) + 1, np.int64)
+    for shift in (0.0, TIE, 10.0 * TIE):
+        k = optimal_set(qp, theta, shift, act)
+        if k < 0:
+            return False
+        to_mask(act, k, mask)
+        if consider(qp, graph, mask) == FULL:
+            return True
+    return False
 
 
 @njit(cache=True)
-def exchange(gram, M, D, TA, Tb, act, k, entering, mask, masks, kinds, table, queue, counts):
+def explore(qp, graph, facets, budget):
+    """Process queued regions: find the facets of each, and the optimal active sets behind every facet."""
+    m, n = len(qp.D), qp.D.shape[1] - 1
+    counts = graph.counts
+    A, b, centre = np.empty((m + len(qp.Tb), n)), np.empty(m + len(qp.Tb)), np.empty(n)
+    kept = np.empty(m + len(qp.Tb), np.int64)
+    act, theta = np.empty(m + 1, np.int64), np.empty(n)
+    mask, work = np.empty(graph.masks.shape[1], np.uint64), np.empty(graph.masks.shape[1], np.uint64)
+    while counts[DONE] < counts[QUEUED]:
+        if budget == 0:
+            return PAUSED
+        budget -= 1
+        mask[:] = graph.masks[graph.queue[counts[DONE]]]
+        k = from_mask(mask, act)
+        region_rows(qp, act, k, graph.tied, A, b)
+        interior_point(A, b, np.inf, centre)
+        count = irredundant(A, b, centre, kept)
+        room = min(len(graph.masks), len(graph.table) // 2)
+        if counts[ROWS] + count > len(facets.rows) or counts[KNOWN] + count * (k + _ROOM) > room:
+            return GROW
+        for a in range(count):
+            for j in range(n):
+                facets.rows[counts[ROWS], j] = A[kept[a], j]
+            facets.rows[counts[ROWS], n] = b[kept[a]]
+            counts[ROWS] += 1
+        facets.offsets[counts[DONE] + 1] = counts[ROWS]
+        counts[DONE] += 1
+        for a in range(count):
+            if kept[a] >= m or behind(qp, graph, A, b, act, k, mask, kept[a], work):
+                continue  # the border of the parameter set, or neighbours found by algebra
+            if across(A, b, kept, count, kept[a], theta):
+                consider_parameter(qp, graph, theta, work)
+    return FINISHED
+
+
+@njit(cache=True)
+def behind(qp, graph, A, b, act, k, mask, facet, work):
+    """True when an active set with a region was found that differs in the rows on the hyperplane of a facet."""
+    m, n = len(qp.D), A.shape[1]
+    twins, shared = np.empty(_TWINS, np.int64), 0
+    for i in range(m):
+        close = abs(b[i] - b[facet]) < SAME_PLANE
+        for j in range(n):
+            close = close and abs(A[i, j] - A[facet, j]) < SAME_PLANE
+        if close and shared < _TWINS:
+            twins[shared] = i
+            shared += 1
+    found = False
+    for combination in range(1, 1 << shared):
+        work[:] = mask
+        for s in range(shared):
+            if combination >> s & 1:
+                flip(work, twins[s])
+        kind = consider(qp, graph, work)
+        found = found or kind == FULL
+        if kind == DEPENDENT and shared == 1:
+            swapped = exchange(qp, graph, act, k, facet, mask)
+            found = found or swapped
+    return found
+
+
+@njit(cache=True)
+def exchange(qp, graph, act, k, entering, mask):
     """Replace a member of a dependent active set by the entering row: one with a positive coefficient has to leave."""
     L, coefficient = np.empty((k, k)), np.empty(k)
-    gram_factor(gram, act, k, L)
+    gram_factor(qp.gram, act, k, L)
     for a in range(k):
-        coefficient[a] = gram[act[a], entering]
+        coefficient[a] = qp.gram[act[a], entering]
     gram_solve(L, k, coefficient)
-    one = np.uint64(1)
     swapped = np.empty(len(mask), np.uint64)
     found = False
     for a in range(k):
-        if coefficient[a] > 1e-9:
+        if coefficient[a] > EXCHANGE:
             swapped[:] = mask
-            swapped[entering >> 6] ^= one << np.uint64(entering & 63)
-            swapped[act[a] >> 6] ^= one << np.uint64(act[a] & 63)
-            kind = consider(gram, M, D, TA, Tb, swapped, masks, kinds, table, queue, counts)
+            flip(swapped, entering)
+            flip(swapped, act[a])
+            kind = consider(qp, graph, swapped)
             found = found or kind == FULL
     return found
 
 
 @njit(cache=True)
-def seed(J, h, gram, M, D, TA, Tb, targets, masks, kinds, table, queue, counts):
-    """Queue the active sets at feasible parameters near the targets; J [θ; v] <= h is the joint set with unit rows.
+def seed(qp, graph, J, h, targets):
+    """Queue the active sets at feasible parameters near the targets; J [t; v] <= h is the joint set with unit rows.
 
-    Returns the number of targets for which a feasible parameter was found.
+    Returns the number of targets near which a parameter with an interior around it was found.
     """
     mj, nj = J.shape
-    n = D.shape[1] - 1
+    n = targets.shape[1]
     joint, c = np.empty(nj), np.zeros(nj)
     work, lam = np.empty(nj + 1, np.int64), np.empty(nj + 1)
-    shrunk, act = np.empty(mj), np.empty(len(D) + 1, np.int64)
-    mask = np.empty(masks.shape[1], np.uint64)
+    shrunk, mask = np.empty(mj), np.empty(graph.masks.shape[1], np.uint64)
     hits = 0
     for t in range(len(targets)):
         c[:n] = targets[t]
-        margin = 1e-2
-        while margin > 1e-9:
+        for inset in INSETS:
             for i in range(mj):
-                shrunk[i] = h[i] - margin
-            if project(J, shrunk, mj, c, 1e-12, joint, work, lam) >= 0:
+                shrunk[i] = h[i] - inset
+            if project(J, shrunk, mj, c, 10.0 * PROJECTION, joint, work, lam) >= 0:
                 hits += 1
-                k = optimal_set(M, D, joint[:n], act)
-                if k >= 0:
-                    to_mask(act, k, mask)
-                    consider(gram, M, D, TA, Tb, mask, masks, kinds, table, queue, counts)
+                consider_parameter(qp, graph, joint[:n].copy(), mask)
                 break
-            margin *= 0.1
         if hits == 0:
             break  # infeasible from one target is infeasible from all
     return hits
-
-
-@njit(cache=True)
-def rehash(masks, table, count):
-    """Fill an empty hash table with the masks known so far."""
-    for index in range(count):
-        table[find(masks, table, masks[index])] = index

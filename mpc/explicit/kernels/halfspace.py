@@ -1,7 +1,7 @@
 """Compiled geometry of half-spaces with unit rows: nearest point, interior point, facets, a point across a facet.
 
-numba's cache on disk notices a change of the file a function stands in, but not of the files it calls into: after a
-change here save `region_kernels.py`, `kernels.py` and `search_kernels.py` too.
+numba's cache on disk notices a change of the file a function stands in, but not of the files it calls into or of
+`tolerances.py`: after a change there or here save `region.py`, `exploration.py`, `growth.py` and `search.py` too.
 """
 
 from __future__ import annotations
@@ -9,7 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-RADIUS = 1e-7  # a region with no ball of this radius, in parameters scaled to [-1, 1], is flat
+from mpc.tolerances import CROSSING, PROJECTION, REDUNDANT, REGION_RADIUS
+
+_NO_STEP = 1e-12  # coefficients of unit rows below this are rounding
+_DEPENDENT = 1e-13  # squared distance of a unit row from the span of the active ones that counts as zero
+_PIVOT = 1e-30
+_PARALLEL = 1e-14
 
 
 @njit(cache=True)
@@ -60,9 +65,9 @@ def project(A, b, m, c, tol, theta, work, lam):
                 zz += s * s
             t, drop = np.inf, -1
             for a in range(k):
-                if r[a] > 1e-12 and lam[a] < t * r[a]:
+                if r[a] > _NO_STEP and lam[a] < t * r[a]:
                     t, drop = lam[a] / r[a], a
-            full = k < n and zz > 1e-13
+            full = k < n and zz > _DEPENDENT
             if full:
                 s = -b[p]
                 for j in range(n):
@@ -101,29 +106,39 @@ def _factor(A, work, k, start, L):
                 s += A[work[a], j] * A[work[e], j]
             for q in range(e):
                 s -= L[a, q] * L[e, q]
-            L[a, e] = np.sqrt(max(s, 1e-30)) if a == e else s / L[e, e]
+            L[a, e] = np.sqrt(max(s, _PIVOT)) if a == e else s / L[e, e]
 
 
 @njit(cache=True)
-def interior_point(A, b, centre):
-    """Write a point well inside {Aθ <= b} into `centre`; returns a radius around it, 0 when there is none >= RADIUS."""
+def margin_at(A, b, theta):
+    """Least distance of a point from the rows of {Aθ <= b}, negative outside."""
+    least = np.inf
+    for i in range(len(b)):
+        s = b[i]
+        for j in range(len(theta)):
+            s -= A[i, j] * theta[j]
+        least = min(least, s)
+    return least
+
+
+@njit(cache=True)
+def interior_point(A, b, wanted, centre):
+    """Write a point inside {Aθ <= b} into `centre`; returns a radius around it, 0 when there is none >= REGION_RADIUS.
+
+    Larger radii are tried until one above `wanted` is found or none is left.
+    """
     m, n = A.shape
     shrunk, theta = np.empty(m), np.empty(n)
     work, lam = np.empty(n + 1, np.int64), np.empty(n + 1)
-    radius, trial = 0.0, RADIUS
+    radius, trial = 0.0, REGION_RADIUS
     start = np.zeros(n)
-    while trial < 1.0:
+    while trial < 1.0 and radius <= wanted:
         for i in range(m):
             shrunk[i] = b[i] - trial
-        if project(A, shrunk, m, start, 1e-2 * RADIUS if trial > RADIUS else 1e-13, theta, work, lam) < 0:
+        accepted = 1e-2 * REGION_RADIUS if trial > REGION_RADIUS else PROJECTION
+        if project(A, shrunk, m, start, accepted, theta, work, lam) < 0:
             break
-        # the second look: the margin is measured, not believed
-        margin = np.inf
-        for i in range(m):
-            s = b[i]
-            for j in range(n):
-                s -= A[i, j] * theta[j]
-            margin = min(margin, s)
+        margin = margin_at(A, b, theta)  # the radius is recomputed from the point
         if margin < 0.9 * trial:
             break
         radius = margin
@@ -160,15 +175,15 @@ def irredundant(A, b, centre, facets):
                 break
             for j in range(n):
                 AI[count, j] = -A[i, j]
-            bI[count] = -b[i] - 1e-9
-            if project(AI, bI, count + 1, centre, 1e-12, theta, work, lam) < 0:
+            bI[count] = -b[i] - REDUNDANT
+            if project(AI, bI, count + 1, centre, 10.0 * PROJECTION, theta, work, lam) < 0:
                 break  # redundant beside the facets known so far
             hit, nearest = i, np.inf
             for e in range(m):
                 rate = 0.0
                 for j in range(n):
                     rate += A[e, j] * (theta[j] - centre[j])
-                if rate > 1e-14 and slack[e] < nearest * rate:
+                if rate > _PARALLEL and slack[e] < nearest * rate:
                     nearest, hit = slack[e] / rate, e
             if known[hit]:
                 hit = i
@@ -188,13 +203,13 @@ def across(A, b, facets, count, facet, theta):
     AI, bI = np.empty((count, n)), np.empty(count)
     work, lam, start = np.empty(n + 1, np.int64), np.empty(n + 1), np.zeros(n)
     margin = 0.1
-    while margin > 1e-8:
+    while margin > 0.1 * REGION_RADIUS:
         for a in range(count):
             sign = -1.0 if facets[a] == facet else 1.0
             for j in range(n):
                 AI[a, j] = sign * A[facets[a], j]
-            bI[a] = sign * b[facets[a]] - (min(1e-5, margin) if sign < 0 else margin)
-        if project(AI, bI, count, start, 1e-13, theta, work, lam) >= 0:
+            bI[a] = sign * b[facets[a]] - (min(CROSSING, margin) if sign < 0 else margin)
+        if project(AI, bI, count, start, PROJECTION, theta, work, lam) >= 0:
             return True
         margin *= 0.1
     return False

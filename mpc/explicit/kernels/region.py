@@ -7,8 +7,12 @@ Dua and Pistikopoulos, Automatica 38(1), 2002; Arnström and Axehill, IEEE CDC, 
 belongs to constraint i whether it is active (its multiplier) or not (its slack), so crossing facet i exchanges i's
 membership.
 
+Where a multiplier or a slack is zero on a whole region, several active sets are optimal there. The bounds are then
+thought of as d + δ tie with an infinitesimal δ > 0: the sign of the part in δ says which of the sets counts, so that
+regions do not overlap (a symbolic perturbation, as in the lexicographic rule of the simplex method).
+
 numba's cache on disk notices a change of the file a function stands in, but not of the files it calls into: after a
-change here save `kernels.py` too.
+change here save `exploration.py` too.
 """
 
 from __future__ import annotations
@@ -17,9 +21,10 @@ import numpy as np
 from numba import njit
 
 from mpc.explicit.kernels.halfspace import project
+from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, ZERO_ROW
 
 FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: empty or of lower dimension
-PIVOT = 1e-10  # squared distance of a unit row from the span of others below which it is dependent
+_ROUNDING = 1e-15
 
 
 @njit(cache=True)
@@ -35,7 +40,7 @@ def gram_factor(gram, act, k, L):
             for q in range(e):
                 s -= L[a, q] * L[e, q]
             if a == e:
-                if s < max(PIVOT, 1e-15 / smallest):
+                if s < max(DEPENDENT_ROW, _ROUNDING / smallest):
                     return False
                 smallest = min(smallest, s)
                 L[a, a] = np.sqrt(s)
@@ -60,13 +65,14 @@ def gram_solve(L, k, x):
 
 
 @njit(cache=True)
-def multipliers(gram, D, act, k, L):
-    """Multiplier law (k, n + 1): λ(θ) = law [θ; 1]."""
-    law = np.empty((k, D.shape[1]))
+def multipliers(qp, act, k, L):
+    """Multiplier law (k, n + 2): λ(t) = law [t; 1; δ]."""
+    n = qp.D.shape[1] - 1
+    law = np.empty((k, n + 2))
     x = np.empty(k)
-    for c in range(D.shape[1]):
+    for c in range(n + 2):
         for a in range(k):
-            x[a] = -D[act[a], c]
+            x[a] = -qp.D[act[a], c] if c <= n else -qp.tie[act[a]]
         gram_solve(L, k, x)
         for a in range(k):
             law[a, c] = x[a]
@@ -74,49 +80,84 @@ def multipliers(gram, D, act, k, L):
 
 
 @njit(cache=True)
-def region_rows(gram, D, TA, Tb, rank, act, k, A, b):
+def variable_size(qp, act, k, law):
+    """Size of v(t) = M_a' λ(t) over the coefficients of t: |M_a' λ_c|² = -λ_c' d_c, also where multipliers are huge."""
+    size = 0.0
+    for c in range(qp.D.shape[1]):
+        square = 0.0
+        for a in range(k):
+            square -= law[a, c] * qp.D[act[a], c]
+        size += np.sqrt(max(square, 0.0))
+    return size
+
+
+@njit(cache=True)
+def row_levers(L, k):
+    """How much each multiplier can be for a unit v: lengths of the rows of the pseudo-inverse, sqrt of diag (LL')⁻¹."""
+    inverse, lever = np.zeros((k, k)), np.zeros(k)
+    for a in range(k):
+        inverse[a, a] = 1.0 / L[a, a]
+        for e in range(a):
+            s = 0.0
+            for q in range(e, a):
+                s += L[a, q] * inverse[q, e]
+            inverse[a, e] = -s / L[a, a]
+        for e in range(a + 1):
+            lever[e] += inverse[a, e] * inverse[a, e]
+    return np.sqrt(lever)
+
+
+@njit(cache=True)
+def region_rows(qp, act, k, tied, A, b):
     """Unit half-spaces of the critical region of an active set, row i for constraint i, then the parameter set.
 
-    Returns FULL when there is something to look at, FLAT when a constant row is violated, DEPENDENT.
+    Returns FULL when there is something to look at, FLAT when a constant row is violated, DEPENDENT. Rows whose
+    multiplier or slack is zero everywhere are noted in `tied`.
     """
-    m, n = len(D), D.shape[1] - 1
+    m, n = len(qp.D), qp.D.shape[1] - 1
     L = np.empty((k, k))
-    if k > rank or not gram_factor(gram, act, k, L):
+    if k > qp.M.shape[1] or not gram_factor(qp.gram, act, k, L):
         return DEPENDENT
-    law = multipliers(gram, D, act, k, L)
+    law = multipliers(qp, act, k, L)
+    reach = variable_size(qp, act, k, law)
+    lever = row_levers(L, k)
     position = np.full(m, -1)
     size = np.zeros(k)
-    largest = 0.0
     for a in range(k):
         position[act[a]] = a
         for c in range(n + 1):
             size[a] += abs(law[a, c])
-        largest = max(largest, size[a])
-    row = np.empty(n + 1)
+    row = np.empty(n + 2)
     for i in range(m):
         a = position[i]
         if a >= 0:
-            scale = largest
-            for c in range(n + 1):
+            zero = ZERO_ROW * lever[a] * reach
+            for c in range(n + 2):
                 row[c] = law[a, c]
         else:
-            scale = 0.0
+            scale, terms = reach, 0.0
             for c in range(n + 1):
-                row[c] = D[i, c]
-                scale += abs(D[i, c])
+                row[c] = qp.D[i, c]
+                scale += abs(qp.D[i, c])
+            row[n + 1] = qp.tie[i]
             for e in range(k):
-                g = gram[i, act[e]]
+                g = qp.gram[i, act[e]]
                 if g != 0.0:
-                    scale += abs(g) * size[e]
-                    for c in range(n + 1):
+                    terms += abs(g) * size[e]
+                    for c in range(n + 2):
                         row[c] += g * law[e, c]
+            zero = max(ZERO_ROW * scale, _ROUNDING * terms)
         norm = 0.0
         for c in range(n):
             norm += row[c] * row[c]
         norm = np.sqrt(norm)
-        if norm <= 1e-10 * scale:
-            if row[n] < -1e-9 * scale or (a >= 0 and row[n] <= 1e-9 * scale):
+        if norm <= zero:
+            if row[n] < -10.0 * zero:
                 return FLAT
+            if row[n] <= 10.0 * zero:
+                tied[i] = True
+                if row[n + 1] <= 0.0:
+                    return FLAT
             for c in range(n):
                 A[i, c] = 0.0
             b[i] = 1.0
@@ -124,25 +165,25 @@ def region_rows(gram, D, TA, Tb, rank, act, k, A, b):
             for c in range(n):
                 A[i, c] = -row[c] / norm
             b[i] = row[n] / norm
-    for i in range(len(Tb)):
+    for i in range(len(qp.Tb)):
         for c in range(n):
-            A[m + i, c] = TA[i, c]
-        b[m + i] = Tb[i]
+            A[m + i, c] = qp.TA[i, c]
+        b[m + i] = qp.Tb[i]
     return FULL
 
 
 @njit(cache=True)
-def optimal_set(M, D, theta, act):
-    """Active set with positive multipliers of the QP at θ; -1 when infeasible."""
-    m, nz = M.shape
+def optimal_set(qp, theta, shift, act):
+    """Active set with positive multipliers of the QP at θ, bounds moved by shift * tie; negative when infeasible."""
+    m, nz = qp.M.shape
     n = len(theta)
     d = np.empty(m)
     for i in range(m):
-        d[i] = D[i, n]
+        d[i] = qp.D[i, n] + shift * qp.tie[i]
         for j in range(n):
-            d[i] += D[i, j] * theta[j]
+            d[i] += qp.D[i, j] * theta[j]
     v, work, lam = np.empty(nz), np.empty(nz + 1, np.int64), np.empty(nz + 1)
-    k = project(M, d, m, np.zeros(nz), 1e-10, v, work, lam)
+    k = project(qp.M, d, m, np.zeros(nz), OPTIMAL_SET, v, work, lam)
     if k < 0:
         return k
     largest = 0.0
@@ -150,7 +191,7 @@ def optimal_set(M, D, theta, act):
         largest = max(largest, lam[a])
     kept = 0
     for a in range(k):
-        if lam[a] > 1e-10 * largest:
+        if lam[a] > OPTIMAL_SET * largest:
             act[kept] = work[a]
             kept += 1
     return kept

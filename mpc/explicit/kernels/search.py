@@ -1,205 +1,149 @@
-"""Compiled point location: building the search tree, walking it, and checking membership."""
+"""Compiled point location: walking the search tree, scanning regions, and pulling a parameter back to the border."""
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from mpc.explicit.kernels.halfspace import interior_point, project
+from mpc.checks import Array
+from mpc.explicit.kernels.growth import side_of
+from mpc.tolerances import CROSSING, FAR_AWAY, INSIDE
 
-BELOW, ABOVE, BOTH = 1, 2, 3
-
-
-@njit(cache=True)
-def sides(rows, offsets, centres, planes, tol):
-    """On which side of every hyperplane each region lies: (n_planes, n_regions), bit 1 below, bit 2 above."""
-    count, n = len(offsets) - 1, planes.shape[1] - 1
-    side = np.zeros((len(planes), count), np.uint8)
-    theta, work, lam = np.empty(n), np.empty(n + 1, np.int64), np.empty(n + 1)
-    largest = 0
-    for r in range(count):
-        largest = max(largest, offsets[r + 1] - offsets[r])
-    A, b = np.empty((largest + 1, n)), np.empty(largest + 1)
-    for r in range(count):
-        m = offsets[r + 1] - offsets[r]
-        A[:m] = rows[offsets[r] : offsets[r + 1], :n]
-        b[:m] = rows[offsets[r] : offsets[r + 1], n]
-        for p in range(len(planes)):
-            s = -planes[p, n]
-            for j in range(n):
-                s += planes[p, j] * centres[r, j]
-            sign = 1.0 if s < 0.0 else -1.0  # look for a point on the side where the centre is not
-            near, far = (BELOW, ABOVE) if s < 0.0 else (ABOVE, BELOW)
-            for j in range(n):
-                A[m, j] = -sign * planes[p, j]
-            b[m] = -sign * planes[p, n] - tol
-            other = project(A, b, m + 1, centres[r], 1e-13, theta, work, lam) >= 0
-            side[p, r] = near | far if other else near
-    return side
+Ints = np.ndarray[Any, np.dtype[np.int64]]
+_SHORT_BORDER = 16  # rows up to which the border is looked at before the tree
 
 
-@njit(cache=True)
-def centres_of(rows, offsets):
-    """A point well inside every region, (n_regions, n)."""
-    n = rows.shape[1] - 1
-    centres = np.zeros((len(offsets) - 1, n))
-    for r in range(len(offsets) - 1):
-        part = rows[offsets[r] : offsets[r + 1]]
-        interior_point(np.ascontiguousarray(part[:, :n]), np.ascontiguousarray(part[:, n]), centres[r])
-    return centres
+class Locator(NamedTuple):
+    """Tree and regions together; see `SearchTree` and `Partition`."""
+
+    planes: Array
+    nodes: Ints
+    leaf: Ints
+    rows: Array
+    offsets: Ints
 
 
-@njit(cache=True)
-def _best_plane(side, members):
-    """Hyperplane that leaves the fewest regions on its fuller side, then the fewest cut; -1 when none helps."""
-    size = len(members)
-    best, score, total = -1, size, 2 * size + 1
-    for p in range(len(side)):
-        low, high = 0, 0
-        for r in members:
-            low += side[p, r] & 1
-            high += side[p, r] >> 1
-            if max(low, high) > score:
+@njit(cache=True, inline="always")
+def leaf_of(locator, points, q):
+    """Leaf of the tree in which point q lies."""
+    node = 0
+    while locator.nodes[node, 0] >= 0:
+        below = side_of(locator.planes, locator.nodes[node, 0], points, q) <= 0.0
+        node = locator.nodes[node, 1] if below else locator.nodes[node, 2]
+    return node
+
+
+@njit(cache=True, inline="always")
+def holder(locator, points, q):
+    """First region of its leaf that holds point q, to the tolerance INSIDE; -1 where none does."""
+    node = leaf_of(locator, points, q)
+    region = -1
+    for e in range(locator.nodes[node, 1], locator.nodes[node, 2]):
+        r = locator.leaf[e]
+        inside = True
+        for i in range(locator.offsets[r], locator.offsets[r + 1]):
+            if side_of(locator.rows, i, points, q) > INSIDE:
+                inside = False
                 break
-        worse = max(low, high)
-        if worse < score or (worse == score and worse < size and low + high < total):
-            best, score, total = p, worse, low + high
-    return best
+        if inside:
+            region = r
+            break
+    return region
 
 
-@njit(cache=True)
-def _reachable(members, rows, offsets, centres, path, depth, tol):
-    """The members that meet the polytope of a node, given by the `depth` half-spaces on the path to it."""
-    n = centres.shape[1]
-    largest = 0
-    for r in members:
-        largest = max(largest, offsets[r + 1] - offsets[r])
-    A, b = np.empty((largest + depth, n)), np.empty(largest + depth)
-    A[:depth], b[:depth] = path[:depth, :n], path[:depth, n] - tol
-    theta, work, lam = np.empty(n), np.empty(n + 1, np.int64), np.empty(n + 1)
-    kept, count = np.empty(len(members), np.int64), 0
-    for r in members:
-        m = offsets[r + 1] - offsets[r]
-        A[depth : depth + m] = rows[offsets[r] : offsets[r + 1], :n]
-        b[depth : depth + m] = rows[offsets[r] : offsets[r + 1], n]
-        if project(A, b, depth + m, centres[r], 1e-13, theta, work, lam) >= 0:
-            kept[count] = r
-            count += 1
-    return kept[:count]
+@njit(cache=True, inline="always")
+def nearest(locator, points, q):
+    """Region of its leaf outside of which point q lies least far, and how far; -1 and inf in an empty leaf."""
+    node = leaf_of(locator, points, q)
+    region, distance = -1, np.inf
+    for e in range(locator.nodes[node, 1], locator.nodes[node, 2]):
+        r = locator.leaf[e]
+        worst = -np.inf
+        for i in range(locator.offsets[r], locator.offsets[r + 1]):
+            worst = max(worst, side_of(locator.rows, i, points, q))
+            if worst >= distance:
+                break
+        if worst < distance:
+            region, distance = r, worst
+    return region, distance
 
 
-@njit(cache=True)
-def grow(side, laws, planes, rows, offsets, centres, limit):
-    """Binary search tree over hyperplanes (Tøndel, Johansen and Bemporad, Automatica 39(5), 2003), built depth first.
+@njit(cache=True, inline="always")
+def pull_back(border, room, centre, points, q):
+    """Move point q, if it lies beyond the border {a't <= b}, towards the centre until it is on it; whether it was.
 
-    Returns `nodes` (k, 3): hyperplane, child below, child above; a leaf has hyperplane -1 and its regions in
-    leaf_regions[second : third].
-    """
-    count, n = side.shape[1], centres.shape[1]
-    nodes, parent = np.empty((limit, 3), np.int64), np.full(limit, -1)
-    stack, top, used = np.zeros(limit, np.int64), 1, 1
-    path = np.empty((limit, n + 1))
-    starts, ends = np.zeros(limit, np.int64), np.zeros(limit, np.int64)  # region lists of the nodes, in `pool`
-    pool, filled = np.arange(count), count
-    ends[0] = count
-    leaf, leaf_end = np.empty(count, np.int64), 0
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        members = pool[starts[node] : ends[node]].copy()
-        filled = starts[node]  # depth first: what lies behind in the pool belongs to finished nodes
-        depth, child = 0, node
-        while parent[child] >= 0:
-            up = parent[child]
-            sign = 1.0 if nodes[up, 1] == child else -1.0
-            for j in range(n + 1):
-                path[depth, j] = sign * planes[nodes[up, 0], j]
-            depth, child = depth + 1, up
-        if depth > 1:
-            members = _reachable(members, rows, offsets, centres, path, depth, 1e-9)
-        size = len(members)
-        single = True
-        for a in range(1, size):
-            single = single and laws[members[a]] == laws[members[0]]
-        best = -1 if single or used + 2 > limit else _best_plane(side, members)
-        if best < 0:
-            if leaf_end + size > len(leaf):
-                leaf = np.concatenate((leaf, np.empty(len(leaf) + size, np.int64)))
-            leaf[leaf_end : leaf_end + size] = members
-            nodes[node, 0], nodes[node, 1], nodes[node, 2] = -1, leaf_end, leaf_end + size
-            leaf_end += size
-            continue
-        if filled + 2 * size > len(pool):
-            pool = np.concatenate((pool, np.empty(len(pool) + 2 * size, np.int64)))
-        nodes[node, 0], nodes[node, 1], nodes[node, 2] = best, used, used + 1
-        for bit in range(2):
-            starts[used + bit] = filled
-            for r in members:
-                if side[best, r] >> bit & 1:
-                    pool[filled] = r
-                    filled += 1
-            ends[used + bit] = filled
-            parent[used + bit] = node
-            stack[top] = used + bit
-            top += 1
-        used += 2
-    return nodes[:used].copy(), leaf[:leaf_end].copy()
-
-
-@njit(cache=True)
-def locate(points, planes, nodes, leaf, border, rows, offsets, tol, region, distance):
-    """Region of every point and how far outside of it the point lies (<= tol: inside), by the tree.
-
-    A point across the border gets a region of its leaf and an infinite distance; region -1 is a leaf without any.
+    room : distance of the centre from each row of the border.
     """
     n = points.shape[1]
-    for q in range(len(points)):
-        outside = False
+    beyond = False
+    for i in range(len(border)):
+        if side_of(border, i, points, q) > INSIDE:
+            beyond = True
+            break
+    if beyond:
+        far = 0.0
+        for j in range(n):
+            far = max(far, abs(points[q, j] - centre[j]))
+        shrink = FAR_AWAY / far if far > FAR_AWAY else 1.0
+        share = 1.0
         for i in range(len(border)):
-            s = -border[i, n]
+            step = 0.0
             for j in range(n):
-                s += border[i, j] * points[q, j]
-            if s > tol:
-                outside = True
-                break
-        node = 0
-        while nodes[node, 0] >= 0:
-            p = nodes[node, 0]
-            s = -planes[p, n]
-            for j in range(n):
-                s += planes[p, j] * points[q, j]
-            node = nodes[node, 1] if s <= 0.0 else nodes[node, 2]
-        best, nearest = -1, np.inf
-        if outside:
-            region[q] = leaf[nodes[node, 1]] if nodes[node, 1] < nodes[node, 2] else -1
-            distance[q] = np.inf
-            continue
-        for e in range(nodes[node, 1], nodes[node, 2]):
-            r = leaf[e]
-            worst = -np.inf
-            for i in range(offsets[r], offsets[r + 1]):
-                s = -rows[i, n]
-                for j in range(n):
-                    s += rows[i, j] * points[q, j]
-                if s > worst:
-                    worst = s
-                    if worst >= nearest:
-                        break
-            if worst < nearest:
-                best, nearest = r, worst
-            if nearest <= tol:
-                break
-        region[q], distance[q] = best, nearest
+                step += border[i, j] * (points[q, j] - centre[j])
+            if step * shrink * share > room[i]:
+                share = room[i] / (step * shrink)
+        for j in range(n):
+            points[q, j] = centre[j] + share * shrink * (points[q, j] - centre[j])
+    return beyond
 
 
 @njit(cache=True)
-def apply(points, region, law, out):
-    """Rows of out: law[region] [point; 1]."""
+def locate(locator, border, centre, points, region, outside, gap):
+    """Region of every point, whether it lies beyond the border, and how far it is from its region.
+
+    A point beyond the border is moved onto it. A gap above INSIDE says that the leaf does not hold the point.
+    """
     n = points.shape[1]
+    room = border[:, n].copy()
+    for i in range(len(border)):
+        for j in range(n):
+            room[i] -= border[i, j] * centre[j]
+    first = len(border) <= _SHORT_BORDER
     for q in range(len(points)):
-        r = region[q]
+        gap[q] = 0.0
+        outside[q] = first and pull_back(border, room, centre, points, q)
+        region[q] = holder(locator, points, q)
+        if region[q] < 0 and not first and pull_back(border, room, centre, points, q):
+            outside[q] = True
+            region[q] = holder(locator, points, q)
+        if region[q] < 0:
+            region[q], gap[q] = nearest(locator, points, q)
+
+
+@njit(cache=True)
+def supporting(rows, points, kept):
+    """Note in `kept` which hyperplanes have every point below them, to the tolerance CROSSING."""
+    for i in range(len(rows)):
+        kept[i] = True
+        for q in range(len(points)):
+            if side_of(rows, i, points, q) > CROSSING:
+                kept[i] = False
+                break
+
+
+@njit(cache=True)
+def apply(points, found, centre, half, law, out):
+    """Rows of out: law[region] [point; 1], at the point on the border where it is outside."""
+    n = points.shape[1]
+    theta = np.empty(n)
+    for q in range(len(points)):
+        for j in range(n):
+            theta[j] = centre[j] + half[j] * found.points[q, j] if found.outside[q] else points[q, j]
+        r = found.region[q]
         for i in range(law.shape[1]):
             s = law[r, i, n]
             for j in range(n):
-                s += law[r, i, j] * points[q, j]
+                s += law[r, i, j] * theta[j]
             out[q, i] = s

@@ -1,0 +1,51 @@
+"""What the compiled exploration works on, with names: numba takes named tuples of arrays."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mpc.checks import Array
+
+Ints = np.ndarray[Any, np.dtype[np.int64]]
+
+KNOWN, QUEUED, DONE, ROWS = 0, 1, 2, 3  # positions in `Graph.counts`
+
+
+class QPData(NamedTuple):
+    """Minimise ½|v|² subject to Mv <= D [t; 1] for t in {TA t <= Tb}; rows of M and TA have unit length.
+
+    M : (m, nz); D : (m, nt + 1); tie : (m,) shift of the bounds that decides between active sets which are optimal
+    together; gram : (m, m), MM'; TA, Tb : the parameter set.
+    """
+
+    M: Array
+    D: Array
+    tie: Array
+    gram: Array
+    TA: Array
+    Tb: Array
+
+
+class Graph(NamedTuple):
+    """Active sets met so far, and the regions among them.
+
+    masks : (capacity, words) bits of each active set; kinds : what is known about each; table : hash table of their
+    numbers; queue : numbers of those with a region, in the order found; counts : sets KNOWN, regions QUEUED, regions
+    DONE, facet ROWS stored; tied : (m,) rows that were active, or not, without any effect on a region.
+    """
+
+    masks: np.ndarray[Any, np.dtype[np.uint64]]
+    kinds: np.ndarray[Any, np.dtype[np.int8]]
+    table: Ints
+    queue: Ints
+    counts: Ints
+    tied: np.ndarray[Any, np.dtype[np.bool_]]
+
+
+class Facets(NamedTuple):
+    """Facets of the regions done: region r owns rows[offsets[r] : offsets[r + 1]], each [a, b] for a't <= b."""
+
+    offsets: Ints
+    rows: Array

@@ -1,0 +1,275 @@
+"""Compiled growth of the search tree, node after node in the order of their depth.
+
+A region is represented by its centre and one point on each facet; those in the cell of a node say cheaply on which side
+of a hyperplane the region lies. Where they do not say it, a projection decides, so that no region is lost.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from mpc.checks import Array
+from mpc.explicit.kernels.halfspace import interior_point, project
+from mpc.tolerances import PROJECTION, SIDE
+
+NODES, NEXT, POOL, LEAF = 0, 1, 2, 3  # positions in `Growth.counts`
+FINISHED, GROW, PAUSED = 0, 1, 2  # why the growth returned
+_POINTS = 64  # points of a region that are used
+_SAMPLE = 400  # members of a node that judge a hyperplane
+_CANDIDATES = 64  # hyperplanes judged at a large node
+_FEW = 24  # members of a node up to which every facet is judged
+_TRIES = 4  # hyperplanes tried at a node before it becomes a leaf
+
+Ints = np.ndarray[Any, np.dtype[np.int64]]
+
+
+class Regions(NamedTuple):
+    """Region r: facets rows[offsets[r] : offsets[r + 1]], points[starts[r] : starts[r + 1]], number of its law."""
+
+    rows: Array
+    offsets: Ints
+    points: Array
+    starts: Ints
+    laws: Ints
+
+
+class Growth(NamedTuple):
+    """A tree as far as it has grown.
+
+    nodes : (capacity, 3) facet row, child below, child above, or -1 and a part of `leaf`; parents : (capacity,);
+    first, last : (capacity,) part of `pool` with the regions of a node not yet looked at; pool, inside : regions,
+    and which of their points lie in the cell, as bits; leaf : regions of the leaves; counts : NODES made, the NEXT to
+    look at, entries of POOL and LEAF.
+    """
+
+    nodes: Ints
+    parents: Ints
+    first: Ints
+    last: Ints
+    pool: Ints
+    inside: np.ndarray[Any, np.dtype[np.uint64]]
+    leaf: Ints
+    counts: Ints
+
+
+@njit(cache=True)
+def points_of(rows, offsets, points, starts):
+    """Fill in the centre of every region and one point on each of its facets."""
+    n = rows.shape[1] - 1
+    point, work, lam = np.empty(n), np.empty(n + 1, np.int64), np.empty(n + 1)
+    for r in range(len(offsets) - 1):
+        k = offsets[r + 1] - offsets[r]
+        A, b = np.empty((k, n)), np.empty(k)
+        for i in range(k):
+            for j in range(n):
+                A[i, j] = rows[offsets[r] + i, j]
+            b[i] = rows[offsets[r] + i, n]
+        centre = points[starts[r]]
+        interior_point(A, b, np.inf, centre)
+        for f in range(starts[r + 1] - starts[r] - 1):
+            # the facet is the set above its own half-space
+            for j in range(n):
+                A[f, j] = -A[f, j]
+            b[f] = -b[f]
+            if project(A, b, k, centre, PROJECTION, point, work, lam) < 0:
+                point[:] = centre
+            for j in range(n):
+                A[f, j] = -A[f, j]
+                points[starts[r] + 1 + f, j] = point[j]
+            b[f] = -b[f]
+
+
+@njit(cache=True)
+def side_of(rows, i, points, q):
+    """Distance of point q above the hyperplane [a, b] of row i."""
+    n = points.shape[1]
+    s = -rows[i, n]
+    for j in range(n):
+        s += rows[i, j] * points[q, j]
+    return s
+
+
+@njit(cache=True)
+def score(regions, members, inside, row):
+    """How well a hyperplane divides the members of a node, by their points: the fewer on the fuller side the better."""
+    low, high = 0, 0
+    stride = 1 + len(members) // _SAMPLE
+    for e in range(0, len(members), stride):
+        r = members[e]
+        below, above = False, False
+        for q in range(min(_POINTS, regions.starts[r + 1] - regions.starts[r])):
+            if inside[e] >> np.uint64(q) & np.uint64(1):
+                s = side_of(regions.rows, row, regions.points, regions.starts[r] + q)
+                below = below or s < -SIDE
+                above = above or s > SIDE
+                if below and above:
+                    break
+        low += below
+        high += above
+    return max(low, high) + _OVERLAP * (low + high)
+
+
+_OVERLAP = 0.5  # weight of the regions on both sides beside the fuller side
+
+
+@njit(cache=True)
+def best_rows(regions, members, inside, node, best):
+    """Write the facet rows that divide the members best into `best`, the best first; returns their number."""
+    scores = np.empty(len(best))
+    found = 0
+    total = 0
+    for r in members:
+        total += regions.offsets[r + 1] - regions.offsets[r]
+    few = len(members) <= _FEW
+    state = np.uint64(node + 1)
+    for c in range(total if few else _CANDIDATES):
+        if few:
+            rest, e = c, 0
+            while rest >= regions.offsets[members[e] + 1] - regions.offsets[members[e]]:
+                rest -= regions.offsets[members[e] + 1] - regions.offsets[members[e]]
+                e += 1
+            row = regions.offsets[members[e]] + rest
+        else:
+            state = state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
+            r = members[np.int64(state >> np.uint64(33)) % len(members)]
+            state = state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
+            row = regions.offsets[r] + np.int64(state >> np.uint64(33)) % (regions.offsets[r + 1] - regions.offsets[r])
+        value = score(regions, members, inside, row)
+        at = found
+        while at > 0 and scores[at - 1] > value:
+            at -= 1
+        if at > 0 and scores[at - 1] == value:
+            continue  # the same hyperplane again, most likely
+        if at < len(best):
+            for move in range(min(found, len(best) - 1), at, -1):
+                best[move], scores[move] = best[move - 1], scores[move - 1]
+            best[at], scores[at] = row, value
+            found = min(found + 1, len(best))
+    return found
+
+
+@njit(cache=True)
+def reaches(regions, r, inside, row, sign, A, b, depth):
+    """Whether region r, within the cell given by the first `depth` rows of A, b, has a part where sign * side <= 0."""
+    n = A.shape[1]
+    nearest, start = np.inf, regions.starts[r]
+    for q in range(min(_POINTS, regions.starts[r + 1] - regions.starts[r])):
+        if inside >> np.uint64(q) & np.uint64(1):
+            s = sign * side_of(regions.rows, row, regions.points, regions.starts[r] + q)
+            if s < -SIDE:
+                return True
+            if s < nearest:
+                nearest, start = s, regions.starts[r] + q
+    if sign < 0 and regions.offsets[r] <= row < regions.offsets[r + 1]:
+        return False  # its own facet
+    k = regions.offsets[r + 1] - regions.offsets[r]
+    for j in range(n):
+        A[depth, j] = sign * regions.rows[row, j]
+    b[depth] = sign * regions.rows[row, n] - SIDE
+    for i in range(k):
+        for j in range(n):
+            A[depth + 1 + i, j] = regions.rows[regions.offsets[r] + i, j]
+        b[depth + 1 + i] = regions.rows[regions.offsets[r] + i, n]
+    theta, work, lam = np.empty(n), np.empty(n + 1, np.int64), np.empty(n + 1)
+    return project(A, b, depth + 1 + k, regions.points[start], PROJECTION, theta, work, lam) >= 0
+
+
+@njit(cache=True)
+def cell_of(regions, growth, node, A, b):
+    """Write the half-spaces on the path to a node into A, b, drawn in by SIDE; returns their number."""
+    n, depth, child = A.shape[1], 0, node
+    while growth.parents[child] >= 0:
+        up = growth.parents[child]
+        sign = 1.0 if growth.nodes[up, 1] == child else -1.0
+        for j in range(n):
+            A[depth, j] = sign * regions.rows[growth.nodes[up, 0], j]
+        b[depth] = sign * regions.rows[growth.nodes[up, 0], n] - SIDE
+        depth, child = depth + 1, up
+    return depth
+
+
+@njit(cache=True)
+def depth_of(growth, node):
+    """Number of hyperplanes above a node."""
+    depth = 0
+    while growth.parents[node] >= 0:
+        node = growth.parents[node]
+        depth += 1
+    return depth
+
+
+@njit(cache=True)
+def divide(regions, growth, members, inside, row, A, b, depth, start):
+    """Write the members below and then above a hyperplane into the pool from `start`; returns the two numbers."""
+    filled = start
+    for bit in range(2):
+        sign = 1.0 if bit == 0 else -1.0
+        for e in range(len(members)):
+            r = members[e]
+            if not reaches(regions, r, inside[e], row, sign, A, b, depth):
+                continue
+            kept = np.uint64(0)
+            for q in range(min(_POINTS, regions.starts[r + 1] - regions.starts[r])):
+                here = inside[e] >> np.uint64(q) & np.uint64(1)
+                if here and sign * side_of(regions.rows, row, regions.points, regions.starts[r] + q) <= SIDE:
+                    kept |= np.uint64(1) << np.uint64(q)
+            growth.pool[filled], growth.inside[filled] = r, kept
+            filled += 1
+        if bit == 0:
+            low = filled - start
+    return low, filled - start - low
+
+
+@njit(cache=True)
+def grow(regions, growth, bucket, budget):
+    """Look at nodes in turn, until none is left, the budget of region tests is spent, or memory has to grow.
+
+    A node becomes a leaf when its regions share one law, are not more than `bucket`, or no hyperplane divides them.
+    """
+    counts, n = growth.counts, regions.points.shape[1]
+    largest = 0
+    for r in range(len(regions.offsets) - 1):
+        largest = max(largest, regions.offsets[r + 1] - regions.offsets[r])
+    best = np.empty(_TRIES, np.int64)
+    while counts[NEXT] < counts[NODES]:
+        if budget <= 0:
+            return PAUSED
+        node = counts[NEXT]
+        size = growth.last[node] - growth.first[node]
+        if (counts[NODES] + 2 > len(growth.nodes) or counts[POOL] + 2 * size > len(growth.pool)
+                or counts[LEAF] + size > len(growth.leaf)):  # fmt: skip
+            return GROW
+        budget -= size
+        members = growth.pool[growth.first[node] : growth.last[node]]
+        inside = growth.inside[growth.first[node] : growth.last[node]]
+        single = True
+        for r in members:
+            single = single and regions.laws[r] == regions.laws[members[0]]
+        row, low, high = -1, 0, 0
+        if not single and size > bucket:
+            depth = depth_of(growth, node)
+            A, b = np.empty((depth + 1 + largest, n)), np.empty(depth + 1 + largest)
+            cell_of(regions, growth, node, A, b)
+            for attempt in range(best_rows(regions, members, inside, node, best)):
+                low, high = divide(regions, growth, members, inside, best[attempt], A, b, depth, counts[POOL])
+                if low < size and high < size:
+                    row = best[attempt]
+                    break
+        growth.nodes[node, 0] = row
+        counts[NEXT] += 1
+        if row < 0:
+            growth.nodes[node, 1], growth.nodes[node, 2] = counts[LEAF], counts[LEAF] + size
+            growth.leaf[counts[LEAF] : counts[LEAF] + size] = members
+            counts[LEAF] += size
+            continue
+        child = counts[NODES]
+        growth.nodes[node, 1], growth.nodes[node, 2] = child, child + 1
+        growth.parents[child], growth.parents[child + 1] = node, node
+        growth.first[child], growth.last[child] = counts[POOL], counts[POOL] + low
+        growth.first[child + 1], growth.last[child + 1] = counts[POOL] + low, counts[POOL] + low + high
+        counts[POOL] += low + high
+        counts[NODES] += 2
+    return FINISHED

@@ -1,0 +1,115 @@
+"""The solution of a multiparametric QP: a partition into polytopes with an affine law on each, and its status."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mpc.checks import Array
+from mpc.parametric_qp import ParametricQP
+from mpc.tolerances import DEFINITE
+
+Ints = np.ndarray[Any, np.dtype[np.int64]]
+
+
+class MPQPStatus(Enum):
+    """How the exploration ended; the value is the advice."""
+
+    COMPLETE = "Complete: every region behind every facet was explored."
+    INFEASIBLE = "No parameter of the set is feasible, or only a flat part. Ask `LinearMPC.explain` what conflicts."
+    REGION_LIMIT = "Stopped at `max_regions`: the partition has holes. Raise the limit, shorten N or block moves."
+    TIME_LIMIT = "Stopped at `time_limit`: the partition has holes. Raise the limit, shorten N or block moves."
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return self.value
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Partition:
+    """Solution of a multiparametric QP; its arrays are read-only.
+
+    Attributes
+    ----------
+    problem : ParametricQP
+        What was solved.
+    status : MPQPStatus
+        Whether the whole parameter set was explored.
+    active_sets : tuple of tuple of int
+        Rows of `problem.G` that are active in each region.
+    H, h : (n_halfspaces, nt) and (n_halfspaces,) array
+        Facets of all regions, Hθ <= h in the units of θ.
+    offsets : (n_regions + 1,) int array
+        Region r owns the rows offsets[r] : offsets[r + 1].
+    law : (n_regions, nz, nt + 1) array
+        Minimiser z = law[r] [θ; 1].
+    centre, half : (nt,) arrays
+        Scaling θ = centre + half * t that takes the parameter set into [-1, 1]; H * half has unit rows.
+    solve_time : float
+        Wall time [s].
+    """
+
+    problem: ParametricQP
+    status: MPQPStatus
+    active_sets: tuple[tuple[int, ...], ...]
+    H: Array
+    h: Array
+    offsets: Ints
+    law: Array
+    centre: Array
+    half: Array
+    solve_time: float
+
+    def __post_init__(self) -> None:
+        for name in ("H", "h", "offsets", "law", "centre", "half"):
+            array = np.array(getattr(self, name), order="C")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @cached_property
+    def scaled_rows(self) -> Array:
+        """Facets [H, h] in the scaled parameter t, unit normals: (n_halfspaces, nt + 1)."""
+        rows = np.hstack([self.H * self.half, (self.h - self.H @ self.centre)[:, None]])
+        rows.flags.writeable = False
+        return rows
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields; what is computed from them is computed anew."""
+        return {name: value for name, value in self.__dict__.items() if name != "scaled_rows"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
+
+    def __len__(self) -> int:
+        return len(self.active_sets)
+
+    def __repr__(self) -> str:
+        return f"Partition({len(self)} regions, {self.status.name}, {1e3 * self.solve_time:.1f} ms)"
+
+    def multipliers(self, region: int) -> Array:
+        """Multiplier law (m, nt + 1) of one region: λ = law [θ; 1], zero for inactive rows.
+
+        Of two rows that make an equality the first carries the multiplier, of either sign.
+        """
+        problem = self.problem
+        active = list(self.active_sets[region])
+        law = np.zeros((problem.m, problem.nt + 1))
+        if active:
+            size = 1 / np.sqrt(np.diag(problem.H))  # variables with a Hessian of unit diagonal
+            H = problem.H * np.outer(size, size)
+            G = problem.G[active] * size
+            length = 1 / np.linalg.norm(G, axis=1)[:, None]  # rows of unit length
+            G = G * length
+            right = length * np.hstack([problem.S[active], problem.w[active, None]])
+            cost = size[:, None] * np.hstack([problem.F, problem.f[:, None]])
+            right = right + G @ np.linalg.solve(H, cost)
+            # least squares: rows of equalities may repeat each other
+            law[active] = -length * np.linalg.lstsq(G @ np.linalg.solve(H, G.T), right, rcond=DEFINITE)[0]
+        return law
