@@ -21,6 +21,8 @@ Array = np.ndarray
 Rows = tuple[Array, Array]
 _DOUBTFUL = 1e-12  # relative violation above which the answer of DAQP is asked for a second time
 _IN_INPUT_SET = 1e-9  # of the extent of U: a witness may leave it by this
+_DUAL_RESIDUAL = 1e-11  # of a unit cost: multipliers that miss stationarity by less give the bound
+_FLAT_WIDTH = 1e-9  # of the largest: width given to a coordinate in which a set is flat
 _EVERY = 50  # linear programs between two looks at the clock
 
 
@@ -129,10 +131,15 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feed
 
 def outside(C: Polytope, X: Polytope) -> float:
     """Return by how much C leaves X, relative to the range of the row of X over the bounding box of C."""
-    F, g = relative_rows(X, C)
+    F, g = np.vstack([X.A, X.A_eq, -X.A_eq]), np.concatenate([X.b, X.b_eq, -X.b_eq])
     if not len(g):
         return 0.0
-    return float(((F @ C.vertices.T).max(axis=1) - g).max() if C.is_bounded else (C.support(F) - g).max())
+    if C.is_bounded:
+        beyond, extent = (F @ C.vertices.T).max(axis=1) - g, np.ptp(C.vertices, axis=0)
+    else:
+        beyond, extent = C.support(F) - g, 2 * np.linalg.norm(C._body.basis, axis=1)  # type: ignore[union-attr]
+    scale = np.abs(F) @ np.maximum(extent, _FLAT_WIDTH * extent.max(initial=0.0))
+    return float((beyond / np.where(scale > 0.0, scale, 1.0)).max())
 
 
 def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadline: Deadline = NO_DEADLINE) -> float:
@@ -145,7 +152,7 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     assert state is not None
     assert inputs is not None
     F, g = relative_rows(C)
-    T, t = tightened_rows(C, system.disturbances)
+    T, t = (F, g) if system.disturbances is None else tightened_rows(C, system.disturbances)
     N, M = state.basis, inputs.basis
     k, q = N.shape[1], M.shape[1]
     rows = np.block([
@@ -153,20 +160,30 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
         [T @ system.A @ N, T @ system.B @ M]])
     drift = system.A @ state.centre + system.B @ inputs.centre
     rows, right = unit(rows, np.concatenate([state.g, inputs.g, t - T @ drift]))
+    costs, level = np.hstack([-F @ N, np.zeros((len(F), q))]), F @ state.centre - g
     worst = -np.inf
-    for i, f in enumerate(F):
+    for i, cost in enumerate(costs):
         if i % _EVERY == 0:
             deadline.check()
-        local = np.append(f @ N, np.zeros(q))
-        size = float(np.linalg.norm(local))
-        value = -size * minimise(-local / size, rows, right)[0] if size > 0.0 else 0.0
-        worst = max(worst, value + float(f @ state.centre - g[i]))
+        size = float(np.linalg.norm(cost))
+        value = size * _upper_bound(cost / size, rows, right) if size > 0.0 else 0.0
+        worst = max(worst, value + float(level[i]))
     return worst
 
 
-def relative_rows(C: Polytope, over: Polytope | None = None) -> Rows:
-    """Return all rows of C as inequalities, divided by their range over the bounding box of C (or of another set)."""
-    scale, scale_eq = C._row_scales if over is None else over._scales_along(C)
+def _upper_bound(cost: Array, rows: Array, right: Array) -> float:
+    """Return max −costᵀz over the rows, or a value slightly above it: that of the multipliers found by DAQP."""
+    _, _, flag, info = daqp.solve(None, cost, rows, right)
+    if flag == 1:
+        dual = np.maximum(info["lam"], 0.0)
+        if np.abs(cost + dual @ rows).max() <= _DUAL_RESIDUAL:
+            return float(dual @ right)
+    return -minimise(cost, rows, right)[0]
+
+
+def relative_rows(C: Polytope) -> Rows:
+    """Return all rows of C as inequalities, divided by their range over the bounding box of C."""
+    scale, scale_eq = C._row_scales
     scale, scale_eq = np.where(scale > 0.0, scale, 1.0), np.where(scale_eq > 0.0, scale_eq, 1.0)
     F = np.vstack([C.A / scale[:, None], C.A_eq / scale_eq[:, None], -C.A_eq / scale_eq[:, None]])
     return F, np.concatenate([C.b / scale, C.b_eq / scale_eq, -C.b_eq / scale_eq])

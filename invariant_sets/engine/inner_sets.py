@@ -115,18 +115,17 @@ def _contracted(problem: LocalProblem, region: Region, delta: float, limits: Lim
 
 
 def _grown(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[Candidate]:
-    """Yield the set of a feedback grown by predecessor sets, all of them invariant; then that set itself."""
-    seeds = list(feedback_sets(problem, region, limits))
-    if not seeds:
+    """Yield the set of a feedback grown by predecessor sets, all of them invariant; then that set itself, or others."""
+    seeds = feedback_sets(problem, region, limits)
+    first = next(seeds, None)
+    if first is None:
         return
-    best = min(seeds, key=lambda seed: gap(region, seed.region))
-    try:
-        grown, steps = _grow(problem, region, best.region, limits)
-        if steps:
-            yield Candidate(grown, steps)
-    except LimitReached:
-        pass
-    yield from sorted(seeds, key=lambda seed: gap(region, seed.region))
+    grown, steps = _grow(problem, region, first.region, limits)
+    if steps:
+        yield Candidate(grown, steps)
+        yield first
+    else:
+        yield from sorted([first, *seeds], key=lambda seed: gap(region, seed.region))
 
 
 def _grow(problem: LocalProblem, region: Region, seed: Region, limits: Limits) -> tuple[Region, int]:
@@ -152,7 +151,7 @@ def _grow(problem: LocalProblem, region: Region, seed: Region, limits: Limits) -
 
 
 def feedback_sets(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[Candidate]:
-    """Yield the positively invariant sets in the region of linear-quadratic feedbacks, one or more."""
+    """Yield the positively invariant sets in the region of several linear-quadratic feedbacks."""
     for weight in _INPUT_WEIGHTS:
         K = _feedback(problem, weight)
         if K is None:
@@ -163,8 +162,6 @@ def feedback_sets(problem: LocalProblem, region: Region, limits: Limits) -> Iter
             return
         if candidate is not None:
             yield candidate
-            if region.V is not None and len(K[0]) <= _VERTEX_DIM:
-                return  # small enough to be grown
 
 
 def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Limits) -> Candidate | None:

@@ -7,6 +7,7 @@ sees a full-dimensional problem with constraints on state and input together.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class Frame:
     centre: Array
     basis: Array
 
-    @property
+    @cached_property
     def back(self) -> Array:
         """The matrix (k, n) that takes x − centre to y."""
         square = self.basis.shape[0] == self.basis.shape[1]
