@@ -357,7 +357,7 @@ def judge_control(case: Case, result: SetResult, seconds: float, limit: float, r
     for direction in rng.normal(size=(rays, n)):
         reach, back = exit_of(outer, start, direction), along(returning, start, direction)
         if back > reach * (1 + 1e-5) + CLOSE:
-            return f"outer too small by {back / reach - 1:.1e}"
+            return f"outer too small: {back:.3g} against {reach:.3g}"
         mine = exit_of(C, start, direction)
         beyond = start + 1.001 * mine * direction
         if result.status is Status.CONVERGED and not _leaves(case, beyond, 0.001 * mine, back - mine):

@@ -12,15 +12,18 @@ import daqp
 import numpy as np
 
 from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
+from invariant_sets.results import INVARIANT
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
+_TIGHTEST = 1e-10  # the least feasibility tolerances that HiGHS accepts
 _DOUBTFUL = 1e-12  # relative violation above which the answer of DAQP is asked for a second time
-_IN_INPUT_SET = 1e-9  # of the extent of U: a witness may leave it by this
+_IN_INPUT_SET = 1e-6  # of U: a witness may leave it by this, and is then moved back
 _DUAL_RESIDUAL = 1e-11  # of a unit cost: multipliers that miss stationarity by less give the bound
 _FLAT_WIDTH = 1e-9  # of the largest: width given to a coordinate in which a set is flat
 _EVERY = 50  # linear programs between two looks at the clock
@@ -89,6 +92,9 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     """Return the largest over k of min over v in the inputs of max (slope v − room_k), from the minimisers found."""
     H, h = inputs
     nu = H.shape[1]
+    if nu > 1:  # nearly parallel inputs: their difference becomes an input of its own
+        turn = np.linalg.svd(slope, full_matrices=True)[2].T
+        slope, H = slope @ turn, H @ turn
     rows = np.ascontiguousarray(np.block([[slope, -np.ones((len(slope), 1))], [H, np.zeros((len(H), 1))]]))
     cost = np.zeros(nu + 1)
     cost[nu] = 1.0
@@ -98,19 +104,41 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
             deadline.check()
         v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=1e-11)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
-    leaves = _violations(witnesses, slope, room, inputs)
-    for k in map(int, np.flatnonzero(leaves > _DOUBTFUL)):  # DAQP may stop early: ask the checked solver
-        v = minimise(cost, rows, np.concatenate([room[k], h]))[1]
-        if v is not None:
-            leaves[k] = min(leaves[k], _violations(v[None, :nu], slope, room[k:k + 1], inputs)[0])
+    leaves = _violations(witnesses, slope, room, (H, h))
+    for solver in (_checked_minimiser, precise_minimiser):  # DAQP stops early where the inputs are nearly parallel
+        for k in map(int, np.flatnonzero(leaves > _DOUBTFUL)):
+            v = solver(cost, rows, np.concatenate([room[k], h]))
+            if v is not None:
+                leaves[k] = min(leaves[k], _violations(v[None, :nu], slope, room[k:k + 1], (H, h))[0])
+        if leaves.max() <= INVARIANT:
+            break
+        deadline.check()
     return float(leaves.max())
 
 
+def _checked_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
+    """Return a minimiser of the linear program by the solvers of the package."""
+    try:
+        return minimise(cost, rows, right)[1]
+    except NumericalError:
+        return None
+
+
+def precise_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
+    """Return a minimiser by the simplex method of HiGHS at its tightest tolerances."""
+    from scipy.optimize import linprog
+
+    answer = linprog(cost, A_ub=rows, b_ub=right, bounds=(None, None), method="highs-ds", options={
+        "primal_feasibility_tolerance": _TIGHTEST, "dual_feasibility_tolerance": _TIGHTEST})
+    return np.asarray(answer.x) if answer.status == 0 else None
+
+
 def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
-    """Return the violation of each witness (k, nu), infinite if it is not in U itself."""
+    """Return the violation of each witness (k, nu), moved into U towards its centre 0; infinite if it is far outside."""
     with np.errstate(invalid="ignore"):
-        inside = (v @ inputs[0].T - inputs[1] <= _IN_INPUT_SET).all(axis=1)
-        return np.where(inside, (v @ slope.T - room).max(axis=1), np.inf)
+        excess = (v @ inputs[0].T / inputs[1]).max(axis=1, initial=0.0)
+        inside = v / np.maximum(excess, 1.0)[:, None]
+        return np.where(excess <= 1.0 + _IN_INPUT_SET, (inside @ slope.T - room).max(axis=1), np.inf)
 
 
 def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feedback,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invariant_sets.engine.certificate import control_violation, relative_rows
+from invariant_sets.engine.certificate import control_violation, precise_minimiser, relative_rows
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
@@ -120,10 +120,13 @@ def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> flo
     for i, f in enumerate(F):
         if i % _EVERY == 0:
             deadline.check()
-        local = body.basis[:n].T @ f
+        local, level = body.basis[:n].T @ f, float(f @ body.centre[:n] - g[i])
         size = float(np.linalg.norm(local))
-        beyond = -size * minimise(-local / size, body.F, body.g)[0] if size > 0.0 else 0.0
-        worst = max(worst, beyond + float(f @ body.centre[:n] - g[i]))
+        beyond = size * -minimise(-local / size, body.F, body.g)[0] + level if size > 0.0 else level
+        if beyond > INVARIANT and size > 0.0:  # a flat optimum may be found too large: a second solver
+            point = precise_minimiser(-local / size, body.F, body.g)
+            beyond = beyond if point is None else min(beyond, float(local @ point) + level)
+        worst = max(worst, beyond)
     return worst
 
 
