@@ -10,6 +10,7 @@ import daqp
 import numpy as np
 
 from invariant_sets.engine.certificate import relative_rows
+from invariant_sets.engine.local_problem import left_inverse
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
 from invariant_sets.input_intervals import Intervals
 from invariant_sets.linear_programs import minimise
@@ -232,7 +233,7 @@ def _local_rows(A: Array, B: Array, S: Polytope, U: Polytope, disturbances: Arra
     F, g = relative_rows(S)
     if disturbances is not None and len(g):
         g = g - (F @ disturbances.T).max(axis=1)
-    arrays = (body.centre, body.basis, np.linalg.pinv(body.basis), -F @ A, F @ B @ body.basis, g - F @ B @ body.centre,
+    arrays = (body.centre, body.basis, left_inverse(body.basis), -F @ A, F @ B @ body.basis, g - F @ B @ body.centre,
               body.F, body.g)
     return _LocalRows(*(frozen(np.array(array)) for array in arrays))
 

@@ -193,14 +193,17 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     for i, cost in enumerate(costs):
         if i % _EVERY == 0:
             deadline.check()
-        size = float(np.linalg.norm(cost))
-        value = size * _upper_bound(cost / size, rows, right) if size > 0.0 else 0.0
-        worst = max(worst, value + float(level[i]))
+        size, beyond = float(np.linalg.norm(cost)), float(level[i])
+        if size > 0.0:
+            beyond = size * _upper_bound(cost / size, rows, right) + level[i]
+            if beyond > worst and beyond > INVARIANT:
+                beyond = min(beyond, size * -minimise(cost / size, rows, right)[0] + level[i])
+        worst = max(worst, beyond)
     return worst
 
 
 def _upper_bound(cost: Array, rows: Array, right: Array) -> float:
-    """Return max −costᵀz over the rows, or a value slightly above it: that of the multipliers found by DAQP."""
+    """Return max −costᵀz over the rows, or a value above it: that of the multipliers that DAQP stops at."""
     _, _, flag, info = daqp.solve(None, cost, rows, right)
     if flag == 1:
         dual = np.maximum(info["lam"], 0.0)

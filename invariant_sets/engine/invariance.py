@@ -20,12 +20,14 @@ via set-induced Lyapunov functions, IEEE TAC 39(2).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from invariant_sets.engine import certificate
 from invariant_sets.engine.inner_sets import Candidate, Limits, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
+from invariant_sets.engine.observable import observed_directions, quotient
 from invariant_sets.engine.recursion import Outcome, Region, Shape, iterate
 from invariant_sets.engine.unstable_modes import unstable_bounds
 from invariant_sets.exceptions import NumericalError
@@ -59,6 +61,29 @@ def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResul
     The input does not know w. The set is rescaled when it has become small, and solved on its affine hull when
     it has become flat.
     """
+    if guess is None and not task.X.is_bounded and task.U.is_bounded:
+        Q = observed_directions(task.system.A, task.X)
+        if Q is not None:
+            return _extended(_largest(replace(task, **_quotient_of(task, Q))), Q)
+    return _largest(task, guess)
+
+
+def _quotient_of(task: Task, Q: Array) -> dict[str, Any]:
+    """Return the system and the state set of the task in the coordinates z = Q x."""
+    system, X = quotient(task.system, task.X, Q)
+    return {"system": system, "X": X}
+
+
+def _extended(result: SetResult, Q: Array) -> SetResult:
+    """Return the result with its sets as cylinders {x : Q x in the set}."""
+    if result.outer.is_empty:
+        return no_set(Q.shape[1], result.iterations, status=result.status)
+    C = no_set(Q.shape[1], 0).set if result.set.is_empty else result.set.preimage(Q)
+    return replace(result, set=C, outer=result.outer.preimage(Q))
+
+
+def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
+    """Return the largest invariant set, by local problems until one is solved."""
     limits, X, nx = task.limits, task.X, task.X.dim
     iterations, widest = 0, _extent(X)
     outer_deadline = limits.deadline.part(_OUTER_SHARE)

@@ -36,6 +36,16 @@ class LinearSystem:
     disturbances: Array | None = None
 
 
+def left_inverse(basis: Array) -> Array:
+    """Return L (k, n) with L basis = 1, for columns and coordinates in units that differ by any factor."""
+    if basis.shape[0] == basis.shape[1]:
+        return np.linalg.inv(basis)
+    rows = np.abs(basis).max(axis=1, initial=0.0)
+    rows[rows == 0.0] = 1.0
+    columns = np.abs(basis / rows[:, None]).max(axis=0)
+    return np.linalg.pinv(basis / rows[:, None] / columns) / rows / columns[:, None]
+
+
 @dataclass(frozen=True)
 class Frame:
     """x = centre + basis y, with y (k,) and the columns of the basis spanning the hull of the state set."""
@@ -46,8 +56,7 @@ class Frame:
     @cached_property
     def back(self) -> Array:
         """The matrix (k, n) that takes x − centre to y."""
-        square = self.basis.shape[0] == self.basis.shape[1]
-        return np.linalg.inv(self.basis) if square else np.linalg.pinv(self.basis)
+        return left_inverse(self.basis)
 
     def rows_of(self, P: Polytope) -> Rows:
         """Return the inequalities of P as unit rows on y; those that do not depend on y are left out."""
@@ -149,7 +158,7 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
 
 def _with_equalities(X: Polytope, frame: Frame, rows: Array, values: Array | None) -> Polytope:
     """Return the part of X where rows y = values."""
-    back = rows @ np.linalg.pinv(frame.basis)
+    back = rows @ frame.back
     return X.intersection(Polytope(np.zeros((0, X.dim)), np.zeros(0), back, values + back @ frame.centre))
 
 
@@ -172,7 +181,7 @@ def _input_corners(U: Polytope, inputs: Body) -> Array | None:
     """Return the vertices (m, q) of the local input set, None if it is unbounded."""
     if inputs.basis.shape[1] == 0:
         return np.zeros((1, 0))
-    return (U.vertices - inputs.centre) @ np.linalg.pinv(inputs.basis).T if inputs.bounded else None
+    return (U.vertices - inputs.centre) @ left_inverse(inputs.basis).T if inputs.bounded else None
 
 
 def _joint_input_corners(problem: LocalProblem) -> Array | None:

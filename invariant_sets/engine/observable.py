@@ -1,0 +1,61 @@
+"""Directions that the constraints never see: the invariant set is unbounded along them, and is solved without them.
+
+With bounded inputs the lineality space of the maximal invariant set in X is the unobservable subspace of (F, A), where
+F are the rows of X. In the quotient by that subspace the problem has the same form, and no such direction is left.
+
+References
+----------
+Paige (1981), Properties of numerical algorithms related to computing controllability, IEEE TAC 26(1): the staircase
+by singular values.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import matrix_balance
+
+from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.polytope import Polytope
+
+Array = np.ndarray
+_UNSEEN = 1e-11  # of |A|, balanced: directions in which the next output moves less are not seen
+
+
+def observed_directions(A: Array, X: Polytope) -> Array | None:
+    """Return rows Q (k, n) such that X and the motion depend on Q x alone; None if nothing can be left out."""
+    F = np.vstack([X.A, X.A_eq])
+    if not len(F) or not np.abs(F).max() > 0.0:
+        return None
+    balanced, scale = matrix_balance(A, permute=False, separate=False)
+    scale = np.diag(scale)  # balanced = scale⁻¹ A scale
+    rows = F * scale
+    norms = np.abs(rows).max(axis=1)
+    Q = _row_space(rows[norms > 0.0] / norms[norms > 0.0, None], 1.0)
+    size = max(float(np.linalg.norm(balanced, 2)), np.finfo(float).tiny)
+    while len(Q) < len(A):
+        ahead = Q @ balanced
+        more = _row_space(ahead - ahead @ Q.T @ Q, size)
+        if not len(more):
+            return Q / scale
+        Q = _row_space(np.vstack([Q, more]), 1.0)
+    return None
+
+
+def _row_space(rows: Array, size: float) -> Array:
+    """Return orthonormal rows that span the given ones, up to what is rounding beside `size`."""
+    _, values, vt = np.linalg.svd(rows, full_matrices=False)
+    return vt[values > _UNSEEN * size]
+
+
+def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem, Polytope]:
+    """Return the motion of z = Q x and X as a set of z."""
+    back = _right_inverse(Q)
+    noise = None if system.disturbances is None else system.disturbances @ Q.T
+    return LinearSystem(Q @ system.A @ back, Q @ system.B, noise), X.preimage(back)
+
+
+def _right_inverse(Q: Array) -> Array:
+    """Return R (n, k) with Q R = 1, for columns in units that differ by any factor."""
+    columns = np.abs(Q).max(axis=0)
+    columns[columns == 0.0] = 1.0
+    return np.linalg.pinv(Q / columns) / columns[:, None]
