@@ -6,8 +6,8 @@
 3. `recursion`: Ω ← Pre(Ω) ∩ Ω until no row cuts any more. This is `outer`. A set that has become small or flat
    is taken back to 1.
 4. `inner_sets`: (1 − tol/10) Ω is invariant with room to spare, because inputs scale with the state. Disturbances
-   do not; there the recursion is repeated from Ω for a contraction factor just below one. Where a cap came first, the
-   the invariant set of a linear feedback is grown from inside.
+   do not scale; there the recursion is repeated from Ω for a contraction factor just below one. Where a cap came
+   first, the invariant set of a linear feedback is grown from inside.
 5. `certificate`: only a set that passes its check at every vertex (or facet) is returned, and only one that one more
    backward step does not enlarge is called maximal.
 

@@ -18,6 +18,7 @@ from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.polytope import Polytope
 
 Array = np.ndarray
+_CANCELLED = 1e-13  # of the sum of absolute terms: a sum smaller than this is zero
 _UNSEEN = 1e-11  # of |A|, balanced: directions in which the next output moves less are not seen
 
 
@@ -51,7 +52,15 @@ def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem,
     """Return the motion of z = Q x and X as a set of z."""
     back = _right_inverse(Q)
     noise = None if system.disturbances is None else system.disturbances @ Q.T
-    return LinearSystem(Q @ system.A @ back, Q @ system.B, noise), X.preimage(back)
+    seen = Polytope(_product(X.A, back), X.b, _product(X.A_eq, back), X.b_eq)
+    return LinearSystem(Q @ system.A @ back, Q @ system.B, noise), seen
+
+
+def _product(F: Array, back: Array) -> Array:
+    """Return F back with zeros where the terms of a sum have cancelled."""
+    rows = F @ back
+    rows[np.abs(rows) <= _CANCELLED * (np.abs(F) @ np.abs(back))] = 0.0
+    return rows
 
 
 def _right_inverse(Q: Array) -> Array:

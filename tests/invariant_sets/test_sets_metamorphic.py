@@ -109,7 +109,7 @@ def test_other_state_coordinates_give_the_same_set(name, change, natural):
 
 
 @pytest.mark.parametrize("units", [(1e-8, 1.0), (1.0, 1e8), (1e8, 1e-8)])
-@pytest.mark.parametrize("name", ["control invariant", "robust control invariant", "predecessor", "controllable", "reachable"])
+@pytest.mark.parametrize("name", ["control invariant", "robust control invariant", "controllable", "reachable"])
 def test_other_input_units_give_the_same_set(name, units, natural):
     assert_same(name, natural, Plant(S=np.diag(units)))
 
@@ -122,6 +122,6 @@ def test_a_filter_gives_the_same_inputs_in_other_units(units, natural, rng):
     x, proposed = X.sample(40, rng=rng), U.scale(2.0).sample(40, rng=rng)
     u, admissible = AdmissibleInputs(plain.A, plain.B, safe, plain.U).project(x, proposed)
     other, verdict = AdmissibleInputs(scaled.A, scaled.B, safe.affine_map(T), scaled.U).project(x @ T, proposed @ S)
-    assert 0 < admissible.sum()
+    assert admissible.any()
     assert (admissible == verdict).all()
     assert abs(other @ np.linalg.inv(S) - u).max() <= 1e-6
