@@ -88,14 +88,16 @@ def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = Non
     noise = disturbance_vertices(E, W)
     centre = W.affine_map(E)._body.centre  # type: ignore[union-attr]
     rest = np.linalg.solve(np.eye(len(A)) - A, centre)
-    Q = _moving_subspace(A, noise - centre)
+    size = _extent(A, noise - centre)
+    local, pushes = A * size / size[:, None], (noise - centre) / size  # in units of the answer's own extent
+    Q = _moving_subspace(local, pushes)
     if Q.shape[1] == 0:
         found = _Approximation(Polytope.from_vertices(rest[None]), 0.0, 0, Status.CONVERGED)
     else:
-        found = _approximated(Q.T @ A @ Q, (noise - centre) @ Q, limits)
+        found = _approximated(Q.T @ local @ Q, pushes @ Q, limits)
         if found.set is None:
             return no_set(len(A), found.steps, Polytope(np.zeros((0, len(A))), np.zeros(0)), found.status)
-        found = replace(found, set=found.set.affine_map(Q, rest))
+        found = replace(found, set=found.set.affine_map(size[:, None] * Q, rest))
     check = control_violation(LinearSystem(A, np.zeros((len(A), 1)), noise), found.set, NO_INPUT)
     certificate = Certificate(check.violation, found.gap, check.points)
     if not certificate.holds:
@@ -120,6 +122,13 @@ def _approximated(A: Array, W: Array, limits: Limits) -> _Approximation:
         if found is not None:
             return found
     return _from_outside(A, W, limits)
+
+
+def _extent(A: Array, W: Array) -> Array:
+    """Return the half width (n,) of the smallest robust set in every coordinate, 1 where it has none."""
+    eye = np.eye(len(A))
+    size = np.maximum(_sum_of_supports(eye, A, W, _SERIES), _sum_of_supports(-eye, A, W, _SERIES))
+    return np.where(size > 0.0, size, 1.0)
 
 
 def _moving_subspace(A: Array, W: Array) -> Array:
@@ -210,10 +219,11 @@ def _excess(R: Polytope, partial: Polytope) -> float:
 def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
     """Return Σ_i max_w dᵀAⁱw for every row d of D, from below: the terms after the last are left out."""
     total, directions = np.zeros(len(D)), np.array(D)
+    largest = np.abs(W).max(axis=0)
     for _ in range(terms):
         step = (directions @ W.T).max(axis=1)
         total += step
-        if np.abs(directions).max() * np.abs(W).max() <= _SERIES_END * np.abs(total).max():
+        if (np.abs(directions) @ largest <= _SERIES_END * np.abs(total)).all():
             break
         directions = directions @ A
     return total
