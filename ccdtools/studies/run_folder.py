@@ -81,13 +81,21 @@ class RunFolder:
 
     def check_new(self, *, overwrite: bool = False, argument: str = "path") -> None:
         """Raise unless there is nothing at the path yet, or a run that is to be overwritten."""
-        if not os.path.lexists(self.path):
+        if not os.path.lexists(self.path) or self._was_never_begun():
             return
         if not overwrite:
             cure = "Choose another, continue it with `ccdtools resume`, or add --overwrite."
             raise InputError(argument, f"{self.path}, which exists", "a new folder", cure)
         if self.path.is_symlink() or not (self.path / "run.json").is_file():
             raise InputError(argument, f"{self.path}, which holds no run", "a run's folder to overwrite")
+
+    def _was_never_begun(self) -> bool:
+        """Whether a process was killed after it made the folder and before it wrote run.json."""
+        try:
+            names = {name.removesuffix(".partial") for name in os.listdir(self.path)}
+        except OSError:
+            return False
+        return LOCK in names and names <= {LOCK, DISTURBANCE, "run.json"} and not (self.path / "run.json").exists()
 
     @contextmanager
     def locked(self, argument: str = "folder") -> Iterator[None]:

@@ -102,4 +102,4 @@ def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> 
 
 def _cost_text(row: Mapping[str, Any]) -> str:
     """The cost of a row: minus its mean return."""
-    return "all runs diverged" if row["mean"] is None else f"{-row['mean']:.4g}"
+    return "all runs diverged" if row["mean"] is None else f"{0.0 - row['mean']:.4g}"

@@ -80,6 +80,12 @@ def test_a_run_is_overwritten_when_asked(folder):
     assert again.finished() == []
 
 
+def test_a_folder_whose_run_was_killed_before_it_began_is_used_again(folder):
+    with folder.locked():
+        (folder.path / "run.json.partial").write_text("{")
+    assert os.listdir(RunFolder.create(folder.path).path) == []
+
+
 def test_a_folder_that_holds_no_run_is_never_overwritten(tmp_path):
     (tmp_path / "thesis.txt").write_text("precious")
     with pytest.raises(InputError, match="which holds no run, expected a run's folder to overwrite"):

@@ -1,0 +1,91 @@
+"""A redesign replaces what is in service only for a gain beyond chance that is worth it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.studies import configuration
+from ccdtools.studies.evaluation import Evaluation
+from ccdtools.studies.redesign import WORTH_A_DESIGN, WORTH_A_POLICY, InService, judge_redesign
+from ccdtools.twin.deployment import deploy
+from ccdtools.twin.residuals import residuals
+
+STEPS = 100
+
+
+@pytest.fixture(scope="module")
+def evaluation(illustrative):
+    """The illustrative study with few runs."""
+    return Evaluation(illustrative, replace(configuration(illustrative), model_runs=300), 0)
+
+
+@pytest.fixture(scope="module")
+def agent(clone, illustrative):
+    """A policy that imitates LQR."""
+    return clone(illustrative)
+
+
+def log(evaluation, agent, *, disturbance, x0):
+    """The errors of the nominal model along a deployment on the nominal plant."""
+    study = evaluation.study
+    policy = LearnedPolicy(agent, [2.0])
+    run = deploy(study.plant, policy, [2.0], disturbance, x0=x0, limit=evaluation.problem.limit)
+    return [residuals(study.model, run)]
+
+
+@pytest.fixture(scope="module")
+def noisy(evaluation, agent):
+    """A log with the disturbance that the model assumes, from the start of the study."""
+    w = evaluation.study.disturbance.sample(60, STEPS, np.random.default_rng(0))
+    return log(evaluation, agent, disturbance=w, x0=np.tile(evaluation.study.x0, (60, 1)))
+
+
+@pytest.fixture(scope="module")
+def silent(evaluation, agent):
+    """A log without any disturbance, near the origin: it says nothing about the design."""
+    x0 = 1e-3 * np.random.default_rng(0).standard_normal((60, 2))
+    return log(evaluation, agent, disturbance=np.zeros((60, STEPS, 2)), x0=x0)
+
+
+def at(agent, p):
+    """The policy at a design."""
+    return InService(agent, np.array([p]))
+
+
+def test_a_better_design_is_taken(evaluation, agent, noisy):
+    decision = judge_redesign(evaluation, at(agent, 2.2), at(agent, 1.2), noisy)
+    assert decision.accepted
+    assert decision.moved
+    assert decision.gain.mean > decision.needed > 0
+    assert decision.nominal_after > decision.nominal_before
+
+
+def test_a_worse_design_is_not_taken(evaluation, agent, noisy):
+    decision = judge_redesign(evaluation, at(agent, 1.2), at(agent, 2.2), noisy)
+    assert not decision.accepted
+    assert "not taken, no gain beyond chance" in decision.describe("redesign")
+
+
+def test_the_same_policy_and_design_change_nothing(evaluation, agent, noisy):
+    decision = judge_redesign(evaluation, at(agent, 2.0), at(agent, 2.0), noisy)
+    assert decision.gain.mean == 0
+    assert not decision.accepted
+    assert not decision.moved
+
+
+def test_a_log_that_says_nothing_moves_no_design(evaluation, agent, silent):
+    """Some design must look better in such a log, and beyond chance: one of a pair, either way round."""
+    forth = judge_redesign(evaluation, at(agent, 1.5), at(agent, 2.2), silent)
+    back = judge_redesign(evaluation, at(agent, 2.2), at(agent, 1.5), silent)
+    assert max(forth.gain.ci95[0], back.gain.ci95[0]) > 0
+    assert not forth.accepted
+    assert not back.accepted
+
+
+def test_a_design_needs_half_a_per_cent_and_a_policy_a_tenth(evaluation, agent, noisy):
+    moved = judge_redesign(evaluation, at(agent, 2.1), at(agent, 2.0), noisy)
+    stays = judge_redesign(evaluation, at(agent, 2.0), at(agent, 2.0), noisy)
+    assert moved.needed / stays.needed == pytest.approx(WORTH_A_DESIGN / WORTH_A_POLICY)
+    assert stays.needed >= WORTH_A_POLICY * abs(stays.nominal_before)
