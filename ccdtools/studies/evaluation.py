@@ -20,7 +20,7 @@ from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise
 from ccdtools.studies.comparison import Score, compare
 from ccdtools.studies.presets import StudyConfig
-from ccdtools.studies.run_folder import Stage
+from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import MINIMUM_LOG, Study
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay, replay_problem

@@ -14,7 +14,7 @@ import casadi as ca
 from ccdtools.plants.plant import Plant
 from ccdtools.studies.loading import LoadedStudy
 from ccdtools.studies.presets import StudyConfig
-from ccdtools.studies.run_folder import jsonable
+from ccdtools.studies.stage_storage import jsonable
 from invariant_sets import Polytope
 
 LONGEST = 80  # characters of a value that is kept as it is; a longer one is kept as its hash

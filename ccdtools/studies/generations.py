@@ -15,7 +15,8 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.redesign import InService
 from ccdtools.studies.report.results import generation_entry, results
-from ccdtools.studies.run_folder import RunFolder, Stage
+from ccdtools.studies.run_folder import RunFolder
+from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.stages import LoopStages, unpacked
 from ccdtools.studies.study import Study
 from ccdtools.twin.twin import DigitalTwin

@@ -2,43 +2,26 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
-import math
 import os
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
-from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
-
-Network = Any
+from ccdtools.studies.stage_storage import Stage, json_text, read_stage, saved, write_stage
 
 LOCK = "run.lock"
-MANIFEST = "manifest.json"
 FOLDERS = ("stages", "figures")
 DISTURBANCE = "disturbance.npy"
 FILES = ("run.json", "results.json", "report.html", "policy.safetensors", DISTURBANCE, LOCK)
 
 WRITABLE = "a folder that can be written and has room"
 MEND = "What was finished is kept; mend this and continue with `ccdtools resume`."
-
-
-@dataclass(frozen=True, eq=False)
-class Stage:
-    """What one stage leaves behind: JSON values, arrays and networks by name."""
-
-    values: dict[str, Any] = field(default_factory=dict)
-    arrays: dict[str, Array] = field(default_factory=dict)
-    networks: dict[str, Network] = field(default_factory=dict)
 
 
 class RunFolder:
@@ -153,7 +136,7 @@ class RunFolder:
 
     def write_json(self, name: str, values: dict[str, Any]) -> None:
         """Write `values` to a JSON file; NaN and infinity become null."""
-        self.write_text(name, _text(values) + "\n")
+        self.write_text(name, json_text(values) + "\n")
 
     def write_text(self, name: str, text: str) -> Path:
         """Write a file whole or not at all; its path."""
@@ -186,7 +169,8 @@ class RunFolder:
 
     def keep_stage(self, name: str, stage: Stage) -> Stage:
         """Write a stage; it is returned as it is read back, so that a resumed run goes on from the same values."""
-        self._write_stage(name, stage)
+        with self.writing():
+            write_stage(self._stages / name, stage, self._identity())
         return self.read_stage(name)
 
     def save_policy(self, policy: Any, notes: dict[str, str]) -> None:
@@ -194,7 +178,7 @@ class RunFolder:
         path = self.path / "policy.safetensors"
         partial = path.with_suffix(".partial")
         with self.writing():
-            _saved(partial, lambda path: policy.save(path, **notes))
+            saved(partial, lambda path: policy.save(path, **notes))
             os.replace(partial, path)
 
     def has(self, name: str) -> bool:
@@ -217,53 +201,10 @@ class RunFolder:
             If a file of it is missing, was changed, or belongs to another run.
         """
         try:
-            self._check_manifest(name)
-            return self._read(name)
+            return read_stage(self._stages / name, self._identity())
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             got = f"a damaged stage {self._stages / name} ({error})"
             raise InputError("folder", got, "it as written", "Delete it, and the run computes it again.") from None
-
-    def _check_manifest(self, name: str) -> None:
-        """Raise a `ValueError` that names the first file which is not as this run wrote it."""
-        folder = self._stages / name
-        kept = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        present = _hashes(folder)
-        if not isinstance(kept, dict) or kept.get("stage") != name or not isinstance(kept.get("files"), dict):
-            raise ValueError(f"{MANIFEST} is not of this stage")
-        for file in sorted({*kept["files"], *present}):
-            if file not in present:
-                raise ValueError(f"{file} is missing")
-            if present[file] != kept["files"].get(file):
-                raise ValueError(f"{file} is not as it was written")
-        if kept.get("run") != self._identity():
-            raise ValueError("it belongs to another run, or run.json was changed since")
-
-    def _read(self, name: str) -> Stage:
-        """The contents of a stage's files."""
-        from learning import checkpoint  # loads torch, which a wrong option need not wait for
-
-        folder = self._stages / name
-        values = json.loads((folder / "values.json").read_text(encoding="utf-8"))
-        with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
-            loaded = {key: arrays[key] for key in arrays.files}
-        networks = {p.stem: checkpoint.load(p)[0] for p in sorted(folder.glob("*.safetensors"))}
-        return Stage(values, loaded, networks)
-
-    def _write_stage(self, name: str, stage: Stage) -> None:
-        """Write a stage beside its place, and move it there when it is whole."""
-        from learning import checkpoint
-
-        partial = self._stages / f"{name}.partial"
-        with self.writing():
-            shutil.rmtree(partial, ignore_errors=True)
-            partial.mkdir(parents=True)
-            (partial / "values.json").write_text(_text(stage.values), encoding="utf-8")
-            np.savez_compressed(partial / "arrays.npz", **stage.arrays)  # type: ignore[arg-type]
-            for key, network in stage.networks.items():
-                _saved(partial / f"{key}.safetensors", functools.partial(checkpoint.save, network=network))
-            manifest = {"stage": name, "run": self._identity(), "files": _hashes(partial)}
-            (partial / MANIFEST).write_text(_text(manifest), encoding="utf-8")
-            os.replace(partial, self._stages / name)
 
     def _identity(self) -> str:
         """Hash of what the run was begun with; empty for a folder without run.json."""
@@ -278,50 +219,12 @@ class RunFolder:
         return self.path / "stages"
 
 
-def jsonable(value: Any) -> Any:
-    """`value` with plain Python types only; what is not finite becomes None."""
-    if isinstance(value, dict):
-        return {str(key): jsonable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [jsonable(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return jsonable(value.tolist())
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value
-
-
-def _text(values: dict[str, Any]) -> str:
-    """Indented JSON."""
-    return json.dumps(jsonable(values), indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def _hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file of a stage but its manifest, by name."""
-    files = sorted(p for p in folder.iterdir() if p.name != MANIFEST)
-    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
-
-
 def _written_at(stage: Path) -> int:
     """When the stage was moved into its place, or 0 if it is damaged [ns]."""
     try:
         return (stage / "values.json").stat().st_mtime_ns
     except OSError:
         return 0
-
-
-def _saved(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a network to a path; a failure is an `OSError`, as of any other file."""
-    from learning.exceptions import CheckpointError
-
-    try:
-        write(path)
-    except CheckpointError as error:
-        raise OSError(str(error.got)) from None
 
 
 def _locks(file: IO[str]) -> bool:

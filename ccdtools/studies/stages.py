@@ -16,7 +16,7 @@ from ccdtools.statistics import summarise
 from ccdtools.studies.comparison import replicates
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.redesign import InService, RedesignDecision, judge_redesign, same_design
-from ccdtools.studies.run_folder import Stage
+from ccdtools.studies.stage_storage import Stage
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores

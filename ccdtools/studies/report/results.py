@@ -9,7 +9,7 @@ from typing import Any
 
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.report.headline import headline
-from ccdtools.studies.run_folder import Stage, jsonable
+from ccdtools.studies.stage_storage import Stage, jsonable
 
 SCHEMA_VERSION = 2
 PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")

@@ -6,7 +6,7 @@ import pytest
 
 from ccdtools import InputError
 from ccdtools.studies import configuration
-from ccdtools.studies.run_folder import jsonable
+from ccdtools.studies.stage_storage import jsonable
 
 
 def test_quick_is_the_same_path_with_fewer_samples(study):

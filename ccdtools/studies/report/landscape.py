@@ -1,0 +1,77 @@
+"""The return of LQR over the box of designs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.controllers.baselines import saturated_lqr
+from ccdtools.simulation import simulate
+from ccdtools.studies.report import return_plots, style
+from ccdtools.studies.report.finished_run import FinishedRun
+from ccdtools.studies.report.formatting import axis_label, number, share, with_minus
+from ccdtools.studies.report.report_figure import ReportFigure
+from mpc import MPCError
+
+LANDSCAPE = {1: 21, 2: 9}  # designs per axis, by the number of design parameters
+LANDSCAPE_RUNS = 400
+LANDSCAPE_DIVERGED = 0.01
+
+
+def landscape(run: FinishedRun) -> list[ReportFigure]:
+    """Return of LQR over one or two design parameters, with the paths of the design."""
+    space = run.problem.design
+    if space.dim not in LANDSCAPE:
+        return []
+    n = LANDSCAPE[space.dim]
+    axes = [np.linspace(low, high, n) for low, high in zip(space.lower, space.upper)]
+    grid = np.stack(np.meshgrid(*axes), axis=-1)  # (n, 1), or (y, x, 2)
+    mean, interval, diverged = (np.reshape(v, grid.shape[:-1]) for v in _returns_over(run, grid.reshape(-1, space.dim)))
+    fine = diverged <= LANDSCAPE_DIVERGED
+    paths = [np.vstack([h.design[: k + 1], p]) for h, k, p in zip(run.histories, run.chosen, run.designs[1:])]
+    labels = [axis_label(name, unit) for name, unit in zip(space.names, space.units)]
+    figure = style.blank(8, 4.6, quick=run.quick)
+    ax = figure.add_subplot()
+    if space.dim == 1:
+        return_plots.plot_landscape_curve(
+            ax, axes[0], mean, interval, diverged, [path[:, 0] for path in paths], label=labels[0],
+            allowed=LANDSCAPE_DIVERGED,
+        )  # fmt: skip
+    else:
+        return_plots.plot_landscape_map(ax, axes[0], axes[1], mean, fine, paths, labels=(labels[0], labels[1]))
+    caption = (
+        f"Mean return of saturated LQR on the nominal model over the design box ({mean.size} designs, "
+        f"{LANDSCAPE_RUNS} runs each on common random numbers), computed apart from the co-design; the design should "
+        "walk from its square to its star towards higher return."
+    )
+    if fine.any():
+        top = np.unravel_index(np.where(fine, mean, -np.inf).argmax(), mean.shape)
+        caption += f" Best of the grid: {run.describe(grid[top])}, {with_minus(number(float(mean[top])))}."
+    if not fine.all():
+        caption += f" Where more than {share(LANDSCAPE_DIVERGED)} of the runs diverge the design is left grey or blank."
+    return [ReportFigure("landscape", "Landscape of the return", caption, figure)]
+
+
+def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[float], list[float]]:
+    """Mean return of LQR, half-width of its 95 % interval, and fraction of diverged runs, of every design."""
+    rng = np.random.default_rng(np.random.SeedSequence(run.results["seed"], spawn_key=tuple(b"landscape")))
+    x0, w = run.problem.scenarios.sample(LANDSCAPE_RUNS, run.study.steps, rng)
+    columns = [_return_at(run, design, x0, w) for design in designs]
+    mean, interval, diverged = (list(column) for column in zip(*columns))
+    return mean, interval, diverged
+
+
+def _return_at(run: FinishedRun, design: Array, x0: Array, w: Array) -> tuple[float, float, float]:
+    """The values of `_returns_over` at one design; where LQR does not exist, every run counts as diverged."""
+    try:
+        controller = saturated_lqr(run.problem, design)
+    except MPCError:
+        return float("nan"), float("nan"), 1.0
+    loop = simulate(
+        run.study.model, controller, x0=x0, steps=run.study.steps, disturbance=w, design=design,
+        limit=run.problem.limit,
+    )  # fmt: skip
+    kept = loop.returns(run.study.objective)[~loop.diverged]
+    mean = float(kept.mean()) if len(kept) else float("nan")
+    interval = 1.96 * float(kept.std()) / np.sqrt(max(len(kept), 1)) if len(kept) else float("nan")
+    return mean, interval, float(loop.diverged.mean())

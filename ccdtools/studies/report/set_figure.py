@@ -1,0 +1,114 @@
+"""X_fea at different designs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.studies.report import plotting, style
+from ccdtools.studies.report.finished_run import FinishedRun
+from ccdtools.studies.report.formatting import generation_name
+from ccdtools.studies.report.report_figure import ReportFigure
+from invariant_sets import Polytope
+
+SHOWN_DESIGNS = 4
+
+
+def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
+    """X_fea at different designs."""
+    nx = run.study.plant.nx
+    if nx < 2:
+        return []
+    shown = _shown_sets(run)
+    if not shown.sets:
+        return []
+    caption = (
+        "X_fea(p), the largest set of states from which the limits can be kept for ever, at different designs; "
+        "shaded: the final design. "
+    )
+    if shown.missing:
+        caption += f"There is none to show at {'; '.join(shown.missing)}. "
+    pairs = [(0, 1)] if nx == 2 else _telling_pairs(shown.sets, nx)
+    cuts = [(_projected, "")] if nx == 2 else [(_projected, "projection"), (_sliced, "slice, other states 0")]
+    figure = style.blank(7, 5.2, quick=run.quick) if nx == 2 else style.blank(9, 8.2, quick=run.quick)
+    grid = figure.subplots(len(cuts), len(pairs), squeeze=False)
+    names = run.study.plant.state_names
+    for c, pair in enumerate(pairs):
+        frame = run.study.X if nx == 2 else run.study.X.projection(pair)
+        for r, (cut, title) in enumerate(cuts):
+            flat = {label: cut(S, pair) for label, S in shown.sets.items()}
+            artists = plotting.plot_sets(
+                grid[r, c], flat, shown.lines, frame=frame, labels=(names[pair[0]], names[pair[1]]), filled=shown.final
+            )
+            grid[r, c].set_title(title)
+            if (r, c) == (0, 0):
+                figure.legend(handles=artists, loc="outside lower center", ncols=2, frameon=False)
+    if nx > 2:
+        caption += (
+            f"The sets have {nx} dimensions; shown are the state pairs on which the designs differ most: above the "
+            "projections, below the slices through zero. "
+        )
+    return [ReportFigure("feasible_sets", "Feasible sets", caption + "The dashed frame is X.", figure)]
+
+
+@dataclass(frozen=True, eq=False)
+class _ShownSets:
+    """Sets by label with their (colour, line style), the label of the final design, and designs without a set."""
+
+    sets: dict[str, Polytope]
+    lines: dict[str, tuple[str, Any]]
+    final: str
+    missing: list[str]
+
+
+def _shown_sets(run: FinishedRun) -> _ShownSets:
+    """X_fea of four different designs: the start, the last generation, corners, middle."""
+    space = run.problem.design
+    places = {"lower corner": 0.0, "upper corner": 1.0, "centre": 0.5, "between": 0.25}
+    candidates = [(generation_name(run.last), run.designs[-1]), (generation_name(0), run.designs[0])]
+    candidates += [(label, space.from_unit(np.full(space.dim, v))) for label, v in places.items()]
+    lines = {generation_name(g): (style.generation_colour(g), "-") for g in (0, run.last)}
+    lines |= dict(zip(places, style.OTHER_DESIGNS))
+    seen: list[Array] = []
+    shown = _ShownSets({}, {}, f"{generation_name(run.last)}: {run.describe(run.designs[-1])}", [])
+    for label, design in candidates:
+        unit, title = space.to_unit(design), f"{label}: {run.describe(design)}"
+        if len(shown.sets) == SHOWN_DESIGNS or any(np.abs(unit - other).max() <= 1e-2 for other in seen):
+            continue
+        seen.append(unit)
+        result = run.sets.result(design)
+        if result.set.is_empty:
+            shown.missing.append(f"{title} ({result.status.name.lower().replace('_', ' ')})")
+        else:
+            shown.sets[title] = result.set
+            shown.lines[title] = lines[label]
+    return shown
+
+
+def _telling_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
+    """The two pairs of states on which the areas of the sets differ most."""
+    pairs = list(combinations(range(nx), 2)) if nx <= 4 else [(i, i + 1) for i in range(0, nx - 1, 2)]
+
+    def spread(pair: tuple[int, int]) -> float:
+        total = 0.0
+        for cut in (_projected, _sliced):
+            areas = [cut(S, pair).volume for S in sets.values()]
+            total += (max(areas) - min(areas)) / max(max(areas), 1e-300)
+        return total
+
+    return sorted(sorted(pairs, key=spread)[-2:])
+
+
+def _projected(S: Polytope, pair: tuple[int, int]) -> Polytope:
+    """The projection on two states."""
+    return S if S.dim == 2 else S.projection(pair)
+
+
+def _sliced(S: Polytope, pair: tuple[int, int]) -> Polytope:
+    """The slice in two states with the others zero."""
+    others = [i for i in range(S.dim) if i not in pair]
+    return S.slice(others, np.zeros(len(others)))

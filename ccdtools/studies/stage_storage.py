@@ -1,0 +1,117 @@
+"""One finished stage of a run on disk: JSON values, arrays, networks, and the hashes of all of them."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import math
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array
+
+Network = Any
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """What one stage leaves behind: JSON values, arrays and networks by name."""
+
+    values: dict[str, Any] = field(default_factory=dict)
+    arrays: dict[str, Array] = field(default_factory=dict)
+    networks: dict[str, Network] = field(default_factory=dict)
+
+
+def write_stage(folder: Path, stage: Stage, run: str) -> None:
+    """Write a stage of the run with that identity beside its place, and move it there when it is whole."""
+    from learning import checkpoint  # loads torch, which a wrong option need not wait for
+
+    partial = folder.with_name(f"{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    (partial / "values.json").write_text(json_text(stage.values), encoding="utf-8")
+    np.savez_compressed(partial / "arrays.npz", **stage.arrays)  # type: ignore[arg-type]
+    for key, network in stage.networks.items():
+        saved(partial / f"{key}.safetensors", functools.partial(checkpoint.save, network=network))
+    manifest = {"stage": folder.name, "run": run, "files": _hashes(partial)}
+    (partial / MANIFEST).write_text(json_text(manifest), encoding="utf-8")
+    os.replace(partial, folder)
+
+
+def read_stage(folder: Path, run: str) -> Stage:
+    """A finished stage of the run with that identity.
+
+    Raises
+    ------
+    ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile
+        If a file is missing or changed, or belongs to another run.
+    """
+    from learning import checkpoint
+
+    _check_manifest(folder, run)
+    values = json.loads((folder / "values.json").read_text(encoding="utf-8"))
+    with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
+        loaded = {key: arrays[key] for key in arrays.files}
+    networks = {p.stem: checkpoint.load(p)[0] for p in sorted(folder.glob("*.safetensors"))}
+    return Stage(values, loaded, networks)
+
+
+def _check_manifest(folder: Path, run: str) -> None:
+    """Raise a `ValueError` that names the first file which is not as this run wrote it."""
+    kept = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    present = _hashes(folder)
+    if not isinstance(kept, dict) or kept.get("stage") != folder.name or not isinstance(kept.get("files"), dict):
+        raise ValueError(f"{MANIFEST} is not of this stage")
+    for file in sorted({*kept["files"], *present}):
+        if file not in present:
+            raise ValueError(f"{file} is missing")
+        if present[file] != kept["files"].get(file):
+            raise ValueError(f"{file} is not as it was written")
+    if kept.get("run") != run:
+        raise ValueError("it belongs to another run, or run.json was changed since")
+
+
+def saved(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a network to a path; a failure is an `OSError`, as of any other file."""
+    from learning.exceptions import CheckpointError
+
+    try:
+        write(path)
+    except CheckpointError as error:
+        raise OSError(str(error.got)) from None
+
+
+def jsonable(value: Any) -> Any:
+    """`value` with plain Python types only; what is not finite becomes None."""
+    if isinstance(value, dict):
+        return {str(key): jsonable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [jsonable(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return jsonable(value.tolist())
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def json_text(values: dict[str, Any]) -> str:
+    """Indented JSON."""
+    return json.dumps(jsonable(values), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def _hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file of a stage but its manifest, by name."""
+    files = sorted(p for p in folder.iterdir() if p.name != MANIFEST)
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
