@@ -156,6 +156,14 @@ def find(tree: SearchTree, partition: Partition, points: Array, *, scan: bool = 
     return Located(region, outside, points)
 
 
+def scan_regions(partition: Partition, theta: Array) -> Ints:
+    """Region of every parameter (n, nt) by a scan of all regions, -1 outside; no tree is needed."""
+    points = (theta - partition.centre) / partition.half
+    region, _, gap = _locate(_locator(partition, _one_leaf(partition)), np.zeros((0, points.shape[1] + 1)),
+                             np.zeros(points.shape[1]), points)  # fmt: skip
+    return np.where(gap > INSIDE, -1, region)
+
+
 def distinct_planes(rows: Array) -> tuple[Array, Ints, Flags]:
     """Rows up to sign, each once; the number of each row's hyperplane, and whether its sign is the other one."""
     leading = np.argmax(np.abs(rows[:, :-1]) > 0.5 / np.sqrt(rows.shape[1]), axis=1)
