@@ -1,4 +1,4 @@
-"""Stored laws: whatever is damaged, mixed or edited is refused with one line, and nothing of it reaches compiled code."""
+"""Stored laws: whatever is damaged, mixed or edited is refused in one line, and never reaches compiled code."""
 
 import hashlib
 import json
@@ -11,7 +11,8 @@ from mpc import ExplicitMPC, InputError, LinearMPC
 
 
 def law_of(horizon):
-    return LinearMPC(*double_integrator(), Q=np.eye(2), R=[[0.1]], horizon=horizon, X=box([5, 5]), U=box([1])).explicit()
+    A, B = double_integrator()
+    return LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=horizon, X=box([5, 5]), U=box([1])).explicit()
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +88,7 @@ EDITS = {
 def test_edited_arrays_are_refused(law, edit, tmp_path):
     law.save(tmp_path / "law")
     rewrite(tmp_path, EDITS[edit])
-    with pytest.raises(InputError, match="path: got law.json and law.npz that cannot be read"):
+    with pytest.raises(InputError, match=r"path: got law.json and law.npz that cannot be read"):
         ExplicitMPC.load(tmp_path / "law")
 
 

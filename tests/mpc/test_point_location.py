@@ -18,7 +18,8 @@ def partition():
 
 
 def samples(partition, spread, count=4000):
-    return partition.centre + spread * partition.half * np.random.default_rng(0).uniform(-1, 1, (count, len(partition.half)))
+    t = np.random.default_rng(0).uniform(-1, 1, size=(count, len(partition.half)))
+    return partition.centre + spread * partition.half * t
 
 
 @pytest.mark.parametrize("spread", [1.0, 1.3, 50.0, 1e200])
