@@ -116,13 +116,16 @@ class SetOperations(Polyhedron):
         size = np.abs(self.A_eq) @ (mine.half_widths + theirs.half_widths) + np.abs(upper) * (ROUNDING / FLAT)
         if np.isinf(reach).any() or np.isinf(upper).any() or (upper - lower > FLAT * size).any():
             return type(self).empty(n)
-        right = self.b - reach
-        if len(right):
-            error = ROUNDING * (np.abs(self.A) @ (mine.half_widths + theirs.half_widths)) \
-                + _EPS * (np.abs(self.b) + np.abs(reach))
-            right = _meeting(self.A, right, error, mine, theirs)
-        values = self.b_eq - (upper + lower) / 2
-        return type(self).empty(n) if right is None else type(self)(self.A, right, self.A_eq, values)
+        widths = mine.half_widths + theirs.half_widths
+        point = _meeting_point(self.A, self.b - reach, mine, theirs)
+        right, error = self.b - reach, _EPS * (np.abs(self.b) + np.abs(reach)) + ROUNDING * (np.abs(self.A) @ widths)
+        values, error_eq = self.b_eq - (upper + lower) / 2, _EPS * np.abs(self.b_eq) + FLAT * size
+        room, miss = right - self.A @ point, values - self.A_eq @ point
+        if (room < -error).any():
+            return type(self).empty(n)
+        # rows that meet in one point, up to rounding, meet exactly: P ⊖ P is {0}, whose own size says nothing
+        return type(self)(self.A, np.where(room <= error, self.A @ point, right),
+                          self.A_eq, np.where(np.abs(miss) <= error_eq, self.A_eq @ point, values))
 
     def affine_map(self, M: Any, c: Any = None, *, time_limit: float | None = None) -> Self:
         """Return {M x + c : x in P}. M may be singular or change the dimension.
@@ -261,7 +264,11 @@ def _generators_of(P: Polyhedron, deadline: Deadline) -> Generators:
     assert body is not None
     if body.bounded:
         return Generators(P.vertices, np.zeros((0, P.dim)), np.zeros((0, P.dim)))
-    return generators(body.F, body.g, deadline).image(body.basis, body.centre)
+    found = generators(body.F, body.g, deadline)
+    points = body.centre + found.points @ body.basis.T
+    terms = np.abs(body.centre) + np.abs(found.points) @ np.abs(body.basis.T)
+    points = np.where(np.abs(points) > CANCELLED * terms, points, 0.0)  # a cone has no size that rounding is small to
+    return Generators(points, found.rays @ body.basis.T, found.lines @ body.basis.T)
 
 
 def _mapped_rows(body: Body, M: Array, c: Array) -> tuple[Array, Array, Array, Array] | None:
@@ -298,22 +305,16 @@ def _pulled_back(A: Array, b: Array, M: Array, c: Array) -> tuple[Array, Array]:
     return rows, np.where(cancelled, 0.0, right)
 
 
-def _meeting(A: Array, right: Array, error: Array, mine: Body, theirs: Body) -> Array | None:
-    """Return the right-hand sides of P ⊖ Q with rows that meet in one point, up to `error`, meeting exactly.
-
-    P ⊖ P is {0}, a point whose own size says nothing about rounding; that of P does. None if empty.
-    """
+def _meeting_point(A: Array, right: Array, mine: Body, theirs: Body) -> Array:
+    """Return a point of P ⊖ Q as far inside the rows A x <= right as there is, on the hull of P less that of Q."""
     slope, point = A @ mine.basis, mine.centre - theirs.centre
     norms = np.linalg.norm(slope, axis=1)
     moving = norms > CANCELLED * np.linalg.norm(np.abs(A) @ np.abs(mine.basis), axis=1)
-    if moving.any():
-        room = (right - A @ point)[moving]
-        _, y = inscribed_ball(slope[moving] / norms[moving, None], room / norms[moving], cap=1.0)
-        point = point + mine.basis @ y
-    level = A @ point
-    if (right - level < -error).any():
-        return None
-    return np.where(right - level <= error, level, right)
+    if not moving.any():
+        return point
+    room = (right - A @ point)[moving]
+    _, y = inscribed_ball(slope[moving] / norms[moving, None], room / norms[moving], cap=1.0)
+    return point + mine.basis @ y
 
 
 _EPS = 32 * np.finfo(float).eps  # of the sum of absolute terms: what a sum may be wrong by

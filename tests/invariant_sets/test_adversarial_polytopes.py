@@ -1,0 +1,183 @@
+"""Sets once got wrong, and random ones against HiGHS; the large table is `benchmarks/adversarial_polytopes.py`."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from adversarial_polytopes import sum_case, support_case, wrong_cases
+from scipy.optimize import linprog
+
+from invariant_sets import Polytope
+from invariant_sets.exceptions import InputError, TimeLimitError
+from invariant_sets.linear_programs import inscribed_ball, minimise
+
+box = Polytope.from_bounds
+
+
+@pytest.mark.parametrize("decades", [0.0, 8.0])
+def test_support_and_bounding_box_agree_with_highs(decades):
+    assert wrong_cases(support_case, 60, 5, decades) == []
+
+
+@pytest.mark.parametrize("decades", [0.0, 8.0])
+def test_sums_and_projections_of_unbounded_sets_have_their_support(decades):
+    assert wrong_cases(sum_case, 12, 5, decades) == []
+
+
+@pytest.mark.parametrize("far", [1e9, 1e15, 1e100, 1e300])
+def test_a_row_far_away_does_not_move_the_set(far):
+    np.testing.assert_array_equal(Polytope([[1.0], [-1], [1]], [2, 1, far]).bounding_box(), [[-1], [2]])
+    slanted = Polytope([[1, 0.1], [-1, 0], [1, 0.2], [0, 1], [0, -1]], [2, 1, far, 1, 1])
+    np.testing.assert_allclose(slanted.bounding_box(), [[-1, -1], [2.1, 1]], rtol=1e-12)
+    assert slanted.volume == pytest.approx(6.0)
+    half = Polytope([[-1, 0], [0, -1], [1, 1e-3]], [0, 0, far])
+    assert half.contains([far / 2, far / 2])
+    assert not half.contains([2 * far, 0])
+
+
+def test_a_slab_has_no_end_along_itself():
+    slab = Polytope([[0.13, -0.13, 0.64], [-0.13, 0.13, -0.64]], [1, 0.5])
+    np.testing.assert_array_equal(slab.support(np.eye(3)), np.inf)
+    np.testing.assert_allclose(slab.support([[0.13, -0.13, 0.64], [-0.26, 0.26, -1.28]]), [1, 1])
+    assert not slab.is_bounded
+
+
+def test_a_thin_set_in_mixed_units_is_not_flat():
+    units = np.array([1e6, 1e-5])
+    P = Polytope(np.array([[1, 0], [0.7, 0.7], [-1, 0], [-0.7, -0.7]]) / units, [1, 1e-4, 1, 1e-4])
+    assert P.affine_dim == 2
+    assert P.volume == pytest.approx(4 * 1e-4 / 0.7 * units.prod())
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e8, 1e12, 1e15, 1e-12])
+def test_equalities_keep_their_rank_in_mixed_units(unit):
+    units = np.array([1, 1, unit])
+    E = np.array([[1, 1, 0], [1, 1, 1.0]])
+    P = Polytope(np.vstack([np.eye(3), -np.eye(3)]) / units, [2] * 6, E / units, [0, 1])
+    assert P.affine_dim == 1
+    np.testing.assert_allclose(np.sort(P.vertices / units, axis=0), [[-2, -2, 1], [2, 2, 1]], rtol=1e-12)
+
+
+def test_inequalities_parallel_to_an_equality_say_nothing():
+    line = Polytope([[0.3, -0.7], [-0.3, 0.7]], [1, 1], [[0.3, -0.7]], [0.05])
+    assert line.support([1, 0]) == np.inf
+    assert line.support([0.3, -0.7]) == pytest.approx(0.05)
+    assert Polytope([[0.3, -0.7]], [0.04], [[0.3, -0.7]], [0.05]).is_empty
+
+
+def test_equalities_through_one_another():
+    rows = np.array([[1, 2, 3.0], [2, 4, 6], [0.1, 0.2, 0.3]])
+    assert Polytope(A_eq=rows, b_eq=rows[:, 0] * 0.1).affine_dim == 2
+    assert Polytope(A_eq=rows, b_eq=rows[:, 0] * 0.1 + [0, 1e-3, 0]).is_empty
+    assert Polytope(A_eq=np.eye(3), b_eq=[1, 2, 3]).vertices.tolist() == [[1, 2, 3]]
+
+
+@pytest.mark.parametrize("n", [4, 5])
+def test_sums_of_unbounded_sets_end(n, rng):
+    A = rng.normal(size=(2 * n, n))
+    P = Polytope(A[:n + 1], np.ones(n + 1)).minkowski_sum(Polytope(A[n:], np.ones(n)))
+    assert not P.is_empty
+    line = Polytope([[1.0, 0], [-1, 0]], [0, 0]).minkowski_sum(Polytope([[0, 1.0], [0, -1]], [1, 1]))
+    assert len(line.b) == len(line.b_eq) == 0  # a vertical line and a horizontal strip: the plane
+    wedge = Polytope([[-1.0, 0], [0, -1]], [0, 0]).minkowski_sum(Polytope([[1.0, -1]], [0]))
+    np.testing.assert_allclose(wedge.minimal().A, [[np.sqrt(0.5), -np.sqrt(0.5)]]) if len(wedge.b) else None
+
+
+@pytest.mark.parametrize("width", [1e-8, 2e-9, 1.1e-9, 1e-9, 9e-10, 1e-10, 1e-11, 1e-13])
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_needles_about_the_flatness_bound_are_solid_or_flat_and_never_an_error(width, n, rng):
+    Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    widths = np.r_[np.ones(1), np.full(n - 1, width)]
+    P = Polytope(np.vstack([Q, -Q]), np.r_[widths, widths])
+    assert 1 <= P.affine_dim <= n
+    assert P.is_bounded
+    along = Q[0]
+    assert P.support(along) == pytest.approx(1, rel=1e-6)
+    if width <= 1e-11:
+        assert P.affine_dim == 1
+
+
+def test_membership_is_the_same_before_and_after_the_vertices_are_known(rng):
+    Q = np.linalg.qr(rng.normal(size=(3, 3)))[0][:, :2]
+    for P in (Polytope.from_vertices(rng.normal(size=(8, 2)) @ Q.T), box([0, 0, 0], [1, 1e-6, 1e6])):
+        fresh = Polytope(P.A, P.b, P.A_eq, P.b_eq)
+        scales = [array.copy() for array in fresh._row_scales]
+        again = Polytope(P.A, P.b, P.A_eq, P.b_eq)
+        again.vertices  # noqa: B018
+        for scale, other in zip(scales, again._row_scales):
+            np.testing.assert_array_equal(scale, other)
+        for scale, other in zip(scales, P._row_scales):
+            np.testing.assert_allclose(scale, other, rtol=1e-6)
+
+
+def test_membership_tolerance_is_a_part_of_the_range_of_the_row():
+    P = box([0, 0], [1e-6, 1e6])
+    for i, extent in enumerate((1e-6, 1e6)):
+        x = np.array([0.5e-6, 0.5e6])
+        x[i] = extent * (1 + 0.9e-9)
+        assert P.contains(x)
+        x[i] = extent * (1 + 1.1e-9)
+        assert not P.contains(x)
+        assert P.contains(x, tol=2e-9)
+        x[i] = np.nextafter(extent, 2 * extent)
+        assert not P.contains(x, tol=0)
+    assert [0.5e-6, 1.0] in P
+    assert [2e-6, 1.0] not in P
+    assert [np.nan, 1.0] not in P
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda P: pickle.loads(pickle.dumps(P))])
+def test_copies_are_the_same_set_and_read_only(copied):
+    for P in (box([0, 0], [1, 2]), Polytope.from_vertices(np.eye(3)), Polytope([[1.0, 1]], [1], [[1, 0]], [0.5])):
+        _ = P.is_empty
+        Q = copied(P)
+        assert Q.equals(P)
+        assert type(Q) is Polytope
+        with pytest.raises(ValueError, match="read-only"):
+            Q.A[...] = 0
+    error = copied(InputError("A", 1, 2, "do this"))
+    assert (error.argument, error.got, error.expected, error.cure) == ("A", 1, 2, "do this")
+
+
+def test_a_hull_that_cannot_end_in_time_says_so_and_leaves_an_outer_set(rng):
+    n = 8
+    P, Q = box(-np.ones(n), np.ones(n)), Polytope.from_vertices(rng.normal(size=(40, n)))
+    with pytest.raises(TimeLimitError, match="minkowski_sum does not end within 1 s") as caught:
+        P.minkowski_sum(Q, time_limit=1.0)
+    D = rng.normal(size=(20, n))
+    exact = P.support(D) + Q.support(D)
+    outer = caught.value.outer
+    assert (outer.support(D) >= exact - 1e-9).all()
+    np.testing.assert_allclose(outer.support(np.eye(n)), P.support(np.eye(n)) + Q.support(np.eye(n)), rtol=1e-9)
+    with pytest.raises(InputError, match="time_limit: got -1"):
+        P.minkowski_sum(Q, time_limit=-1)
+
+
+def test_linear_programs_are_right_in_columns_of_any_size():
+    wrong = []
+    for k in range(150):
+        rng = np.random.default_rng(k)
+        n, m = int(rng.integers(1, 7)), int(rng.integers(1, 30))
+        A, units = rng.normal(size=(m, n)), 10 ** rng.uniform(-6, 6, n)
+        A /= np.linalg.norm(A, axis=1)[:, None]
+        b, c = rng.uniform(-0.1, 1, m), rng.normal(size=n)
+        scaled = A * units
+        norms = np.linalg.norm(scaled, axis=1)
+        value, x = minimise(c * units, scaled / norms[:, None], b / norms)
+        status = linprog(0 * c, A_ub=A, b_ub=b, bounds=(None, None)).status
+        answer = linprog(c, A_ub=A, b_ub=b, bounds=(None, None))
+        expected = np.inf if status == 2 else answer.fun if answer.status == 0 else -np.inf
+        if not (value == expected or abs(value - expected) <= 1e-6 * max(1.0, abs(expected))):
+            wrong.append((k, value, expected))
+        assert (x is None) == np.isinf(value)
+    assert wrong == []
+
+
+def test_verdicts_of_linear_programs_are_confirmed():
+    slab = np.array([[0.13, -0.13, 0.64], [-0.13, 0.13, -0.64]]) / np.linalg.norm([0.13, -0.13, 0.64])
+    assert minimise(np.array([0, -1.0, 0]), slab, np.ones(2)) == (-np.inf, None)
+    assert minimise(np.array([0, -1.0, 0]), slab, -np.ones(2)) == (np.inf, None)
+    assert minimise(np.zeros(3), slab, -np.ones(2)) == (np.inf, None)
+    assert minimise(np.zeros(2), np.zeros((0, 2)), np.zeros(0))[0] == 0.0
+    assert inscribed_ball(slab, -np.ones(2), cap=1.0)[0] == pytest.approx(-1.0)
