@@ -62,7 +62,9 @@ class Explanation:
         return self.text
 
 
-def explain_infeasibility(mpc: MPCProblem, problem: ParametricQP, theta: Array) -> Explanation:
+def explain_infeasibility(
+    problem: MPCProblem, qp: ParametricQP, theta: Array, runaway: Array | None = None
+) -> Explanation:
     """Explanation of the QP at one parameter.
 
     The least sum of relative violations (a linear program) says what has to give; it is thinned until every member is
@@ -70,45 +72,50 @@ def explain_infeasibility(mpc: MPCProblem, problem: ParametricQP, theta: Array) 
 
     Parameters
     ----------
-    mpc : MPCProblem
+    problem : MPCProblem
         Whose constraints are named.
-    problem : ParametricQP
+    qp : ParametricQP
         Its QP.
     theta : (nt,) array
         Parameter.
+    runaway : (N + 1, nx) array, optional
+        States of the relaxed plan, where they run away. They then say what gives, and the contradiction is looked for
+        among as few first steps as have one: linear programs over the whole horizon would have no digits left.
 
     References
     ----------
     Chinneck, *Feasibility and Infeasibility in Optimization*, Springer 2008, chapters 6 and 7.
     """
-    units = row_units(mpc, problem.labels)
+    units = row_units(problem, qp.labels)
     with np.errstate(over="ignore", invalid="ignore"):
-        _, b = problem.at(theta)
+        _, b = qp.at(theta)
     if not np.abs(b).max(initial=0.0) < OVERFLOW:
         raise InputError(
             "x", f"bounds of the QP that exceed {OVERFLOW:.0e}", "a state that is not too large to explain"
         )
-    scale = 1 / np.sqrt(np.diag(problem.H))
-    G = problem.G * scale / units[:, None]
+    scale = 1 / np.sqrt(np.diag(qp.H))
+    G = qp.G * scale / units[:, None]
     b = b / units
     # the LP solver takes 1e20 for infinite: far away, bounds are compared in units of the largest
     far = max(1.0, float(np.abs(b).max(initial=0.0)) / FARTHEST)
     b = b / far
-    everything = list(range(problem.m))
-    if not _impossible(G, b, everything):
+    everything = list(range(qp.m))
+    if runaway is None and not _impossible(G, b, everything):
         return Explanation((), (), (), "Feasible: nothing has to give.")
-    givable = [i for i in everything if problem.labels[i].kind in ("state", "terminal")]
+    givable = [i for i in everything if qp.labels[i].kind in ("state", "terminal")]
     fixed = [i for i in everything if i not in set(givable)]
-    if _impossible(G, b, fixed):  # inputs and rates contradict each other
-        givable = everything
-    amounts = _what_gives(G, b, givable)
+    if runaway is not None:
+        amounts = _what_gave(problem, qp.labels, runaway, far * units)
+        everything = _first_steps(G, b, qp.labels)
+    else:
+        amounts = _what_gives(G, b, everything if _impossible(G, b, fixed) else givable)
     violations = tuple(
-        Violation(problem.labels[i], describe(mpc, problem.labels[i]), float(amounts[i] * far * units[i]), i)
-        for i in sorted(amounts, key=lambda i: (problem.labels[i].step, i))
+        Violation(qp.labels[i], describe(problem, qp.labels[i]), float(amounts[i] * far * units[i]), i)
+        for i in sorted(amounts, key=lambda i: (qp.labels[i].step, i))
     )
     rows = tuple(_contradiction(G, b, everything))
-    conflict = tuple(problem.labels[i] for i in rows)
-    return Explanation(violations, conflict, rows, _sentence(mpc, violations, conflict))
+    conflict = tuple(qp.labels[i] for i in rows)
+    return Explanation(violations, conflict, rows, _sentence(problem, violations, conflict))
 
 
 def _least_maximum(G: Array, b: Array, rows: Rows) -> tuple[float, Array]:
@@ -141,6 +148,28 @@ def _least_by_qp(G: Array, b: Array, rows: Rows) -> float:
     H = np.diag(np.concatenate([np.full(n, CERTIFICATE), [1.0]]))
     result = DenseQP(H, matrix, np.ones(len(matrix))).solve(np.zeros(n + 1), np.append(b[rows], 0.0))
     return float(result.z[n]) if result.residuals.worst <= KKT_REPORTED else np.inf
+
+
+def _what_gave(problem: MPCProblem, labels: tuple[Constraint, ...], states: Array, units: Array) -> dict[int, float]:
+    """Rows that the states violate, with their violations in the given units."""
+    sets = {"state": problem.state_rows, "terminal": problem.terminal_rows}
+    amounts = {}
+    for i, (kind, step, row) in enumerate(labels):
+        if kind in sets:
+            H, h = sets[kind]
+            amounts[i] = float(H[row] @ states[step] - h[row]) / units[i]
+    return {i: amount for i, amount in amounts.items() if amount > FEASIBLE}
+
+
+def _first_steps(G: Array, b: Array, labels: tuple[Constraint, ...]) -> Rows:
+    """Rows of the first 1, 2, 4 … steps, as few as contradict each other."""
+    last = max(label.step for label in labels)
+    length = 1
+    while True:
+        rows = [i for i, label in enumerate(labels) if label.step <= length]
+        if length >= last or _impossible(G, b, rows):
+            return rows
+        length *= 2
 
 
 def _what_gives(G: Array, b: Array, givable: Rows) -> dict[int, float]:
@@ -185,14 +214,14 @@ def _contradiction(G: Array, b: Array, rows: Rows) -> Rows:
     return current
 
 
-def describe(mpc: MPCProblem, label: Constraint) -> str:
+def describe(problem: MPCProblem, label: Constraint) -> str:
     """The constraint in words, for instance "x[0] <= 5"."""
     if label.kind == "rate":
-        j, sign = label.row % mpc.nu, label.row < mpc.nu
-        return f"Δu[{j}] {'<=' if sign else '>='} {mpc.rate_limit[j] if sign else -mpc.rate_limit[j]:.6g}"
+        j, sign = label.row % problem.nu, label.row < problem.nu
+        return f"Δu[{j}] {'<=' if sign else '>='} {problem.rate_limit[j] if sign else -problem.rate_limit[j]:.6g}"
     if label.kind == "slack":
         return f"slack {label.step} >= 0"
-    H, h = {"state": mpc.state_rows, "input": mpc.input_rows, "terminal": mpc.terminal_rows}[label.kind]
+    H, h = {"state": problem.state_rows, "input": problem.input_rows, "terminal": problem.terminal_rows}[label.kind]
     name = "u" if label.kind == "input" else "x"
     used = np.flatnonzero(H[label.row])
     if len(used) == 1:
@@ -201,11 +230,11 @@ def describe(mpc: MPCProblem, label: Constraint) -> str:
     return f"row {label.row} of the {label.kind} set"
 
 
-def _sentence(mpc: MPCProblem, violations: tuple[Violation, ...], conflict: tuple[Constraint, ...]) -> str:
+def _sentence(problem: MPCProblem, violations: tuple[Violation, ...], conflict: tuple[Constraint, ...]) -> str:
     gives = ", ".join(f"{v.meaning} by {v.amount:.3g} at step {v.constraint.step}" for v in violations)
     steps: dict[str, list[int]] = {}
     for label in conflict:
-        steps.setdefault(describe(mpc, label), []).append(label.step)
+        steps.setdefault(describe(problem, label), []).append(label.step)
     clash = " and ".join(f"{meaning} ({_ranges(at)})" for meaning, at in steps.items())
     return f"Infeasible: the least relaxation is {gives}; cannot hold together: {clash}."
 

@@ -187,7 +187,7 @@ class LinearMPC(MPCProblem):
         x = as_array("x", x, (self.nx,))
         given = spread_signals(self, dict(signals))
         solver = self._condensed[tuple(sorted(given))]
-        return explain_infeasibility(self, solver.qp, solver.theta(x, given))
+        return explain_infeasibility(self, solver.qp, solver.theta(x, given), solver.runaway(x, given))
 
     def explicit(
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,

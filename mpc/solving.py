@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from mpc.candidates import Candidate, stagewise_candidate
@@ -13,7 +15,7 @@ from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.relaxation import inputs_conflict, regulated, relax, saturated_regulator, typical_cost
 from mpc.rollout import Given, admissible, pushes, relative_violations, rollout, rollout_with_feedback
-from mpc.tolerances import KKT_REPORTED, OVERFLOW, RUNAWAY, UNIT_CIRCLE
+from mpc.tolerances import GROWTH, KKT_REPORTED, OVERFLOW, RUNAWAY, UNIT_CIRCLE
 
 
 class CondensedSolver:
@@ -31,6 +33,14 @@ class CondensedSolver:
     def theta(self, x: Array, given: Given) -> Array:
         """The parameter of the QP."""
         return np.concatenate([x if name == "x" else given[name] for name, _ in self.qp.parameters])
+
+    def runaway(self, x: Array, given: Given) -> Array | None:
+        """States of the relaxed plan if they leave the sets by more than `tolerances.GROWTH` times; otherwise None."""
+        if self.feedback is None:
+            return None
+        plan = self.plan(x, given, time.perf_counter())
+        away = plan.status is Status.SOFTENED and relative_violations(self.problem, plan.states).max() > GROWTH
+        return plan.states if away else None
 
     def plan(self, x: Array, given: Given, start: float) -> Plan:
         """Plan from the state x; `start` is when the clock of its solve time began."""
