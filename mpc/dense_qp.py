@@ -15,7 +15,7 @@ from mpc.plan import Residuals
 from mpc.tolerances import FAR_BOUND, INTERIOR_POINT, KKT, NEGLIGIBLE, PRIMAL, UNREACHED
 
 _NO_BOUND = 1e30
-_SETTINGS = {"primal_tol": PRIMAL, "iter_limit": 10_000}
+_SETTINGS = {"primal_tol": PRIMAL, "iter_limit": 10_000, "fval_bound": 1e300}  # DAQP would give up beyond 1e30
 
 
 @dataclass(frozen=True, eq=False)
