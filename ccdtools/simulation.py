@@ -108,11 +108,14 @@ def simulate(
     p = _design(plant, design)
     _check_own_design(controller, p, plant.design)
     steps = as_count("steps", steps)
-    x, w = matched_runs(plant, x0, _drawn(plant, x0, disturbance, steps, rng), steps)
     bound = _bound(limit, plant.nx)
-    surroundings = Surroundings(w, as_reference(plant, reference), as_output(plant, output))
-    driver = Driver(controller, surroundings, len(x), plant.nu)
-    return _run(plant, driver, x, w, p, bound, progress)
+    try:
+        x, w = matched_runs(plant, x0, _drawn(plant, x0, disturbance, steps, rng), steps)
+        surroundings = Surroundings(w, as_reference(plant, reference), as_output(plant, output))
+        driver = Driver(controller, surroundings, len(x), plant.nu)
+        return _run(plant, driver, x, w, p, bound, progress)
+    except MemoryError:
+        raise InputError("steps", f"{steps}, which do not fit into memory", "fewer steps, or fewer runs") from None
 
 
 def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: Array, progress: bool) -> Trajectory:

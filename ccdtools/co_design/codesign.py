@@ -7,15 +7,14 @@ import torch
 from numpy.typing import ArrayLike
 
 from ccdtools.checks import as_choice, as_generator, as_instance
+from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.reinforcement.ppo import CoDesignConfig, codesign_ppo
 from ccdtools.co_design.result import CoDesignResult
-from ccdtools.controllers.learned import EDGE
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
 
 METHODS = ("ppo",)
-SAME_BOUNDS = 1e-5  # relative difference of the agent's action bounds from U that rounding to float32 explains
 
 
 def codesign(
@@ -57,43 +56,23 @@ def codesign(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_choice("method", method, METHODS)
     as_generator("rng", rng)
-    config = as_instance("config", config or CoDesignConfig(), CoDesignConfig, "a CoDesignConfig")
-    judge = as_instance("judge", judge or problem, CoDesignProblem, "a CoDesignProblem")
+    config = as_instance("config", CoDesignConfig() if config is None else config, CoDesignConfig, "a CoDesignConfig")
+    judge = as_instance("judge", problem if judge is None else judge, CoDesignProblem, "a CoDesignProblem or None")
     design = problem.design.check_one(design)
-    _check_agent(problem, agent)
+    check_agent(problem, agent)
+    _check_judge(problem, judge)
     _check_objective(problem)
     return codesign_ppo(
         problem, agent=agent, design=design, rng=rng, config=config, judge=judge, progress=progress
     )  # fmt: skip
 
 
-def _check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
-    """Raise an `InputError` unless `agent` was made for the states, designs and inputs of `problem`."""
-    as_instance("agent", agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
-    nx = problem.model.nx
-    space = problem.design
-    observed = len(agent.observation_offset)
-    if observed != nx + space.dim:
-        raise InputError("agent", f"{observed} inputs", f"{nx} states and {space.dim} design parameters")
-    offset = agent.observation_offset[nx:].double().numpy()
-    scale = agent.observation_scale[nx:].double().numpy()
-    if (np.abs(np.stack([space.lower, space.upper]) - offset) > EDGE * scale).any():
-        raise InputError(
-            "agent", f"one made for designs in {(offset - scale).tolist()} to {(offset + scale).tolist()}",
-            "the whole box of designs", "Pass input_bounds=problem.observation_bounds to fit_actor_critic.",
-        )  # fmt: skip
-    middle = agent.action_offset.double().numpy()
-    half = agent.action_scale.double().numpy()
-    lower, upper = problem.input_bounds
-    if (
-        len(middle) != len(lower)
-        or (np.abs(np.stack([middle - half - lower, middle + half - upper])) > SAME_BOUNDS * (upper - lower)).any()
-    ):
-        raise InputError(
-            "agent", f"actions in {(middle - half).tolist()} to {(middle + half).tolist()}",
-            f"{lower.tolist()} to {upper.tolist()}, the bounds U",
-            "Pass action_bounds=problem.input_bounds to fit_actor_critic.",
-        )  # fmt: skip
+def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:
+    """Raise an `InputError` unless the judge has the states, inputs and box of designs of `problem`."""
+    own, other = problem.design, judge.design
+    same_box = own.names == other.names and np.array_equal([own.lower, own.upper], [other.lower, other.upper])
+    if not same_box or (judge.model.nx, judge.model.nu) != (problem.model.nx, problem.model.nu):
+        raise InputError("judge", repr(judge), "the states, inputs and box of designs of the problem")
 
 
 def _check_objective(problem: CoDesignProblem) -> None:

@@ -132,6 +132,9 @@ def needs_of(controller: Any) -> frozenset[str]:
         cure = "A gain K becomes a controller with LinearFeedback(K), for u = −K x."
         cure = cure if isinstance(controller, np.ndarray | list | tuple) else ""
         raise InputError("controller", shown(controller), "a callable u = controller(x)", cure)
+    if hasattr(controller, "state_dict") and hasattr(controller, "forward"):
+        cure = "Use LearnedPolicy(agent, design), or a function that calls the module."
+        raise InputError("controller", f"the torch module {type(controller).__name__}", "one on NumPy arrays", cure)
     needs: Any = getattr(controller, "needs", frozenset())
     if isinstance(needs, str) or not isinstance(needs, Iterable) or not set(needs) <= set(SIGNALS):
         raise InputError("controller.needs", shown(needs), f"some of {', '.join(SIGNALS)}")

@@ -48,6 +48,8 @@ class DesignSpace(Immutable):
         names = as_names("names", self.names, len(lower))
         if len(upper) != len(lower):
             raise InputError("upper", f"{len(upper)} bounds", f"{len(lower)}, as many as lower bounds")
+        if not all(name.strip() for name in names):
+            raise InputError("names", list(names), "names that are not empty")
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise InputError("names", f"{', '.join(repeated)} more than once", "a different name for every parameter")

@@ -168,11 +168,11 @@ class LinearModel:
             np.ascontiguousarray(M[..., self.nx + self.nu :]),
         )
 
-    def derivatives(self, p: ArrayLike) -> tuple[Array, Array, Array]:
+    def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
         """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) at a design (np,)."""
-        p = np.zeros(0) if self.design is None else self.design.check_one(p)
-        J = np.asarray(self.jacobian(p), dtype=float)
-        T = J.reshape(-1, self.nx, len(p)).transpose(1, 0, 2)
+        p = self._checked(p) if self.design is None else self.design.check_one(p)
+        columns = self.nx + self.nu + self.nw
+        T = np.asarray(self.jacobian(p), dtype=float).reshape(columns, self.nx, len(p)).transpose(1, 0, 2)
         return T[:, : self.nx], T[:, self.nx : self.nx + self.nu], T[:, self.nx + self.nu :]
 
     def state_space(self, p: ArrayLike = ()):
@@ -189,9 +189,11 @@ class LinearModel:
 
     def _checked(self, p: ArrayLike) -> Array:
         """Designs within their bounds; nothing for a model without a design."""
-        if self.design is None:
-            return np.zeros(0)
-        return self.design.check(p)
+        if self.design is not None:
+            return self.design.check(p)
+        if np.size(p) > 0:
+            raise InputError("design", shown(p), "nothing, because the model has no design parameters")
+        return np.zeros(0)
 
 
 def check_finite(function: ca.Function, design: DesignSpace | None, what: str) -> None:

@@ -163,7 +163,7 @@ def deploy_and_update(
         One long run is cut in time, several are dealt out in groups. A deployment too short to judge so many
         updates gets fewer, or none.
     """
-    config = config or OnlineConfig()
+    config = OnlineConfig() if config is None else config
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_instance("agent", agent, ActorCritic, "an ActorCritic")
     as_instance("config", config, OnlineConfig, "an OnlineConfig")

@@ -88,6 +88,8 @@ class DigitalTwin(Immutable):
         as_flag("design_as_feature", design_as_feature)
         held_out = as_share("held_out", held_out)
         blocks = as_count("blocks", blocks)
+        if config is not None:
+            as_instance("config", config, QuantileConfig, "a QuantileConfig or None")
         logs = (*self.logs, residuals(self.model, log))
         parts = [part for one in logs for part in block_parts(one, held_out, blocks, last=False)]
         train = stacked(parts)

@@ -28,6 +28,7 @@ from mpc import LinearMPC
 OURS = (cc.CCDError, LearningError, InvariantSetsError)
 X, U, W, P = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
 SPACE = cc.DesignSpace(["k", "c"], [1.0, 0.1], [5.0, 1.0])
+OTHER = cc.DesignSpace(["k", "c"], [1.0, 0.1], [9.0, 1.0])
 RHS = ca.vertcat(X[1], -P[0] * X[0] - P[1] * X[1] + U + W)
 P0 = [2.0, 0.5]
 
@@ -159,6 +160,7 @@ CALLS = {
     "bounds text": (lambda: cc.DesignSpace(["k"], ["a"], [1]), "lower"),
     "bounds of two lengths": (lambda: cc.DesignSpace(["k"], [0], [1, 2]), "upper"),
     "units too many": (lambda: cc.DesignSpace(["k"], [0], [1], ["N", "m"]), "units"),
+    "an empty name": (lambda: cc.DesignSpace([""], [0], [1]), "names"),
     "a design as text": (lambda: SPACE.check("2, 0.5"), "design"),
     "a design as a dictionary": (lambda: SPACE.check({"k": 2}), "design"),
     "a design as nothing": (lambda: SPACE.check(None), "design"),
@@ -191,6 +193,7 @@ CALLS = {
     "E text": (lambda: cc.LinearModel.from_state_space(LTI, E="E"), "E"),
     "matrices of two designs too wide": (lambda: MODEL.matrices([[1.0, 0.5, 2.0]]), "design"),
     "matrices of nothing": (lambda: MODEL.matrices(), "design"),
+    "a design that the model has not": (lambda: cc.LinearModel.from_state_space(LTI).matrices([1.0]), "design"),
     "derivatives of a batch": (lambda: MODEL.derivatives([P0, P0]), "design"),
     # disturbances
     "a negative deviation": (lambda: cc.Gaussian([-1.0]), "std"),
@@ -254,6 +257,10 @@ CALLS = {
     "a plant of a TransferFunction": (lambda: simulate(plant=TF), "plant"),
     "a plant of nothing": (lambda: simulate(plant=None), "plant"),
     "a plant class": (lambda: simulate(plant=cc.Plant), "plant"),
+    "more steps than memory": (
+        lambda: simulate(plant=LTI, controller=cc.Passive(), x0=[1.0], steps=10**15, design=None), "steps",
+    ),
+    "a torch module as controller": (lambda: simulate(controller=torch.nn.Linear(2, 1)), "controller"),
     "a gain as controller": (lambda: simulate(controller=np.ones((1, 2))), "controller"),
     "a nested list as controller": (lambda: simulate(controller=[[1.0, 1.0]]), "controller"),
     "nothing as controller": (lambda: simulate(controller=None), "controller"),
@@ -358,6 +365,12 @@ CALLS = {
     "a rate of text": (lambda: cc.CoDesignConfig(policy_rate="fast"), "policy_rate"),
     "a PPO of nothing": (lambda: cc.CoDesignConfig(ppo=None), "ppo"),
     "gamma 2": (lambda: PPOConfig(gamma=2), "gamma"),
+    "co-design by a config of 0": (lambda: codesign(config=0), "config"),
+    "a judge of other designs": (lambda: codesign(judge=problem(model=cc.discretise(plant(design=OTHER)))), "judge"),
+    "gradients of nobody": (lambda: check_gradients(PROBLEM, None, P0, rng=rng()), "agent"),
+    "gradients from a seed": (lambda: check_gradients(PROBLEM, AGENT, P0, rng=0), "rng"),
+    "gradients of step 0": (lambda: check_gradients(PROBLEM, AGENT, P0, rng=rng(), step=0), "step"),
+    "gradients of 0 runs": (lambda: check_gradients(PROBLEM, AGENT, P0, rng=rng(), runs=0), "runs"),
     "gradients outside the box": (lambda: check_gradients(PROBLEM, AGENT, [9.0, 0.5], rng=rng()), "design"),
     # deployment and twin
     "a deployment of a matrix": (lambda: cc.deploy(MODEL, np.eye(2), P0, np.zeros((5, 1)), x0=[0, 0]), "controller"),
@@ -387,6 +400,7 @@ CALLS = {
     "a twin weight of nothing": (lambda: update(weight=None), "weight"),
     "a twin from a seed": (lambda: update(rng=0), "rng"),
     "a twin that tests on all": (lambda: update(held_out=1.0), "held_out"),
+    "a twin of a dictionary": (lambda: update(config={"steps": 3}), "config"),
     "a twin of 0 blocks": (lambda: update(blocks=0), "blocks"),
     "innovations of an untaught twin": (lambda: cc.DigitalTwin(MODEL).innovations(), "twin"),
     "an updated problem of an untaught twin": (lambda: cc.updated_problem(PROBLEM, cc.DigitalTwin(MODEL)), "twin"),

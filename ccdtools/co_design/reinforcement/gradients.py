@@ -7,6 +7,8 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
+from ccdtools.checks import as_count, as_generator, as_instance, as_positive
+from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.differentiable_model import mean_return, observe, returns_at, scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.problem import CoDesignProblem
@@ -39,7 +41,12 @@ def check_gradients(
     step : float
         Step of the central differences in the unit box.
     """
-    design = problem.design.check(design)
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    check_agent(problem, agent)
+    as_generator("rng", rng)
+    as_count("runs", runs)
+    as_positive("step", step)
+    design = problem.design.check_one(design)
     v = torch.tensor(problem.design.to_unit(design), dtype=torch.float32)
     scenarios = scenario_tensors(problem, runs, rng)
     differences = finite_differences(problem, agent, v, scenarios, step)

@@ -1,0 +1,42 @@
+"""Whether an agent was made for a problem."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ccdtools.checks import as_instance
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.learned import EDGE
+from ccdtools.exceptions import InputError
+from learning.networks import ActorCritic
+
+SAME_BOUNDS = 1e-5  # relative difference of the agent's action bounds from U that rounding to float32 explains
+
+
+def check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
+    """Raise an `InputError` unless `agent` was made for the states, designs and inputs of `problem`."""
+    as_instance("agent", agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
+    nx = problem.model.nx
+    space = problem.design
+    observed = len(agent.observation_offset)
+    if observed != nx + space.dim:
+        raise InputError("agent", f"{observed} inputs", f"{nx} states and {space.dim} design parameters")
+    offset = agent.observation_offset[nx:].double().numpy()
+    scale = agent.observation_scale[nx:].double().numpy()
+    if (np.abs(np.stack([space.lower, space.upper]) - offset) > EDGE * scale).any():
+        raise InputError(
+            "agent", f"one made for designs in {(offset - scale).tolist()} to {(offset + scale).tolist()}",
+            "the whole box of designs", "Pass input_bounds=problem.observation_bounds to fit_actor_critic.",
+        )  # fmt: skip
+    middle = agent.action_offset.double().numpy()
+    half = agent.action_scale.double().numpy()
+    lower, upper = problem.input_bounds
+    if (
+        len(middle) != len(lower)
+        or (np.abs(np.stack([middle - half - lower, middle + half - upper])) > SAME_BOUNDS * (upper - lower)).any()
+    ):
+        raise InputError(
+            "agent", f"actions in {(middle - half).tolist()} to {(middle + half).tolist()}",
+            f"{lower.tolist()} to {upper.tolist()}, the bounds U",
+            "Pass action_bounds=problem.input_bounds to fit_actor_critic.",
+        )  # fmt: skip
