@@ -1,6 +1,6 @@
 """Online MPC under an adversary: random plants, unstable over long horizons, in any units; oracles beside it.
 
-    python benchmarks/adversarial_mpc.py [plants] [units] [explain] [--count 400] [--seed 0]
+    python benchmarks/adversarial_mpc.py [plants] [units] [--count 400] [--seed 0]
 
 Every plan is checked for what its fields promise (inputs in U and within the rate limit, states of the model,
 violation and cost of the states returned), its status by a linear program in states and inputs (HiGHS), its optimality

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mpc.checks import Array
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, cost_of, relative_violations, violation_of
+from mpc.rollout import Given, admissible, cost_of, relative_violations, violation_of
 from mpc.stages import Staging
 from mpc.stagewise import solve_stagewise
 from mpc.tolerances import FEASIBLE, RELAXATION_SHARES
@@ -50,6 +50,7 @@ def stagewise_candidate(
     else:
         return None
     inputs, states = staging.plan(found.states, found.variables, x)
+    inputs = admissible(problem, inputs, given)  # changes what rounding has left undetermined
     violated = problem.soft is None and relative_violations(problem, states).max() > FEASIBLE
     status = Status.SOFTENED if violated else Status.SOLVED
     residuals = Residuals(found.step, found.violation, 0.0, 0.0)

@@ -221,9 +221,7 @@ class LinearMPC(MPCProblem):
         if theta_set is None:
             theta_set = default_parameters(self, problem)
         partition = solve_mpqp(problem, theta_set, max_regions=max_regions, time_limit=time_limit)
-        return ExplicitMPC.from_partition(
-            partition, self.input_rows, method=method, tree_time_limit=tree_time_limit
-        )
+        return ExplicitMPC.from_partition(partition, self.input_rows, method=method, tree_time_limit=tree_time_limit)
 
     def _solver_for(self, parameters: tuple[str, ...]) -> CondensedSolver | SparseSolver:
         """The solver for a combination of signals."""

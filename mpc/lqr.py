@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+from scipy.linalg import LinAlgWarning, solve_discrete_are, solve_discrete_lyapunov
 
 from mpc.checks import Array, as_pair, as_weight
 from mpc.exceptions import NotStabilisableError
@@ -91,12 +92,20 @@ def cost_units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
 def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
     """Stabilising solution, refined by Newton steps where SciPy's leaves a residual."""
     P: Array = solve_discrete_are(A, B, Q, R)
+    K = _gain_of(P, A, B, R)
+    residual = _residual(P, K, A, B, Q)
     for _ in range(3):
-        K = _gain_of(P, A, B, R)
         closed = A - B @ K
-        if _residual(P, K, A, B, Q) <= RICCATI_REFINED or not _radius(closed) < 1:
+        if residual <= RICCATI_REFINED or not _radius(closed) < 1:
             break
-        P = solve_discrete_lyapunov(closed.T, Q + K.T @ R @ K)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LinAlgWarning)  # the residual decides
+            refined = solve_discrete_lyapunov(closed.T, Q + K.T @ R @ K)
+        K = _gain_of(refined, A, B, R)
+        last, residual = residual, _residual(refined, K, A, B, Q)
+        if not residual < last:
+            break
+        P = refined
     return P
 
 

@@ -63,14 +63,14 @@ class CondensedSolver:
         if inputs_conflict(self.problem, given.get("u_prev")):
             return None
         inputs, states = regulated(self.problem, x, pushes(self.problem, given))
-        if self._runs_away(states):  # the dense QP would lose the digits of the inputs
-            far = self._stage_by_stage(inputs, x, given, q)
-            if far is not None:
-                return far
+        away = self._runs_away(states)  # then the dense QP would lose the digits of the inputs
+        far = self._stage_by_stage(inputs, x, given, q) if away else None
+        if far is not None:
+            return far
         relaxed = relax(self.problem, self.qp, self.dense, q, b)
         result, status = (result, Status.SOFTENED) if relaxed is None else (relaxed.result, relaxed.status)
         first = self._candidate(result, status, x, theta, given)
-        return first if first.status is status else self._in_another_form(first, x, given, q)
+        return first if away or first.status is status else self._in_another_form(first, x, given, q)
 
     def _candidate(self, result: QPResult, status: Status, x: Array, theta: Array, given: Given) -> Candidate:
         """What the QP's minimiser means for the plant; INACCURATE where it fails a check."""

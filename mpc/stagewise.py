@@ -16,7 +16,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.stages import Stage
-from mpc.tolerances import BARRIER_STOP, ROUNDING, SLACK_FLOOR, STAGEWISE
+from mpc.tolerances import BARRIER_STOP, FEEDBACK_ROUNDING, ROUNDING, SLACK_FLOOR, STAGEWISE
 
 _MOST_STEPS = 100
 _PATIENCE = 2  # steps without gain after which a plan that is good enough is taken
@@ -70,25 +70,37 @@ class _Iteration:
             for st, v, x in zip(stages, self.variables, self.states)
         )
         self.multipliers = [max(cost / rows, 1.0) / s for s in self.slacks]
+        self.gains = [np.zeros(st.B.T.shape) for st in stages]
         self.refresh()
 
     def refresh(self) -> None:
         """Residuals of the rows and the gains of the recursion at the present point."""
         self.residuals: Arrays = []
         self.violation = 0.0
-        for st, x, v, s in zip(self.stages, self.states, self.variables, self.slacks):
+        for k, (st, x, v, s) in enumerate(zip(self.stages, self.states, self.variables, self.slacks)):
             terms = np.abs(st.C) @ np.abs(v) + np.abs(st.D) @ np.abs(x) + np.abs(st.d) + s
             r = st.C @ v + st.D @ x + s - st.d
             self.residuals.append(np.where(np.abs(r) <= ROUNDING * terms, 0.0, r))
-            self.violation = max(self.violation, float(np.max(np.abs(r) / np.maximum(terms, 1.0), initial=0.0)))
+            over = np.maximum(np.abs(r) - np.abs(st.C) @ self.noise(k), 0.0)
+            self.violation = max(self.violation, float(np.max(over / np.maximum(terms, 1.0), initial=0.0)))
         self.open = [s > SLACK_FLOOR for s in self.slacks]  # the others are at their bounds to all digits
         self.weights = [y / s for y, s in zip(self.multipliers, self.slacks)]
         self._factorise()
 
+    def noise(self, k: int) -> Array:
+        """What rounding of the state makes of the variables of stage k through their feedback: no digits lie below."""
+        return FEEDBACK_ROUNDING * np.abs(self.gains[k]) @ np.abs(self.states[k])
+
+    def largest_step(self, direction: _Direction) -> float:
+        """Largest change of an input in a Newton step, beyond rounding."""
+        over = (np.abs(f) - self.noise(k) for k, f in enumerate(direction.forward))
+        return max(float(np.max(change[: st.nu], initial=0.0)) for st, change in zip(self.stages, over))
+
     def _factorise(self) -> None:
         """Gains K and the factors of every stage, backwards."""
         count = len(self.stages)
-        self.gains, self.inverses = [np.zeros(0)] * count, [np.zeros(0)] * count
+        self.gains = [np.zeros(0)] * count
+        self.inverses = [np.zeros(0)] * count
         V = np.zeros_like(self.stages[-1].Hx)
         for k in reversed(range(count)):
             st, w = self.stages[k], self.weights[k]
@@ -163,7 +175,7 @@ def solve_stagewise(stages: list[Stage], start: Array, variables: Arrays) -> Sta
     for _ in range(_MOST_STEPS):
         affine = [w * r for w, r in zip(at.weights, at.residuals)]
         predictor = at.direction(affine)
-        step = max(float(np.abs(f[: st.nu]).max(initial=0.0)) for st, f in zip(stages, predictor.forward))
+        step = at.largest_step(predictor)
         if not np.isfinite(step + at.violation):
             break
         waited += 1

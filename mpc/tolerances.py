@@ -126,6 +126,9 @@ BARRIER_STOP = 1e-9
 SLACK_FLOOR = 1e-14
 """Least slack of a row in units of its bound: smaller ones are rounding [-]."""
 
+FEEDBACK_ROUNDING = 1e-14
+"""Relative rounding of a state that has come about over a whole horizon [-]: its feedback is no more exact."""
+
 ROUNDING = 1e-15
 """Residual of a row, relative to its terms, that is rounding [-]."""
 
