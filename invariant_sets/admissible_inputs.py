@@ -16,14 +16,12 @@ from invariant_sets.input_intervals import Intervals
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.system_checks import checked_system, disturbance_vertices
+from invariant_sets.tolerances import ADMISSIBLE, INPUT_SLACK, LP_SOLVER
 from invariant_sets.validation import as_batch, as_vector, frozen
 
 Array = np.ndarray
-_TOLERANCE = 1e-9  # of the extent of S: a smaller violation counts as admissible
 _LARGE = 1e150  # beyond this the arithmetic is clipped, so that a diverged state cannot raise
 _FAR_PROPOSAL = 1e6  # half widths of U: a proposal further away is moved to here along its direction
-_IN_INPUT_SET = 1e-8  # half widths of U: by how much a solver's answer may leave U
-_SOLVER = 1e-10  # primal tolerance handed to DAQP
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -117,7 +115,7 @@ class AdmissibleInputs:
             low, high = rows.interval
             slope = np.broadcast_to(rows.slope[:, 0], rooms.shape)
             values, violation = Intervals(slope, rooms, low, high).nearest(wanted[:, 0])
-            v, admissible = values[:, None], violation <= _TOLERANCE
+            v, admissible = values[:, None], violation <= ADMISSIBLE
         else:
             v, admissible = _by_programs(rows, rooms, wanted)
         u = rows.middle + v @ rows.size.T
@@ -192,7 +190,7 @@ class AdmissibleInputFamily:
         ends = np.array([one._rows.interval for one in self.filters])
         v, violation = Intervals(self._slope, rooms, ends[:, 0], ends[:, 1]).nearest(wanted)
         u = np.array([one._rows.middle + one._rows.size[:, 0] * value for one, value in zip(self.filters, v)])
-        return u, violation <= _TOLERANCE
+        return u, violation <= ADMISSIBLE
 
 
 @dataclass(frozen=True)
@@ -250,7 +248,7 @@ def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, 
     """Return the nearest admissible v (k, q), by one QP a state, and whether it is admissible."""
     v, admissible = np.zeros(wanted.shape), np.zeros(len(rooms), bool)
     for k, room in enumerate(rooms):
-        nearest = _nearest(rows, room + 0.5 * _TOLERANCE, wanted[k])
+        nearest = _nearest(rows, room + 0.5 * ADMISSIBLE, wanted[k])
         if nearest is None or not _meets(rows, nearest, room):
             nearest = _least_violation(rows, room, wanted[k])
         v[k], admissible[k] = nearest, _meets(rows, nearest, room)
@@ -259,7 +257,7 @@ def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, 
 
 def _meets(rows: _LocalRows, v: Array, room: Array) -> bool:
     """Return whether v meets all rows of S to the tolerance."""
-    return bool((rows.slope @ v - room).max(initial=-np.inf) <= _TOLERANCE)
+    return bool((rows.slope @ v - room).max(initial=-np.inf) <= ADMISSIBLE)
 
 
 def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
@@ -269,8 +267,8 @@ def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
     reach = np.abs(wanted).max()
     target = wanted if reach < _FAR_PROPOSAL else wanted / reach * _FAR_PROPOSAL
     program = np.vstack([rows.slope, rows.H])  # a new array: DAQP wants one that it could write to
-    v, _, flag, _ = daqp.solve(np.eye(len(target)), -target, program, np.append(room, rows.h), primal_tol=_SOLVER)
-    return np.array(v) if flag == 1 and (rows.H @ v - rows.h).max(initial=0.0) <= _IN_INPUT_SET else None
+    v, _, flag, _ = daqp.solve(np.eye(len(target)), -target, program, np.append(room, rows.h), primal_tol=LP_SOLVER)
+    return np.array(v) if flag == 1 and (rows.H @ v - rows.h).max(initial=0.0) <= INPUT_SLACK else None
 
 
 def _least_violation(rows: _LocalRows, room: Array, wanted: Array) -> Array:
@@ -288,5 +286,5 @@ def _least_violation(rows: _LocalRows, room: Array, wanted: Array) -> Array:
     value, best = minimise(cost, matrix / norms[:, None], right)
     if best is None:  # pragma: no cover - U is nonempty and bounded, so a minimiser exists
         return np.zeros(nu)
-    nearest = _nearest(rows, room - shift + (value + _TOLERANCE) * spread, wanted)
+    nearest = _nearest(rows, room - shift + (value + ADMISSIBLE) * spread, wanted)
     return best[:nu] if nearest is None else nearest

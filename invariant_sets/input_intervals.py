@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invariant_sets.tolerances import UNMOVED
+
 Array = np.ndarray
-_FLAT = 1e-14  # slope below which the input does not move a row
 _HALVINGS = 110  # of the level: from the largest double that is used down to rounding
 
 
@@ -58,14 +59,14 @@ class Intervals:
         room = self.room + level[:, None]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             bound = room / self.slope
-        high = np.where(self.slope > _FLAT, bound, np.inf).min(axis=1, initial=np.inf)
-        low = np.where(self.slope < -_FLAT, bound, -np.inf).max(axis=1, initial=-np.inf)
+        high = np.where(self.slope > UNMOVED, bound, np.inf).min(axis=1, initial=np.inf)
+        low = np.where(self.slope < -UNMOVED, bound, -np.inf).max(axis=1, initial=-np.inf)
         return np.maximum(low, self.lower), np.minimum(high, self.upper)
 
     def _least_level(self) -> Array:
         """Return the least violation that some input has, at the moving rows, by bisection from above."""
         middle = np.reshape(np.asarray(self.lower + self.upper) / 2, (-1, 1))
-        moving = np.where(np.abs(self.slope) > _FLAT, self.slope * middle - self.room, -np.inf)
+        moving = np.where(np.abs(self.slope) > UNMOVED, self.slope * middle - self.room, -np.inf)
         top = np.maximum(moving.max(axis=1, initial=0.0), 0.0)
         bottom = np.zeros(len(top))
         for _ in range(_HALVINGS):

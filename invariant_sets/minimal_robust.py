@@ -24,13 +24,11 @@ from invariant_sets.positive_invariant import NO_INPUT
 from invariant_sets.results import Certificate, SetResult, Status, no_set
 from invariant_sets.system_checks import checked_disturbance, checked_state_matrix, disturbance_vertices
 from invariant_sets.time_limits import LimitReached, TimeLimitReached
+from invariant_sets.tolerances import DRIVEN, LEAST_ALPHA, SUM_END
 from invariant_sets.validation import check_tolerance
 
 Array = np.ndarray
 _SERIES = 5000  # terms of a sum of supports at most
-_SERIES_END = 1e-13  # of the sum: a term smaller than this ends it
-_MOVED = 1e-9  # of the largest: directions in which the disturbance drives the state less are not moved at all
-_LEAST_ALPHA = 1e-12  # the set is scaled by at least this much, against rounding
 _SUM_SHARE = 0.6  # of the time limit for the partial sums; the rest is for a set from outside and the certificate
 
 
@@ -140,15 +138,15 @@ def _moving_subspace(A: Array, W: Array) -> Array:
     for _ in range(len(A) - 1):
         blocks.append(A @ blocks[-1])
         size = np.abs(blocks[-1]).max()
-        blocks[-1] = blocks[-1] / size if size > _MOVED else 0 * blocks[-1]
+        blocks[-1] = blocks[-1] / size if size > DRIVEN else 0 * blocks[-1]
     left, values, _ = np.linalg.svd(np.hstack(blocks), full_matrices=False)
-    return left[:, values > _MOVED * values.max()]
+    return left[:, values > DRIVEN * values.max()]
 
 
 def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
     """Return the scaled partial sum for vertices W of a full-dimensional set with 0 inside; None if no term shrinks."""
     hull = Polytope.from_vertices(W)
-    target = max(limits.tol / (1 + limits.tol), _LEAST_ALPHA)
+    target = max(limits.tol / (1 + limits.tol), LEAST_ALPHA)
     partial, image, status = hull, W, Status.ITERATION_LIMIT
     alpha, best, terms = np.inf, hull, 0
     deadline = limits.deadline.part(_SUM_SHARE)
@@ -171,7 +169,7 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
             break
     if alpha >= 1:
         return None
-    alpha = max(alpha, 0.0) + _LEAST_ALPHA
+    alpha = max(alpha, 0.0) + LEAST_ALPHA
     return _Approximation(best.scale(1 / (1 - alpha)), alpha / (1 - alpha), terms, status)
 
 
@@ -223,7 +221,7 @@ def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
     for _ in range(terms):
         step = (directions @ W.T).max(axis=1)
         total += step
-        if (np.abs(directions) @ largest <= _SERIES_END * np.abs(total)).all():
+        if (np.abs(directions) @ largest <= SUM_END * np.abs(total)).all():
             break
         directions = directions @ A
     return total

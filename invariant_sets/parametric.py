@@ -14,6 +14,7 @@ from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
 from invariant_sets.system_checks import check_set
+from invariant_sets.tolerances import FELT, MEMBERSHIP, NEIGHBOUR_MARGIN, TINY
 from invariant_sets.validation import as_batch, as_floats, as_matrix, as_vector, check_count, check_rng, check_tolerance
 
 Array = np.ndarray
@@ -119,7 +120,7 @@ class ParametricSet:
             self._results.update((p.tobytes(), result) for p, result in zip(missing, computed))
         return [self.result(p) for p in designs]
 
-    def contains(self, x: Any, p: Any, tol: float = 1e-9) -> Any:
+    def contains(self, x: Any, p: Any, tol: float = MEMBERSHIP) -> Any:
         """Return whether x[i] lies in C(p[i]).
 
         Parameters
@@ -216,7 +217,7 @@ class ParametricSet:
 
     def _neighbour(self, p: Array) -> tuple[SetResult, float] | None:
         """Return the nearest known result that was slow to find, and its relative distance in p."""
-        near = [(float(np.abs(p - q).max() / max(np.abs(p).max(), 1e-300)), k) for k, (q, _) in enumerate(self._slow)
+        near = [(float(np.abs(p - q).max() / max(np.abs(p).max(), TINY)), k) for k, (q, _) in enumerate(self._slow)
                 if len(q) == len(p)]
         distance, k = min(near, default=(np.inf, 0))
         return (self._slow[k][1], distance) if distance <= 0.02 else None
@@ -228,11 +229,11 @@ class ParametricSet:
             return None
         middle = around.vertices.mean(axis=0)
         room = around.b - around.A @ middle
-        limit = around.b + min(0.2, 10 * distance + 1e-9) * room
+        limit = around.b + min(0.2, 10 * distance + NEIGHBOUR_MARGIN) * room
         result = self._cold(p, Polytope(around.A, limit))
         if result.status is not Status.CONVERGED or result.set.is_empty:
             return None
-        felt = result.outer.support(around.A) >= limit - 1e-7 * room
+        felt = result.outer.support(around.A) >= limit - FELT * room
         return None if felt.any() else result
 
 

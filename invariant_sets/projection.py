@@ -16,13 +16,10 @@ import numpy as np
 from invariant_sets.hulls import strongly_irredundant_rows
 from invariant_sets.linear_programs import inscribed_ball, minimise
 from invariant_sets.time_limits import MOST_ROWS, NO_DEADLINE, Deadline, SizeLimitReached
+from invariant_sets.tolerances import BEYOND, NEEDLE_RADIUS, NEEDLESS, ZERO_COEFFICIENT, ZERO_ROW
 
 Array = np.ndarray
 _FEW = 40  # below so many rows, removing redundancy costs more than it saves
-_ZERO_COEFFICIENT = 1e-12  # of a unit row: smaller ones are rounding
-_ZERO_ROW = 1e-13  # norm of a combination of two unit rows that is nothing but rounding
-_REDUNDANT = 1e-12  # a row that cuts less than this off a set of extent one is redundant
-_THIN = 1e-7  # radius below which rows are not judged from an inner point
 _QHULL_DIM = 4  # up to here Qhull finds the needed rows quicker than linear programs
 
 
@@ -75,7 +72,7 @@ def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Arra
     """
     last = R[:, -1]
     rest = np.column_stack([R[:, :-1], r])
-    up, down = last > _ZERO_COEFFICIENT, last < -_ZERO_COEFFICIENT
+    up, down = last > ZERO_COEFFICIENT, last < -ZERO_COEFFICIENT
     level = ~(up | down)
     if fresh is None:
         rows = [rest[level], _combined(rest[up], last[up], rest[down], -last[down])]
@@ -99,9 +96,9 @@ def _without_zero_rows(rows: Array) -> tuple[Array, Array]:
     """Return unit rows (R, r); 0 x <= negative becomes the only row."""
     R, r = rows[:, :-1], rows[:, -1]
     norms = np.linalg.norm(R, axis=1)
-    zero = norms <= _ZERO_ROW
+    zero = norms <= ZERO_ROW
     if zero.any():
-        if (r[zero] < -1e3 * _ZERO_ROW * (1.0 + np.abs(r).max())).any():
+        if (r[zero] < -1e3 * ZERO_ROW * (1.0 + np.abs(r).max())).any():
             return np.zeros((1, R.shape[1])), np.array([-1.0])
         R, r, norms = R[~zero], r[~zero], norms[~zero]
     return R / norms[:, None], r / norms
@@ -116,7 +113,7 @@ def without_far_rows(R: Array, r: Array, reach: Array) -> tuple[Array, Array]:
     with np.errstate(invalid="ignore"):
         products = np.abs(R) * reach
     products[R == 0.0] = 0.0
-    touching = r <= products.sum(axis=1) * (1.0 + 1e-9)
+    touching = r <= products.sum(axis=1) * (1.0 + BEYOND)
     return R[touching], r[touching]
 
 
@@ -125,7 +122,7 @@ def _needed(R: Array, r: Array, deadline: Deadline) -> tuple[Array, Array]:
     if len(r) <= _FEW:
         return R, r
     radius, middle = inscribed_ball(R, r, cap=1.0)
-    if radius <= _THIN:
+    if radius <= NEEDLE_RADIUS:
         return R, r
     kept = needed_rows(R, r - R @ middle, deadline)
     return R[kept], r[kept]
@@ -144,7 +141,7 @@ def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
             others = np.flatnonzero(needed)
             rows, right = np.vstack([F[others], F[i]]), np.append(g[others], g[i] + 1.0)
             value, y = minimise(-F[i], rows, right)
-            if y is None or -value <= g[i] + _REDUNDANT:
+            if y is None or -value <= g[i] + NEEDLESS:
                 open_rows[i] = False
                 continue
             hit = _hit_by_rays(F, g, y[None])[0]

@@ -8,8 +8,7 @@ from enum import Enum
 import numpy as np
 
 from invariant_sets.polytope import Polytope
-
-INVARIANT = 1e-9  # a successor may leave by this part of the set's extent, and the set still counts as invariant
+from invariant_sets.tolerances import INVARIANT
 
 
 class Status(Enum):

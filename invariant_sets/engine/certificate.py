@@ -16,16 +16,11 @@ from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
-from invariant_sets.results import INVARIANT
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
+from invariant_sets.tolerances import DOUBTFUL, DUAL_RESIDUAL, FLAT_WIDTH, INVARIANT, LP_SOLVER, WITNESS, WITNESS_SOLVER
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
-_TIGHTEST = 1e-10  # the least feasibility tolerances that HiGHS accepts
-_DOUBTFUL = 1e-12  # relative violation above which the answer of DAQP is asked for a second time
-_IN_INPUT_SET = 1e-6  # of U: a witness may leave it by this, and is then moved back
-_DUAL_RESIDUAL = 1e-11  # of a unit cost: multipliers that miss stationarity by less give the bound
-_FLAT_WIDTH = 1e-9  # of the largest: width given to a coordinate in which a set is flat
 _EVERY = 50  # linear programs between two looks at the clock
 
 
@@ -102,11 +97,11 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     for k in range(len(room)):
         if k % _EVERY == 0:
             deadline.check()
-        v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=1e-11)
+        v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=WITNESS_SOLVER)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
     leaves = _violations(witnesses, slope, room, (H, h))
     for solver in (_checked_minimiser, precise_minimiser):  # DAQP stops early where the inputs are nearly parallel
-        for k in map(int, np.flatnonzero(leaves > _DOUBTFUL)):
+        for k in map(int, np.flatnonzero(leaves > DOUBTFUL)):
             v = solver(cost, rows, np.concatenate([room[k], h]))
             if v is not None:
                 leaves[k] = min(leaves[k], _violations(v[None, :nu], slope, room[k:k + 1], (H, h))[0])
@@ -129,7 +124,7 @@ def precise_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
     from scipy.optimize import linprog
 
     answer = linprog(cost, A_ub=rows, b_ub=right, bounds=(None, None), method="highs-ds", options={
-        "primal_feasibility_tolerance": _TIGHTEST, "dual_feasibility_tolerance": _TIGHTEST})
+        "primal_feasibility_tolerance": LP_SOLVER, "dual_feasibility_tolerance": LP_SOLVER})
     return np.asarray(answer.x) if answer.status == 0 else None
 
 
@@ -138,7 +133,7 @@ def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
     with np.errstate(invalid="ignore"):
         excess = (v @ inputs[0].T / inputs[1]).max(axis=1, initial=0.0)
         inside = v / np.maximum(excess, 1.0)[:, None]
-        return np.where(excess <= 1.0 + _IN_INPUT_SET, (inside @ slope.T - room).max(axis=1), np.inf)
+        return np.where(excess <= 1.0 + WITNESS, (inside @ slope.T - room).max(axis=1), np.inf)
 
 
 def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feedback,
@@ -166,7 +161,7 @@ def outside(C: Polytope, X: Polytope) -> float:
         beyond, extent = (F @ C.vertices.T).max(axis=1) - g, np.ptp(C.vertices, axis=0)
     else:
         beyond, extent = C.support(F) - g, 2 * np.linalg.norm(C._body.basis, axis=1)  # type: ignore[union-attr]
-    scale = np.abs(F) @ np.maximum(extent, _FLAT_WIDTH * extent.max(initial=0.0))
+    scale = np.abs(F) @ np.maximum(extent, FLAT_WIDTH * extent.max(initial=0.0))
     return float((beyond / np.where(scale > 0.0, scale, 1.0)).max())
 
 
@@ -207,7 +202,7 @@ def _upper_bound(cost: Array, rows: Array, right: Array) -> float:
     _, _, flag, info = daqp.solve(None, cost, rows, right)
     if flag == 1:
         dual = np.maximum(info["lam"], 0.0)
-        if np.abs(cost + dual @ rows).max() <= _DUAL_RESIDUAL:
+        if np.abs(cost + dual @ rows).max() <= DUAL_RESIDUAL:
             return float(dual @ right)
     return -minimise(cost, rows, right)[0]
 

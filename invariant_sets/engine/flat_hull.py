@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from invariant_sets.interior_form import normals
+from invariant_sets.tolerances import NEGLIGIBLE, TINY
 
 Array = np.ndarray
-_ROUND = 1e-8  # relative size below which a coefficient of an equality is rounding
 
 
 @dataclass(frozen=True)
@@ -78,16 +78,16 @@ def stay_on_hull(motion: Motion, basis: Array, spread: Array | None, size: Array
     """
     normal = normals(basis)
     P, Q, s = normal @ motion.states, normal @ motion.inputs, -normal @ motion.drift
-    size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), 1e-300)
-    if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > _ROUND * np.maximum(
-            size, np.abs(spread).max() + 1e-300)).any():
+    size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), TINY)
+    if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > NEGLIGIBLE * np.maximum(
+            size, np.abs(spread).max() + TINY)).any():
         return OnHull()
     P, Q, s = P / size[:, None], Q / size[:, None], s / size
     left, values, vt = np.linalg.svd(Q, full_matrices=True)
-    rank = int((values > _ROUND).sum())
+    rank = int((values > NEGLIGIBLE).sum())
     rest_P, rest_s = left[:, rank:].T @ P, left[:, rank:].T @ s
-    bound = np.abs(rest_P).max(axis=1, initial=0.0) > _ROUND
-    if (np.abs(rest_s[~bound]) > _ROUND).any():
+    bound = np.abs(rest_P).max(axis=1, initial=0.0) > NEGLIGIBLE
+    if (np.abs(rest_s[~bound]) > NEGLIGIBLE).any():
         return OnHull()
     if bound.any():
         return OnHull(rows=rest_P[bound], values=rest_s[bound])

@@ -18,10 +18,9 @@ from invariant_sets.engine.predecessor import predecessor_rows
 from invariant_sets.engine.recursion import Caps, Outcome, Predecessor, Region, Rows, Shape, iterate
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.time_limits import Deadline, LimitReached
+from invariant_sets.tolerances import CENTRAL, CLOSED_LOOP_MARGIN
 
 Array = np.ndarray
-_CENTRAL = 1e-9  # of the extent: rows this close to the equilibrium pass through it
-_CLOSED_LOOP_MARGIN = 1e-9  # relative contraction per step asked of a closed loop, against rounding
 _INPUT_WEIGHTS = (1.0, 1e-2, 1e2, 1e4)  # of the linear-quadratic feedbacks tried where no better set is known
 _SHRUNK = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # parts taken off an outer set that has not converged
 _CONTRACTIONS = (1e-3, 1e-2, 0.1)  # per step, where the outer set has not converged
@@ -180,9 +179,9 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
     def backwards(target: Rows, fresh: Array | None) -> Rows:
         F, g = target if fresh is None else (target[0][fresh], target[1][fresh])
         reach = 0.0 if noise is None else (F @ noise.T).max(axis=1)
-        return F @ closed, g * (1 - _CLOSED_LOOP_MARGIN) - reach
+        return F @ closed, g * (1 - CLOSED_LOOP_MARGIN) - reach
 
-    ended = iterate(seed, backwards, limits.caps(_CLOSED_LOOP_MARGIN))
+    ended = iterate(seed, backwards, limits.caps(CLOSED_LOOP_MARGIN))
     if not ended.converged or ended.region.shape is not Shape.SOLID:
         return None
     return Candidate(ended.region.tidy(limits.deadline), ended.iterations, K)
@@ -210,7 +209,7 @@ def gap(outer: Region, inner: Region) -> float:
     if not len(inner.g):
         return 0.0
     excess = outer.reach(inner.F) - inner.g
-    passing = inner.g <= _CENTRAL
-    if (excess[passing] > _CENTRAL).any():
+    passing = inner.g <= CENTRAL
+    if (excess[passing] > CENTRAL).any():
         return np.inf
     return float(max(0.0, (excess[~passing] / inner.g[~passing]).max(initial=0.0)))

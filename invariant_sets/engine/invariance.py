@@ -34,15 +34,14 @@ from invariant_sets.exceptions import NumericalError
 from invariant_sets.interior_form import FLAT, unit_rows
 from invariant_sets.linear_programs import inscribed_ball
 from invariant_sets.polytope import Polytope
-from invariant_sets.results import INVARIANT, Certificate, SetResult, Status, no_set
+from invariant_sets.results import Certificate, SetResult, Status, no_set
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
+from invariant_sets.tolerances import GAP_ROUNDING, INVARIANT, MISSING, STOP
 
 Array = np.ndarray
-_STOP = 1e-11  # the outer recursion has converged if no row cuts more, relative to the set
 _OUTER_SHARE = 0.5  # of the time limit for the outer recursion; the rest is for inner sets and their certificate
 _INNER_SHARE = 0.6  # of the time left for inner sets; the rest is for the certificate
 _GRACE = 0.75  # seconds after the limit in which a feedback's set may still be found
-_MISSING = 1e-8  # relative enlargement by a backward step that rounding may cause
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
         outcome = Outcome(start, 0)
         if start.shape is Shape.SOLID and not start.is_small:
             steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
-            caps = replace(limits.caps(_STOP, max(steps, 1)), deadline=outer_deadline)
+            caps = replace(limits.caps(STOP, max(steps, 1)), deadline=outer_deadline)
             outcome = iterate(start, predecessor_of(problem, deadline=outer_deadline), caps)
         iterations += outcome.iterations
         region = outcome.region if outcome.limit is not None else outcome.region.tidy()
@@ -232,7 +231,7 @@ def _law(problem: LocalProblem, gain: Array) -> certificate.Feedback:
 
 def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
     """Return the result with the status that its gap and the check for missing states deserve."""
-    small = inner.gap <= task.limits.tol * (1 + 1e-6) + INVARIANT
+    small = inner.gap <= task.limits.tol * (1 + GAP_ROUNDING) + INVARIANT
     absent = np.inf
     if small:
         try:
@@ -240,7 +239,7 @@ def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, ste
         except (LimitReached, NumericalError) as error:
             status = Status.TIME_LIMIT if isinstance(error, TimeLimitReached) else Status.NOT_CERTIFIED
         else:
-            status = Status.CONVERGED if absent <= 2 * task.limits.tol + _MISSING else Status.NOT_MAXIMAL
+            status = Status.CONVERGED if absent <= 2 * task.limits.tol + MISSING else Status.NOT_MAXIMAL
     elif status is Status.CONVERGED:
         status = Status.ITERATION_LIMIT
     proof = Certificate(inner.check.violation, inner.gap, inner.check.points, outside=inner.outside, missing=absent)

@@ -17,13 +17,10 @@ from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.polyhedron import counter_clockwise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
+from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT_ROW, THINNEST
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
-_ROUND = 1e-8  # relative size below which a coefficient of an equality is rounding
-_NEEDLE = 0.03  # ratio of the smallest to the largest width below which the coordinates are made round
-_ZERO_ROW = 1e-12  # a row of this norm, where others have norm one, says nothing about a variable
-_EQUILIBRIUM = 1e-13  # residual of the origin below which it is an equilibrium
 _WELL_INSIDE = 0.02  # the origin is kept as the equilibrium if it is this far from every row of X
 
 
@@ -62,7 +59,7 @@ class Frame:
         """Return the inequalities of P as unit rows on y; those that do not depend on y are left out."""
         F, g = P.A @ self.basis, P.b - P.A @ self.centre
         norms = np.linalg.norm(F, axis=1)
-        used = norms > _ZERO_ROW * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
+        used = norms > SILENT_ROW * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
         return unit(F[used], g[used])
 
     def polytope(self, F: Array, g: Array, V: Array | None = None) -> Polytope:
@@ -171,9 +168,9 @@ def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
     Y = (X.vertices - state.centre) @ frame.back.T
     middle = (Y.max(axis=0) + Y.min(axis=0)) / 2
     widths, axes = np.linalg.eigh((Y - middle).T @ (Y - middle) / len(Y))
-    if widths[0] > _NEEDLE**2 * widths[-1]:
+    if widths[0] > NEEDLE**2 * widths[-1]:
         return frame, rows
-    turn = axes * np.sqrt(np.maximum(widths, 1e-24 * widths[-1]))
+    turn = axes * np.sqrt(np.maximum(widths, THINNEST**2 * widths[-1]))
     return Frame(state.centre, state.basis @ turn), unit(state.F @ turn, state.g)
 
 
@@ -206,7 +203,7 @@ def _lifted(problem: LocalProblem) -> Rows:
     F, g = problem.states
     H, h = problem.joint
     rows = np.vstack([np.hstack([F, np.zeros((len(F), H.shape[1] - F.shape[1]))]), H])
-    used = np.linalg.norm(rows, axis=1) > _ZERO_ROW
+    used = np.linalg.norm(rows, axis=1) > SILENT_ROW
     return unit(rows[used], np.append(g, h)[used])
 
 
@@ -244,7 +241,7 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
     v = np.linalg.lstsq(dynamics.B, residual, rcond=None)[0] if q else np.zeros(0)
     # any v with B v = residual will do as u = 0 does not change the state
     point = np.append(y, v)
-    if np.abs(residual - dynamics.B @ v).max() > _EQUILIBRIUM * max(1.0, np.abs(y).max()):
+    if np.abs(residual - dynamics.B @ v).max() > AT_REST * max(1.0, np.abs(y).max()):
         return None
     inside = (problem.states[1] - problem.states[0] @ y).min(initial=1.0) > _WELL_INSIDE
     inside = inside and (problem.joint[1] - problem.joint[0] @ point).min(initial=1.0) > 0
@@ -258,17 +255,17 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     scale = 1.0 / np.maximum(np.linalg.norm(matrix, axis=0), 1.0)  # strong inputs need only a small part of U
     rows, right = _lifted(problem)
     matrix, rows = matrix * scale, rows * scale
-    z, *_ = np.linalg.lstsq(matrix, dynamics.drift, rcond=1e-12)
+    z, *_ = np.linalg.lstsq(matrix, dynamics.drift, rcond=DEPENDENT_COLUMNS)
     worst = np.abs(matrix @ z - dynamics.drift).max(initial=0.0)
-    if worst > _ROUND * max(1.0, np.abs(dynamics.drift).max(initial=0.0)):
+    if worst > NEGLIGIBLE * max(1.0, np.abs(dynamics.drift).max(initial=0.0)):
         return None
     null = null_space(matrix)
     room, slope = right - rows @ z, rows @ null
     norms = np.linalg.norm(slope, axis=1)
-    moving = norms > _ZERO_ROW
-    if (room[~moving] < -_ROUND).any():
+    moving = norms > SILENT_ROW
+    if (room[~moving] < -NEGLIGIBLE).any():
         return None
     if not moving.any():
         return scale * z
     radius, t = inscribed_ball(slope[moving] / norms[moving, None], room[moving] / norms[moving], cap=1.0)
-    return None if radius < -_ROUND else scale * (z + null @ t)
+    return None if radius < -NEGLIGIBLE else scale * (z + null @ t)

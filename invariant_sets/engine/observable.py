@@ -16,10 +16,9 @@ from scipy.linalg import matrix_balance
 
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.polytope import Polytope
+from invariant_sets.tolerances import CANCELLED, UNSEEN
 
 Array = np.ndarray
-_CANCELLED = 1e-13  # of the sum of absolute terms: a sum smaller than this is zero
-_UNSEEN = 1e-11  # of |A|, balanced: directions in which the next output moves less are not seen
 
 
 def observed_directions(A: Array, X: Polytope) -> Array | None:
@@ -45,7 +44,7 @@ def observed_directions(A: Array, X: Polytope) -> Array | None:
 def _row_space(rows: Array, size: float) -> Array:
     """Return orthonormal rows that span the given ones, up to what is rounding beside `size`."""
     _, values, vt = np.linalg.svd(rows, full_matrices=False)
-    return vt[values > _UNSEEN * size]
+    return vt[values > UNSEEN * size]
 
 
 def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem, Polytope]:
@@ -59,7 +58,7 @@ def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem,
 def _product(F: Array, back: Array) -> Array:
     """Return F back with zeros where the terms of a sum have cancelled."""
     rows = F @ back
-    rows[np.abs(rows) <= _CANCELLED * (np.abs(F) @ np.abs(back))] = 0.0
+    rows[np.abs(rows) <= CANCELLED * (np.abs(F) @ np.abs(back))] = 0.0
     return rows
 
 

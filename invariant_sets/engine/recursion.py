@@ -15,13 +15,12 @@ from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.projection import needed_rows
 from invariant_sets.results import Status
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, TimeLimitReached
+from invariant_sets.tolerances import CUT, LEAST_RIGHT, SMALL, UNRESOLVED
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
 Predecessor = Callable[[Rows, Array | None], Rows]
-_SMALL = 0.1  # width below which a set that began with width two is rescaled
 _CUT_AT_ONCE = 200  # rows
-CUT = 1e-12  # a row that cuts less off a set of order one is rounding
 _PRODUCT = 60_000  # rows times vertices of one matrix product
 
 
@@ -87,13 +86,13 @@ class Region:
         try:
             kept, V = hulls.facets_and_vertices(F, room, merge=False)
         except NumericalError:  # thinner than Qhull can resolve, or too many coplanar facets
-            return Region(F, g, None, Shape.FLAT if radius < 1e-6 else Shape.UNRESOLVED)
+            return Region(F, g, None, Shape.FLAT if radius < UNRESOLVED else Shape.UNRESOLVED)
         return Region(F[kept], g[kept], V + middle, minimal=True)
 
     @property
     def is_small(self) -> bool:
         """Whether it is so much smaller than one in some coordinate that it should be rescaled."""
-        return self.V is not None and bool((self.V.max(axis=0) - self.V.min(axis=0) < _SMALL).any())
+        return self.V is not None and bool((self.V.max(axis=0) - self.V.min(axis=0) < SMALL).any())
 
     def tidy(self, deadline: Deadline = NO_DEADLINE) -> Region:
         """Return the region without redundant rows and repeated vertices."""
@@ -196,7 +195,7 @@ def _one_step(region: Region, predecessor: Predecessor, fresh: Array | None,
     if not cutting.any():
         return region, 0.0
     depth = (reach - r)[cutting]
-    cut = float((depth / np.maximum(np.abs(r[cutting]), 1e-3)).max())
+    cut = float((depth / np.maximum(np.abs(r[cutting]), LEAST_RIGHT)).max())
     return _cut_in_rounds(region, R[cutting], r[cutting], depth, deadline), cut
 
 

@@ -19,11 +19,10 @@ from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
-from invariant_sets.results import INVARIANT
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
+from invariant_sets.tolerances import INVARIANT, TINY, USEFUL_INPUTS
 
 Array = np.ndarray
-_WIDER = 1e-6  # of its width: by how much the box of the useful inputs is enlarged
 _EVERY = 50  # linear programs between two looks at the clock
 _REACH = 4.0  # largest coordinate of a bounded body, whose extents are about one
 
@@ -103,7 +102,7 @@ def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted:
     """Return {x : A x in S ⊕ (−B U)} ∩ X through the hull of sums of vertices; None where a set is unbounded."""
     n = len(system.A)
     lower, upper = lifted.bounding_box()
-    slack = _WIDER * np.maximum(upper - lower, 0.0)[n:]
+    slack = USEFUL_INPUTS * np.maximum(upper - lower, 0.0)[n:]
     useful = U.intersection(Polytope.from_bounds(lower[n:] - slack, upper[n:] + slack))  # strong inputs hide S
     if not (S.is_bounded and useful.is_bounded) or useful.is_empty:
         return None
@@ -154,7 +153,7 @@ def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polyto
     assert move is not None
     n, k, q = len(system.A), start.basis.shape[1], move.basis.shape[1]
     width = np.ptp(image.vertices, axis=0)
-    width = np.where(width > 0.0, width, max(width.max(), 1e-300))
+    width = np.where(width > 0.0, width, max(width.max(), TINY))
     to = np.hstack([system.A @ start.basis, move.basis]) / width[:, None]
     at = (system.A @ start.centre + move.centre) / width
     rows = np.vstack([

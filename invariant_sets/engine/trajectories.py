@@ -11,6 +11,7 @@ from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
 from invariant_sets.time_limits import Deadline
+from invariant_sets.tolerances import TINY
 
 Array = np.ndarray
 _MOST_POINTS = 200
@@ -71,7 +72,7 @@ def _extreme_points(M: Array, c: Array, rows: tuple[Array, Array], deadline: Dea
     rng = np.random.default_rng(0)
     directions = np.vstack([np.eye(n), -np.eye(n), rng.standard_normal((_MOST_POINTS, n))])
     points: list[Array] = []
-    for d in directions / np.maximum(np.abs(M).sum(axis=1), 1e-300):
+    for d in directions / np.maximum(np.abs(M).sum(axis=1), TINY):
         if deadline.passed:
             break
         cost = d @ M

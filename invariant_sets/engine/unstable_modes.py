@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from invariant_sets.tolerances import DOUBLE_EIGENVALUE, EDGE, REAL_EIGENVALUE, SERIES_END, UNSTABLE
+
 Array = np.ndarray
-MARGIN = 1e-6  # an eigenvalue counts as unstable if |λ| > 1 + MARGIN
 _MAX_TERMS = 20_000  # of the series; the rest is bounded
 _MAX_NORMALS = 400  # of a plane of modes; barely unstable ones have many more, and the recursion finds what matters
 
@@ -45,11 +46,11 @@ def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) 
     """
     values, left = np.linalg.eig(A.T)
     radius = np.abs(values)
-    unstable = radius > 1.0 + MARGIN
+    unstable = radius > 1.0 + UNSTABLE
     if not unstable.any():
         return np.zeros((0, len(A))), np.zeros(0), np.zeros(0, int)
-    real = np.abs(values.imag) <= 1e-12 * radius
-    simple = np.array([np.sum(np.abs(values - value) <= 1e-6 * abs(value)) == 1 for value in values])
+    real = np.abs(values.imag) <= REAL_EIGENVALUE * radius
+    simple = np.array([np.sum(np.abs(values - value) <= DOUBLE_EIGENVALUE * abs(value)) == 1 for value in values])
     rows, bounds, groups = [], [], []
     for i in np.flatnonzero(unstable & real & simple):
         direction = left[:, i].real
@@ -85,14 +86,14 @@ def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
     from scipy.linalg import schur
 
     def outside(real: float, imaginary: float = 0.0) -> bool:
-        return bool(np.hypot(real, imaginary) > 1.0 + MARGIN)
+        return bool(np.hypot(real, imaginary) > 1.0 + UNSTABLE)
 
     T, Z, k = schur(A.T, output="real", sort=outside)
     L, inverse = Z[:, :k].T, np.linalg.inv(T[:k, :k].T)  # L A = Λ L with Λ = T₁₁ᵀ
     reach = max(np.abs(inputs).max(), 0.0 if disturbances is None else np.abs(disturbances).max())
     terms: list[Array] = []
     block = inverse.copy()
-    while len(terms) < _MAX_TERMS and np.linalg.norm(block) > 1e-17:
+    while len(terms) < _MAX_TERMS and np.linalg.norm(block) > SERIES_END:
         terms.append(block)
         block = block @ inverse
     tail = _tail(block, inverse, reach * np.sqrt(A.shape[0]))
@@ -111,7 +112,7 @@ def _edge_normals(moves: Array) -> Array:
     first, second = np.triu_indices(moves.shape[2], k=1)
     edges = (moves[:, :, first] - moves[:, :, second]).transpose(0, 2, 1).reshape(-1, 2)
     length = np.linalg.norm(edges, axis=1)
-    edges = edges[length > 1e-9 * length.max(initial=0.0)][:_MAX_NORMALS]
+    edges = edges[length > EDGE * length.max(initial=0.0)][:_MAX_NORMALS]
     return np.column_stack([-edges[:, 1], edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None]
 
 
