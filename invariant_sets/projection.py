@@ -20,6 +20,7 @@ from invariant_sets.tolerances import BEYOND, NEEDLE_RADIUS, NEEDLESS, ZERO_COEF
 
 Array = np.ndarray
 _FEW = 40  # below so many rows, removing redundancy costs more than it saves
+_SEEDING = 20_000_000  # rows times rays at the start of a search for the needed rows
 _QHULL_DIM = 4  # up to here Qhull finds the needed rows quicker than linear programs
 
 
@@ -133,7 +134,8 @@ def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
     if F.shape[1] <= _QHULL_DIM:
         return strongly_irredundant_rows(F, g)
     needed = np.zeros(len(g), bool)
-    needed[_hit_by_rays(F, g, F)] = True
+    rays = max(_FEW, _SEEDING // len(g))  # every row's own normal, if there are not too many
+    needed[_hit_by_rays(F, g, F[::max(1, len(g) // rays)])] = True
     open_rows = ~needed
     for i in np.argsort(g, kind="stable"):
         while open_rows[i]:

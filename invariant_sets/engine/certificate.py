@@ -100,14 +100,19 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
         v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=WITNESS_SOLVER)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
     leaves = _violations(witnesses, slope, room, (H, h))
-    for solver in (_checked_minimiser, precise_minimiser):  # DAQP stops early where the inputs are nearly parallel
-        for k in map(int, np.flatnonzero(leaves > DOUBTFUL)):
+    for count, k in enumerate(np.argsort(-leaves)):  # DAQP stops early where the inputs are nearly parallel
+        if leaves[k] <= DOUBTFUL:
+            break
+        if count % _EVERY == 0:
+            deadline.check()
+        for solver in (_checked_minimiser, precise_minimiser):
             v = solver(cost, rows, np.concatenate([room[k], h]))
             if v is not None:
                 leaves[k] = min(leaves[k], _violations(v[None, :nu], slope, room[k:k + 1], (H, h))[0])
-        if leaves.max() <= INVARIANT:
+            if leaves[k] <= INVARIANT:
+                break
+        if leaves[k] > INVARIANT:  # confirmed by three solvers: the other vertices cannot mend that
             break
-        deadline.check()
     return float(leaves.max())
 
 
@@ -152,12 +157,15 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feed
     return Check(worst, len(rows))
 
 
-def outside(C: Polytope, X: Polytope) -> float:
-    """Return by how much C leaves X, relative to the range of the row of X over the bounding box of C."""
+def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
+    """Return by how much C leaves X, relative to the range of the row of X over the bounding box of C.
+
+    Without `by_vertices`, by linear programs: for a set in so many dimensions that vertices take too long.
+    """
     F, g = np.vstack([X.A, X.A_eq, -X.A_eq]), np.concatenate([X.b, X.b_eq, -X.b_eq])
     if not len(g):
         return 0.0
-    if C.is_bounded:
+    if by_vertices and C.is_bounded:
         beyond, extent = (F @ C.vertices.T).max(axis=1) - g, np.ptp(C.vertices, axis=0)
     else:
         beyond, extent = C.support(F) - g, 2 * np.linalg.norm(C._body.basis, axis=1)  # type: ignore[union-attr]

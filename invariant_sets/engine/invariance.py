@@ -27,7 +27,7 @@ import numpy as np
 from invariant_sets.engine import certificate
 from invariant_sets.engine.inner_sets import Candidate, Limits, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
-from invariant_sets.engine.observable import observed_directions, quotient
+from invariant_sets.engine.observable import cylinder, observed_directions, quotient
 from invariant_sets.engine.recursion import Outcome, Region, Shape, iterate
 from invariant_sets.engine.unstable_modes import unstable_bounds
 from invariant_sets.exceptions import NumericalError
@@ -41,7 +41,9 @@ from invariant_sets.tolerances import GAP_ROUNDING, INVARIANT, MISSING, STOP
 Array = np.ndarray
 _OUTER_SHARE = 0.5  # of the time limit for the outer recursion; the rest is for inner sets and their certificate
 _INNER_SHARE = 0.6  # of the time left for inner sets; the rest is for the certificate
-_GRACE = 0.75  # seconds after the limit in which a feedback's set may still be found
+_RESERVE_SHARE = 0.3  # of the time limit for a first inner set, which is kept in reserve
+_LEAST_RESERVE = 1.0  # seconds that the search for it may take in any case
+_SLOW_DIM = 4  # states from which a time limit may come before the recursion ends
 
 
 @dataclass(frozen=True)
@@ -77,14 +79,15 @@ def _extended(result: SetResult, Q: Array) -> SetResult:
     """Return the result with its sets as cylinders {x : Q x in the set}."""
     if result.outer.is_empty:
         return no_set(Q.shape[1], result.iterations, status=result.status)
-    C = no_set(Q.shape[1], 0).set if result.set.is_empty else result.set.preimage(Q)
-    return replace(result, set=C, outer=result.outer.preimage(Q))
+    C = no_set(Q.shape[1], 0).set if result.set.is_empty else cylinder(result.set, Q)
+    return replace(result, set=C, outer=cylinder(result.outer, Q))
 
 
 def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     """Return the largest invariant set, by local problems until one is solved."""
     limits, X, nx = task.limits, task.X, task.X.dim
     iterations, widest = 0, _extent(X)
+    reserve: _Inner | None = None
     outer_deadline = limits.deadline.part(_OUTER_SHARE)
     for _ in range(4 * nx + 8):
         localised = localise(task.system, X, task.U, widest)
@@ -99,6 +102,8 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
         start = _bounded_modes(problem, _start(problem, X))
         if guess is not None and start.shape is Shape.SOLID:
             start, guess = _guessed(problem, start, guess), None
+        if reserve is None and np.isfinite(limits.deadline.end) and len(problem.dynamics.A) >= _SLOW_DIM:
+            reserve = _reserve(task, problem, start)
         outcome = Outcome(start, 0)
         if start.shape is Shape.SOLID and not start.is_small:
             steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
@@ -110,12 +115,12 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
             return _nothing(task, iterations)
         capped = iterations >= limits.iterations or outcome.limit is not None
         if region.shape is Shape.SOLID and (outcome.converged or capped) and not region.is_small:
-            return _finish(task, problem, replace(outcome, region=region, iterations=iterations))
+            return _finish(task, problem, replace(outcome, region=region, iterations=iterations), reserve)
         smaller = problem.frame.polytope(region.F, region.g, region.V)
         X = smaller if smaller.is_empty else _flattened(smaller, widest)
         if limits.deadline.passed:
             break
-    return no_set(nx, iterations, X, _unfinished(limits, X.is_bounded))
+    return _fallback(task, reserve, X, _unfinished(limits, X.is_bounded), iterations)
 
 
 def _unfinished(limits: Limits, bounded: bool) -> Status:
@@ -169,7 +174,29 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
     return region.cut(D[cutting], d[cutting]) if cutting.any() else region
 
 
-def _finish(task: Task, problem: LocalProblem, outcome: Outcome) -> SetResult:
+def _reserve(task: Task, problem: LocalProblem, start: Region) -> _Inner | None:
+    """Return the set of a linear feedback, found before the recursion begins so that a time limit leaves something."""
+    if not (problem.bounded and problem.at_equilibrium and start.shape is Shape.SOLID):
+        return None
+    deadline = max(task.limits.deadline.part(_RESERVE_SHARE), Deadline.after(_LEAST_RESERVE), key=lambda one: one.end)
+    rows_only = replace(start, V=None)
+    for candidate in feedback_sets(problem, rows_only, replace(task.limits, deadline=deadline)):
+        inner = _certified(task, problem, rows_only, candidate, deadline)
+        if inner is not None:
+            return inner
+    return None
+
+
+def _fallback(task: Task, reserve: _Inner | None, outer: Polytope, status: Status, steps: int) -> SetResult:
+    """Return the reserve where it helps, with its gap to the outer set; no set otherwise."""
+    if reserve is None or outer.is_empty or status not in (Status.TIME_LIMIT, Status.FACET_LIMIT):
+        return no_set(task.X.dim, steps, outer, status)
+    C, centre = reserve.C, reserve.centre
+    reach, room = outer.support(C.A), C.b - C.A @ centre
+    return _with_status(task, replace(reserve, gap=float(((reach - C.b) / room).max())), outer, status, steps)
+
+
+def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Inner | None) -> SetResult:
     """Return the result: an inner set that passes the certificate, beside the outer one."""
     region, limits = outcome.region, task.limits
     outer = problem.frame.polytope(region.F, region.g, region.V)
@@ -184,25 +211,20 @@ def _finish(task: Task, problem: LocalProblem, outcome: Outcome) -> SetResult:
         result = _certified(task, problem, region, candidate, limits.deadline)
         if result is not None:
             return _with_status(task, result, outer, status, steps)
-    if status in (Status.TIME_LIMIT, Status.FACET_LIMIT):
-        grace = Deadline.after(max(limits.deadline.left, 0.0) + _GRACE)
-        for candidate in feedback_sets(problem, region, replace(limits, deadline=grace)):
-            result = _certified(task, problem, region, candidate, grace)
-            if result is not None:
-                return _with_status(task, result, outer, status, steps)
     if status is Status.CONVERGED:
         status = Status.NOT_CERTIFIED if problem.bounded else Status.OUTER_ONLY
-    return no_set(task.X.dim, steps, outer, status)
+    return _fallback(task, reserve, outer, status, steps)
 
 
 @dataclass(frozen=True)
 class _Inner:
-    """An inner set that has passed the check of invariance, and its gap."""
+    """An inner set that has passed the check of invariance, its gap, and the equilibrium in it."""
 
     C: Polytope
     check: certificate.Check
     gap: float
     outside: float
+    centre: Array
 
 
 def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Candidate,
@@ -217,10 +239,10 @@ def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Can
             check = certificate.control_violation(task.system, C, task.U, deadline=deadline)
         if not check.violation <= INVARIANT:
             return None
-        beyond = certificate.outside(C, task.X)
+        beyond = certificate.outside(C, task.X, by_vertices=found.V is not None)
     except LimitReached:
         return None
-    return _Inner(C, check, gap(region, found), beyond) if beyond <= INVARIANT else None
+    return _Inner(C, check, gap(region, found), beyond, problem.frame.centre) if beyond <= INVARIANT else None
 
 
 def _law(problem: LocalProblem, gain: Array) -> certificate.Feedback:

@@ -36,6 +36,7 @@ def observed_directions(A: Array, X: Polytope) -> Array | None:
         ahead = Q @ balanced
         more = _row_space(ahead - ahead @ Q.T @ Q, size)
         if not len(more):
+            Q[np.abs(Q) <= CANCELLED] = 0.0
             return Q / scale
         Q = _row_space(np.vstack([Q, more]), 1.0)
     return None
@@ -53,6 +54,11 @@ def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem,
     noise = None if system.disturbances is None else system.disturbances @ Q.T
     seen = Polytope(_product(X.A, back), X.b, _product(X.A_eq, back), X.b_eq)
     return LinearSystem(Q @ system.A @ back, Q @ system.B, noise), seen
+
+
+def cylinder(P: Polytope, Q: Array) -> Polytope:
+    """Return {x : Q x in P}."""
+    return Polytope(_product(P.A, Q), P.b, _product(P.A_eq, Q), P.b_eq)
 
 
 def _product(F: Array, back: Array) -> Array:
