@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 import ccdtools
-from ccdtools.console import one_line_of, plain_where_needed
+from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.studies.options import Options, located, numbers, study_names, whole_number
 from ccdtools.studies.run_folder import RunFolder
@@ -147,7 +147,8 @@ def main() -> None:
 def _run(arguments: list[str]) -> int:
     """Carry out the command; the exit code."""
     try:
-        return app(arguments, standalone_mode=False) or 0
+        with warnings_on_one_line():
+            return app(arguments, standalone_mode=False) or 0
     except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED
     except BrokenPipeError:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import codecs
 import errno
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 PLAIN = {
@@ -26,6 +29,22 @@ def plain_where_needed() -> None:
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:
             reconfigure(errors="ccdtools.plain")
+
+
+@contextmanager
+def warnings_on_one_line() -> Iterator[None]:
+    """Have warnings printed like errors: one line each, once, without the place in the source that issued them."""
+    printed: set[str] = set()
+
+    def show(message: Warning | str, *place: Any) -> None:
+        line = f"ccdtools: warning: {' '.join(str(message).split())}"
+        if line not in printed:
+            print(line, file=sys.stderr)
+        printed.add(line)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
 
 
 def one_line_of(error: Exception, *, ours: tuple[type[Exception], ...]) -> str | None:

@@ -45,7 +45,7 @@ def _history(run: FinishedRun) -> list[ReportFigure]:
     return_plots.plot_history(figure, run.histories, run.chosen, space, judges)
     caption = (
         "Return (mean and one standard deviation over the evaluation runs) and design at every evaluation of the "
-        "co-designs; the star is the iterate that was returned, dashed lines are the bounds of the design. "
+        "co-designs; the star marks the design that went into service, dashed lines are the bounds of the design. "
         "Returns of different columns are measured on different models and do not compare."
     )
     return [ReportFigure("history", "Return and design", caption, figure)]
