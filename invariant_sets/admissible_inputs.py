@@ -68,9 +68,9 @@ class AdmissibleInputs:
     def __init__(self, A: Any, B: Any, S: Polytope, U: Polytope, *, E: Any = None, W: Polytope | None = None) -> None:
         A, B, E = checked_system(A, B, S, U, E, W, state_set="S")
         if U.is_empty:
-            raise EmptySetError("U is empty; no input can be admissible.")
+            raise EmptySetError("AdmissibleInputs", "U is empty, no input can be admissible")
         if not U.is_bounded:
-            raise UnboundedError("U is unbounded, expected a bounded input set.")
+            raise UnboundedError("AdmissibleInputs", "U is unbounded. Intersect it with a box")
         for name, value in (("S", S), ("U", U), ("_rows", _local_rows(A, B, S, U, disturbance_vertices(E, W)))):
             object.__setattr__(self, name, value)
 

@@ -36,15 +36,68 @@ class InputError(InvariantSetsError, ValueError):
 
 
 class UnboundedError(InvariantSetsError, ValueError):
-    """The operation needs a bounded set, for example vertices or a volume."""
+    """The operation needs a bounded set, for example vertices or a volume.
+
+    Attributes
+    ----------
+    operation : str
+        What was asked for.
+    reason : str
+        Which set has no end, and what to do.
+    """
+
+    def __init__(self, operation: str, reason: str = "the set is unbounded. Intersect it with a box") -> None:
+        super().__init__(operation, reason)  # all of them, so that the exception can be pickled
+        self.operation = operation
+        self.reason = reason
+
+    def __str__(self) -> str:
+        return f"{self.operation}: {self.reason}."
 
 
 class EmptySetError(InvariantSetsError, ValueError):
-    """The operation needs at least one point, for example a sample."""
+    """The operation needs at least one point, for example a sample.
+
+    Attributes
+    ----------
+    operation : str
+        What was asked for.
+    reason : str
+        Which set is empty, and what follows.
+    """
+
+    def __init__(self, operation: str, reason: str = "the set is empty") -> None:
+        super().__init__(operation, reason)
+        self.operation = operation
+        self.reason = reason
+
+    def __str__(self) -> str:
+        return f"{self.operation}: {self.reason}."
 
 
 class NumericalError(InvariantSetsError, ArithmeticError):
-    """No solver could finish; the data are too badly conditioned for double precision."""
+    """No solver could finish; the data are too badly conditioned for double precision.
+
+    Attributes
+    ----------
+    operation : str
+        What could not be computed.
+    size : tuple of ints
+        Rows (or points) and dimension of the data.
+    reason : str
+        What the solver said, if anything.
+    """
+
+    def __init__(self, operation: str, size: tuple[int, ...] = (), reason: str = "") -> None:
+        super().__init__(operation, size, reason)
+        self.operation = operation
+        self.size = size
+        self.reason = reason
+
+    def __str__(self) -> str:
+        of = f" of {self.size[0]} rows or points in {self.size[1]} dimensions" if len(self.size) == 2 else ""
+        reason = f": {self.reason}" if self.reason else ""
+        return f"{self.operation}{of} could not be computed{reason}. Rescale the data."
 
 
 class TimeLimitError(InvariantSetsError, TimeoutError):

@@ -57,8 +57,7 @@ def convex_hull(points: Array) -> Any:
             continue
         if _holds_all(hull.equations, points):
             return hull
-    raise NumericalError(f"The hull of {points.shape[0]} points in {points.shape[1]} dimensions failed: {reason}. "
-                         "Rescale the data.")
+    raise NumericalError("The hull", points.shape, reason)
 
 
 def hull_volume(points: Array) -> float:
@@ -85,8 +84,7 @@ def _check_vertices(V: Array, F: Array, g: Array) -> None:
     D = np.random.default_rng(0).standard_normal((20, F.shape[1]))
     exact = np.array([-minimise(-d, F, g)[0] for d in D])
     if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=CHECKED * np.abs(exact).max()):
-        raise NumericalError(f"The vertices of a set with {len(g)} rows in {F.shape[1]} dimensions could not be "
-                             "enumerated reliably.")
+        raise NumericalError("The vertices", F.shape, "they disagree with linear programs")
 
 
 def merge_points(points: Array, tol: float = SAME) -> Array:

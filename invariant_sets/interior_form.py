@@ -11,7 +11,7 @@ import numpy as np
 
 from invariant_sets.equalities import eliminated, starting_scale
 from invariant_sets.linear_programs import inscribed_ball, minimise
-from invariant_sets.tolerances import CANCELLED, FLAT, ROUNDING, THIN
+from invariant_sets.tolerances import CANCELLED, FLAT, NULL_SPACE, ROUNDING, THIN
 from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look, pinched
 
 Array = np.ndarray
@@ -173,7 +173,7 @@ def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
 def null_space(rows: Array) -> Array:
     """Return an orthonormal basis (n, k) of {x : rows x = 0}."""
     _, s, vt = np.linalg.svd(rows, full_matrices=True)
-    rank = int((s > 1e-8 * max(s.max(initial=0.0), 1e-300)).sum())
+    rank = int((s > NULL_SPACE * max(s.max(initial=0.0), np.finfo(float).tiny)).sum())
     return vt[rank:].T
 
 
@@ -187,7 +187,7 @@ def unit_rows(A: Array, b: Array, *, always: bool = False):
     """Return the rows scaled to unit norm without zero rows; (None, b) if a zero row says 0 <= negative."""
     norms = np.linalg.norm(A, axis=1)
     reference = norms.max(initial=0.0)
-    zero = norms <= 1e-13 * reference if reference > 0 else np.ones(len(b), bool)
+    zero = norms <= CANCELLED * reference if reference > 0 else np.ones(len(b), bool)
     if zero.any():
         if not always and (b[zero] < -FLAT * np.maximum(1.0, np.abs(b).max())).any():
             return None, b

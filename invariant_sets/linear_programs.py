@@ -121,8 +121,7 @@ def maximise_in_box(D: Array, A: Array, b: Array, box: float) -> Array:
     for i, d in enumerate(D):
         optimum = _optimum(-d, rows, right)
         if optimum is None:
-            raise NumericalError(f"A linear program with {len(b)} rows in {A.shape[1]} variables could not be solved "
-                                 "by DAQP or HiGHS. Rescale the data.")
+            raise NumericalError("A linear program", A.shape, "neither DAQP nor HiGHS solves it")
         values[i] = -optimum.value
     return values
 
@@ -155,8 +154,7 @@ def largest_ball(A: Array, b: Array, cap: float, box: float | None = None) -> Ba
         optimum = _optimum(cost, *((rows, right) if half is None else _with_box(rows, right, half, n)))
         if optimum is not None:
             return Ball(-optimum.value, optimum.x[:n], optimum.dual[:m])
-    raise NumericalError(f"The largest ball inside {m} rows in {n} variables could not be computed. "
-                         "Rescale the data.")
+    raise NumericalError("The largest ball", (m, n), "neither DAQP nor HiGHS finds it")
 
 
 def ray_along(d: Array, F: Array) -> Array | None:

@@ -34,9 +34,9 @@ def plot_polytope(P: SetOperations, *, ax: Any = None, coordinates: Any = None, 
     """
     _check_drawable(P, "P")
     if P.is_empty:
-        raise EmptySetError("The set is empty; there is nothing to draw.")
+        raise EmptySetError("plot", "the set is empty, there is nothing to draw")
     if not P.is_bounded:
-        raise UnboundedError("The set is unbounded; intersect it with a box before drawing it.")
+        raise UnboundedError("plot")
     shown = np.arange(min(P.dim, 3)) if coordinates is None else np.atleast_1d(coordinates)
     if len(shown) > 3:
         raise InputError("coordinates", f"{len(shown)} entries", "one, two or three")

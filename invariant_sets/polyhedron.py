@@ -189,13 +189,13 @@ class Polyhedron:
         """Return the body, or raise `EmptySetError` or `UnboundedError`."""
         body = self._require_point(what)
         if not body.bounded:
-            raise UnboundedError(f"{what} needs a bounded set, but this one is unbounded; intersect it with a box.")
+            raise UnboundedError(what)
         return body
 
     def _require_point(self, what: str) -> Body:
         """Return the body, or raise `EmptySetError`."""
         if self._body is None:
-            raise EmptySetError(f"{what} needs a point, but the set is empty.")
+            raise EmptySetError(what)
         return self._body
 
     # --- questions ----------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from invariant_sets.interior_form import Body
+from invariant_sets.tolerances import JITTER
 
 Array = np.ndarray
 
@@ -26,11 +27,12 @@ def hit_and_run(body: Body, n: int, rng: np.random.Generator) -> Array:
     shape: Array = np.eye(k)
     for _ in range(2):
         trial = _walk(body, np.zeros((40 * k, k)), shape, 10 * k, rng)
-        shape = np.linalg.cholesky(np.cov(trial, rowvar=False).reshape(k, k) + 1e-18 * np.eye(k))
+        shape = np.linalg.cholesky(np.cov(trial, rowvar=False).reshape(k, k) + JITTER * np.eye(k))
     return _walk(body, np.zeros((n, k)), shape, 20 * k, rng)
 
 
 def _walk(body: Body, Y: Array, shape: Array, steps: int, rng: np.random.Generator) -> Array:
+    """Return the points Y (n, k) after so many steps, each to a uniform point of a chord."""
     for _ in range(steps):
         direction = rng.standard_normal(Y.shape) @ shape.T
         speed, room = direction @ body.F.T, np.maximum(body.g - Y @ body.F.T, 0.0)

@@ -32,6 +32,7 @@ REDUNDANT = 1e-11  # of the extent: a row that cuts less off than this is redund
 CHECKED = 1e-7  # of the extent: vertices and linear programs must agree to this in five and more dimensions
 EPS = 4e-16  # of a unit row: entries of this size are rounding
 TOUCHING = 1e-7  # of the extent: a vertex this close to a row lies on the face that is drawn
+NULL_SPACE = 1e-8  # of the largest singular value, in coordinates of order one: directions below are in the null space
 
 # --- projections and redundant rows ----------------------------------------------------------------------------------
 ZERO_COEFFICIENT = 1e-12  # of a unit row: a smaller coefficient of the variable to be eliminated is rounding
@@ -85,3 +86,6 @@ INPUT_SLACK = 1e-8  # of the half widths of U: by how much a solver's answer may
 UNMOVED = 1e-14  # of the extent of S a half width of U: an input that moves a row by less does not move it
 
 TINY = 1e-300  # a divisor that stands for zero without dividing by it
+
+# --- samples ---------------------------------------------------------------------------------------------------
+JITTER = 1e-18  # of a variance of order one: keeps the covariance of a sample positive definite

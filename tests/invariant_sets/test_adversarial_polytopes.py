@@ -9,7 +9,7 @@ from adversarial_polytopes import sum_case, support_case, wrong_cases
 from scipy.optimize import linprog
 
 from invariant_sets import Polytope
-from invariant_sets.exceptions import InputError, TimeLimitError
+from invariant_sets.exceptions import EmptySetError, InputError, NumericalError, TimeLimitError, UnboundedError
 from invariant_sets.linear_programs import inscribed_ball, minimise
 
 box = Polytope.from_bounds
@@ -136,8 +136,11 @@ def test_copies_are_the_same_set_and_read_only(copied):
         assert type(Q) is Polytope
         with pytest.raises(ValueError, match="read-only"):
             Q.A[...] = 0
-    error = copied(InputError("A", 1, 2, "do this"))
-    assert (error.argument, error.got, error.expected, error.cure) == ("A", 1, 2, "do this")
+    for error in (InputError("A", 1, 2, "do this"), UnboundedError("volume"), EmptySetError("sample"),
+                  NumericalError("The hull", (3, 2), "flat"), TimeLimitError("affine_map", 1.0, "large")):
+        again = copied(error)
+        assert vars(again) == vars(error)
+        assert str(again) == str(error)
 
 
 def test_a_hull_that_cannot_end_in_time_says_so_and_leaves_an_outer_set(rng):

@@ -199,8 +199,8 @@ def test_other_messages():
     for call, message in [
         (lambda: Polytope([[1, 0]], [1], A_eq=[[1, 0]]), "b_eq: got nothing, expected A_eq and b_eq together"),
         (lambda: box([np.inf], [np.inf]), "lower: got an infinite bound that excludes every point"),
-        (lambda: box([0, 0], [np.inf, 1]).vertices, "intersect it with a box"),
-        (lambda: box([0, 0], [np.inf, 1]).volume, "intersect it with a box"),
+        (lambda: box([0, 0], [np.inf, 1]).vertices, "Intersect it with a box"),
+        (lambda: box([0, 0], [np.inf, 1]).volume, "Intersect it with a box"),
         (lambda: Polytope.empty(1).bounding_box(), "the set is empty"),
         (lambda: Polytope.empty(1).sample(1, rng=RNG), "the set is empty"),
         (lambda: Polytope.empty(1).chebyshev_ball(), "the set is empty"),
