@@ -236,7 +236,7 @@ def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
     best = None
     for least in (0.0, ACTIVE * dual.max(initial=0.0)):
         exact = _at_active_rows(c, A, b, x, np.flatnonzero(dual > least))
-        if exact is not None and exact.residual <= LP_RESIDUAL:
+        if exact is not None and exact.residual <= LP_ROUNDING:
             return exact
         best = exact if best is None or (exact is not None and exact.residual < best.residual) else best
     proposed = _measured(c, A, b, x, dual)
@@ -262,10 +262,15 @@ def _at_active_rows(c: Array, A: Array, b: Array, x: Array, active: Array) -> Op
 
 def _measured(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
     """Return the point and its multipliers with the largest violation of the optimality conditions."""
-    size = np.abs(x)
-    excess = A @ x - b - LP_ROUNDING * (np.abs(A) @ size + np.abs(b))
-    slope = c + dual @ A
     value = float(c @ x)
-    gap = abs(value + float(b @ dual)) - LP_ROUNDING * float(np.abs(c) @ size + np.abs(b) @ np.abs(dual))
-    worst = max(excess.max(initial=0.0), -dual.min(initial=0.0), np.abs(slope).max(), gap, float(np.abs(slope) @ size))
+    excess = A @ x - b
+    slope = c + dual @ A
+    gap = abs(value + float(b @ dual))
+    size = np.abs(x)
+    skewed = max(-dual.min(initial=0.0), np.abs(slope).max(), float(np.abs(slope) @ size))
+    worst = max(excess.max(initial=0.0), gap, skewed)
+    if worst > LP_ROUNDING:  # not for small data, so allow for the rounding of large ones
+        excess -= LP_ROUNDING * (np.abs(A) @ size + np.abs(b))
+        gap -= LP_ROUNDING * float(np.abs(c) @ size + np.abs(b) @ np.abs(dual))
+        worst = max(excess.max(initial=0.0), gap, skewed)
     return Optimum(value, x, np.maximum(dual, 0.0), float(worst))

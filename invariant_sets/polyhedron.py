@@ -48,6 +48,7 @@ class Polyhedron:
     A_eq: Array
     b_eq: Array
     _vertices: Array | None  # where the set was made of its vertices
+    _enumerated: Array | None  # once they have been asked for: they only make supports quicker
 
     def __init__(self, A: Any = None, b: Any = None, A_eq: Any = None, b_eq: Any = None) -> None:
         for matrix, vector, one, other in ((A, b, "A", "b"), (A_eq, b_eq, "A_eq", "b_eq")):
@@ -68,7 +69,7 @@ class Polyhedron:
 
     def _fill(self, A: Array, b: Array, A_eq: Array, b_eq: Array, V: Array | None) -> None:
         """Set the fields, once."""
-        for name, array in (("A", A), ("b", b), ("A_eq", A_eq), ("b_eq", b_eq), ("_vertices", V)):
+        for name, array in (("A", A), ("b", b), ("A_eq", A_eq), ("b_eq", b_eq), ("_vertices", V), ("_enumerated", V)):
             object.__setattr__(self, name, None if array is None else frozen(array))
 
     @classmethod
@@ -173,7 +174,8 @@ class Polyhedron:
         if body.basis.shape[1] == 0:
             return frozen(body.centre[None].copy())
         Y = counter_clockwise(facets_and_vertices(body.F, body.g)[1])
-        return frozen(body.centre + Y @ body.basis.T)
+        object.__setattr__(self, "_enumerated", frozen(body.centre + Y @ body.basis.T))
+        return self._enumerated
 
     @cached_property
     def volume(self) -> float:
@@ -275,7 +277,7 @@ class Polyhedron:
         """Return the support in the directions D (k, n), without a check of D."""
         if self._body is None:
             return np.full(len(D), -np.inf)
-        if self._vertices is not None or (self._body.bounded and self.dim <= 4):
+        if self._enumerated is not None or (self._body.bounded and self.dim <= 4):
             return (D @ self.vertices.T).max(axis=1)
         return support(self._body, D)
 
