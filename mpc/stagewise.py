@@ -70,7 +70,7 @@ class _Iteration:
             for st, v, x in zip(stages, self.variables, self.states)
         )
         self.multipliers = [max(cost / rows, 1.0) / s for s in self.slacks]
-        self.gains = [np.zeros(st.B.T.shape) for st in stages]
+        self.gains: Arrays = [np.zeros(st.B.T.shape) for st in stages]
         self.refresh()
 
     def refresh(self) -> None:
