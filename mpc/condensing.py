@@ -42,7 +42,9 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
             "horizon", problem.horizon, f"matrices of at most {_MOST_NUMBERS:.0e} numbers",
             'Shorten it, block moves, or keep the states with solver="osqp".',
         )  # fmt: skip
-    nt, nv, at = layout.nt, layout.nv, layout.at
+    nt = layout.nt
+    nv = layout.nv
+    at = layout.at
     U, X = _predict(problem, layout)
     W = _cost(problem, U, X, at, nv)
     rows, w, labels = _constraints(problem, U, X, at)
@@ -93,7 +95,10 @@ def _sizes(problem: MPCProblem, parameters: tuple[str, ...]) -> dict[str, int]:
 
 def _predict(problem: MPCProblem, layout: _Layout) -> tuple[Array, Array]:
     """Inputs (N, nu, nv) and states (N + 1, nx, nv) as matrices acting on ξ."""
-    N, nx, nu, nv = problem.horizon, problem.nx, problem.nu, layout.nv
+    N = problem.horizon
+    nx = problem.nx
+    nu = problem.nu
+    nv = layout.nv
     U = np.zeros((N, nu, nv))
     X = np.zeros((N + 1, nx, nv))
     X[0, :, layout.at["x"]] = np.eye(nx)
@@ -117,7 +122,8 @@ def _predict(problem: MPCProblem, layout: _Layout) -> tuple[Array, Array]:
 def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice], nv: int) -> Array:
     """Matrix W of the cost ξ'Wξ = Σ e'Qe + d'Rd + e_N'Pe_N."""
     N = problem.horizon
-    error, effort = X.copy(), U.copy()
+    error = X.copy()
+    effort = U.copy()
     if "x_ref" in at:
         error[:, :, at["x_ref"]] -= np.eye((N + 1) * problem.nx).reshape(N + 1, problem.nx, -1)
     if "u_ref" in at:
@@ -134,7 +140,8 @@ def _constraints(
 ) -> tuple[Array, Array, list[Constraint]]:
     """Rows (m, nv) with rows ξ <= w, and their labels."""
     nv = U.shape[-1]
-    rows, bounds = [np.zeros((0, nv))], [np.zeros(0)]
+    rows = [np.zeros((0, nv))]
+    bounds = [np.zeros(0)]
     labels: list[Constraint] = []
 
     def impose(kind: str, step: int, halfspaces: tuple[Array, Array], form: Array) -> None:

@@ -92,7 +92,10 @@ class DenseQP:
             z2, y2, infeasible = self._clarabel(qs, bs)
             second = self._residuals(z2, y2, qs, bs)
             if second.worst < residuals.worst:
-                z, y, residuals, solver = z2, y2, second, "Clarabel"
+                z = z2
+                y = y2
+                residuals = second
+                solver = "Clarabel"
             infeasible = infeasible and not residuals.worst <= KKT
         multipliers = np.zeros(self._m)
         multipliers[self._rows] = y * self._r * size

@@ -39,7 +39,8 @@ def block_lengths(problem: MPCProblem) -> tuple[int, ...]:
 
 def _riccati_gains(problem: MPCProblem, Q: Array, R: Array, P: Array) -> Array:
     """Optimal gains block by block, backwards from the terminal weight."""
-    A, B = problem.A, problem.B
+    A = problem.A
+    B = problem.B
     lengths = block_lengths(problem)
     gains = np.zeros((len(lengths), problem.nu, problem.nx))
     for b in reversed(range(len(lengths))):
@@ -51,7 +52,8 @@ def _riccati_gains(problem: MPCProblem, Q: Array, R: Array, P: Array) -> Array:
             M = step.T @ M @ step
             M[: problem.nx, : problem.nx] += Q
             M[problem.nx :, problem.nx :] += R
-        Mxu, Muu = M[: problem.nx, problem.nx :], M[problem.nx :, problem.nx :]
+        Mxu = M[: problem.nx, problem.nx :]
+        Muu = M[problem.nx :, problem.nx :]
         K = _solve_scaled(Muu, Mxu.T)
         gains[b] = K
         T = np.vstack([np.eye(problem.nx), -K])

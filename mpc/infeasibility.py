@@ -217,7 +217,8 @@ def _contradiction(G: Array, b: Array, rows: Rows) -> Rows:
 def describe(problem: MPCProblem, label: Constraint) -> str:
     """The constraint in words, for instance "x[0] <= 5"."""
     if label.kind == "rate":
-        j, sign = label.row % problem.nu, label.row < problem.nu
+        j = label.row % problem.nu
+        sign = label.row < problem.nu
         return f"Δu[{j}] {'<=' if sign else '>='} {problem.rate_limit[j] if sign else -problem.rate_limit[j]:.6g}"
     if label.kind == "slack":
         return f"slack {label.step} >= 0"

@@ -102,7 +102,8 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
             warnings.simplefilter("ignore", LinAlgWarning)  # the residual decides
             refined = solve_discrete_lyapunov(closed.T, Q + K.T @ R @ K)
         K = _gain_of(refined, A, B, R)
-        last, residual = residual, _residual(refined, K, A, B, Q)
+        last = residual
+        residual = _residual(refined, K, A, B, Q)
         if not residual < last:
             break
         P = refined

@@ -51,12 +51,14 @@ class Plan:
     states : (N + 1, nx) array
         x_0 … x_N predicted with the model.
     cost : float
-        Σ x'Qx + u'Ru plus the terminal cost and, while accurate, the price of soft constraints.
+        Σ x'Qx + u'Ru plus the terminal cost and the price of soft constraints, of these inputs and states.
     status : Status
     residuals : Residuals
-        Optimality residuals; for a softened plan those of the relaxed problem.
+        Optimality residuals; for a softened plan those of the relaxed problem. Of a plan found stage by stage the
+        stationarity is the largest Newton step left, in units of the inputs.
     violation : float
-        Largest violation of a state or terminal constraint a'x <= b, in units of b; 0 when solved with hard ones.
+        Largest violation of a state or terminal constraint a'x <= b by these states, in units of b; rounding or 0
+        when solved with hard ones.
     solve_time : float
         Wall time [s].
     solver : str

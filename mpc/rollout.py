@@ -78,7 +78,9 @@ def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> 
     """Cost of inputs and states, measured from their references where there are some, with that of soft constraints."""
     error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
     effort = inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
-    Q, R, P = np.asarray(problem.Q), np.asarray(problem.R), np.asarray(problem.P)
+    Q = np.asarray(problem.Q)
+    R = np.asarray(problem.R)
+    P = np.asarray(problem.P)
     cost = np.sum(error[:-1] @ Q * error[:-1]) + np.sum(effort @ R * effort) + error[-1] @ P @ error[-1]
     if problem.soft is not None:
         linear, quadratic = problem.soft
@@ -89,7 +91,8 @@ def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> 
 
 def violation_of(problem: MPCProblem, states: Array) -> float:
     """Largest violation of a state or terminal constraint, in the units of its bound."""
-    (H, h), (HT, hT) = problem.state_rows, problem.terminal_rows
+    (H, h) = problem.state_rows
+    (HT, hT) = problem.terminal_rows
     along = _largest(states[1:] @ H.T - h) if len(h) else 0.0
     return max(along, _largest(HT @ states[-1] - hT)) if len(hT) else along
 
@@ -102,7 +105,8 @@ def _largest(excess: Array) -> float:
 
 def relative_violations(problem: MPCProblem, states: Array) -> Array:
     """Largest violation (N,) of each step k = 1 … N, relative to the unit of its row [-]."""
-    (H, h), (HT, hT) = problem.state_rows, problem.terminal_rows
+    (H, h) = problem.state_rows
+    (HT, hT) = problem.terminal_rows
     units = problem.row_units
     along = np.max((finite(states[1:] @ H.T) - h) / units["state"], axis=1, initial=0.0)
     along[-1] = max(along[-1], float(np.max((finite(HT @ states[-1]) - hT) / units["terminal"], initial=0.0)))

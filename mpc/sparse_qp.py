@@ -151,7 +151,8 @@ class SparseSolver:
 
     def _trajectory(self, v: Array, x: Array, given: Given) -> tuple[Array, Array, float]:
         """Inputs within U, the states they lead to, and how far the minimiser missed U, relative to it."""
-        states, variables = [], []
+        states = []
+        variables = []
         column = 0
         for stage in self._staging.stages:
             states.append(v[column : column + len(stage.gx)])
@@ -169,7 +170,8 @@ class SparseSolver:
 
 def _matrices(staging: Staging) -> tuple[Any, Any]:
     """Upper triangle of the Hessian, and the rows: first state, dynamics, constraints."""
-    stages, n = staging.stages, staging.n
+    stages = staging.stages
+    n = staging.n
     H = sparse.triu(sparse.block_diag([block for stage in stages for block in (stage.Hx, stage.Hv)])).tocsc()
     widths = [len(stage.gx) + len(stage.gv) for stage in stages]
     starts = np.cumsum([0, *widths])

@@ -101,11 +101,16 @@ class Staging:
 
     def _stage(self, k: int) -> Stage:
         """The stage of step k."""
-        nx, nu, n, last = self.problem.nx, self.problem.nu, self.n, self.problem.horizon
+        nx = self.problem.nx
+        nu = self.problem.nu
+        n = self.n
+        last = self.problem.horizon
         free = 0 if k == last or self.held[k] else nu
         priced = int(self.price is not None and k > 0)
-        Hx, gx = np.zeros((n, n)), np.zeros(n)
-        Hv, gv = np.zeros((free + priced,) * 2), np.zeros(free + priced)
+        Hx = np.zeros((n, n))
+        gx = np.zeros(n)
+        Hv = np.zeros((free + priced,) * 2)
+        gv = np.zeros(free + priced)
         weight = 2 * (self.P if k == last else self.Q) / self.cost
         Hx[:nx, :nx] = weight
         gx[:nx] = -weight @ self.x_ref[k]
@@ -124,8 +129,12 @@ class Staging:
 
     def _dynamics(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
         """(A, B, c) of the step after k; zero at the end."""
-        nx, n, m = self.problem.nx, self.n, self.memory
-        A, B, c = np.zeros((n, n)), np.zeros((n, free + priced)), np.zeros(n)
+        nx = self.problem.nx
+        n = self.n
+        m = self.memory
+        A = np.zeros((n, n))
+        B = np.zeros((n, free + priced))
+        c = np.zeros(n)
         if k == self.problem.horizon:
             return A, B, c
         A[:nx, :nx] = self.problem.A / self.state_size[:, None] * self.state_size
@@ -141,7 +150,9 @@ class Staging:
 
     def _rows(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
         """(C, D, d) of the rows of step k, each in the unit of its bound."""
-        nx, n, width = self.problem.nx, self.n, free + priced
+        nx = self.problem.nx
+        n = self.n
+        width = free + priced
         blocks: list[tuple[Array, Array, Array]] = [(np.zeros((0, width)), np.zeros((0, n)), np.zeros(0))]
         units = self.problem.row_units
         if free:
@@ -151,13 +162,16 @@ class Staging:
             blocks.append((C, np.zeros((len(h), n)), h / units["input"]))
             if self.problem.rate_limit is not None:
                 both = np.vstack([np.eye(free), -np.eye(free)]) * self.input_size / units["rate"][:, None]
-                C, D = np.zeros((2 * free, width)), np.zeros((2 * free, n))
-                C[:, :free], D[:, nx:] = both, -both
+                C = np.zeros((2 * free, width))
+                D = np.zeros((2 * free, n))
+                C[:, :free] = both
+                D[:, nx:] = -both
                 blocks.append((C, D, np.ones(2 * free)))
         sets = [("state", self.problem.state_rows)] * (k > 0)
         sets += [("terminal", self.problem.terminal_rows)] * (k == self.problem.horizon)
         for kind, (H, h) in sets:
-            C, D = np.zeros((len(h), width)), np.zeros((len(h), n))
+            C = np.zeros((len(h), width))
+            D = np.zeros((len(h), n))
             C[:, width - priced :] = -1.0
             D[:, :nx] = H * self.state_size / units[kind][:, None]
             blocks.append((C, D, h / units[kind]))

@@ -103,26 +103,32 @@ class _Iteration:
         self.inverses = [np.zeros(0)] * count
         V = np.zeros_like(self.stages[-1].Hx)
         for k in reversed(range(count)):
-            st, w = self.stages[k], self.weights[k]
+            st = self.stages[k]
+            w = self.weights[k]
             M = st.Hv + (st.C.T * w) @ st.C + st.B.T @ V @ st.B
             cross = st.B.T @ V @ st.A + (st.C.T * w) @ st.D
             inverse = _inverse(M)
             K = -inverse @ cross
-            closed, rows = st.A + st.B @ K, st.D + st.C @ K
+            closed = st.A + st.B @ K
+            rows = st.D + st.C @ K
             V = st.Hx + closed.T @ V @ closed + K.T @ st.Hv @ K + (rows.T * w) @ rows
             V = (V + V.T) / 2
-            self.gains[k], self.inverses[k] = K, inverse
+            self.gains[k] = K
+            self.inverses[k] = inverse
 
     def direction(self, rho: Arrays) -> _Direction:
         """Newton step for the multipliers `rho` of the rows at the present point."""
         forward: Arrays = [np.zeros(0)] * len(self.stages)
         v_next = np.zeros(len(self.states[0]))
         for k in reversed(range(len(self.stages))):
-            st, K = self.stages[k], self.gains[k]
+            st = self.stages[k]
+            K = self.gains[k]
             slope = st.Hv @ self.variables[k] + st.gv + st.C.T @ rho[k]
             forward[k] = -self.inverses[k] @ (slope + st.B.T @ v_next)
             v_next = st.Hx @ self.states[k] + st.gx + st.D.T @ rho[k] + K.T @ slope + (st.A + st.B @ K).T @ v_next
-        slacks, multipliers, dx = [], [], np.zeros(len(self.states[0]))
+        slacks = []
+        multipliers = []
+        dx = np.zeros(len(self.states[0]))
         for st, K, f, r, p, y, w in zip(
             self.stages, self.gains, forward, self.residuals, rho, self.multipliers, self.weights
         ):
@@ -145,10 +151,12 @@ class _Iteration:
 
     def mean_product(self, direction: _Direction | None = None, length: float = 0.0) -> float:
         """Mean of slack times multiplier over the open rows, after a step where one is given."""
-        total, rows = 0.0, 0
+        total = 0.0
+        rows = 0
         for k, (s, y) in enumerate(zip(self.slacks, self.multipliers)):
             if direction is not None:
-                s, y = s + length * direction.slacks[k], y + length * direction.multipliers[k]
+                s = s + length * direction.slacks[k]
+                y = y + length * direction.multipliers[k]
             total += float(s[self.open[k]] @ y[self.open[k]])
             rows += int(self.open[k].sum())
         return total / max(rows, 1)

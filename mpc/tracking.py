@@ -169,7 +169,8 @@ class OffsetFreeMPC:
         H = basis.T @ full @ basis
         # the particular solution has the least drift, so the drift has no slope there
         q = basis.T @ (T.T @ (T @ particular - r / unit) + TARGET_COST * W @ particular)
-        (HX, hX), (HU, hU) = mpc.state_rows, mpc.input_rows
+        (HX, hX) = mpc.state_rows
+        (HU, hU) = mpc.input_rows
         rows = np.vstack([np.hstack([HX, np.zeros((len(HX), mpc.nu))]), np.hstack([np.zeros((len(HU), mpc.nx)), HU])])
         units = np.concatenate([mpc.row_units["state"], mpc.row_units["input"]])
         right = np.concatenate([hX, hU]) - rows * size @ particular
