@@ -21,7 +21,7 @@ from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.reinforcement import CoDesignConfig
-from ccdtools.controllers.baselines import saturated_lqr
+from ccdtools.comparison.baselines import saturated_lqr
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.simulation import simulate
 from ccdtools.statistics import paired_difference

@@ -2,8 +2,8 @@
 
     python benchmarks/mpqp_collection.py [first last [time_limit]]
 
-The problems (`test_set.mat` of github.com/darnstrom/cdc24-mpqp; Arnström and Axehill, IEEE CDC 2024) are not part of this
-repository: put the file into ../shared/cdc24-mpqp, or name its folder in the environment variable MPQP_COLLECTION.
+The problems (`test_set.mat` of github.com/darnstrom/cdc24-mpqp; Arnström and Axehill, IEEE CDC 2024) are not part of
+this repository: put the file into ../shared/cdc24-mpqp, or name its folder in the environment variable MPQP_COLLECTION.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The picture of the README, from a finished run of the suspension study: python benchmarks/readme_picture.py RUN OUT."""
+"""The picture of the README, from a run of the suspension study: python benchmarks/readme_picture.py RUN OUT."""
 
 import csv
 import sys

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from ccdtools.co_design.problem import CoDesignProblem, FixedStart
     from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
     from ccdtools.co_design.result import CoDesignResult
-    from ccdtools.controllers.baselines import baselines, saturated_lqr
+    from ccdtools.comparison.baselines import baselines, saturated_lqr
+    from ccdtools.comparison.comparison import compare
     from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
     from ccdtools.controllers.learned import LearnedPolicy, load_policy
     from ccdtools.controllers.signals import Reference
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from ccdtools.plants.plant import Plant
     from ccdtools.scenario import Scenario
     from ccdtools.simulation import simulate
-    from ccdtools.studies.comparison import compare
     from ccdtools.studies.loading import load_study
     from ccdtools.studies.study import RealPlant, Study
     from ccdtools.trajectory import Trajectory
@@ -113,9 +113,9 @@ _HOMES = {
     "Sum": "disturbances.disturbance",
     "Trajectory": "trajectory",
     "Uniform": "disturbances.disturbance",
-    "baselines": "controllers.baselines",
+    "baselines": "comparison.baselines",
     "codesign": "co_design.codesign",
-    "compare": "studies.comparison",
+    "compare": "comparison.comparison",
     "deploy": "twin.deployment",
     "deploy_and_update": "twin.deployment",
     "discretise": "plants.discretisation",
@@ -128,7 +128,7 @@ _HOMES = {
     "read_speed": "disturbances.recordings",
     "replay_problem": "twin.replay",
     "road_disturbance": "disturbances.roads",
-    "saturated_lqr": "controllers.baselines",
+    "saturated_lqr": "comparison.baselines",
     "simulate": "simulation",
     "updated_problem": "twin.replay",
 }

@@ -4,7 +4,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ccdtools.studies.comparison import Comparison, compare
     from ccdtools.studies.generations import Generations
     from ccdtools.studies.loading import load_study
     from ccdtools.studies.options import study_names
@@ -13,26 +12,22 @@ if TYPE_CHECKING:
     from ccdtools.studies.study import RealPlant, Study
 
 __all__ = [
-    "Comparison",
     "Generations",
     "RealPlant",
     "RunFolder",
     "Study",
     "StudyConfig",
-    "compare",
     "configuration",
     "load_study",
     "study_names",
 ]
 
 _HOMES = {
-    "Comparison": "comparison",
     "Generations": "generations",
     "RealPlant": "study",
     "RunFolder": "run_folder",
     "Study": "study",
     "StudyConfig": "presets",
-    "compare": "comparison",
     "configuration": "presets",
     "load_study": "loading",
     "study_names": "options",

@@ -11,14 +11,14 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.controllers.baselines import baselines, saturated_lqr
+from ccdtools.comparison.baselines import baselines, saturated_lqr
+from ccdtools.comparison.comparison import Score, compare
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.disturbances.disturbance import Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise
-from ccdtools.studies.comparison import Score, compare
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import MINIMUM_LOG, Study

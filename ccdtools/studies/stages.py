@@ -11,9 +11,9 @@ import numpy as np
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.comparison.comparison import replicates
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import summarise
-from ccdtools.studies.comparison import replicates
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.redesign import InService, RedesignDecision, judge_redesign, same_design
 from ccdtools.studies.stage_storage import Stage

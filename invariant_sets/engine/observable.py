@@ -12,7 +12,6 @@ by singular values.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import matrix_balance
 
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.polytope import Polytope
@@ -26,6 +25,8 @@ def observed_directions(A: Array, X: Polytope) -> Array | None:
     F = np.vstack([X.A, X.A_eq])
     if not len(F) or not np.abs(F).max() > 0.0:
         return None
+    from scipy.linalg import matrix_balance
+
     balanced, scale = matrix_balance(A, permute=False, separate=False)
     scale = np.diag(scale)  # balanced = scale⁻¹ A scale
     rows = F * scale

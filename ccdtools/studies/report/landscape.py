@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.controllers.baselines import saturated_lqr
+from ccdtools.comparison.baselines import saturated_lqr
 from ccdtools.simulation import simulate
 from ccdtools.studies.report import return_plots, style
 from ccdtools.studies.report.finished_run import FinishedRun

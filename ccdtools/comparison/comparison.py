@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import QuadraticObjective
-from ccdtools.controllers.baselines import REFERENCE
+from ccdtools.comparison.baselines import REFERENCE
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
@@ -110,7 +110,7 @@ class Comparison:
 
     def plot(self, ax: Any = None) -> Any:
         """Mean returns with their 95 % intervals, one row per controller; returns the matplotlib axes."""
-        from ccdtools.studies.plotting import plot_scores
+        from ccdtools.comparison.plotting import plot_scores
 
         return plot_scores(self, ax=ax)
 

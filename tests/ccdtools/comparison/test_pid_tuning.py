@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ccdtools import simulate
+from ccdtools.comparison.pid_tuning import tuned_pid
 from ccdtools.controllers.controllers import LinearFeedback, Passive
-from ccdtools.controllers.pid_tuning import tuned_pid
 from mpc import lqr
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from ccdtools import InputError, simulate
-from ccdtools.controllers.baselines import baselines, saturated_lqr
+from ccdtools.comparison.baselines import baselines, saturated_lqr
+from ccdtools.comparison.comparison import compare, replicates, step_time
 from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise
-from ccdtools.studies.comparison import compare, replicates, step_time
 from mpc import LinearMPC
 
 DESIGN = [2.0]

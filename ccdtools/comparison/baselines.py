@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 
 from ccdtools.checks import as_generator, as_instance
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.comparison.pid_tuning import tuned_pid
 from ccdtools.controllers.controllers import Controller, LinearFeedback, Passive
-from ccdtools.controllers.pid_tuning import tuned_pid
 from mpc import LinearMPC, lqr
 
 REFERENCE = "LQR"

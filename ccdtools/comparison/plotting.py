@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from ccdtools.studies.comparison import Comparison
 
-
-def plot_scores(comparison: Comparison, ax: Any = None) -> Any:
+def plot_scores(comparison: Any, ax: Any = None) -> Any:
     """Mean returns with their 95 % intervals, one row per controller; those that always diverged stay empty.
 
     Parameters
     ----------
     comparison : Comparison
+        Or any collection of scores.
     ax : matplotlib axes, optional
         A new figure by default.
 
