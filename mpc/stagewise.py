@@ -99,8 +99,8 @@ class _Iteration:
     def _factorise(self) -> None:
         """Gains K and the factors of every stage, backwards."""
         count = len(self.stages)
-        self.gains: Arrays = [np.zeros(0)] * count
-        self.inverses: Arrays = [np.zeros(0)] * count
+        self.gains = [np.zeros(0) for _ in range(count)]
+        self.inverses = [np.zeros(0) for _ in range(count)]
         V = np.zeros_like(self.stages[-1].Hx)
         for k in reversed(range(count)):
             st = self.stages[k]
