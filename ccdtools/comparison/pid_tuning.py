@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
@@ -11,6 +13,8 @@ from ccdtools.checks import as_array, as_count, as_generator, as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import PID
 from ccdtools.simulation import simulate
+
+UNSTABLE = 1e12  # cost of a loop that is not stable
 
 
 def tuned_pid(
@@ -44,44 +48,64 @@ def tuned_pid(
     as_generator("rng", rng)
     for name, number in (("runs", runs), ("screened", screened), ("starts", starts), ("refinements", refinements)):
         as_count(name, number)
-    design = problem.design.check_one(design)
-    model = problem.model
+    trial = _Trial.of(problem, problem.design.check_one(design), runs, rng)
     nu = problem.model.nu
-    lower, upper = problem.input_bounds
-    A, B, _ = model.matrices(design)
-    C_all = _default_outputs(B) if outputs is None else as_array("outputs", outputs, ("k", nu, model.nx))
-    x0, w = problem.scenarios.sample(runs, problem.steps, rng)
-    w[::2] += w.std(axis=(0, 1)) * rng.standard_normal((len(w[::2]), 1, w.shape[2]))
-    half = (upper - lower) / 2
-
-    def controller(C: Array, z: Array) -> PID:
-        """`z` (3, nu): gains relative to full input at the edge of X, with time in samples."""
-        unit = half / np.maximum(np.abs(C) @ problem.state_scale, 1e-12)
-        kp, ki, kd = z * unit
-        return PID(C, kp, ki / model.dt, kd * model.dt, dt=model.dt, lower=lower, upper=upper)
-
-    def cost(C: Array, z: Array) -> float:
-        """Mean cost of a candidate; a large one where the loop is not stable."""
-        if not is_stable(A, B, controller(C, z.reshape(3, nu))):
-            return 1e12
-        run = simulate(
-            model, controller(C, z.reshape(3, nu)), x0=x0, steps=problem.steps, disturbance=w, design=design,
-            limit=problem.limit,
-        )  # fmt: skip
-        return float(-run.returns(problem.objective).mean())
-
+    C_all = _default_outputs(trial.B) if outputs is None else as_array("outputs", outputs, ("k", nu, problem.model.nx))
     gains = rng.choice([-1.0, 1.0], (screened, 3, nu)) * 10 ** rng.uniform(-2, 1.5, (screened, 3, nu))
     gains[0] = 0.0
     gains[::3, 1] = 0.0
-    screening = sorted(((cost(C, g), C, g) for C in C_all for g in gains), key=lambda found: found[0])
+    screening = sorted(((trial.cost(C, g), C, g) for C in C_all for g in gains), key=lambda found: found[0])
     refined = []
     for value, C, z in screening[:starts]:
         result = minimize(
-            lambda v, C=C: cost(C, v), z.ravel(), method="Nelder-Mead", options={"maxfev": refinements, "xatol": 1e-3}
-        )
+            lambda v, C=C: trial.cost(C, v), z.ravel(), method="Nelder-Mead",
+            options={"maxfev": refinements, "xatol": 1e-3},
+        )  # fmt: skip
         refined.append((result.fun, C, result.x) if result.fun <= value else (value, C, z))
     _, C, z = min(refined, key=lambda found: found[0])
-    return controller(C, z.reshape(3, nu))
+    return trial.controller(C, z)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """What every candidate is tried on: the nominal model at one design, and scenarios of which half have an offset."""
+
+    problem: CoDesignProblem
+    design: Array
+    A: Array
+    B: Array
+    x0: Array
+    w: Array
+
+    @classmethod
+    def of(cls, problem: CoDesignProblem, design: Array, runs: int, rng: np.random.Generator) -> _Trial:
+        """The trial of so many scenarios."""
+        A, B, _ = problem.model.matrices(design)
+        x0, drawn = problem.scenarios.sample(runs, problem.steps, rng)
+        w = np.array(drawn)
+        w[::2] += w.std(axis=(0, 1)) * rng.standard_normal((len(w[::2]), 1, w.shape[2]))
+        return cls(problem, design, A, B, x0, w)
+
+    def controller(self, C: Array, z: Array) -> PID:
+        """The PID with gains `z` (3, nu), flat or not: parts of full input at the edge of X, with time in samples."""
+        lower, upper = self.problem.input_bounds
+        reach = np.abs(C) @ self.problem.state_scale
+        unit = (upper - lower) / 2 / np.maximum(reach, np.finfo(float).tiny)
+        kp, ki, kd = z.reshape(3, -1) * unit
+        dt = self.problem.model.dt
+        return PID(C, kp, ki / dt, kd * dt, dt=dt, lower=lower, upper=upper)
+
+    def cost(self, C: Array, z: Array) -> float:
+        """Mean cost of a candidate; a large one where the loop is not stable."""
+        pid = self.controller(C, z)
+        if not is_stable(self.A, self.B, pid):
+            return UNSTABLE
+        problem = self.problem
+        run = simulate(
+            problem.model, pid, x0=self.x0, steps=problem.steps, disturbance=self.w, design=self.design,
+            limit=problem.limit,
+        )  # fmt: skip
+        return float(-run.returns(problem.objective).mean())
 
 
 def is_stable(A: Array, B: Array, pid: PID) -> bool:
@@ -102,7 +126,7 @@ def is_stable(A: Array, B: Array, pid: PID) -> bool:
 
 def _default_outputs(B: Array) -> Array:
     """Candidate outputs (k, nu, nx): each state alone, for one input, and the states that the inputs push."""
-    pushed = B.T / np.linalg.norm(B, axis=0)[:, None]
+    pushed = B.T / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)[:, None]
     if B.shape[1] > 1:
         return pushed[None]
     return np.concatenate([np.eye(len(B))[:, None, :], pushed[None]])
