@@ -168,7 +168,9 @@ def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
 
 def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Which rows restrict the parameter only: moving v by its own size changes them by rounding."""
-    typical = float(np.abs(shift).sum(axis=1).max(initial=0.0))
+    moved = length > 0
+    reach = _unit_of(right[moved] / length[moved, None])  # what the bounds ask of v, where its optimum is zero
+    typical = max(float(np.abs(shift).sum(axis=1).max(initial=0.0)), reach)
     theta = np.abs(right[:, :-1]).max(axis=1, initial=0.0)
     return (length == 0) | (length * typical < VANISHING_ROW * theta)
 

@@ -192,3 +192,32 @@ def test_a_partition_is_small_to_print_and_can_be_copied(natural):
         assert len(repr(again)) < 250
     with pytest.raises(ValueError, match="read-only"):
         natural.law[0] = 0.0
+
+
+def test_a_problem_whose_unconstrained_optimum_is_zero_everywhere():
+    # min ½z² with z >= θ, z >= 100 θ - 49.5 and z <= 0.502: the last region is 2e-5 wide
+    base = integrators(2).build()
+    rows = np.array([[-1.0], [-1.0], [1.0]])
+    problem = replace(
+        base, H=np.eye(1), F=np.zeros((1, 1)), f=np.zeros(1), Y=np.zeros((1, 1)), y=np.zeros(1), G=rows,
+        w=np.array([0.0, 49.5, 0.502]), S=np.array([[-1.0], [-100.0], [0.0]]), Lz=np.eye(1), Lt=np.zeros((1, 1)),
+        l=np.zeros(1), Xz=np.zeros((1, 1)), Xt=np.eye(1), x=np.zeros(1), nu=1, parameters=(("x", 1),),
+        labels=base.labels[:3],
+    )  # fmt: skip
+    partition = solve_mpqp(problem, box([1.0]))
+    assert set(partition.active_sets) == {(), (0,), (1,)}
+    assert membership(partition, np.array([[0.50001]])).min() < 0
+
+
+@pytest.mark.parametrize("seed", [10_000, *range(20_000, 20_010)])  # 10 000: a thin region behind a facet
+def test_hard_random_problems_are_solved_as_the_online_qp_solves_them(seed):
+    from mpqp_adversary import KINDS, judge, plain
+
+    for change, same_regions in KINDS.values():
+        rng = np.random.default_rng(seed)
+        problem, half = plain(rng)
+        regions = len(solve_mpqp(problem, box(half))) if same_regions else None
+        try:
+            assert judge(*change(rng, problem, half), regions, states=100) == ""
+        except InputError as refused:
+            assert "an equality" in str(refused)  # noqa: PT017

@@ -151,7 +151,11 @@ def explore(qp, graph, facets, budget):
 
 @njit(cache=True)
 def behind(qp, graph, A, b, act, k, mask, facet, work):
-    """True when an active set with a region was found that differs in the rows on the hyperplane of a facet."""
+    """Consider sets that differ in the rows on the hyperplane of a facet; True when one is the neighbour for sure.
+
+    That is the set which differs in one row alone. Of several rows on the hyperplane, and of the rows that can leave a
+    dependent set, some lead to regions elsewhere.
+    """
     m, n = len(qp.D), A.shape[1]
     twins, shared = np.empty(_TWINS, np.int64), 0
     for i in range(m):
@@ -161,38 +165,33 @@ def behind(qp, graph, A, b, act, k, mask, facet, work):
         if close and shared < _TWINS:
             twins[shared] = i
             shared += 1
-    found = False
+    kind = FLAT
     for combination in range(1, 1 << shared):
         work[:] = mask
         for s in range(shared):
             if combination >> s & 1:
                 flip(work, twins[s])
         kind = consider(qp, graph, work)
-        found = found or kind == FULL
         if kind == DEPENDENT and shared == 1:
-            swapped = exchange(qp, graph, act, k, facet, mask)
-            found = found or swapped
-    return found
+            exchange(qp, graph, act, k, facet, mask)
+    return kind == FULL and shared == 1
 
 
 @njit(cache=True)
 def exchange(qp, graph, act, k, entering, mask):
-    """Replace a member of a dependent active set by the entering row: one with a positive coefficient has to leave."""
+    """Consider sets in which the entering row replaces another; one with a positive coefficient has to leave."""
     L, coefficient = np.empty((k, k)), np.empty(k)
     gram_factor(qp.gram, act, k, L)
     for a in range(k):
         coefficient[a] = qp.gram[act[a], entering]
     gram_solve(L, k, coefficient)
     swapped = np.empty(len(mask), np.uint64)
-    found = False
     for a in range(k):
         if coefficient[a] > EXCHANGE:
             swapped[:] = mask
             flip(swapped, entering)
             flip(swapped, act[a])
-            kind = consider(qp, graph, swapped)
-            found = found or kind == FULL
-    return found
+            consider(qp, graph, swapped)
 
 
 @njit(cache=True)

@@ -200,16 +200,20 @@ def irredundant(A, b, centre, facets):
 def across(A, b, facets, count, facet, theta):
     """Write a point just across one facet, away from the others, into θ; False when the facet is too small."""
     n = A.shape[1]
-    AI, bI = np.empty((count, n)), np.empty(count)
+    AI, bI = np.empty((count + 1, n)), np.empty(count + 1)
     work, lam, start = np.empty(n + 1, np.int64), np.empty(n + 1), np.zeros(n)
     margin = 0.1
     while margin > 0.1 * REGION_RADIUS:
+        step = min(CROSSING, margin)
         for a in range(count):
             sign = -1.0 if facets[a] == facet else 1.0
             for j in range(n):
                 AI[a, j] = sign * A[facets[a], j]
-            bI[a] = sign * b[facets[a]] - (min(CROSSING, margin) if sign < 0 else margin)
-        if project(AI, bI, count, start, PROJECTION, theta, work, lam) >= 0:
+            bI[a] = sign * b[facets[a]] - (step if sign < 0 else margin)
+        for j in range(n):  # not farther than twice the step: the region behind may be thin
+            AI[count, j] = A[facet, j]
+        bI[count] = b[facet] + 2.0 * step
+        if project(AI, bI, count + 1, start, PROJECTION, theta, work, lam) >= 0:
             return True
         margin *= 0.1
     return False
