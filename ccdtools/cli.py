@@ -211,7 +211,8 @@ def _complete(folder: RunFolder, prepared: PreparedRun) -> None:
     from ccdtools.studies.report.report import write_report
     from ccdtools.studies.report.tables import console_table
 
-    options, study = prepared.options, prepared.study
+    options = prepared.options
+    study = prepared.study
     quick = " (QUICK: few samples, not for conclusions)" if options.quick else ""
     typer.echo(f"{study.title}, seed {options.seed}{quick} → {folder.path}")
     start = time.perf_counter()

@@ -43,7 +43,7 @@ def warnings_on_one_line() -> Iterator[None]:
         printed.add(line)
 
     with warnings.catch_warnings():
-        warnings.showwarning = show
+        warnings.showwarning = show  # type: ignore[assignment]
         yield
 
 

@@ -79,7 +79,8 @@ class Evaluation:
         InputError
             If its run diverges, or spends more than half of its samples outside X.
         """
-        steps, real = self.deployment_steps, self.study.real
+        steps = self.deployment_steps
+        real = self.study.real
         if not isinstance(real.disturbance, Recorded):
             return
         w = self.recorded(1, "deployment")
@@ -120,7 +121,9 @@ class Evaluation:
 
     def on_updated(self, discrepancy: Discrepancy, *, noise: str) -> Scenario:
         """From x0 on the model updated by a discrepancy."""
-        n, steps, rng = self.config.model_runs, self.study.steps, self.rng("updated scenario")
+        n = self.config.model_runs
+        steps = self.study.steps
+        rng = self.rng("updated scenario")
         plant = TwinPlant(self.study.model, replace(discrepancy, noise=noise))
         return Scenario(plant, np.tile(self.study.x0, (n, 1)), rng.random((n, steps, self.study.plant.nx)))
 

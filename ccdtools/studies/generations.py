@@ -81,7 +81,8 @@ class Generations:
         state = self._begin()
         for generation in range(1, self.generations + 1):
             state = self._next(generation, state)
-        service, config = state.service, self.evaluation.config
+        service = state.service
+        config = self.evaluation.config
         notes = {"study": self.evaluation.study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
         contents = results(

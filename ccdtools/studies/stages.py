@@ -43,7 +43,8 @@ class LoopStages:
 
     def initialise(self, rng: np.random.Generator) -> Stage:
         """The first policy: a network trained to imitate the expert."""
-        config, problem = self.evaluation.config, self.evaluation.problem
+        config = self.evaluation.config
+        problem = self.evaluation.problem
         data = expert_dataset(
             problem, samples=config.samples, rng=rng, expert=config.expert, gamma=config.codesign.ppo.gamma,
             progress=self.progress,
@@ -66,7 +67,8 @@ class LoopStages:
         A redesign is trained on the median model, with what that leaves unexplained replayed, and judged on replays of
         the logged errors themselves: a model fitted in closed loop can mistake the road for a consequence of the state.
         """
-        problem, config = self.evaluation.problem, self.evaluation.config
+        problem = self.evaluation.problem
+        config = self.evaluation.config
         if twin.discrepancy is None:
             first = codesign(
                 problem, agent=current.agent, design=current.design, rng=rng, config=config.codesign,
@@ -92,7 +94,8 @@ class LoopStages:
         self, result: CoDesignResult, chosen: InService, decisions: Mapping[str, RedesignDecision]
     ) -> Stage:
         """A co-design, with the policy and design that go into service and the decisions that led to them."""
-        history, space = result.history, self.evaluation.problem.design
+        history = result.history
+        space = self.evaluation.problem.design
         arrays = {f"history_{name}": getattr(history, name) for name in history.__dataclass_fields__}
         check = None if result.gradients is None else asdict(result.gradients)
         report = [*str(result.gradients).splitlines()] if result.gradients is not None else []
@@ -111,7 +114,8 @@ class LoopStages:
 
     def deploy(self, rng: np.random.Generator, generation: int, current: InService) -> Stage:
         """The policy on the real plant, updated on the way; the log."""
-        real, evaluation = self.evaluation.study.real, self.evaluation
+        real = self.evaluation.study.real
+        evaluation = self.evaluation
         w = evaluation.recorded(real.runs, "deployment" if real.runs == 1 else f"deployment-{generation}")
         deployment = deploy_and_update(
             evaluation.problem, real.plant, current.agent, current.design, x0=np.tile(real.x0, (real.runs, 1)),

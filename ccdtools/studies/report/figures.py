@@ -39,7 +39,8 @@ def figures(run: FinishedRun) -> Iterator[ReportFigure]:
 
 def _history(run: FinishedRun) -> list[ReportFigure]:
     """Return and design over the iterations of every co-design."""
-    space, count = run.problem.design, run.last
+    space = run.problem.design
+    count = run.last
     figure = style.blank(max(5.5, min(3.4 * count + 1, 15)), 1.2 + 1.7 * (1 + space.dim), quick=run.quick)
     judges = [place(g) for g in run.results["generations"]]
     return_plots.plot_history(figure, run.histories, run.chosen, space, judges)
@@ -77,7 +78,8 @@ def _policy_surface(run: FinishedRun) -> list[ReportFigure]:
         name: controller(states.reshape(-1, 2)).reshape(SURFACE_GRID, SURFACE_GRID, -1)
         for name, controller in controllers.items()
     }
-    inputs, names = run.study.plant.input_names, run.study.plant.state_names
+    inputs = run.study.plant.input_names
+    names = run.study.plant.state_names
     figure = style.blank(11, 0.6 + 2.8 * len(inputs), quick=run.quick)
     plotting.plot_surfaces(
         figure, x, surfaces, outline=run.sets.at(policy.design), labels=(names[0], names[1]), inputs=inputs
@@ -126,7 +128,8 @@ def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
 
 def _signals(arrays: dict[str, Array], name: str, window: slice) -> Array:
     """States and inputs of a controller side by side: low, mean and high, (3, T, nx + nu)."""
-    states, inputs = arrays[f"{name}_states"], arrays[f"{name}_inputs"]
+    states = arrays[f"{name}_states"]
+    inputs = arrays[f"{name}_inputs"]
     return np.concatenate([states[:, : inputs.shape[1]], inputs], axis=2)[:, window]
 
 

@@ -155,7 +155,8 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
     """States and inputs with their limits."""
-    plant, rows = run.study.plant, []
+    plant = run.study.plant
+    rows = []
     for names, limits in ((plant.state_names, run.study.X), (plant.input_names, run.study.U)):
         lower, upper = limits.bounding_box()
         rows += [(name, float(low), float(high)) for name, low, high in zip(names, lower, upper)]
@@ -164,7 +165,8 @@ def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
 
 def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
     """Q and R: their diagonals by signal name, with whatever lies beside the diagonal as a matrix."""
-    plant, objective = run.study.plant, run.study.objective
+    plant = run.study.plant
+    objective = run.study.objective
     rows = []
     for symbol, weight, names in (("Q", objective.Q, plant.state_names), ("R", objective.R, plant.input_names)):
         diagonal = np.diag(weight)

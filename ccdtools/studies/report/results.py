@@ -43,7 +43,9 @@ def results(
     stages: Sequence[Stage],
 ) -> dict[str, Any]:
     """Everything that the tables show, with what is needed to run it again."""
-    study, config, space = evaluation.study, evaluation.config, evaluation.problem.design
+    study = evaluation.study
+    config = evaluation.config
+    space = evaluation.problem.design
     contents: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "study": study.name, "title": study.title, "seed": evaluation.seed,

@@ -76,7 +76,8 @@ def _shown_sets(run: FinishedRun) -> _ShownSets:
     seen: list[Array] = []
     shown = _ShownSets({}, {}, f"{generation_name(run.last)}: {run.describe(run.designs[-1])}", [])
     for label, design in candidates:
-        unit, title = space.to_unit(design), f"{label}: {run.describe(design)}"
+        unit = space.to_unit(design)
+        title = f"{label}: {run.describe(design)}"
         if len(shown.sets) == SHOWN_DESIGNS or any(np.abs(unit - other).max() <= 1e-2 for other in seen):
             continue
         seen.append(unit)

@@ -19,8 +19,10 @@ def cart(*, friction: float = 0.0) -> Plant:
     u = ca.SX.sym("u")
     w = ca.SX.sym("w")
     p = ca.SX.sym("p", 2)
-    position, velocity = x[0], x[1]
-    stiffness, damping = p[0], p[1]
+    position = x[0]
+    velocity = x[1]
+    stiffness = p[0]
+    damping = p[1]
     force = u + w - stiffness * position - damping * velocity - friction * ca.tanh(velocity / 0.01)
     return Plant(
         x,
