@@ -182,6 +182,18 @@ OPTIMAL_SET = 1e-10
 PROJECTION = 1e-13
 """Violation of a unit row accepted when a point is projected onto a region, scaled parameters [-]."""
 
+NO_STEP = 1e-12
+"""Coefficient of a unit row on the active ones below which it is rounding [-]."""
+
+SPANNED = 1e-13
+"""Squared distance of a unit row from the span of the active ones below which a projection cannot move along it [-]."""
+
+TINY_PIVOT = 1e-30
+"""Least square of a pivot in a projection: keeps its root away from zero [-]."""
+
+PARALLEL = 1e-14
+"""Rate at which a ray nears a unit row below which it runs along it, scaled parameters [-]."""
+
 INSETS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 """Distances from all constraints tried in turn when a feasible parameter is sought, scaled [-]."""
 

@@ -63,7 +63,7 @@ def _first(qp: ScaledQP) -> list[Members]:
     for target in targets:
         cost = np.concatenate([-target, np.zeros(J.shape[1] - n)])
         for inset in INSETS:
-            joint, _, flag, _ = daqp.solve(np.eye(len(cost)), cost, J, h - inset, primal_tol=PRIMAL * 1e-2)
+            joint, _, flag, _ = daqp.solve(np.eye(len(cost)), cost, J, h - inset, primal_tol=0.01 * PRIMAL)
             if flag == 1:
                 active = _optimal_set(qp, qp.D[:, :n] @ joint[:n] + qp.D[:, n])
                 if active is not None and active not in found:

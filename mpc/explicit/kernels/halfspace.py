@@ -9,12 +9,16 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mpc.tolerances import CROSSING, PROJECTION, REDUNDANT, REGION_RADIUS
-
-_NO_STEP = 1e-12  # coefficients of unit rows below this are rounding
-_DEPENDENT = 1e-13  # squared distance of a unit row from the span of the active ones that counts as zero
-_PIVOT = 1e-30
-_PARALLEL = 1e-14
+from mpc.tolerances import (
+    CROSSING,
+    NO_STEP,
+    PARALLEL,
+    PROJECTION,
+    REDUNDANT,
+    REGION_RADIUS,
+    SPANNED,
+    TINY_PIVOT,
+)
 
 
 @njit(cache=True)
@@ -65,9 +69,9 @@ def project(A, b, m, c, tol, theta, work, lam):
                 zz += s * s
             t, drop = np.inf, -1
             for a in range(k):
-                if r[a] > _NO_STEP and lam[a] < t * r[a]:
+                if r[a] > NO_STEP and lam[a] < t * r[a]:
                     t, drop = lam[a] / r[a], a
-            full = k < n and zz > _DEPENDENT
+            full = k < n and zz > SPANNED
             if full:
                 s = -b[p]
                 for j in range(n):
@@ -106,7 +110,7 @@ def _factor(A, work, k, start, L):
                 s += A[work[a], j] * A[work[e], j]
             for q in range(e):
                 s -= L[a, q] * L[e, q]
-            L[a, e] = np.sqrt(max(s, _PIVOT)) if a == e else s / L[e, e]
+            L[a, e] = np.sqrt(max(s, TINY_PIVOT)) if a == e else s / L[e, e]
 
 
 @njit(cache=True)
@@ -135,7 +139,7 @@ def interior_point(A, b, wanted, centre):
     while trial < 1.0 and radius <= wanted:
         for i in range(m):
             shrunk[i] = b[i] - trial
-        accepted = 1e-2 * REGION_RADIUS if trial > REGION_RADIUS else PROJECTION
+        accepted = 0.01 * REGION_RADIUS if trial > REGION_RADIUS else PROJECTION
         if project(A, shrunk, m, start, accepted, theta, work, lam) < 0:
             break
         margin = margin_at(A, b, theta)  # the radius is recomputed from the point
@@ -183,7 +187,7 @@ def irredundant(A, b, centre, facets):
                 rate = 0.0
                 for j in range(n):
                     rate += A[e, j] * (theta[j] - centre[j])
-                if rate > _PARALLEL and slack[e] < nearest * rate:
+                if rate > PARALLEL and slack[e] < nearest * rate:
                     nearest, hit = slack[e] / rate, e
             if known[hit]:
                 hit = i

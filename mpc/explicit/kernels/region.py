@@ -21,10 +21,9 @@ import numpy as np
 from numba import njit
 
 from mpc.explicit.kernels.halfspace import project
-from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, ZERO_ROW
+from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, ROUNDING, ZERO_ROW
 
 FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: empty or of lower dimension
-_ROUNDING = 1e-15
 
 
 @njit(cache=True)
@@ -40,7 +39,7 @@ def gram_factor(gram, act, k, L):
             for q in range(e):
                 s -= L[a, q] * L[e, q]
             if a == e:
-                if s < max(DEPENDENT_ROW, _ROUNDING / smallest):
+                if s < max(DEPENDENT_ROW, ROUNDING / smallest):
                     return False
                 smallest = min(smallest, s)
                 L[a, a] = np.sqrt(s)
@@ -146,7 +145,7 @@ def region_rows(qp, act, k, tied, A, b):
                     terms += abs(g) * size[e]
                     for c in range(n + 2):
                         row[c] += g * law[e, c]
-            zero = max(ZERO_ROW * scale, _ROUNDING * terms)
+            zero = max(ZERO_ROW * scale, ROUNDING * terms)
         norm = 0.0
         for c in range(n):
             norm += row[c] * row[c]
