@@ -9,7 +9,7 @@ Control for Linear and Hybrid Systems, section 10.1.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,10 @@ import numpy as np
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.steps import Step, backward_step, forward_step
 from invariant_sets.engine.trajectories import Trajectories, inner_hull
+from invariant_sets.exceptions import NumericalError
 from invariant_sets.operations import same_space
 from invariant_sets.polytope import Polytope
+from invariant_sets.projection import unit
 from invariant_sets.results import Certificate, SetResult, Status, no_set
 from invariant_sets.system_checks import check_set, checked_state_matrix, checked_system, disturbance_vertices
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached, check_time_limit
@@ -103,19 +105,21 @@ def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope | None, target: Po
     check_set(target, "target", len(A))
     steps = check_count(steps, "steps")
     deadline = Deadline.after(check_time_limit(time_limit))
-    system = LinearSystem(A, B, disturbance_vertices(E, W))
     if steps == 0:
         return _exact(target.intersection(X).minimal(), 0, Certificate(0.0, 0.0, 0))
+    size = _units(X, target)
+    system = _in_units(LinearSystem(A, B, disturbance_vertices(E, W)), size)
+    X, target = _scaled(X, size), _scaled(target, size)
 
     def step_back(S: Polytope, deadline: Deadline) -> Step:
         return backward_step(system, S, X, U, deadline)
 
     progress = _repeat(step_back, target, steps, deadline.part(_EXACT_SHARE))
-    if isinstance(progress, SetResult):
-        return progress
-    states = (X,) * steps + (target,)
-    inner = None if W is not None else inner_hull(Trajectories(A, B, states, U), 0, _last_part(deadline))
-    return _interrupted(inner, X.minimal(), progress)
+    if isinstance(progress, _Progress):
+        states = Trajectories(system.A, system.B, (X,) * steps + (target,), U)
+        inner = None if W is not None else inner_hull(states, 0, _last_part(deadline))
+        progress = _interrupted(inner, X, progress)
+    return _in_given_units(progress, size)
 
 
 def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope | None, steps: int, *, X: Polytope | None = None,
@@ -160,23 +164,52 @@ def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope | None, steps: in
     X = _whole_space(start) if X is None else same_space(start, X, "X")
     steps = check_count(steps, "steps")
     deadline = Deadline.after(check_time_limit(time_limit))
-    system = LinearSystem(A, B, disturbance_vertices(E, W))
     first = start.intersection(X).minimal()
     if steps == 0 or first.is_empty or U.is_empty:
         return no_set(len(A), 0) if U.is_empty else _exact(first, 0, Certificate(0.0, 0.0, 0))
 
+    size = _units(first, X)
+    system = _in_units(LinearSystem(A, B, disturbance_vertices(E, W)), size)
+    first, X = _scaled(first, size), _scaled(X, size)
+
     def step_ahead(R: Polytope, deadline: Deadline) -> Step:
-        moves = U.affine_map(B)
-        if E is not None and W is not None:
-            moves = moves.minkowski_sum(W.affine_map(E))
+        moves = U.affine_map(system.B)
+        if system.disturbances is not None:
+            moves = moves.minkowski_sum(Polytope.from_vertices(system.disturbances))
         return _within(forward_step(system, R, moves, deadline), X)
 
     progress = _repeat(step_ahead, first, steps, deadline.part(_EXACT_SHARE))
-    if isinstance(progress, SetResult):
-        return progress
-    states = (first,) + (X,) * steps
-    inner = inner_hull(Trajectories(A, B, states, U), steps, _last_part(deadline))
-    return _interrupted(inner, X, progress)
+    if isinstance(progress, _Progress):
+        states = Trajectories(system.A, system.B, (first,) + (X,) * steps, U)
+        progress = _interrupted(inner_hull(states, steps, _last_part(deadline)), X, progress)
+    return _in_given_units(progress, size)
+
+
+def _units(*sets: Polytope) -> Array:
+    """Return a length (n,) for every coordinate, a power of two: its width in the first set that has one there."""
+    size = np.zeros(sets[0].dim)
+    for S in sets:
+        if not S.is_empty:
+            lower, upper = S.bounding_box()
+            width = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
+            size = np.where(size > 0.0, size, width)
+    return np.exp2(np.round(np.log2(np.where(size > 0.0, size, 1.0))))
+
+
+def _in_units(system: LinearSystem, size: Array) -> LinearSystem:
+    """Return the motion of x / size."""
+    noise = None if system.disturbances is None else system.disturbances / size
+    return LinearSystem(system.A * size / size[:, None], system.B / size[:, None], noise)
+
+
+def _scaled(S: Polytope, size: Array) -> Polytope:
+    """Return {x / size : x in S}, with unit rows."""
+    return Polytope(*unit(S.A * size, S.b), *unit(S.A_eq * size, S.b_eq))
+
+
+def _in_given_units(result: SetResult, size: Array) -> SetResult:
+    """Return the result with its sets multiplied by size."""
+    return replace(result, set=_scaled(result.set, 1 / size), outer=_scaled(result.outer, 1 / size))
 
 
 @dataclass(frozen=True)
@@ -195,12 +228,14 @@ def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int,
         try:
             deadline.check()
             done = step(S, deadline)
+            S = done.set
+            if S.is_empty:
+                return no_set(S.dim, k)
+        except NumericalError:
+            return no_set(S.dim, k, _whole_space(S), Status.NOT_CERTIFIED)
         except LimitReached as limit:
             late = isinstance(limit, TimeLimitReached)
             return _Progress(k - 1, Status.TIME_LIMIT if late else Status.FACET_LIMIT)
-        S = done.set
-        if S.is_empty:
-            return no_set(S.dim, k)
         violation, missing, points = max(violation, done.violation), max(missing, done.missing), points + done.points
     return _exact(S, steps, Certificate(violation, max(missing, 0.0), points, missing=missing))
 
