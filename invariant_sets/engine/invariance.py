@@ -62,11 +62,17 @@ def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResul
     The input does not know w. The set is rescaled when it has become small, and solved on its affine hull when
     it has become flat.
     """
-    if guess is None and not task.X.is_bounded and task.U.is_bounded:
-        Q = observed_directions(task.system.A, task.X)
-        if Q is not None:
-            return _extended(_largest(replace(task, **_quotient_of(task, Q))), Q)
-    return _largest(task, guess)
+    try:
+        if guess is None and not task.X.is_bounded and task.U.is_bounded:
+            Q = observed_directions(task.system.A, task.X)
+            if Q is not None:
+                return _extended(_largest(replace(task, **_quotient_of(task, Q))), Q)
+        return _largest(task, guess)
+    except LimitReached as limit:  # before the recursion has begun
+        status = Status.TIME_LIMIT if isinstance(limit, TimeLimitReached) else Status.FACET_LIMIT
+    except NumericalError:
+        status = Status.NOT_CERTIFIED
+    return no_set(task.X.dim, 0, task.X, status)
 
 
 def _quotient_of(task: Task, Q: Array) -> dict[str, Any]:
