@@ -124,4 +124,5 @@ class TimeLimitError(InvariantSetsError, TimeoutError):
 
     def __str__(self) -> str:
         limit = "" if self.seconds is None else f" within {self.seconds:g} s"
-        return f"{self.operation} does not end{limit}: {self.reason}. Its attribute `outer` contains the answer."
+        outer = "" if self.outer is None else " The attribute `outer` of this error contains the answer."
+        return f"{self.operation} does not end{limit}: {self.reason}.{outer}"

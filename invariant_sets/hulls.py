@@ -73,6 +73,7 @@ def hull_volume(points: Array) -> float:
 
 
 def _holds_all(equations: Array, points: Array) -> bool:
+    """Return whether all points are inside the facets, in parts that fit into memory."""
     limit = SAME * np.abs(points).max()
     step = max(1, 10_000_000 // len(points))
     return all((points @ part[:, :-1].T + part[:, -1]).max() <= limit
@@ -111,19 +112,15 @@ def distinct(points: Array, tol: float = SAME) -> Array:
 
 
 def _distinct_by_pairs(points: Array, tol: float) -> Array:
-    if len(points) > 600:
-        from scipy.spatial import cKDTree
+    """Return what `distinct` does, by comparing all pairs that are close; most copies go by rounding before."""
+    from scipy.spatial import cKDTree
 
-        _, first = np.unique(np.round(points / tol), axis=0, return_index=True)  # most copies are closer than that
-        if len(first) < len(points):
-            first.sort()
-            return first[distinct(points[first], tol)]
-        pairs = cKDTree(points).query_pairs(tol, p=np.inf, output_type="ndarray")
-        keep = np.ones(len(points), bool)
-        keep[pairs.max(axis=1)] = False
-        return np.flatnonzero(keep)
-    close = np.abs(points[:, None] - points[None]).max(axis=2) <= tol
-    return np.flatnonzero(close.argmax(axis=1) == np.arange(len(points)))
+    _, first = np.unique(np.round(points / tol), axis=0, return_index=True)
+    first.sort()
+    pairs = cKDTree(points[first]).query_pairs(tol, p=np.inf, output_type="ndarray")
+    keep = np.ones(len(first), bool)
+    keep[pairs.max(axis=1)] = False
+    return first[keep]
 
 
 def irredundant_rows(F: Array, g: Array, tol: float = REDUNDANT) -> Array:

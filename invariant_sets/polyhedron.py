@@ -8,9 +8,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
+from invariant_sets.exceptions import EmptySetError, InputError, TimeLimitError, UnboundedError
 from invariant_sets.hulls import facets_and_vertices, hull_of_points, hull_volume
 from invariant_sets.interior_form import Body, body_of, body_of_vertices, support
+from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, check_time_limit
 from invariant_sets.tolerances import MEMBERSHIP, ROUNDING
 from invariant_sets.validation import as_batch, as_matrix, as_vector, check_count, check_finite, check_tolerance, frozen
 
@@ -114,8 +115,20 @@ class Polyhedron:
         return cls(np.vstack([eye[has_upper], -eye[has_lower]]), np.append(upper[has_upper], -lower[has_lower]))
 
     @classmethod
-    def from_vertices(cls, V: Any) -> Self:
+    def from_vertices(cls, V: Any, *, time_limit: float | None = None) -> Self:
         """Return the convex hull of the points V (k, n), k >= 1. Flat hulls get equalities.
+
+        Parameters
+        ----------
+        V : (k, n) array
+            Points, in the units of x.
+        time_limit : float, optional
+            Seconds; none if left out. The cost of the hull is estimated before it is begun.
+
+        Raises
+        ------
+        TimeLimitError
+            If the hull would take longer, or more memory than a hull may have. Its `outer` is the box of the points.
 
         References
         ----------
@@ -124,6 +137,12 @@ class Polyhedron:
         V = as_matrix(V, "V")
         if V.shape[0] == 0 or V.shape[1] == 0:
             raise InputError("V", f"shape {V.shape}", "(k, n) with k >= 1 and n >= 1")
+        deadline = Deadline.after(check_time_limit(time_limit))
+        try:
+            deadline.check_hull(*V.shape)
+        except LimitReached as limit:
+            box = cls.from_bounds(V.min(axis=0), V.max(axis=0))
+            raise TimeLimitError("from_vertices", time_limit, str(limit), box) from None
         A, b, A_eq, b_eq, extreme = hull_of_points(V)
         return cls._with_vertices(A, b, A_eq, b_eq, counter_clockwise(V[extreme]))
 
@@ -173,9 +192,14 @@ class Polyhedron:
         body = self._require_bounded("vertices")
         if body.basis.shape[1] == 0:
             return frozen(body.centre[None].copy())
+        try:
+            NO_DEADLINE.check_hull(len(body.g), body.basis.shape[1])
+        except LimitReached as limit:
+            raise TimeLimitError("vertices", None, str(limit)) from None
         Y = counter_clockwise(facets_and_vertices(body.F, body.g)[1])
-        object.__setattr__(self, "_enumerated", frozen(body.centre + Y @ body.basis.T))
-        return self._enumerated
+        V = frozen(body.centre + Y @ body.basis.T)
+        object.__setattr__(self, "_enumerated", V)
+        return V
 
     @cached_property
     def volume(self) -> float:

@@ -4,10 +4,12 @@ References
 ----------
 Buchta, Müller, Tichy (1985), Stochastical approximation of convex bodies, Mathematische Annalen 271: facets of the hull
 of random points on a sphere, from which the cost of a hull is estimated.
+McMullen (1970), The maximum numbers of faces of a convex polytope, Mathematika 17.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -82,10 +84,13 @@ NO_DEADLINE = Deadline()
 
 
 def hull_facets(points: int, dim: int) -> float:
-    """Return how many facets the hull of so many points is expected to have."""
-    if dim < len(_FACETS_PER_POINT):
-        return points * _FACETS_PER_POINT[dim]
-    return points * _FACETS_PER_POINT[-1] * 7.0 ** (dim - len(_FACETS_PER_POINT) + 1)
+    """Return how many facets the hull of so many points is expected to have; never more than it can have (McMullen)."""
+    if points <= dim:
+        return float(points)
+    half = dim // 2
+    most = math.comb(points - dim + half, half) + math.comb(points - half - 1, dim - half - 1)
+    beyond = max(0, dim - len(_FACETS_PER_POINT) + 1)
+    return min(float(most), points * _FACETS_PER_POINT[dim - beyond] * 7.0**beyond)
 
 
 def check_time_limit(value: Any) -> float | None:

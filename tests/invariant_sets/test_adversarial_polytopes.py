@@ -153,6 +153,10 @@ def test_a_hull_that_cannot_end_in_time_says_so_and_leaves_an_outer_set(rng):
     outer = caught.value.outer
     assert (outer.support(D) >= exact - 1e-9).all()
     np.testing.assert_allclose(outer.support(np.eye(n)), P.support(np.eye(n)) + Q.support(np.eye(n)), rtol=1e-9)
+    with pytest.raises(TimeLimitError, match="from_vertices does not end: a hull of 10575 points") as caught:
+        Polytope.from_vertices(rng.normal(size=(10575, n)))
+    assert caught.value.outer.dim == n
+    assert len(box(-np.ones(10), np.ones(10)).vertices) == 1024
     with pytest.raises(InputError, match="time_limit: got -1"):
         P.minkowski_sum(Q, time_limit=-1)
 
