@@ -11,9 +11,10 @@ from contextlib import contextmanager
 from typing import Any
 
 PLAIN = {
-    "→": "->", "⁺": "+", "⁻": "^-", "−": "-", "…": "...", "·": "*", "×": "x", "≤": "<=", "≥": ">=", "“": '"', "”": '"',
-    "’": "'", "–": "-", "₀": "0", "₁": "1", "₂": "2", "∞": "inf", "ż": "dz", "ᵀ": "'", "²": "^2", "³": "^3", "µ": "u",
+    "→": "->", "⁺": "+", "−": "-", "…": "...", "·": "*", "×": "x", "≤": "<=", "≥": ">=", "“": '"', "”": '"',
+    "’": "'", "–": "-", "₀": "0", "₁": "1", "₂": "2", "∞": "inf", "ż": "dz", "ᵀ": "'", "µ": "u",
 }  # fmt: skip
+SUPERSCRIPTS = dict(zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)
 EXPECTED = {
     "study": "the name of a study, or a Python file",
@@ -92,4 +93,12 @@ def _in_plain(error: UnicodeError) -> tuple[str, int]:
     """A replacement in ASCII for the characters that an encoding lacks."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    return "".join(PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
+    text = error.object
+    return "".join(_plain(text[i], text[i - 1 : i]) for i in range(error.start, error.end)), error.end
+
+
+def _plain(letter: str, before: str) -> str:
+    """One character in ASCII; a power begins with ^."""
+    if letter in SUPERSCRIPTS:
+        return ("" if before in SUPERSCRIPTS else "^") + SUPERSCRIPTS[letter]
+    return PLAIN.get(letter, "?")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ccdtools.cli import main
+from ccdtools.console import plain_where_needed
 
 RUN = ["run", "suspension"]
 TIMES = "time,dz_dt\n" + "".join(f"{0.05 * i:.2f},0.1\n" for i in range(600))
@@ -236,6 +237,16 @@ def test_a_terminal_without_unicode_gets_plain_characters(tmp_path):
     done = ccdtools("run", "--help", cwd=tmp_path, PYTHONIOENCODING="ascii")
     assert done.returncode == 0
     assert b"Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("encoding", "text"),
+    [("ascii", "cost -23 % (84 -> 64) 7.85*10^-5 1.2*10^12"), ("latin-1", "cost -23 % (84 -> 64) 7.85·10^-5")],
+)
+def test_what_an_encoding_lacks_is_written_in_plain_characters(encoding, text):
+    plain_where_needed()
+    given = "cost −23 % (84 → 64) 7.85·10⁻⁵ 1.2·10¹²"
+    assert given.encode(encoding, errors="ccdtools.plain").decode(encoding).startswith(text)
 
 
 def test_an_output_that_nobody_reads_is_no_traceback(tmp_path):
