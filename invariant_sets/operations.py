@@ -243,7 +243,7 @@ def same_space(P: Polyhedron, Q: Set, name: str = "other") -> Set:
 def _checked_set(Q: Set, name: str = "other") -> Set:
     """Return Q, or raise `InputError` unless it is a `Polytope`."""
     if not isinstance(Q, Polyhedron):
-        raise InputError(name, f"{type(Q).__name__}", "a Polytope")
+        raise InputError(name, type(Q).__name__, "a Polytope")
     return Q
 
 

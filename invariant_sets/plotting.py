@@ -10,6 +10,7 @@ import numpy as np
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
 from invariant_sets.operations import SetOperations
 from invariant_sets.tolerances import TOUCHING
+from invariant_sets.validation import as_vector
 
 Array = np.ndarray
 
@@ -37,7 +38,7 @@ def plot_polytope(P: SetOperations, *, ax: Any = None, coordinates: Any = None, 
         raise EmptySetError("plot", "the set is empty, there is nothing to draw")
     if not P.is_bounded:
         raise UnboundedError("plot")
-    shown = np.arange(min(P.dim, 3)) if coordinates is None else np.atleast_1d(coordinates)
+    shown = np.arange(min(P.dim, 3)) if coordinates is None else P._coordinates(coordinates)
     if len(shown) > 3:
         raise InputError("coordinates", f"{len(shown)} entries", "one, two or three")
     if len(shown) != P.dim or (shown != np.arange(P.dim)).any():
@@ -64,16 +65,16 @@ def plot_family(sets: Iterable[SetOperations], *, values: Iterable[float] | None
     ax, coordinates, **style
         As in `plot_polytope`.
     """
-    family = list(sets)
+    family = _listed(sets, "sets")
     for member in family:
         _check_drawable(member, "sets")
-    numbers = np.arange(len(family), dtype=float) if values is None else np.array(list(values), dtype=float)
-    names = [None] * len(family) if labels is None else list(labels)
+    numbers = np.arange(len(family), dtype=float) if values is None else as_vector(_listed(values, "values"), "values")
+    names = [None] * len(family) if labels is None else _listed(labels, "labels")
     if not len(numbers) == len(names) == len(family):
         raise InputError("values, labels", f"{len(numbers)} and {len(names)} entries", f"{len(family)}, one a set")
     if not family:
         return []
-    dim = min(3, family[0].dim if coordinates is None else len(np.atleast_1d(coordinates)))
+    dim = min(3, family[0].dim if coordinates is None else len(family[0]._coordinates(coordinates)))
     ax = _axes(dim) if ax is None else ax
     artists = []
     colours = _family_colours(numbers)
@@ -85,6 +86,14 @@ def plot_family(sets: Iterable[SetOperations], *, values: Iterable[float] | None
                 outline = {"facecolor": "none", "edgecolor": colours[k], **style, "zorder": 2}
                 plot_polytope(family[k], ax=ax, coordinates=coordinates, **outline)
     return artists
+
+
+def _listed(values: Any, name: str) -> list[Any]:
+    """Return the members of an iterable, or raise `InputError`."""
+    try:
+        return list(values)
+    except TypeError:
+        raise InputError(name, type(values).__name__, "one entry a set, in a list") from None
 
 
 def _family_colours(numbers: Array) -> Array:
@@ -105,7 +114,7 @@ def _fill(colour: Array, dim: int) -> dict[str, Any]:
 def _check_drawable(P: Any, name: str) -> None:
     """Raise `InputError` unless P is a polytope."""
     if not isinstance(P, SetOperations):
-        raise InputError(name, f"a {type(P).__name__}", "a Polytope")
+        raise InputError(name, type(P).__name__, "a Polytope")
 
 
 def _axes(dim: int) -> Any:

@@ -100,6 +100,8 @@ class Polyhedron:
             If a lower bound is above its upper bound, or shapes do not match.
         """
         lower = as_vector(lower, "lower", finite=False)
+        if len(lower) == 0:
+            raise InputError("lower", "no bounds", "one for each coordinate")
         upper = as_vector(upper, "upper", size=len(lower), finite=False)
         for name, bound in (("lower", lower), ("upper", upper)):
             check_finite(np.where(np.isinf(bound), 0.0, bound), name)

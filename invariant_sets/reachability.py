@@ -116,7 +116,7 @@ def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope | None, target: Po
 
     progress = _repeat(step_back, target, steps, deadline.part(_EXACT_SHARE))
     if isinstance(progress, _Progress):
-        states = Trajectories(system.A, system.B, (X,) * steps + (target,), U)
+        states = Trajectories(system.A, system.B, X, X, target, U, steps)
         inner = None if W is not None else inner_hull(states, 0, _last_part(deadline))
         progress = _interrupted(inner, X, progress)
     return _in_given_units(progress, size)
@@ -180,7 +180,7 @@ def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope | None, steps: in
 
     progress = _repeat(step_ahead, first, steps, deadline.part(_EXACT_SHARE))
     if isinstance(progress, _Progress):
-        states = Trajectories(system.A, system.B, (first,) + (X,) * steps, U)
+        states = Trajectories(system.A, system.B, first, X, X, U, steps)
         progress = _interrupted(inner_hull(states, steps, _last_part(deadline)), X, progress)
     return _in_given_units(progress, size)
 

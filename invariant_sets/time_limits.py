@@ -99,7 +99,7 @@ def check_time_limit(value: Any) -> float | None:
         return None
     try:
         seconds = float("nan") if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         seconds = float("nan")
     if not seconds > 0.0:
         raise InputError("time_limit", repr(value)[:60], "a number of seconds above 0, or None for no limit")

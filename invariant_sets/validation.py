@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,9 @@ def as_floats(value: Any, name: str) -> Array:
     """Return `value` as a new float64 array, or raise `InputError`."""
     try:
         raw = np.asarray(value)
-        if raw.dtype.kind in "biufO":
+        if raw.dtype.kind in "biuf" or (raw.dtype.kind == "O" and all(isinstance(v, Real) for v in raw.flat)):
             return np.array(raw, dtype=np.float64, order="C")
-    except (TypeError, ValueError):
+    except Exception:  # ragged, beyond double precision, or whatever the object raises when it is read as an array
         pass
     raise InputError(name, f"{type(value).__name__} {brief(value)}", "an array of real numbers")
 
@@ -71,11 +72,11 @@ def check_finite(array: Array, name: str) -> None:
 def check_tolerance(tol: Any, name: str = "tol") -> float:
     """Return `tol` as a float, or raise `InputError` if it is negative or no number."""
     try:
-        value = float(tol)
-    except (TypeError, ValueError):
+        value = np.nan if isinstance(tol, bool) else float(tol)
+    except (TypeError, ValueError, OverflowError):
         raise InputError(name, brief(tol), "a finite number >= 0") from None
     if not 0.0 <= value < np.inf:
-        raise InputError(name, value, "a finite number >= 0")
+        raise InputError(name, brief(tol), "a finite number >= 0")
     return value
 
 
@@ -101,5 +102,5 @@ def frozen(array: Array) -> Array:
 
 def brief(value: Any) -> str:
     """Return the repr of a value in 60 characters at most."""
-    text = repr(value)
+    text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."

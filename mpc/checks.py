@@ -25,7 +25,10 @@ def as_floats(name: str, value: ArrayLike) -> Array:
     if not real:
         got = "complex numbers" if raw.dtype.kind == "c" else f"{type(value).__name__} {_brief(value)}"
         raise InputError(name, got, expected)
-    return np.array(raw, dtype=np.float64, order="C")
+    try:
+        return np.array(raw, dtype=np.float64, order="C")
+    except OverflowError:
+        raise InputError(name, _brief(value), "numbers of double precision") from None
 
 
 def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
@@ -76,6 +79,18 @@ def as_count(name: str, value: Any) -> int:
     return int(value)
 
 
+def as_seconds(name: str, value: Any) -> float:
+    """Return a wall time > 0 [s]; None and inf are no limit."""
+    if value is None:
+        return np.inf
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real) or not value > 0.0:  # type: ignore[operator]
+        raise InputError(name, _brief(value), "seconds > 0, or None for no limit")
+    try:
+        return float(value)
+    except OverflowError:
+        return np.inf
+
+
 def as_rate_limit(value: ArrayLike, nu: int) -> Array:
     """Return the rate limits (nu,), positive; a number holds for every input."""
     raw = as_floats("rate_limit", value)
@@ -108,6 +123,8 @@ def as_set(name: str, value: Any, n: int) -> Any:
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise InputError(name, _brief(value), "a Polytope with .A and .b, bounds (lower, upper), or None")
     lower, upper = (_bound(f"{name}[{i}]", side, n) for i, side in enumerate(value))
+    if (lower == np.inf).any() or (upper == -np.inf).any():
+        raise InputError(name, "an infinite bound that excludes every point", "lower < inf and upper > -inf")
     if not (lower <= upper).all():
         raise InputError(name, f"lower {lower} above upper {upper}", "lower <= upper")
     from invariant_sets import Polytope
@@ -139,7 +156,7 @@ def as_pair(A: Any, B: ArrayLike | None) -> tuple[Array, Array]:
         if not (hasattr(A, "A") and hasattr(A, "B")):
             raise InputError("B", "nothing", "A and B, or a discrete-time control.StateSpace in place of both")
         if not getattr(A, "dt", None):
-            raise InputError("A", f"a StateSpace with dt = {A.dt}", "a discrete-time system")
+            raise InputError("A", f"a StateSpace with dt = {getattr(A, 'dt', None)}", "a discrete-time system")
         B = A.B
         A = A.A
     A = as_array("A", A, (None, None))

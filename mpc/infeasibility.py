@@ -31,7 +31,7 @@ class Violation:
     row: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Explanation:
     """Why there is no admissible input sequence; prints as one sentence.
 
@@ -60,6 +60,9 @@ class Explanation:
 
     def __str__(self) -> str:
         return self.text
+
+    def __repr__(self) -> str:
+        return f"Explanation({len(self.violations)} constraints give, {len(self.conflict)} contradict each other)"
 
 
 def explain_infeasibility(

@@ -191,7 +191,7 @@ class LinearMPC(MPCProblem):
 
     def explicit(
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,
-        time_limit: float = np.inf, method: str = "tree", tree_time_limit: float = 10.0,
+        time_limit: float | None = None, method: str = "tree", tree_time_limit: float | None = 10.0,
     ) -> ExplicitMPC:  # fmt: skip
         """The same law as a function of the state, computed for every state in advance.
 
@@ -217,7 +217,9 @@ class LinearMPC(MPCProblem):
         from mpc.explicit.explicit import ExplicitMPC, default_parameters
         from mpc.explicit.mpqp import solve_mpqp
 
-        problem = self.build(*parameters)
+        if not isinstance(parameters, (str, tuple, list)):
+            raise InputError("parameters", repr(parameters), "a tuple of names")
+        problem = self.build(*((parameters,) if isinstance(parameters, str) else parameters))
         if theta_set is None:
             theta_set = default_parameters(self, problem)
         partition = solve_mpqp(problem, theta_set, max_regions=max_regions, time_limit=time_limit)

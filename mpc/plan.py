@@ -74,6 +74,10 @@ class Plan:
     solve_time: float
     solver: str
 
+    def __post_init__(self) -> None:
+        self.inputs.flags.writeable = False
+        self.states.flags.writeable = False
+
     @property
     def feasible(self) -> bool:
         """True when the problem was solved as posed; soft constraints may give, see `violation`."""

@@ -78,6 +78,8 @@ class MPCProblem:
     def _set(self, **values: Any) -> None:
         """Store checked values; the object is frozen once it is complete."""
         for name, value in values.items():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
             object.__setattr__(self, name, value)
 
     def _check_sets(self) -> None:

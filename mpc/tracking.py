@@ -35,6 +35,10 @@ class Target:
     drift: Array
     steady: bool
 
+    def __post_init__(self) -> None:
+        for array in (self.state, self.input, self.drift):
+            array.flags.writeable = False
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OffsetFreeMPC:
@@ -177,7 +181,11 @@ class OffsetFreeMPC:
         return DenseQP(H, rows * size @ basis, units).solve(q, right, confirm_infeasible=True)
 
     def solve(self, x: ArrayLike, reference: ArrayLike, **signals: ArrayLike) -> Plan:
-        """Plan from x towards the `nearest_target` of the reference, under the estimated disturbance."""
+        """Plan from x towards the `nearest_target` of the reference, under the estimated disturbance.
+
+        Of the other signals only `u_prev` is open: references and disturbance are the controller's own.
+        """
+        _refuse_own(signals)
         target = self.nearest_target(reference)
         return self.mpc.solve(x, x_ref=target.state, u_ref=target.input, w=self.disturbance, **signals)
 
@@ -188,6 +196,7 @@ class OffsetFreeMPC:
         """
         r = self._reference(reference, signals.pop("x_ref", None))
         signals.pop("u_ref", None)
+        _refuse_own(signals)
         states = as_floats("x", x)
         target = self.nearest_target(r)
         return self.mpc(states, x_ref=target.state, u_ref=target.input, w=self.disturbance, **signals)
@@ -206,12 +215,22 @@ class OffsetFreeMPC:
         return np.asarray(self.C @ as_array("x_ref", state[0] if state.ndim == 2 else state, (self.mpc.nx,)))
 
 
+def _refuse_own(signals: dict[str, Any]) -> None:
+    """Raise for a signal that the controller sets itself, or that there is none of."""
+    for name in signals:
+        if name != "u_prev":
+            raise InputError(name, "a signal", "none but u_prev", "References and disturbance are set by the target.")
+
+
 class OffsetFreeLoop:
     """`OffsetFreeMPC` for n runs of a closed loop: `reset(n)` forgets, a call observes the step before and answers."""
 
     def __init__(self, controller: OffsetFreeMPC, n: int = 1):
         self.controller = controller
         self.reset(n)
+
+    def __repr__(self) -> str:
+        return f"OffsetFreeLoop({len(self._each)} runs, {self.controller!r})"
 
     @property
     def needs(self) -> frozenset[str]:

@@ -15,6 +15,7 @@ from invariant_sets.tolerances import TINY
 
 Array = np.ndarray
 _MOST_POINTS = 200
+_MOST_ENTRIES = 2_000_000  # of the linear program over all steps: a larger one takes more than a second
 
 
 @dataclass(frozen=True)
@@ -25,29 +26,46 @@ class Trajectories:
     ----------
     A, B : arrays
         Dynamics.
-    states : tuple of Polytope
-        Sets of x₀, …, x_N.
+    first, between, last : Polytope
+        Sets of x₀, of x₁, …, x_{N−1}, and of x_N.
     U : Polytope
         Input set.
+    steps : int
+        N, at least one.
     """
 
     A: Array
     B: Array
-    states: tuple[Polytope, ...]
+    first: Polytope
+    between: Polytope
+    last: Polytope
     U: Polytope
+    steps: int
+
+    @property
+    def entries(self) -> int:
+        """Size of the matrix of a linear program over all steps."""
+        rows = self.steps * (len(self.U.b) + len(self.between.b) + 2 * len(self.between.b_eq))
+        return rows * (self.first.dim + self.steps * self.U.dim)
 
 
 def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polytope | None:
     """Return the hull of extreme states at time `at` (0 or N), as many as the deadline allows; None if there is none.
 
+    None, too, where the linear program over all steps would be too large.
+
     One linear program a point, in the coordinates of the bodies of x₀ and U. Every point belongs to a trajectory that
     respects all sets, so their hull is inside the set of all such states.
     """
-    first, inputs = trajectories.states[0]._body, trajectories.U._body
+    if trajectories.entries > _MOST_ENTRIES:
+        return None
+    steps = trajectories.steps
+    states = (trajectories.first, *[trajectories.between] * (steps - 1), trajectories.last)
+    first = trajectories.first._body
+    inputs = trajectories.U._body
     if first is None or inputs is None:
         return None
     n, k, q = len(first.centre), first.basis.shape[1], inputs.basis.shape[1]
-    steps = len(trajectories.states) - 1
     maps, offsets = [np.hstack([first.basis, np.zeros((n, steps * q))])], [first.centre]
     for step in range(steps):
         moved = trajectories.A @ maps[-1]
@@ -56,7 +74,7 @@ def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polyt
         offsets.append(trajectories.A @ offsets[-1] + trajectories.B @ inputs.centre)
     rows = [np.hstack([np.zeros((steps * len(inputs.g), k)), np.kron(np.eye(steps), inputs.F)])]
     right = [np.tile(inputs.g, steps)]
-    for S, M, c in zip(trajectories.states, maps, offsets):
+    for S, M, c in zip(states, maps, offsets):
         F, g = np.vstack([S.A, S.A_eq, -S.A_eq]), np.concatenate([S.b, S.b_eq, -S.b_eq])
         rows.append(F @ M)
         right.append(g - F @ c)

@@ -91,8 +91,8 @@ def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
     T, Z, k = schur(A.T, output="real", sort=outside)
     L, inverse = Z[:, :k].T, np.linalg.inv(T[:k, :k].T)  # L A = Λ L with Λ = T₁₁ᵀ
     reach = max(np.abs(inputs).max(), 0.0 if disturbances is None else np.abs(disturbances).max())
-    terms: list[Array] = []
-    block = inverse.copy()
+    terms = [inverse]
+    block = inverse @ inverse
     while len(terms) < _MAX_TERMS and np.linalg.norm(block) > SERIES_END:
         terms.append(block)
         block = block @ inverse

@@ -78,7 +78,7 @@ class ExplicitMPC:
     @classmethod
     def from_partition(
         cls, partition: Partition, input_rows: tuple[Array, Array] | None = None, *, method: str = "tree",
-        tree_time_limit: float = np.inf,
+        tree_time_limit: float | None = None,
     ) -> ExplicitMPC:  # fmt: skip
         """Explicit law of a solved multiparametric QP.
 
@@ -258,9 +258,12 @@ _LARGEST = 1e30  # scaled parameters beyond this are cut off
 def as_path(name: str, value: Any) -> Path:
     """A path on disk."""
     try:
-        return Path(value)
+        path = Path(value)
     except TypeError:
         raise InputError(name, type(value).__name__, "a path") from None
+    if not path.name:
+        raise InputError(name, repr(str(value)), "a path that ends in a name")
+    return path
 
 
 def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mpc.checks import as_count, as_seconds
 from mpc.exceptions import InputError
 from mpc.explicit.equality_elimination import (
     FlatParameters,
@@ -17,7 +18,6 @@ from mpc.explicit.equality_elimination import (
     irredundant_rows,
 )
 from mpc.explicit.exploration import Found, Limits, explore_compiled
-from mpc.explicit.limits import as_count, as_seconds
 from mpc.explicit.partition import Ints, MPQPStatus, Partition
 from mpc.explicit.scaled_qp import ScaledQP, scale_parameters, scale_qp
 from mpc.parametric_qp import ParametricQP
@@ -27,7 +27,7 @@ __all__ = ["MPQPStatus", "Partition", "solve_mpqp"]
 
 def solve_mpqp(
     problem: ParametricQP, theta_set: Any, *, compiled: bool = True, max_regions: int = 100_000,
-    time_limit: float = np.inf,
+    time_limit: float | None = None,
 ) -> Partition:  # fmt: skip
     """Partition of `theta_set` into critical regions of the QP, each with its affine minimiser.
 
@@ -48,7 +48,7 @@ def solve_mpqp(
     max_regions : int
         Limit on the number of regions.
     time_limit : float
-        Limit on the wall time [s].
+        Limit on the wall time [s]; none if left out.
 
     Returns
     -------
@@ -71,6 +71,8 @@ def solve_mpqp(
     start = time.perf_counter()
     if not isinstance(problem, ParametricQP):
         raise InputError("problem", type(problem).__name__, "a ParametricQP", "See `LinearMPC.build`.")
+    if not isinstance(compiled, bool):
+        raise InputError("compiled", repr(compiled), "True or False")
     limits = Limits(as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit))
     qp = scale_qp(problem, scale_parameters(theta_set, problem.nt))
     always = [i for i, _ in equality_pairs(qp)]

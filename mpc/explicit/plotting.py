@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mpc.checks import Array, as_array
+from mpc.checks import Array, as_array, as_count
 from mpc.exceptions import InputError
-from mpc.explicit.limits import as_count
 from mpc.explicit.piecewise_law import PiecewiseLaw
 
 

@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mpc.checks import Array
+from mpc.checks import Array, as_seconds
 from mpc.exceptions import InputError
-from mpc.explicit.limits import as_seconds
 from mpc.explicit.partition import Ints, MPQPStatus, Partition
 from mpc.tolerances import CROSSING, INSIDE, SAME_HYPERPLANE_DIGITS
 
@@ -102,7 +101,7 @@ class RegionPoints(NamedTuple):
 
 
 def build_tree(
-    partition: Partition, laws: Ints, points: RegionPoints, *, method: str = "tree", time_limit: float = np.inf
+    partition: Partition, laws: Ints, points: RegionPoints, *, method: str = "tree", time_limit: float | None = None
 ) -> SearchTree:
     """Search tree whose leaves hold regions of one law, or few regions.
 

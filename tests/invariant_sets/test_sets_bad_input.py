@@ -213,7 +213,7 @@ def test_other_messages():
         (lambda: minimal_robust_positively_invariant_set(A, W), "spectral radius 1.2, expected less than 1"),
         (lambda: plot_polytope(Polytope.empty(1)), "nothing to draw"),
         (lambda: plot_polytope(box([0, 0], [np.inf, 1])), "unbounded"),
-        (lambda: plot_polytope(np.eye(2)), "P: got a ndarray, expected a Polytope"),
+        (lambda: plot_polytope(np.eye(2)), "P: got ndarray, expected a Polytope"),
         (lambda: plot_polytope(box([0] * 4, [1] * 4), coordinates=[0, 1, 2, 3]),
          "coordinates: got 4 entries, expected one, two or three"),
         (lambda: plot_family([P], values=[1, 2]), "values, labels: got 2 and 1 entries"),
@@ -332,3 +332,45 @@ def test_an_iteration_limit_is_a_status_with_advice(limit):
         assert_clean(result)
         assert result.status is Status.ITERATION_LIMIT
         assert "max_iterations" in result.status.advice
+
+
+def test_what_cannot_be_read_as_numbers_is_refused_whatever_it_raises():
+    class Unreadable:
+        def __array__(self, *args, **kwargs):
+            raise RuntimeError("no array here")
+
+    huge = 10**400
+    for call in (
+        lambda: Polytope(Unreadable(), [1.0]),
+        lambda: Polytope([[huge, 1.0]], [1.0]),
+        lambda: box([-huge], [1.0]),
+        lambda: box([], []),
+        lambda: box([None], [1.0]),
+        lambda: X.contains(None),
+        lambda: X.contains([0.0, 0.0], tol=huge),
+        lambda: X.contains([0.0, 0.0], tol=True),
+        lambda: maximal_control_invariant_set(A, B, X, U, tol=huge),
+        lambda: X.minkowski_sum(X, time_limit=huge),
+        lambda: plot_family(3),
+        lambda: plot_family(X),
+        lambda: plot_family([X], labels=3),
+        lambda: plot_family([X, X], values=["low", "high"]),
+        lambda: plot_family([X, X], values=[np.nan, 1.0]),
+        lambda: plot_polytope(X, coordinates=[[0, 1], [1]]),
+    ):
+        with pytest.raises(InvariantSetsError, match=r"got .* expected"):
+            call()
+
+
+@pytest.mark.parametrize("growth", [1e17, 1e150])
+def test_plants_that_leave_at_once_have_a_status_and_no_traceback(growth):
+    result = maximal_control_invariant_set(growth * A, B, X, U)
+    assert_clean(result)
+
+
+def test_a_time_limit_holds_for_any_number_of_steps():
+    for call in (lambda: controllable_set(A, B, X, U, X, 10**9, time_limit=0.2),
+                 lambda: reachable_set(STABLE, B, X, U, 10**9, X=X, time_limit=0.2)):
+        result = call()
+        assert result.status is Status.TIME_LIMIT
+        assert result.set.is_subset(result.outer, 1e-8)

@@ -6,7 +6,7 @@ import pytest
 import scipy.sparse
 from plants import box, double_integrator
 
-from mpc import LinearMPC, MPCError, OffsetFreeMPC, lqr
+from mpc import LinearMPC, MPCError, OffsetFreeMPC, lqr, solve_mpqp
 
 A, B = double_integrator()
 BASE = dict(A=A, B=B, Q=np.eye(2), R=[[0.1]], horizon=5, X=box([5, 5]), U=box([1]))
@@ -173,3 +173,59 @@ def test_a_wrong_offset_free_controller_is_refused(controller):
     ):
         with pytest.raises(MPCError, match=r"got .*expected"):
             call()
+
+
+def test_data_that_cannot_be_read_as_numbers_are_refused(controller):
+    class Unreadable:
+        def __array__(self, *args, **kwargs):
+            raise RuntimeError("no array here")
+
+    class NoTime:
+        A, B = BASE["A"], BASE["B"]
+
+    options = dict(Q=1.0, R=1.0, horizon=3)
+    for ask in (
+        lambda: controller([10**400, 0.0]),
+        lambda: controller(Unreadable()),
+        lambda: LinearMPC(NoTime(), **options),
+        lambda: LinearMPC(A, B, **options, U=(np.inf, np.inf)),
+        lambda: LinearMPC(A, B, **options, X=(-np.inf, -np.inf)),
+        lambda: controller.explicit(parameters=3),
+        lambda: controller.explicit(tree_time_limit="long"),
+        lambda: solve_mpqp(controller.build(), BASE["X"], compiled="no"),
+        lambda: solve_mpqp(controller.build(), BASE["X"], max_regions=10**400),
+        lambda: controller.explicit().save(""),
+    ):
+        with pytest.raises(MPCError, match=r"got .{1,120}expected"):
+            ask()
+
+
+def test_offset_free_control_takes_no_signals_that_it_sets_itself(controller):
+    tracking = OffsetFreeMPC(controller, [[1.0, 0.0]])
+    for ask in (
+        lambda: tracking([1.0, 1.0], [1.0], w=[0.0, 0.0]),
+        lambda: tracking.solve([1.0, 1.0], [1.0], x_ref=[1.0, 1.0]),
+        lambda: tracking([1.0, 1.0], [1.0], weather=2),
+    ):
+        with pytest.raises(MPCError, match="none but u_prev"):
+            ask()
+
+
+def test_no_time_limit_can_be_said_in_both_ways(controller):
+    for limit in (None, np.inf, 10**400):
+        assert len(controller.explicit(time_limit=limit, tree_time_limit=limit)) > 1
+
+
+def test_what_is_returned_cannot_be_written_to(controller):
+    plan = controller.solve([1.0, 1.0])
+    target = OffsetFreeMPC(controller, [[1.0, 0.0]]).nearest_target([1.0])
+    for array in (plan.inputs, plan.states, target.state, target.input, controller.P, controller.riccati_gain):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+
+
+def test_reprs_fit_two_lines(controller):
+    tracking = OffsetFreeMPC(controller, [[1.0, 0.0]])
+    for thing in (controller, controller.explain([4.9, 4.9]), tracking, tracking.loop(3), controller.explicit()):
+        assert len(repr(thing)) <= 240
+        assert " object at " not in repr(thing)
