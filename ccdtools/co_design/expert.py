@@ -9,7 +9,7 @@ Chen et al., "Approximating explicit model predictive control using constrained 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.stats import qmc
@@ -20,6 +20,7 @@ from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_s
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
+from ccdtools.plants.linear_model import LinearModel
 from invariant_sets import AdmissibleInputs, ParametricSet, Polytope
 from mpc import LinearMPC, lqr
 
@@ -64,7 +65,13 @@ class ExpertData(Immutable):
 def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
     """X_fea(p): the maximal control invariant set of every design, computed when asked for."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    return ParametricSet(lambda p: problem.model.matrices(p)[:2], problem.X, problem.U)
+    return ParametricSet(partial(_state_and_input_matrices, problem.model), problem.X, problem.U)
+
+
+def _state_and_input_matrices(model: LinearModel, design: Array) -> tuple[Array, Array]:
+    """A(p) and B(p); a function of the module, so that the family of sets can be pickled."""
+    A, B, _ = model.matrices(design)
+    return A, B
 
 
 def expert_dataset(

@@ -66,7 +66,7 @@ class RealPlant:
         _check_disturbance("real.disturbance", self.disturbance, self.plant)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Study:
     """A case study.
 
@@ -119,6 +119,9 @@ class Study:
     paper_networks: tuple[int, ...] = (32, 32, 16, 16)
     samples: int = 1000
     sampling_guard: str = "warn"
+
+    def __repr__(self) -> str:
+        return f"Study({self.name!r}, {self.plant!r}, {self.steps} steps, start {self.plant.design.describe(self.p0)})"
 
     def __post_init__(self) -> None:
         self._check_kinds()
