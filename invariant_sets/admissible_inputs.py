@@ -75,7 +75,8 @@ class AdmissibleInputs:
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
-        nx, nu = self._rows.after.shape[1], self.U.dim
+        nx = self._rows.after.shape[1]
+        nu = self.U.dim
         return f"AdmissibleInputs(nx={nx}, nu={nu}, {len(self._rows.room)} rows of S, {len(self.U.b)} rows of U)"
 
     def at(self, x: Any) -> Polytope:
@@ -110,12 +111,14 @@ class AdmissibleInputs:
         rows = self._rows
         states, single = as_batch(x, "x", rows.after.shape[1])
         proposed = _proposals(u_proposed, self.U.dim, len(states))
-        rooms, wanted = rows.rooms(states), rows.local(proposed)
+        rooms = rows.rooms(states)
+        wanted = rows.local(proposed)
         if rows.slope.shape[1] == 1:
             low, high = rows.interval
             slope = np.broadcast_to(rows.slope[:, 0], rooms.shape)
             values, violation = Intervals(slope, rooms, low, high).nearest(wanted[:, 0])
-            v, admissible = values[:, None], violation <= ADMISSIBLE
+            v = values[:, None]
+            admissible = violation <= ADMISSIBLE
         else:
             v, admissible = _by_programs(rows, rooms, wanted)
         u = rows.middle + v @ rows.size.T
@@ -151,12 +154,14 @@ class AdmissibleInputFamily:
             raise InputError("filters", f"(nx, nu) of {sorted(shapes)}", "the same in all")
         object.__setattr__(self, "filters", filters)
         most = max(len(one._rows.room) for one in filters)
-        slope, after = np.zeros((len(filters), most)), np.zeros((len(filters), most, next(iter(shapes))[0]))
+        slope = np.zeros((len(filters), most))
+        after = np.zeros((len(filters), most, next(iter(shapes))[0]))
         room = np.full((len(filters), most), _LARGE)  # a filter with fewer rows gets rows that never matter
         for i, one in enumerate(filters):
             count = len(one._rows.room)
             slope[i, :count] = one._rows.slope[:, 0] if one._rows.slope.shape[1] else 0.0
-            room[i, :count], after[i, :count] = one._rows.room, one._rows.after
+            room[i, :count] = one._rows.room
+            after[i, :count] = one._rows.after
         for name, array in (("_slope", slope), ("_room", room), ("_after", after)):
             object.__setattr__(self, name, frozen(array))
 
@@ -209,7 +214,8 @@ class _LocalRows:
     @property
     def interval(self) -> tuple[float, float]:
         """Smallest and largest v of a single input."""
-        ends, side = self.h / self.H[:, 0], self.H[:, 0]
+        ends = self.h / self.H[:, 0]
+        side = self.H[:, 0]
         return float(ends[side < 0].max()), float(ends[side > 0].min())
 
     def rooms(self, states: Array) -> Array:
@@ -246,12 +252,14 @@ def _proposals(value: Any, nu: int, count: int) -> Array:
 
 def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, Array]:
     """Return the nearest admissible v (k, q), by one QP a state, and whether it is admissible."""
-    v, admissible = np.zeros(wanted.shape), np.zeros(len(rooms), bool)
+    v = np.zeros(wanted.shape)
+    admissible = np.zeros(len(rooms), bool)
     for k, room in enumerate(rooms):
         nearest = _nearest(rows, room + 0.5 * ADMISSIBLE, wanted[k])
         if nearest is None or not _meets(rows, nearest, room):
             nearest = _least_violation(rows, room, wanted[k])
-        v[k], admissible[k] = nearest, _meets(rows, nearest, room)
+        v[k] = nearest
+        admissible[k] = _meets(rows, nearest, room)
     return v, admissible
 
 

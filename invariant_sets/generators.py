@@ -61,7 +61,8 @@ def generators(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Generato
         deadline.check_hull(len(dual), dual.shape[1])
         size = np.abs(dual).max()
         equations = convex_hull(dual / size).equations
-        normal, offset = equations[:, :-1], -equations[:, -1]
+        normal = equations[:, :-1]
+        offset = -equations[:, -1]
         far = offset <= REDUNDANT  # facets through 0
         points = merge_points(normal[~far] / offset[~far, None] / size)
         rays = merge_points(normal[far])
@@ -86,7 +87,9 @@ def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Arr
     spread = np.abs(G.points - middle).max(axis=0)
     length = np.abs(np.vstack([G.rays, G.lines])).max(axis=0, initial=0.0)
     unit = np.where(spread > ROUNDING * np.abs(middle), spread, np.where(length > 0, length, 1.0))
-    points, rays, lines = (G.points - middle) / unit, _of_length_one(G.rays / unit), G.lines / unit
+    points = (G.points - middle) / unit
+    rays = _of_length_one(G.rays / unit)
+    lines = G.lines / unit
     across = _spanned(_of_length_one(lines))[1]
     inner = np.zeros(len(across))
     while len(rays) and len(across):  # every pass divides out a line that the rays hold together
@@ -104,9 +107,12 @@ def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Arr
     local = solid @ across
     F, g = _solid_rows(points @ local.T, rays @ local.T, solid @ inner, deadline)
     g = np.where(np.abs(g) > CANCELLED, g, 0.0)  # rows through the middle of the points
-    A, E = F @ local / unit, flat @ across / unit
-    norms, norms_eq = np.linalg.norm(A, axis=1), np.linalg.norm(E, axis=1)
-    A, E = A / norms[:, None], E / norms_eq[:, None]
+    A = F @ local / unit
+    E = flat @ across / unit
+    norms = np.linalg.norm(A, axis=1)
+    norms_eq = np.linalg.norm(E, axis=1)
+    A = A / norms[:, None]
+    E = E / norms_eq[:, None]
     return A, g / norms + A @ middle, E, E @ middle
 
 

@@ -135,7 +135,8 @@ def irredundant_rows(F: Array, g: Array, tol: float = REDUNDANT) -> Array:
         if len(needed) == 1:
             break
         others = [j for j in needed if j != i]
-        rows, values = np.vstack([F[others], F[i]]), np.append(g[others], g[i] + 1.0)
+        rows = np.vstack([F[others], F[i]])
+        values = np.append(g[others], g[i] + 1.0)
         if -minimise(-F[i], rows, values)[0] <= g[i] + tol:
             needed = others
     return np.array(needed, dtype=int)
@@ -168,16 +169,20 @@ def hull_of_points(V: Array) -> tuple[Array, Array, Array, Array, Array]:
     Y = (V - centre) / scale
     _, s, vt = np.linalg.svd(Y, full_matrices=len(Y) < 2 * Y.shape[1])
     rank = int((s > FLAT * max(s.max(initial=0.0), FLAT)).sum())
-    N, M = vt[:rank], vt[rank:] / scale
+    N = vt[:rank]
+    M = vt[rank:] / scale
     extreme = np.arange(1)
-    A, b = np.zeros((0, V.shape[1])), np.zeros(0)
+    A = np.zeros((0, V.shape[1]))
+    b = np.zeros(0)
     if rank:
         F, g, extreme = hull_rows(Y @ N.T)
         rows = F @ N
         rows[np.abs(rows) <= EPS] = 0.0  # rounding here, but not always in the units of x
-        A, b = rows / scale, g + rows @ (centre / scale)
+        A = rows / scale
+        b = g + rows @ (centre / scale)
         norms = np.linalg.norm(A, axis=1)
-        A, b = A / norms[:, None], b / norms
+        A = A / norms[:, None]
+        b = b / norms
     M = M / np.linalg.norm(M, axis=1)[:, None]
     return A, b, M, M @ centre, extreme
 

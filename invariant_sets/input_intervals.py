@@ -73,5 +73,6 @@ class Intervals:
             middle = (bottom + top) / 2
             low, high = self._at_level(middle)
             fits = low <= high
-            top, bottom = np.where(fits, middle, top), np.where(fits, bottom, middle)
+            top = np.where(fits, middle, top)
+            bottom = np.where(fits, bottom, middle)
         return top

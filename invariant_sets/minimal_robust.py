@@ -87,7 +87,8 @@ def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = Non
     centre = W.affine_map(E)._body.centre  # type: ignore[union-attr]
     rest = np.linalg.solve(np.eye(len(A)) - A, centre)
     size = _extent(A, noise - centre)
-    local, pushes = A * size / size[:, None], (noise - centre) / size  # in units of the answer's own extent
+    local = A * size / size[:, None]  # in units of the answer's own extent
+    pushes = (noise - centre) / size
     Q = _moving_subspace(local, pushes)
     if Q.shape[1] == 0:
         found = _Approximation(Polytope.from_vertices(rest[None]), 0.0, 0, Status.CONVERGED)
@@ -147,14 +148,20 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
     """Return the scaled partial sum for vertices W of a full-dimensional set with 0 inside; None if no term shrinks."""
     hull = Polytope.from_vertices(W)
     target = max(limits.tol / (1 + limits.tol), LEAST_ALPHA)
-    partial, image, status = hull, W, Status.ITERATION_LIMIT
-    alpha, best, terms = np.inf, hull, 0
+    partial = hull
+    image = W
+    status = Status.ITERATION_LIMIT
+    alpha = np.inf
+    best = hull
+    terms = 0
     deadline = limits.deadline.part(_SUM_SHARE)
     for s in range(1, limits.iterations + 1):
         image = image @ A.T
         shrunk = float(((hull.A @ image.T).max(axis=1) / hull.b).max())
         if shrunk < alpha:
-            alpha, best, terms = shrunk, partial, s
+            alpha = shrunk
+            best = partial
+            terms = s
         if shrunk <= target:
             status = Status.CONVERGED
             break
@@ -176,7 +183,8 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
 def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
     """Iterate R ← A R ⊕ W from the largest robust set in a box around the answer; every iterate is robust."""
     eye = np.eye(len(A))
-    upper, lower = _sum_of_supports(eye, A, W, _SERIES), -_sum_of_supports(-eye, A, W, _SERIES)
+    upper = _sum_of_supports(eye, A, W, _SERIES)
+    lower = -_sum_of_supports(-eye, A, W, _SERIES)
     margin = 0.25 * (upper - lower) + 0.01 * (upper - lower).max()
     noise = Polytope.from_vertices(W)
     box = Polytope.from_bounds(lower - margin, upper + margin)
@@ -184,17 +192,21 @@ def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
     first = largest_invariant_set(task)
     if first.set.is_empty:
         return _Approximation(None, np.inf, first.iterations, first.status)
-    R, gap = first.set, np.inf
-    partial, image = noise, W  # a partial sum, inside the minimal set
+    R = first.set
+    gap = np.inf
+    partial = noise  # a partial sum, inside the minimal set
+    image = W
     for extra in range(limits.iterations + 1):
-        steps, gap = first.iterations + extra, min(gap, _excess(R, partial))
+        steps = first.iterations + extra
+        gap = min(gap, _excess(R, partial))
         if gap <= limits.tol:
             return _Approximation(R, gap, steps, Status.CONVERGED)
         try:
             limits.deadline.check_hull(max(len(R.vertices), len(partial.vertices)) * len(W), len(A))
         except LimitReached as limit:
             return _Approximation(R, gap, steps, _status_of(limit))
-        grown, image = R.affine_map(A).minkowski_sum(noise), image @ A.T
+        grown = R.affine_map(A).minkowski_sum(noise)
+        image = image @ A.T
         partial = Polytope.from_vertices((partial.vertices[:, None] + image[None]).reshape(-1, len(A)))
         if max(len(grown.b), len(partial.b)) > limits.facets:
             return _Approximation(R, gap, steps, Status.FACET_LIMIT)
@@ -216,7 +228,8 @@ def _excess(R: Polytope, partial: Polytope) -> float:
 
 def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
     """Return Σ_i max_w dᵀAⁱw for every row d of D, from below: the terms after the last are left out."""
-    total, directions = np.zeros(len(D)), np.array(D)
+    total = np.zeros(len(D))
+    directions = np.array(D)
     largest = np.abs(W).max(axis=0)
     for _ in range(terms):
         step = (directions @ W.T).max(axis=1)

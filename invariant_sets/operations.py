@@ -36,9 +36,12 @@ class SetOperations(Polyhedron):
         if body is None:
             return type(self).empty(self.dim)
         kept = irredundant_rows(body.F, body.g) if len(body.g) else np.zeros(0, int)
-        A, A_eq = body.F[kept] @ body.inverse, body.normals
-        norms, norms_eq = np.linalg.norm(A, axis=1), np.linalg.norm(A_eq, axis=1)
-        A, A_eq = A / norms[:, None], A_eq / norms_eq[:, None]
+        A = body.F[kept] @ body.inverse
+        A_eq = body.normals
+        norms = np.linalg.norm(A, axis=1)
+        norms_eq = np.linalg.norm(A_eq, axis=1)
+        A = A / norms[:, None]
+        A_eq = A_eq / norms_eq[:, None]
         right = body.g[kept] / norms + A @ body.centre
         return type(self)._with_vertices(A, right, A_eq, A_eq @ body.centre, self._vertices)
 
@@ -76,7 +79,8 @@ class SetOperations(Polyhedron):
         """
         other = same_space(self, other)
         deadline = Deadline.after(check_time_limit(time_limit))
-        mine, theirs = self._body, other._body
+        mine = self._body
+        theirs = other._body
         if mine is None or theirs is None:
             return type(self).empty(self.dim)
         D = np.vstack([self.A, other.A, np.eye(self.dim), -np.eye(self.dim)])
@@ -104,23 +108,29 @@ class SetOperations(Polyhedron):
         """
         other = same_space(self, other)
         n = self.dim
-        mine, theirs = self._body, other._body
+        mine = self._body
+        theirs = other._body
         if theirs is None:
             return type(self)(np.zeros((0, n)), np.zeros(0))
         if mine is None:
             return type(self).empty(n)
         reach = other._supports(self.A) if len(self.b) else np.zeros(0)
-        upper, lower = np.zeros(0), np.zeros(0)
+        upper = np.zeros(0)
+        lower = np.zeros(0)
         if len(self.b_eq):
-            upper, lower = other._supports(self.A_eq), -other._supports(-self.A_eq)
+            upper = other._supports(self.A_eq)
+            lower = -other._supports(-self.A_eq)
         size = np.abs(self.A_eq) @ (mine.half_widths + theirs.half_widths) + np.abs(upper) * (ROUNDING / FLAT)
         if np.isinf(reach).any() or np.isinf(upper).any() or (upper - lower > FLAT * size).any():
             return type(self).empty(n)
         widths = mine.half_widths + theirs.half_widths
         point = _meeting_point(self.A, self.b - reach, mine, theirs)
-        right, error = self.b - reach, _EPS * (np.abs(self.b) + np.abs(reach)) + ROUNDING * (np.abs(self.A) @ widths)
-        values, error_eq = self.b_eq - (upper + lower) / 2, _EPS * np.abs(self.b_eq) + FLAT * size
-        room, miss = right - self.A @ point, values - self.A_eq @ point
+        right = self.b - reach
+        error = _EPS * (np.abs(self.b) + np.abs(reach)) + ROUNDING * (np.abs(self.A) @ widths)
+        values = self.b_eq - (upper + lower) / 2
+        error_eq = _EPS * np.abs(self.b_eq) + FLAT * size
+        room = right - self.A @ point
+        miss = values - self.A_eq @ point
         if (room < -error).any():
             return type(self).empty(n)
         # rows that meet in one point, up to rounding, meet exactly: P ⊖ P is {0}, whose own size says nothing
@@ -202,7 +212,8 @@ class SetOperations(Polyhedron):
         free = np.setdiff1d(np.arange(self.dim), fixed)
         if len(free) == 0:
             raise InputError("coordinates", f"all {self.dim} of them", "fewer", "Use contains for a point.")
-        M, c = np.eye(self.dim)[:, free], np.zeros(self.dim)
+        M = np.eye(self.dim)[:, free]
+        c = np.zeros(self.dim)
         c[fixed] = values
         return self.preimage(M, c)
 
@@ -212,7 +223,8 @@ class SetOperations(Polyhedron):
         if value.ndim != 0:
             raise InputError("factor", f"shape {value.shape}", "a number", "Use affine_map for a matrix.")
         check_finite(value, "factor")
-        n, k = self.dim, float(value)
+        n = self.dim
+        k = float(value)
         if self.is_empty:
             return type(self).empty(n)
         if k == 0.0:
@@ -284,9 +296,12 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> tuple[Array, Array, Array, A
     if rank < body.basis.shape[1]:
         return None
     back = vt.T @ (left[:, :rank].T / s[:rank, None]) / units  # image → y
-    rows, normal = body.F @ back, left[:, rank:].T / units
-    norms, norms_eq = np.linalg.norm(rows, axis=1), np.linalg.norm(normal, axis=1)
-    rows, normal = rows / norms[:, None], normal / norms_eq[:, None]
+    rows = body.F @ back
+    normal = left[:, rank:].T / units
+    norms = np.linalg.norm(rows, axis=1)
+    norms_eq = np.linalg.norm(normal, axis=1)
+    rows = rows / norms[:, None]
+    normal = normal / norms_eq[:, None]
     return rows, body.g / norms + rows @ origin, normal, normal @ origin
 
 
@@ -298,7 +313,8 @@ def _without_cancelled(points: Array, V: Array, M: Array, c: Array) -> Array:
 
 def _pulled_back(A: Array, b: Array, M: Array, c: Array) -> tuple[Array, Array]:
     """Return the rows A (M x + c) <= b on x, with what has cancelled set to zero."""
-    rows, right = A @ M, b - A @ c
+    rows = A @ M
+    right = b - A @ c
     rows = np.where(np.abs(rows) > _EPS * (np.abs(A) @ np.abs(M)), rows, 0.0)
     constant = ~rows.any(axis=1)  # such a row only says whether its right-hand side is negative
     cancelled = constant & (np.abs(right) <= CANCELLED * (np.abs(b) + np.abs(A) @ np.abs(c)))
@@ -307,7 +323,8 @@ def _pulled_back(A: Array, b: Array, M: Array, c: Array) -> tuple[Array, Array]:
 
 def _meeting_point(A: Array, right: Array, mine: Body, theirs: Body) -> Array:
     """Return a point of P ⊖ Q as far inside the rows A x <= right as there is, on the hull of P less that of Q."""
-    slope, point = A @ mine.basis, mine.centre - theirs.centre
+    slope = A @ mine.basis
+    point = mine.centre - theirs.centre
     norms = np.linalg.norm(slope, axis=1)
     moving = norms > CANCELLED * np.linalg.norm(np.abs(A) @ np.abs(mine.basis), axis=1)
     if not moving.any():

@@ -157,7 +157,8 @@ class ParametricSet:
 
     def sample(self, p: Any, n: int, *, rng: np.random.Generator) -> Array:
         """Return n states, nearly uniform in C(p): (n, nx) for one design (np,), (k, n, nx) for several (k, np)."""
-        n, rng = check_count(n, "n"), check_rng(rng)
+        n = check_count(n, "n")
+        rng = check_rng(rng)
         designs, single = _designs(p)
         x = np.array([self.at(design).sample(n, rng=rng) for design in designs]).reshape(len(designs), n, self.X.dim)
         return x[0] if single else x

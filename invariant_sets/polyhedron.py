@@ -113,7 +113,9 @@ class Polyhedron:
             i = int(reversed_[0])
             raise InputError("lower", f"{lower[i]:g} above upper, {upper[i]:g}, at index {i}", "lower <= upper",
                              "Exchange them; the empty set is Polytope.empty(n).")
-        eye, has_upper, has_lower = np.eye(len(lower)), np.isfinite(upper), np.isfinite(lower)
+        eye = np.eye(len(lower))
+        has_upper = np.isfinite(upper)
+        has_lower = np.isfinite(lower)
         return cls(np.vstack([eye[has_upper], -eye[has_lower]]), np.append(upper[has_upper], -lower[has_lower]))
 
     @classmethod
@@ -261,7 +263,8 @@ class Polyhedron:
         scale, scale_eq = self._row_scales
         if over is not None:
             wider, wider_eq = over._scales_along(self)
-            scale, scale_eq = np.maximum(scale, wider), np.maximum(scale_eq, wider_eq)
+            scale = np.maximum(scale, wider)
+            scale_eq = np.maximum(scale_eq, wider_eq)
         centre = np.zeros(self.dim) if self._body is None else np.abs(self._body.centre)
         rounding = min(tol, ROUNDING)
         return (np.maximum(tol * scale, rounding * (np.abs(self.b) + np.abs(self.A) @ centre)),

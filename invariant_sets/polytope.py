@@ -31,7 +31,8 @@ class Polytope(SetOperations):
             Points may leave a row of Q by `tol` times its range over the bounding boxes of the sets, or by the
             rounding of its own data if that is more.
         """
-        other, tol = same_space(self, other), check_tolerance(tol)
+        other = same_space(self, other)
+        tol = check_tolerance(tol)
         if self._body is None:
             return True
         if other._body is None:
@@ -91,7 +92,8 @@ class Polytope(SetOperations):
         ----------
         Smith (1984), Operations Research 32(6); see `sampling`. Assumes a bounded set.
         """
-        n, rng = check_count(n, "n"), check_rng(rng)
+        n = check_count(n, "n")
+        rng = check_rng(rng)
         body = self._require_bounded("sample")
         if body.basis.shape[1] == 0:
             return np.repeat(body.centre[None], n, axis=0)

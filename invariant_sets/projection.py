@@ -73,12 +73,15 @@ def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Arra
     """
     last = R[:, -1]
     rest = np.column_stack([R[:, :-1], r])
-    up, down = last > ZERO_COEFFICIENT, last < -ZERO_COEFFICIENT
+    up = last > ZERO_COEFFICIENT
+    down = last < -ZERO_COEFFICIENT
     level = ~(up | down)
     if fresh is None:
         rows = [rest[level], _combined(rest[up], last[up], rest[down], -last[down])]
     else:
-        new_up, new_down, old_up = up & fresh, down & fresh, up & ~fresh
+        new_up = up & fresh
+        new_down = down & fresh
+        old_up = up & ~fresh
         rows = [rest[level & fresh], _combined(rest[new_up], last[new_up], rest[down], -last[down]),
                 _combined(rest[old_up], last[old_up], rest[new_down], -last[new_down])]
     return _without_zero_rows(np.vstack(rows))
@@ -89,19 +92,23 @@ def _combined(high: Array, above: Array, low: Array, below: Array) -> Array:
     if len(high) * len(low) > MOST_ROWS:
         raise SizeLimitReached(f"an elimination with {len(high)} times {len(low)} rows")
     larger = np.maximum(above[:, None], below[None, :])
-    first, second = below[None, :] / larger, above[:, None] / larger
+    first = below[None, :] / larger
+    second = above[:, None] / larger
     return (first[:, :, None] * high[:, None, :] + second[:, :, None] * low[None, :, :]).reshape(-1, high.shape[1])
 
 
 def _without_zero_rows(rows: Array) -> tuple[Array, Array]:
     """Return unit rows (R, r); 0 x <= negative becomes the only row."""
-    R, r = rows[:, :-1], rows[:, -1]
+    R = rows[:, :-1]
+    r = rows[:, -1]
     norms = np.linalg.norm(R, axis=1)
     zero = norms <= ZERO_ROW
     if zero.any():
         if (r[zero] < -1e3 * ZERO_ROW * (1.0 + np.abs(r).max())).any():
             return np.zeros((1, R.shape[1])), np.array([-1.0])
-        R, r, norms = R[~zero], r[~zero], norms[~zero]
+        R = R[~zero]
+        r = r[~zero]
+        norms = norms[~zero]
     return R / norms[:, None], r / norms
 
 
@@ -141,7 +148,8 @@ def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
         while open_rows[i]:
             deadline.check()
             others = np.flatnonzero(needed)
-            rows, right = np.vstack([F[others], F[i]]), np.append(g[others], g[i] + 1.0)
+            rows = np.vstack([F[others], F[i]])
+            right = np.append(g[others], g[i] + 1.0)
             value, y = minimise(-F[i], rows, right)
             if y is None or -value <= g[i] + NEEDLESS:
                 open_rows[i] = False
@@ -149,7 +157,8 @@ def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
             hit = _hit_by_rays(F, g, y[None])[0]
             if needed[hit]:  # rounding: keep the row rather than ask for ever
                 hit = i
-            needed[hit], open_rows[hit] = True, False
+            needed[hit] = True
+            open_rows[hit] = False
     return np.flatnonzero(needed)
 
 

@@ -109,7 +109,8 @@ def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope | None, target: Po
         return _exact(target.intersection(X).minimal(), 0, Certificate(0.0, 0.0, 0))
     size = _units(X, target)
     system = _in_units(LinearSystem(A, B, disturbance_vertices(E, W)), size)
-    X, target = _scaled(X, size), _scaled(target, size)
+    X = _scaled(X, size)
+    target = _scaled(target, size)
 
     def step_back(S: Polytope, deadline: Deadline) -> Step:
         return backward_step(system, S, X, U, deadline)
@@ -170,7 +171,8 @@ def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope | None, steps: in
 
     size = _units(first, X)
     system = _in_units(LinearSystem(A, B, disturbance_vertices(E, W)), size)
-    first, X = _scaled(first, size), _scaled(X, size)
+    first = _scaled(first, size)
+    X = _scaled(X, size)
 
     def step_ahead(R: Polytope, deadline: Deadline) -> Step:
         moves = U.affine_map(system.B)
@@ -223,7 +225,9 @@ class _Progress:
 def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int,
             deadline: Deadline) -> SetResult | _Progress:
     """Return the result of so many steps from S, each checked, or where a limit stopped it."""
-    violation, missing, points = -np.inf, 0.0, 0
+    violation = -np.inf
+    missing = 0.0
+    points = 0
     for k in range(1, steps + 1):
         try:
             deadline.check()
@@ -236,7 +240,9 @@ def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int,
         except LimitReached as limit:
             late = isinstance(limit, TimeLimitReached)
             return _Progress(k - 1, Status.TIME_LIMIT if late else Status.FACET_LIMIT)
-        violation, missing, points = max(violation, done.violation), max(missing, done.missing), points + done.points
+        violation = max(violation, done.violation)
+        missing = max(missing, done.missing)
+        points += done.points
     return _exact(S, steps, Certificate(violation, max(missing, 0.0), points, missing=missing))
 
 

@@ -35,7 +35,8 @@ def _walk(body: Body, Y: Array, shape: Array, steps: int, rng: np.random.Generat
     """Return the points Y (n, k) after so many steps, each to a uniform point of a chord."""
     for _ in range(steps):
         direction = rng.standard_normal(Y.shape) @ shape.T
-        speed, room = direction @ body.F.T, np.maximum(body.g - Y @ body.F.T, 0.0)
+        speed = direction @ body.F.T
+        room = np.maximum(body.g - Y @ body.F.T, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             reach = room / speed
         ahead = np.where(speed > 0, reach, np.inf).min(axis=1)

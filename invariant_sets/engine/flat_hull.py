@@ -77,22 +77,29 @@ def stay_on_hull(motion: Motion, basis: Array, spread: Array | None, size: Array
     coordinate of x. A disturbance that leaves the hull leaves nothing.
     """
     normal = normals(basis)
-    P, Q, s = normal @ motion.states, normal @ motion.inputs, -normal @ motion.drift
+    P = normal @ motion.states
+    Q = normal @ motion.inputs
+    s = -normal @ motion.drift
     size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), TINY)
     if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > NEGLIGIBLE * np.maximum(
             size, np.abs(spread).max() + TINY)).any():
         return OnHull()
-    P, Q, s = P / size[:, None], Q / size[:, None], s / size
+    P = P / size[:, None]
+    Q = Q / size[:, None]
+    s = s / size
     left, values, vt = np.linalg.svd(Q, full_matrices=True)
     rank = int((values > NEGLIGIBLE).sum())
-    rest_P, rest_s = left[:, rank:].T @ P, left[:, rank:].T @ s
+    rest_P = left[:, rank:].T @ P
+    rest_s = left[:, rank:].T @ s
     bound = np.abs(rest_P).max(axis=1, initial=0.0) > NEGLIGIBLE
     if (np.abs(rest_s[~bound]) > NEGLIGIBLE).any():
         return OnHull()
     if bound.any():
         return OnHull(rows=rest_P[bound], values=rest_s[bound])
     pseudo = vt[:rank].T @ (left[:, :rank].T / values[:rank, None])  # v = pseudo (s − P y) + free v'
-    fixed, follow, free = pseudo @ s, -pseudo @ P, vt[rank:].T
+    fixed = pseudo @ s
+    follow = -pseudo @ P
+    free = vt[rank:].T
     law = motion.input_map
     return OnHull(Motion(
         states=motion.states + motion.inputs @ follow, inputs=motion.inputs @ free,

@@ -129,7 +129,8 @@ def _grown(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[Ca
 
 def _grow(problem: LocalProblem, region: Region, seed: Region, limits: Limits) -> tuple[Region, int]:
     """Return the seed after as many predecessor steps as the limits allow, and their number."""
-    grown, steps = seed, 0
+    grown = seed
+    steps = 0
     half = limits.deadline.part(0.5)
     predecessor = predecessor_of(problem, deadline=half)
     for _ in range(limits.iterations):
@@ -191,7 +192,8 @@ def _feedback(problem: LocalProblem, weight: float) -> Array | None:
     """Return a stabilising feedback K (q, k) of the local problem, None if none was found."""
     from scipy.linalg import solve_discrete_are
 
-    A, B = problem.dynamics.A, problem.dynamics.B
+    A = problem.dynamics.A
+    B = problem.dynamics.B
     k, q = B.shape
     if q == 0:
         return np.zeros((0, k)) if weight == 1.0 else None

@@ -91,8 +91,11 @@ def _extended(result: SetResult, Q: Array) -> SetResult:
 
 def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     """Return the largest invariant set, by local problems until one is solved."""
-    limits, X, nx = task.limits, task.X, task.X.dim
-    iterations, widest = 0, _extent(X)
+    limits = task.limits
+    X = task.X
+    nx = task.X.dim
+    iterations = 0
+    widest = _extent(X)
     reserve: _Inner | None = None
     outer_deadline = limits.deadline.part(_OUTER_SHARE)
     for _ in range(4 * nx + 8):
@@ -107,7 +110,8 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
             return _point(task, problem, X, iterations)
         start = _bounded_modes(problem, _start(problem, X))
         if guess is not None and start.shape is Shape.SOLID:
-            start, guess = _guessed(problem, start, guess), None
+            start = _guessed(problem, start, guess)
+            guess = None
         if reserve is None and np.isfinite(limits.deadline.end) and len(problem.dynamics.A) >= _SLOW_DIM:
             reserve = _reserve(task, problem, start)
         outcome = Outcome(start, 0)
@@ -173,7 +177,8 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
     if not len(d):
         return region
     norms = np.linalg.norm(D, axis=1)
-    D, d = D / norms[:, None], d / norms
+    D = D / norms[:, None]
+    d = d / norms
     reach = region.reach(D)
     unbounded = group[~np.isfinite(reach)]
     cutting = (reach > d) & ~np.isin(group, unbounded)
@@ -197,14 +202,17 @@ def _fallback(task: Task, reserve: _Inner | None, outer: Polytope, status: Statu
     """Return the reserve where it helps, with its gap to the outer set; no set otherwise."""
     if reserve is None or outer.is_empty or status not in (Status.TIME_LIMIT, Status.FACET_LIMIT):
         return no_set(task.X.dim, steps, outer, status)
-    C, centre = reserve.C, reserve.centre
-    reach, room = outer.support(C.A), C.b - C.A @ centre
+    C = reserve.C
+    centre = reserve.centre
+    reach = outer.support(C.A)
+    room = C.b - C.A @ centre
     return _with_status(task, replace(reserve, gap=float(((reach - C.b) / room).max())), outer, status, steps)
 
 
 def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Inner | None) -> SetResult:
     """Return the result: an inner set that passes the certificate, beside the outer one."""
-    region, limits = outcome.region, task.limits
+    region = outcome.region
+    limits = task.limits
     outer = problem.frame.polytope(region.F, region.g, region.V)
     status = Status.CONVERGED
     if not outcome.converged:
@@ -276,7 +284,8 @@ def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, ste
 
 def _nothing(task: Task, iterations: int) -> SetResult:
     """Return the empty result, after a second look: an equilibrium would be an invariant set by itself."""
-    nx, nu = task.X.dim, task.U.dim
+    nx = task.X.dim
+    nu = task.U.dim
     if task.system.disturbances is None and not task.X.is_empty and not task.U.is_empty:
         still = Polytope(np.zeros((0, nx + nu)), np.zeros(0),
                          np.hstack([np.eye(nx) - task.system.A, -task.system.B]), np.zeros(nx))

@@ -57,7 +57,8 @@ class Frame:
 
     def rows_of(self, P: Polytope) -> Rows:
         """Return the inequalities of P as unit rows on y; those that do not depend on y are left out."""
-        F, g = P.A @ self.basis, P.b - P.A @ self.centre
+        F = P.A @ self.basis
+        g = P.b - P.A @ self.centre
         norms = np.linalg.norm(F, axis=1)
         used = norms > SILENT_ROW * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
         return unit(F[used], g[used])
@@ -124,7 +125,8 @@ class Localised:
 
 def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Localised:
     """Return the problem in local coordinates; `units` (nx,) is the extent of the first state set."""
-    state, inputs = X._body, U._body
+    state = X._body
+    inputs = U._body
     if state is None or inputs is None:
         return Localised()
     frame, states = _round_frame(X, state)
@@ -161,7 +163,8 @@ def _with_equalities(X: Polytope, frame: Frame, rows: Array, values: Array | Non
 
 def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
     """Return coordinates in which X has extents of one, also where it is a slanted needle, and its rows in them."""
-    frame, rows = Frame(state.centre, state.basis), (state.F, state.g)
+    frame = Frame(state.centre, state.basis)
+    rows = (state.F, state.g)
     k = state.basis.shape[1]
     if not state.bounded or k < 2 or k > 4:
         return frame, rows
@@ -220,7 +223,8 @@ def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: Linea
     if point is None:
         moves = None if vertices is None else vertices @ problem.dynamics.B.T
         return None if problem.bounded else replace(problem, input_moves=moves)
-    y, v = point[:k], point[k:]
+    y = point[:k]
+    v = point[k:]
     return replace(
         problem, frame=Frame(problem.frame.centre + problem.frame.basis @ y, problem.frame.basis),
         dynamics=replace(problem.dynamics, drift=np.zeros(k)),
@@ -254,13 +258,15 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     matrix = np.hstack([np.eye(len(dynamics.A)) - dynamics.A, -dynamics.B])
     scale = 1.0 / np.maximum(np.linalg.norm(matrix, axis=0), 1.0)  # strong inputs need only a small part of U
     rows, right = _lifted(problem)
-    matrix, rows = matrix * scale, rows * scale
+    matrix = matrix * scale
+    rows = rows * scale
     z, *_ = np.linalg.lstsq(matrix, dynamics.drift, rcond=DEPENDENT_COLUMNS)
     worst = np.abs(matrix @ z - dynamics.drift).max(initial=0.0)
     if worst > NEGLIGIBLE * max(1.0, np.abs(dynamics.drift).max(initial=0.0)):
         return None
     null = null_space(matrix)
-    room, slope = right - rows @ z, rows @ null
+    room = right - rows @ z
+    slope = rows @ null
     norms = np.linalg.norm(slope, axis=1)
     moving = norms > SILENT_ROW
     if (room[~moving] < -NEGLIGIBLE).any():

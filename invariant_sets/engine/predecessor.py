@@ -41,7 +41,8 @@ def predecessor_rows(target: Rows, A: Array, B: Array, joint: Rows, *, fresh: Ar
     """
     (F, g), (H, h) = target, joint
     nu = B.shape[1]
-    R, r = np.vstack([np.hstack([F @ A, F @ B]), H]), np.append(g, h)
+    R = np.vstack([np.hstack([F @ A, F @ B]), H])
+    r = np.append(g, h)
     if nu == 1:
         R, r = unit(R, r)
         return eliminate_last(R, r, None if fresh is None else np.append(fresh, np.zeros(len(h), bool)))

@@ -72,8 +72,10 @@ class Region:
 
     def cut(self, R: Array, r: Array, deadline: Deadline = NO_DEADLINE) -> Region:
         """Return the region intersected with {R y <= r} (unit rows); raise `LimitReached` if that takes too long."""
-        F, g = np.vstack([self.F, R]), np.append(self.g, r)
-        middle, radius = np.zeros(F.shape[1]), 0.01
+        F = np.vstack([self.F, R])
+        g = np.append(self.g, r)
+        middle = np.zeros(F.shape[1])
+        radius = 0.01
         if self.V is None or g.min() < radius:
             radius, middle = inscribed_ball(F, g, cap=1.0)
             if radius <= FLAT:
@@ -174,7 +176,8 @@ def iterate(region: Region, predecessor: Predecessor, caps: Caps) -> Outcome:
             return Outcome(region, iteration, limit=Status.FACET_LIMIT)
         if smaller is region or smaller.shape is not Shape.SOLID:
             return Outcome(smaller, iteration, converged=smaller is region)
-        fresh, region = _new_rows(smaller, region), smaller
+        fresh = _new_rows(smaller, region)
+        region = smaller
         if cut <= caps.stop or region.is_small:
             return Outcome(region, iteration, converged=cut <= caps.stop)
         if len(region.g) > caps.facets:
@@ -214,13 +217,16 @@ def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: D
             break
         depth = region.reach(R, deadline) - r
         left = depth > CUT
-        R, r, depth = R[left], r[left], depth[left]
+        R = R[left]
+        r = r[left]
+        depth = depth[left]
     return region
 
 
 def _worth_testing(region: Region, R: Array, r: Array, deadline: Deadline) -> Rows:
     """Drop the new rows that are redundant beside the others, before one LP is spent on each."""
-    F, g = np.vstack([region.F, R]), np.append(region.g, r)
+    F = np.vstack([region.F, R])
+    g = np.append(region.g, r)
     radius, middle = inscribed_ball(F, g, cap=1.0)
     if radius <= FLAT:
         return R, r

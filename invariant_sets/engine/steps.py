@@ -119,7 +119,8 @@ def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> flo
     for i, f in enumerate(F):
         if i % _EVERY == 0:
             deadline.check()
-        local, level = body.basis[:n].T @ f, float(f @ body.centre[:n] - g[i])
+        local = body.basis[:n].T @ f
+        level = float(f @ body.centre[:n] - g[i])
         size = float(np.linalg.norm(local))
         beyond = size * -minimise(-local / size, body.F, body.g)[0] + level if size > 0.0 else level
         if beyond > INVARIANT and size > 0.0:  # a flat optimum may be found too large: a second solver
@@ -148,10 +149,13 @@ def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: D
 
 def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polytope, deadline: Deadline) -> float:
     """Return how far the worst vertex of the image is from A R ⊕ moves, relative to the extent of the image."""
-    start, move = R._body, moves._body
+    start = R._body
+    move = moves._body
     assert start is not None
     assert move is not None
-    n, k, q = len(system.A), start.basis.shape[1], move.basis.shape[1]
+    n = len(system.A)
+    k = start.basis.shape[1]
+    q = move.basis.shape[1]
     width = np.ptp(image.vertices, axis=0)
     width = np.where(width > 0.0, width, max(width.max(), TINY))
     to = np.hstack([system.A @ start.basis, move.basis]) / width[:, None]

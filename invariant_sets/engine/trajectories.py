@@ -65,8 +65,11 @@ def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polyt
     inputs = trajectories.U._body
     if first is None or inputs is None:
         return None
-    n, k, q = len(first.centre), first.basis.shape[1], inputs.basis.shape[1]
-    maps, offsets = [np.hstack([first.basis, np.zeros((n, steps * q))])], [first.centre]
+    n = len(first.centre)
+    k = first.basis.shape[1]
+    q = inputs.basis.shape[1]
+    maps = [np.hstack([first.basis, np.zeros((n, steps * q))])]
+    offsets = [first.centre]
     for step in range(steps):
         moved = trajectories.A @ maps[-1]
         moved[:, k + step * q:k + (step + 1) * q] += trajectories.B @ inputs.basis
@@ -75,10 +78,12 @@ def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polyt
     rows = [np.hstack([np.zeros((steps * len(inputs.g), k)), np.kron(np.eye(steps), inputs.F)])]
     right = [np.tile(inputs.g, steps)]
     for S, M, c in zip(states, maps, offsets):
-        F, g = np.vstack([S.A, S.A_eq, -S.A_eq]), np.concatenate([S.b, S.b_eq, -S.b_eq])
+        F = np.vstack([S.A, S.A_eq, -S.A_eq])
+        g = np.concatenate([S.b, S.b_eq, -S.b_eq])
         rows.append(F @ M)
         right.append(g - F @ c)
-    R, r = np.vstack(rows), np.concatenate(right)
+    R = np.vstack(rows)
+    r = np.concatenate(right)
     used = np.linalg.norm(R, axis=1) > 0.0
     points = _extreme_points(maps[at], offsets[at], unit(R[used], r[used]), deadline)
     return Polytope.from_vertices(np.array(points)) if points else None

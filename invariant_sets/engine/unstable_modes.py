@@ -51,7 +51,9 @@ def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) 
         return np.zeros((0, len(A))), np.zeros(0), np.zeros(0, int)
     real = np.abs(values.imag) <= REAL_EIGENVALUE * radius
     simple = np.array([np.sum(np.abs(values - value) <= DOUBLE_EIGENVALUE * abs(value)) == 1 for value in values])
-    rows, bounds, groups = [], [], []
+    rows = []
+    bounds = []
+    groups = []
     for i in np.flatnonzero(unstable & real & simple):
         direction = left[:, i].real
         rows.append(direction)
@@ -62,7 +64,8 @@ def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) 
             rows.append(row)
             bounds.append(bound)
             groups.append(-1)
-    D, pairs = np.array(rows), np.array(bounds)
+    D = np.array(rows)
+    pairs = np.array(bounds)
     return np.vstack([D, -D]), np.concatenate([pairs[:, 0], pairs[:, 1]]), np.array(groups + groups)
 
 
@@ -89,7 +92,8 @@ def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
         return bool(np.hypot(real, imaginary) > 1.0 + UNSTABLE)
 
     T, Z, k = schur(A.T, output="real", sort=outside)
-    L, inverse = Z[:, :k].T, np.linalg.inv(T[:k, :k].T)  # L A = Λ L with Λ = T₁₁ᵀ
+    L = Z[:, :k].T  # L A = Λ L with Λ = T₁₁ᵀ
+    inverse = np.linalg.inv(T[:k, :k].T)
     reach = max(np.abs(inputs).max(), 0.0 if disturbances is None else np.abs(disturbances).max())
     terms = [inverse]
     block = inverse @ inverse
@@ -101,7 +105,8 @@ def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
     moves = back @ inputs.T
     drifts = np.zeros((len(back), k, 1)) if disturbances is None else back @ disturbances.T
     for c in np.vstack([np.eye(k), _edge_normals(moves) if k == 2 else np.zeros((0, k))]):
-        u, w = np.tensordot(c, moves, (0, 1)), np.tensordot(c, drifts, (0, 1))
+        u = np.tensordot(c, moves, (0, 1))
+        w = np.tensordot(c, drifts, (0, 1))
         up = (-u.min(axis=1) - w.max(axis=1)).sum() + tail
         down = (u.max(axis=1) + w.min(axis=1)).sum() + tail
         yield c @ L, (float(up), float(down))
@@ -118,13 +123,18 @@ def _edge_normals(moves: Array) -> Array:
 
 def _tail(block: Array, inverse: Array, reach: float) -> float:
     """Return an upper bound of the dropped terms Σ ‖Λ^{-j}‖ · reach, from a power whose norm is below one half."""
-    step, power = 1, inverse
+    step = 1
+    power = inverse
     while np.linalg.norm(power) > 0.5 and step < 2**40:
-        power, step = power @ power, 2 * step
-    partial, total, count = block, 0.0, 0
+        power = power @ power
+        step = 2 * step
+    partial = block
+    total = 0.0
+    count = 0
     while count < min(step, 2000):
         total += float(np.linalg.norm(partial))
-        partial, count = partial @ inverse, count + 1
+        partial = partial @ inverse
+        count += 1
     if count < step:
         total *= step / count
     return 2.0 * total * reach

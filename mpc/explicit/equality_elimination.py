@@ -97,7 +97,8 @@ def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...
     InputError
         The equalities leave no freedom in v, or restrict the parameter.
     """
-    M, D = qp.M[equalities], qp.D[equalities]
+    M = qp.M[equalities]
+    D = qp.D[equalities]
     U, s, Vt = np.linalg.svd(M)
     rank = int((s > ZERO_ROW * s[0]).sum())
     solution = Vt[:rank].T @ ((U[:, :rank].T @ D) / s[:rank, None])

@@ -43,7 +43,8 @@ def explore_compiled(qp: ScaledQP, limits: Limits) -> Found:
     from mpc.explicit.kernels.data import DONE, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
     from mpc.explicit.kernels.exploration import GROW, explore, rehash, seed
 
-    m, n = len(qp.M), qp.D.shape[1] - 1
+    m = len(qp.M)
+    n = qp.D.shape[1] - 1
     data = QPData(qp.M, qp.D, qp.tie, qp.gram, qp.TA, qp.Tb)
     graph = Graph(
         masks=np.zeros((_CAPACITY, max(1, (m + 63) // 64)), dtype=np.uint64), kinds=np.zeros(_CAPACITY, dtype=np.int8),

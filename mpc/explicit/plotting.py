@@ -87,7 +87,8 @@ def _polygons(law: PiecewiseLaw, axes: tuple[int, int], base: Array, ax: Any) ->
 
     from invariant_sets import Polytope
 
-    p, pair = law.partition, list(axes)
+    p = law.partition
+    pair = list(axes)
     colours = plt.get_cmap("tab20")(law.law_number % 20)
     drawn: list[Any] = []
     for r in range(len(law)):

@@ -28,7 +28,9 @@ def explore_all(qp: ScaledQP, limits: Limits) -> Found:
     """
     stack = _first(qp)
     status = MPQPStatus.COMPLETE if stack else MPQPStatus.INFEASIBLE
-    seen, regions, tied = set(stack), {}, False
+    seen = set(stack)
+    regions = {}
+    tied = False
     while stack:
         active = stack.pop()
         rows, zero, canonical = _region(qp, active)

@@ -34,7 +34,8 @@ class _Inconsistent(ValueError):
 def save_explicit(law: PiecewiseLaw, path: Path) -> tuple[Path, Path]:
     """Write the two files and return their paths."""
     arrays, manifest = _files(path)
-    problem, partition = law.partition.problem, law.partition
+    problem = law.partition.problem
+    partition = law.partition
     members = np.array([i for active in partition.active_sets for i in active], dtype=np.int64)
     data = {f"qp_{name}": getattr(problem, name) for name in _QP}
     data |= {f"partition_{name}": getattr(partition, name) for name in _PARTITION}
@@ -111,11 +112,16 @@ def _fingerprint(data: Arrays) -> str:
 
 def _check_arrays(data: Arrays, text: dict[str, Any]) -> None:
     """Raise where a shape, a type or an index does not fit: compiled code trusts them."""
-    regions, nu = int(text["regions"]), int(text["nu"])
+    regions = int(text["regions"])
+    nu = int(text["nu"])
     m, nz = data["qp_G"].shape
     nt = data["qp_F"].shape[1]
-    rows, nodes, leaf = len(data["partition_h"]), len(data["tree_nodes"]), len(data["tree_leaf_regions"])
-    planes, border, inputs = len(data["tree_planes"]), len(data["tree_border"]), len(data["qp_l"])
+    rows = len(data["partition_h"])
+    nodes = len(data["tree_nodes"])
+    leaf = len(data["tree_leaf_regions"])
+    planes = len(data["tree_planes"])
+    border = len(data["tree_border"])
+    inputs = len(data["qp_l"])
     states = len(data["qp_x"])
     shapes = {
         "qp_H": (nz, nz), "qp_F": (nz, nt), "qp_f": (nz,), "qp_Y": (nt, nt), "qp_y": (nt,), "qp_G": (m, nz),
@@ -129,7 +135,8 @@ def _check_arrays(data: Arrays, text: dict[str, Any]) -> None:
     }  # fmt: skip
     whole = {"partition_offsets", "tree_nodes", "tree_leaf_regions", "law_number", "members", "member_counts"}
     for name, shape in shapes.items():
-        array, kind = data[name], np.int64 if name in whole else np.float64
+        array = data[name]
+        kind = np.int64 if name in whole else np.float64
         if array.shape != shape or array.dtype != kind:
             raise _Inconsistent(f"{name} has shape {array.shape} of {array.dtype}, not {shape} of {np.dtype(kind)}")
         if kind is np.float64 and not np.isfinite(array).all():
@@ -143,18 +150,22 @@ def _check_arrays(data: Arrays, text: dict[str, Any]) -> None:
 
 def _check_indices(data: Arrays, regions: int, m: int) -> None:
     """Raise where an index points nowhere, or the tree has a cycle."""
-    offsets, number = data["partition_offsets"], data["law_number"]
+    offsets = data["partition_offsets"]
+    number = data["law_number"]
     if offsets[0] != 0 or (np.diff(offsets) < 0).any() or offsets[-1] != len(data["partition_h"]):
         raise _Inconsistent("partition_offsets does not divide the facets among the regions")
     if not np.array_equal(np.unique(number), np.arange(number.max() + 1)):
         raise _Inconsistent("law_number does not count the laws")
-    counts, members = data["member_counts"], data["members"]
+    counts = data["member_counts"]
+    members = data["members"]
     if (counts < 0).any() or counts.sum() != len(members) or not _within(members, m):
         raise _Inconsistent("members does not name constraints")
-    nodes, leaf = data["tree_nodes"], data["tree_leaf_regions"]
+    nodes = data["tree_nodes"]
+    leaf = data["tree_leaf_regions"]
     inner = nodes[:, 0] >= 0
     node = np.arange(len(nodes))[inner, None]
-    children, leaves = nodes[inner, 1:], nodes[~inner]
+    children = nodes[inner, 1:]
+    leaves = nodes[~inner]
     after = (children > node).all() and (children < len(nodes)).all()  # so that every walk ends
     if not len(nodes) or not after or not _within(nodes[inner, 0], len(data["tree_planes"])):
         raise _Inconsistent("tree_nodes has a hyperplane or a child that does not exist")

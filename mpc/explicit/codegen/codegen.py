@@ -208,7 +208,9 @@ def _tree(law: PiecewiseLaw, scalar: str) -> Search:
         "rows": table(refs[len(inner) :], kind), "law": table(law.law_number[listed], kind),
         "which": "members[e]", "largest": _LARGEST[scalar],
     }  # fmt: skip
-    regions, index, worst = _fill(c.REGIONS, fields), 3 * len(found.plane), 0
+    regions = _fill(c.REGIONS, fields)
+    index = 3 * len(found.plane)
+    worst = 0
     if found.lists:
         regions += _fill(c.LISTS, fields) + "\n" + _fill(c.SCAN, fields)
         index += len(list_start) + len(members) + len(starts) + len(wanted) + len(listed)
@@ -250,7 +252,8 @@ def _compact(law: PiecewiseLaw, laws: int) -> Leaves:
 
 def _scan(law: PiecewiseLaw, scalar: str) -> Search:
     """Tables of the scan: every region lists its hyperplanes, with -1 - i for the other side of plane i."""
-    rows, offsets = law.partition.scaled_rows, law.partition.offsets
+    rows = law.partition.scaled_rows
+    offsets = law.partition.offsets
     planes, number, flipped = distinct_planes(rows)
     kind, size = _index_type(max(len(planes), len(rows), len(law)))
     fields = {

@@ -81,10 +81,13 @@ def consider(qp, graph, mask):
     slot = find(graph.masks, graph.table, mask)
     if graph.table[slot] >= 0:
         return graph.kinds[graph.table[slot]]
-    m, n = len(qp.D), qp.D.shape[1] - 1
+    m = len(qp.D)
+    n = qp.D.shape[1] - 1
     act = np.empty(m, np.int64)
     k = from_mask(mask, act)
-    A, b, centre = np.empty((m + len(qp.Tb), n)), np.empty(m + len(qp.Tb)), np.empty(n)
+    A = np.empty((m + len(qp.Tb), n))
+    b = np.empty(m + len(qp.Tb))
+    centre = np.empty(n)
     kind = region_rows(qp, act, k, graph.tied, A, b)
     if kind == FULL and interior_point(A, b, 0.0, centre) == 0.0:
         kind = FLAT
@@ -116,12 +119,17 @@ def consider_parameter(qp, graph, theta, mask):
 @njit(cache=True)
 def explore(qp, graph, facets, budget):
     """Process queued regions: find the facets of each, and the optimal active sets behind every facet."""
-    m, n = len(qp.D), qp.D.shape[1] - 1
+    m = len(qp.D)
+    n = qp.D.shape[1] - 1
     counts = graph.counts
-    A, b, centre = np.empty((m + len(qp.Tb), n)), np.empty(m + len(qp.Tb)), np.empty(n)
+    A = np.empty((m + len(qp.Tb), n))
+    b = np.empty(m + len(qp.Tb))
+    centre = np.empty(n)
     kept = np.empty(m + len(qp.Tb), np.int64)
-    act, theta = np.empty(m + 1, np.int64), np.empty(n)
-    mask, work = np.empty(graph.masks.shape[1], np.uint64), np.empty(graph.masks.shape[1], np.uint64)
+    act = np.empty(m + 1, np.int64)
+    theta = np.empty(n)
+    mask = np.empty(graph.masks.shape[1], np.uint64)
+    work = np.empty(graph.masks.shape[1], np.uint64)
     while counts[DONE] < counts[QUEUED]:
         if budget == 0:
             return PAUSED
@@ -156,8 +164,10 @@ def behind(qp, graph, A, b, act, k, mask, facet, work):
     That is the set which differs in one row alone. Of several rows on the hyperplane, and of the rows that can leave a
     dependent set, some lead to regions elsewhere.
     """
-    m, n = len(qp.D), A.shape[1]
-    twins, shared = np.empty(_TWINS, np.int64), 0
+    m = len(qp.D)
+    n = A.shape[1]
+    twins = np.empty(_TWINS, np.int64)
+    shared = 0
     for i in range(m):
         close = abs(b[i] - b[facet]) < SAME_PLANE
         for j in range(n):
@@ -180,7 +190,8 @@ def behind(qp, graph, A, b, act, k, mask, facet, work):
 @njit(cache=True)
 def exchange(qp, graph, act, k, entering, mask):
     """Consider sets in which the entering row replaces another; one with a positive coefficient has to leave."""
-    L, coefficient = np.empty((k, k)), np.empty(k)
+    L = np.empty((k, k))
+    coefficient = np.empty(k)
     gram_factor(qp.gram, act, k, L)
     for a in range(k):
         coefficient[a] = qp.gram[act[a], entering]
@@ -202,9 +213,12 @@ def seed(qp, graph, J, h, targets):
     """
     mj, nj = J.shape
     n = targets.shape[1]
-    joint, c = np.empty(nj), np.zeros(nj)
-    work, lam = np.empty(nj + 1, np.int64), np.empty(nj + 1)
-    shrunk, mask = np.empty(mj), np.empty(graph.masks.shape[1], np.uint64)
+    joint = np.empty(nj)
+    c = np.zeros(nj)
+    work = np.empty(nj + 1, np.int64)
+    lam = np.empty(nj + 1)
+    shrunk = np.empty(mj)
+    mask = np.empty(graph.masks.shape[1], np.uint64)
     hits = 0
     for t in range(len(targets)):
         c[:n] = targets[t]

@@ -59,10 +59,13 @@ class Growth(NamedTuple):
 def points_of(rows, offsets, points, starts):
     """Fill in the centre of every region and one point on each of its facets."""
     n = rows.shape[1] - 1
-    point, work, lam = np.empty(n), np.empty(n + 1, np.int64), np.empty(n + 1)
+    point = np.empty(n)
+    work = np.empty(n + 1, np.int64)
+    lam = np.empty(n + 1)
     for r in range(len(offsets) - 1):
         k = offsets[r + 1] - offsets[r]
-        A, b = np.empty((k, n)), np.empty(k)
+        A = np.empty((k, n))
+        b = np.empty(k)
         for i in range(k):
             for j in range(n):
                 A[i, j] = rows[offsets[r] + i, j]
@@ -95,11 +98,13 @@ def side_of(rows, i, points, q):
 @njit(cache=True)
 def score(regions, members, inside, row):
     """How well a hyperplane divides the members of a node, by their points: the fewer on the fuller side the better."""
-    low, high = 0, 0
+    low = 0
+    high = 0
     stride = 1 + len(members) // _SAMPLE
     for e in range(0, len(members), stride):
         r = members[e]
-        below, above = False, False
+        below = False
+        above = False
         for q in range(min(_POINTS, regions.starts[r + 1] - regions.starts[r])):
             if inside[e] >> np.uint64(q) & np.uint64(1):
                 s = side_of(regions.rows, row, regions.points, regions.starts[r] + q)
@@ -127,7 +132,8 @@ def best_rows(regions, members, inside, node, best):
     state = np.uint64(node + 1)
     for c in range(total if few else _CANDIDATES):
         if few:
-            rest, e = c, 0
+            rest = c
+            e = 0
             while rest >= regions.offsets[members[e] + 1] - regions.offsets[members[e]]:
                 rest -= regions.offsets[members[e] + 1] - regions.offsets[members[e]]
                 e += 1
@@ -145,8 +151,10 @@ def best_rows(regions, members, inside, node, best):
             continue  # the same hyperplane again, most likely
         if at < len(best):
             for move in range(min(found, len(best) - 1), at, -1):
-                best[move], scores[move] = best[move - 1], scores[move - 1]
-            best[at], scores[at] = row, value
+                best[move] = best[move - 1]
+                scores[move] = scores[move - 1]
+            best[at] = row
+            scores[at] = value
             found = min(found + 1, len(best))
     return found
 
@@ -155,14 +163,16 @@ def best_rows(regions, members, inside, node, best):
 def reaches(regions, r, inside, row, sign, A, b, depth):
     """Whether region r, within the cell given by the first `depth` rows of A, b, has a part where sign * side <= 0."""
     n = A.shape[1]
-    nearest, start = np.inf, regions.starts[r]
+    nearest = np.inf
+    start = regions.starts[r]
     for q in range(min(_POINTS, regions.starts[r + 1] - regions.starts[r])):
         if inside >> np.uint64(q) & np.uint64(1):
             s = sign * side_of(regions.rows, row, regions.points, regions.starts[r] + q)
             if s < -SIDE:
                 return True
             if s < nearest:
-                nearest, start = s, regions.starts[r] + q
+                nearest = s
+                start = regions.starts[r] + q
     if sign < 0 and regions.offsets[r] <= row < regions.offsets[r + 1]:
         return False  # its own facet
     k = regions.offsets[r + 1] - regions.offsets[r]
@@ -173,21 +183,26 @@ def reaches(regions, r, inside, row, sign, A, b, depth):
         for j in range(n):
             A[depth + 1 + i, j] = regions.rows[regions.offsets[r] + i, j]
         b[depth + 1 + i] = regions.rows[regions.offsets[r] + i, n]
-    theta, work, lam = np.empty(n), np.empty(n + 1, np.int64), np.empty(n + 1)
+    theta = np.empty(n)
+    work = np.empty(n + 1, np.int64)
+    lam = np.empty(n + 1)
     return project(A, b, depth + 1 + k, regions.points[start], PROJECTION, theta, work, lam) >= 0
 
 
 @njit(cache=True)
 def cell_of(regions, growth, node, A, b):
     """Write the half-spaces on the path to a node into A, b, drawn in by SIDE; returns their number."""
-    n, depth, child = A.shape[1], 0, node
+    n = A.shape[1]
+    depth = 0
+    child = node
     while growth.parents[child] >= 0:
         up = growth.parents[child]
         sign = 1.0 if growth.nodes[up, 1] == child else -1.0
         for j in range(n):
             A[depth, j] = sign * regions.rows[growth.nodes[up, 0], j]
         b[depth] = sign * regions.rows[growth.nodes[up, 0], n] - SIDE
-        depth, child = depth + 1, up
+        depth += 1
+        child = up
     return depth
 
 
@@ -216,7 +231,8 @@ def divide(regions, growth, members, inside, row, A, b, depth, start):
                 here = inside[e] >> np.uint64(q) & np.uint64(1)
                 if here and sign * side_of(regions.rows, row, regions.points, regions.starts[r] + q) <= SIDE:
                     kept |= np.uint64(1) << np.uint64(q)
-            growth.pool[filled], growth.inside[filled] = r, kept
+            growth.pool[filled] = r
+            growth.inside[filled] = kept
             filled += 1
         if bit == 0:
             low = filled - start
@@ -229,7 +245,8 @@ def grow(regions, growth, bucket, budget):
 
     A node becomes a leaf when its regions share one law, are not more than `bucket`, or no hyperplane divides them.
     """
-    counts, n = growth.counts, regions.points.shape[1]
+    counts = growth.counts
+    n = regions.points.shape[1]
     largest = 0
     for r in range(len(regions.offsets) - 1):
         largest = max(largest, regions.offsets[r + 1] - regions.offsets[r])
@@ -248,10 +265,13 @@ def grow(regions, growth, bucket, budget):
         single = True
         for r in members:
             single = single and regions.laws[r] == regions.laws[members[0]]
-        row, low, high = -1, 0, 0
+        row = -1
+        low = 0
+        high = 0
         if not single and size > bucket:
             depth = depth_of(growth, node)
-            A, b = np.empty((depth + 1 + largest, n)), np.empty(depth + 1 + largest)
+            A = np.empty((depth + 1 + largest, n))
+            b = np.empty(depth + 1 + largest)
             cell_of(regions, growth, node, A, b)
             for attempt in range(best_rows(regions, members, inside, node, best)):
                 low, high = divide(regions, growth, members, inside, best[attempt], A, b, depth, counts[POOL])
@@ -261,15 +281,20 @@ def grow(regions, growth, bucket, budget):
         growth.nodes[node, 0] = row
         counts[NEXT] += 1
         if row < 0:
-            growth.nodes[node, 1], growth.nodes[node, 2] = counts[LEAF], counts[LEAF] + size
+            growth.nodes[node, 1] = counts[LEAF]
+            growth.nodes[node, 2] = counts[LEAF] + size
             growth.leaf[counts[LEAF] : counts[LEAF] + size] = members
             counts[LEAF] += size
             continue
         child = counts[NODES]
-        growth.nodes[node, 1], growth.nodes[node, 2] = child, child + 1
-        growth.parents[child], growth.parents[child + 1] = node, node
-        growth.first[child], growth.last[child] = counts[POOL], counts[POOL] + low
-        growth.first[child + 1], growth.last[child + 1] = counts[POOL] + low, counts[POOL] + low + high
+        growth.nodes[node, 1] = child
+        growth.nodes[node, 2] = child + 1
+        growth.parents[child] = node
+        growth.parents[child + 1] = node
+        growth.first[child] = counts[POOL]
+        growth.last[child] = counts[POOL] + low
+        growth.first[child + 1] = counts[POOL] + low
+        growth.last[child + 1] = counts[POOL] + low + high
         counts[POOL] += low + high
         counts[NODES] += 2
     return FINISHED

@@ -36,13 +36,15 @@ def project(A, b, m, c, tol, theta, work, lam):
         theta[j] = c[j]
     k = 0
     for _ in range(50 + 10 * m):
-        worst, p = tol, -1
+        worst = tol
+        p = -1
         for i in range(m):
             s = -b[i]
             for j in range(n):
                 s += A[i, j] * theta[j]
             if s > worst:
-                worst, p = s, i
+                worst = s
+                p = i
         if p < 0:
             return k
         price = 0.0
@@ -67,10 +69,12 @@ def project(A, b, m, c, tol, theta, work, lam):
                     s -= r[a] * A[work[a], j]
                 z[j] = s
                 zz += s * s
-            t, drop = np.inf, -1
+            t = np.inf
+            drop = -1
             for a in range(k):
                 if r[a] > NO_STEP and lam[a] < t * r[a]:
-                    t, drop = lam[a] / r[a], a
+                    t = lam[a] / r[a]
+                    drop = a
             full = k < n and zz > SPANNED
             if full:
                 s = -b[p]
@@ -78,7 +82,8 @@ def project(A, b, m, c, tol, theta, work, lam):
                     s += A[p, j] * theta[j]
                 step = max(s, 0.0) / zz
                 if step <= t:
-                    t, drop = step, -1
+                    t = step
+                    drop = -1
             elif drop < 0:
                 return -1
             for a in range(k):
@@ -88,12 +93,14 @@ def project(A, b, m, c, tol, theta, work, lam):
                 for j in range(n):
                     theta[j] -= t * z[j]
             if drop < 0:
-                work[k], lam[k] = p, price
+                work[k] = p
+                lam[k] = price
                 k += 1
                 _factor(A, work, k, k - 1, L)
                 break
             for a in range(drop, k - 1):
-                work[a], lam[a] = work[a + 1], lam[a + 1]
+                work[a] = work[a + 1]
+                lam[a] = lam[a + 1]
             k -= 1
             _factor(A, work, k, drop, L)
     return -2
@@ -132,9 +139,12 @@ def interior_point(A, b, wanted, centre):
     Larger radii are tried until one above `wanted` is found or none is left.
     """
     m, n = A.shape
-    shrunk, theta = np.empty(m), np.empty(n)
-    work, lam = np.empty(n + 1, np.int64), np.empty(n + 1)
-    radius, trial = 0.0, REGION_RADIUS
+    shrunk = np.empty(m)
+    theta = np.empty(n)
+    work = np.empty(n + 1, np.int64)
+    lam = np.empty(n + 1)
+    radius = 0.0
+    trial = REGION_RADIUS
     start = np.zeros(n)
     while trial < 1.0 and radius <= wanted:
         for i in range(m):
@@ -164,8 +174,11 @@ def irredundant(A, b, centre, facets):
             s -= A[i, j] * centre[j]
         slack[i] = s
     order = np.argsort(slack)
-    AI, bI = np.empty((m + 1, n)), np.empty(m + 1)
-    theta, work, lam = np.empty(n), np.empty(n + 1, np.int64), np.empty(n + 1)
+    AI = np.empty((m + 1, n))
+    bI = np.empty(m + 1)
+    theta = np.empty(n)
+    work = np.empty(n + 1, np.int64)
+    lam = np.empty(n + 1)
     known = np.zeros(m, np.bool_)
     count = 0
     for i in order:
@@ -182,13 +195,15 @@ def irredundant(A, b, centre, facets):
             bI[count] = -b[i] - REDUNDANT
             if project(AI, bI, count + 1, centre, 10.0 * PROJECTION, theta, work, lam) < 0:
                 break  # redundant beside the facets known so far
-            hit, nearest = i, np.inf
+            hit = i
+            nearest = np.inf
             for e in range(m):
                 rate = 0.0
                 for j in range(n):
                     rate += A[e, j] * (theta[j] - centre[j])
                 if rate > PARALLEL and slack[e] < nearest * rate:
-                    nearest, hit = slack[e] / rate, e
+                    nearest = slack[e] / rate
+                    hit = e
             if known[hit]:
                 hit = i
             known[hit] = True
@@ -204,8 +219,11 @@ def irredundant(A, b, centre, facets):
 def across(A, b, facets, count, facet, theta):
     """Write a point just across one facet, away from the others, into θ; False when the facet is too small."""
     n = A.shape[1]
-    AI, bI = np.empty((count + 1, n)), np.empty(count + 1)
-    work, lam, start = np.empty(n + 1, np.int64), np.empty(n + 1), np.zeros(n)
+    AI = np.empty((count + 1, n))
+    bI = np.empty(count + 1)
+    work = np.empty(n + 1, np.int64)
+    lam = np.empty(n + 1)
+    start = np.zeros(n)
     margin = 0.1
     while margin > 0.1 * REGION_RADIUS:
         step = min(CROSSING, margin)

@@ -93,7 +93,8 @@ def variable_size(qp, act, k, law):
 @njit(cache=True)
 def row_levers(L, k):
     """How much each multiplier can be for a unit v: lengths of the rows of the pseudo-inverse, sqrt of diag (LL')⁻¹."""
-    inverse, lever = np.zeros((k, k)), np.zeros(k)
+    inverse = np.zeros((k, k))
+    lever = np.zeros(k)
     for a in range(k):
         inverse[a, a] = 1.0 / L[a, a]
         for e in range(a):
@@ -113,7 +114,8 @@ def region_rows(qp, act, k, tied, A, b):
     Returns FULL when there is something to look at, FLAT when a constant row is violated, DEPENDENT. Rows whose
     multiplier or slack is zero everywhere are noted in `tied`.
     """
-    m, n = len(qp.D), qp.D.shape[1] - 1
+    m = len(qp.D)
+    n = qp.D.shape[1] - 1
     L = np.empty((k, k))
     if k > qp.M.shape[1] or not gram_factor(qp.gram, act, k, L):
         return DEPENDENT
@@ -134,7 +136,8 @@ def region_rows(qp, act, k, tied, A, b):
             for c in range(n + 2):
                 row[c] = law[a, c]
         else:
-            scale, terms = reach, 0.0
+            scale = reach
+            terms = 0.0
             for c in range(n + 1):
                 row[c] = qp.D[i, c]
                 scale += abs(qp.D[i, c])
@@ -181,7 +184,9 @@ def optimal_set(qp, theta, shift, act):
         d[i] = qp.D[i, n] + shift * qp.tie[i]
         for j in range(n):
             d[i] += qp.D[i, j] * theta[j]
-    v, work, lam = np.empty(nz), np.empty(nz + 1, np.int64), np.empty(nz + 1)
+    v = np.empty(nz)
+    work = np.empty(nz + 1, np.int64)
+    lam = np.empty(nz + 1)
     k = project(qp.M, d, m, np.zeros(nz), OPTIMAL_SET, v, work, lam)
     if k < 0:
         return k
