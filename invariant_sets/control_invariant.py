@@ -19,11 +19,12 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult
 from invariant_sets.system_checks import checked_system, disturbance_vertices
 from invariant_sets.time_limits import Deadline, check_time_limit
+from invariant_sets.tolerances import GAP
 from invariant_sets.validation import check_count, check_tolerance
 
 
 def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E: Any = None,
-                                  W: Polytope | None = None, tol: float = 1e-7, max_iterations: int = 500,
+                                  W: Polytope | None = None, tol: float = GAP, max_iterations: int = 500,
                                   max_facets: int = 1000, time_limit: float | None = None) -> SetResult:
     """Return the maximal (robust) control invariant set of x⁺ = A x + B u + E w in X, with u in U, w in W.
 
@@ -78,7 +79,7 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E
 class Options:
     """The caller's tolerance and caps, as given; checked when a task is made of them."""
 
-    tol: Any = 1e-7
+    tol: Any = GAP
     max_iterations: Any = 500
     max_facets: Any = 1000
     time_limit: Any = None

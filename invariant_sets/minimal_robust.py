@@ -24,7 +24,7 @@ from invariant_sets.positive_invariant import NO_INPUT
 from invariant_sets.results import Certificate, SetResult, Status, no_set
 from invariant_sets.system_checks import checked_disturbance, checked_state_matrix, disturbance_vertices
 from invariant_sets.time_limits import LimitReached, TimeLimitReached
-from invariant_sets.tolerances import DRIVEN, LEAST_ALPHA, SUM_END
+from invariant_sets.tolerances import DRIVEN, GAP, LEAST_ALPHA, SUM_END
 from invariant_sets.validation import check_tolerance
 
 Array = np.ndarray
@@ -188,7 +188,7 @@ def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
     margin = 0.25 * (upper - lower) + 0.01 * (upper - lower).max()
     noise = Polytope.from_vertices(W)
     box = Polytope.from_bounds(lower - margin, upper + margin)
-    task = Task(LinearSystem(A, np.zeros((len(A), 1)), noise.vertices), box, NO_INPUT, replace(limits, tol=1e-7))
+    task = Task(LinearSystem(A, np.zeros((len(A), 1)), noise.vertices), box, NO_INPUT, replace(limits, tol=GAP))
     first = largest_invariant_set(task)
     if first.set.is_empty:
         return _Approximation(None, np.inf, first.iterations, first.status)

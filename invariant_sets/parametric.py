@@ -14,7 +14,7 @@ from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
 from invariant_sets.system_checks import check_set
-from invariant_sets.tolerances import FELT, MEMBERSHIP, NEIGHBOUR_MARGIN, TINY
+from invariant_sets.tolerances import FELT, GAP, MEMBERSHIP, NEIGHBOUR_MARGIN, TINY
 from invariant_sets.validation import as_batch, as_floats, as_matrix, as_vector, check_count, check_rng, check_tolerance
 
 Array = np.ndarray
@@ -61,7 +61,7 @@ class ParametricSet:
     U: Polytope
     _: KW_ONLY
     W: Polytope | None = None
-    tol: float = 1e-7
+    tol: float = GAP
     max_iterations: int = 500
     max_facets: int = 1000
     time_limit: float | None = None

@@ -12,6 +12,7 @@ from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult
 from invariant_sets.system_checks import check_set, checked_disturbance, checked_state_matrix, disturbance_vertices
+from invariant_sets.tolerances import GAP
 from invariant_sets.validation import as_matrix
 
 Array = np.ndarray
@@ -19,7 +20,7 @@ NO_INPUT = Polytope(np.zeros((0, 1)), np.zeros(0), np.ones((1, 1)), np.zeros(1))
 
 
 def maximal_positively_invariant_set(A: Any, X: Polytope, *, C: Any = None, E: Any = None, W: Polytope | None = None,
-                                     tol: float = 1e-7, max_iterations: int = 500,
+                                     tol: float = GAP, max_iterations: int = 500,
                                      max_facets: int = 1000, time_limit: float | None = None) -> SetResult:
     """Return the largest set of states whose trajectories x⁺ = A x + E w keep C x in X for ever.
 

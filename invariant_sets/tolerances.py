@@ -51,6 +51,7 @@ THINNEST = 1e-12  # smallest width as a part of the largest that the round coord
 UNSEEN = 1e-11  # of |A|, balanced: directions that move the outputs by less are not seen by the constraints
 
 # --- the recursion ---------------------------------------------------------------------------------------------------
+GAP = 1e-7  # relative: default of `tol`, the largest gap between an invariant set and its outer set
 STOP = 1e-11  # of the right-hand side: the outer recursion has converged if no row cuts more
 CUT = 1e-12  # of the extent: a row that cuts less off is rounding
 LEAST_RIGHT = 1e-3  # of the extent: least right-hand side that a cut is compared with
@@ -58,6 +59,8 @@ UNRESOLVED = 1e-6  # of the extent: radius below which a set that Qhull cannot r
 SMALL = 0.1  # width below which a set that began with width two is rescaled
 CENTRAL = 1e-9  # of the extent: rows this close to the equilibrium pass through it
 CLOSED_LOOP_MARGIN = 1e-9  # relative contraction per step asked of a closed loop, against rounding
+SHRUNK = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # parts taken off an outer set that has not converged, in turn
+CONTRACTIONS = (1e-3, 1e-2, 0.1)  # per step, tried in turn where the outer set has not converged
 GAP_ROUNDING = 1e-6  # of `tol`: by how much a gap may exceed it
 UNSTABLE = 1e-6  # an eigenvalue counts as unstable if its modulus exceeds one by more
 REAL_EIGENVALUE = 1e-12  # of the modulus: an eigenvalue with a smaller imaginary part is real

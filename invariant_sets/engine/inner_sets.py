@@ -18,12 +18,10 @@ from invariant_sets.engine.predecessor import predecessor_rows
 from invariant_sets.engine.recursion import Caps, Outcome, Predecessor, Region, Rows, Shape, iterate
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.time_limits import Deadline, LimitReached
-from invariant_sets.tolerances import CENTRAL, CLOSED_LOOP_MARGIN
+from invariant_sets.tolerances import CENTRAL, CLOSED_LOOP_MARGIN, CONTRACTIONS, SHRUNK
 
 Array = np.ndarray
 _INPUT_WEIGHTS = (1.0, 1e-2, 1e2, 1e4)  # of the linear-quadratic feedbacks tried where no better set is known
-_SHRUNK = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # parts taken off an outer set that has not converged
-_CONTRACTIONS = (1e-3, 1e-2, 0.1)  # per step, where the outer set has not converged
 _VERTEX_DIM = 4  # beyond, closed-loop sets are kept by their rows alone
 
 
@@ -91,11 +89,11 @@ def candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits: 
     if not problem.bounded:
         return
     if scales:
-        for part in _SHRUNK:
+        for part in SHRUNK:
             yield Candidate(shrunk(region, part))
     if problem.at_equilibrium:
         yield from _grown(problem, region, limits)
-        for delta in _CONTRACTIONS:
+        for delta in CONTRACTIONS:
             yield from _contracted(problem, region, delta, limits)
 
 
