@@ -89,8 +89,7 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     nu = H.shape[1]
     if nu > 1:  # nearly parallel inputs: their difference becomes an input of its own
         turn = np.linalg.svd(slope, full_matrices=True)[2].T
-        slope = slope @ turn
-        H = H @ turn
+        slope, H = slope @ turn, H @ turn
     rows = np.ascontiguousarray(np.block([[slope, -np.ones((len(slope), 1))], [H, np.zeros((len(H), 1))]]))
     cost = np.zeros(nu + 1)
     cost[nu] = 1.0
@@ -163,16 +162,13 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
 
     Without `by_vertices`, by linear programs: for a set in so many dimensions that vertices take too long.
     """
-    F = np.vstack([X.A, X.A_eq, -X.A_eq])
-    g = np.concatenate([X.b, X.b_eq, -X.b_eq])
+    F, g = np.vstack([X.A, X.A_eq, -X.A_eq]), np.concatenate([X.b, X.b_eq, -X.b_eq])
     if not len(g):
         return 0.0
     if by_vertices and C.is_bounded:
-        beyond = (F @ C.vertices.T).max(axis=1) - g
-        extent = np.ptp(C.vertices, axis=0)
+        beyond, extent = (F @ C.vertices.T).max(axis=1) - g, np.ptp(C.vertices, axis=0)
     else:
-        beyond = C.support(F) - g
-        extent = 2 * np.linalg.norm(C._body.basis, axis=1)  # type: ignore[union-attr]
+        beyond, extent = C.support(F) - g, 2 * np.linalg.norm(C._body.basis, axis=1)  # type: ignore[union-attr]
     scale = np.abs(F) @ np.maximum(extent, FLAT_WIDTH * extent.max(initial=0.0))
     return float((beyond / np.where(scale > 0.0, scale, 1.0)).max())
 
@@ -183,29 +179,24 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     For every row f of C one linear program: max fᵀx over x in X and u in U with A x + B u + w in C for all w. A set
     that has collapsed, or was cut too far, shows here.
     """
-    state = X._body
-    inputs = U._body
+    state, inputs = X._body, U._body
     assert state is not None
     assert inputs is not None
     F, g = relative_rows(C)
     T, t = (F, g) if system.disturbances is None else tightened_rows(C, system.disturbances)
-    N = state.basis
-    M = inputs.basis
-    k = N.shape[1]
-    q = M.shape[1]
+    N, M = state.basis, inputs.basis
+    k, q = N.shape[1], M.shape[1]
     rows = np.block([
         [state.F, np.zeros((len(state.g), q))], [np.zeros((len(inputs.g), k)), inputs.F],
         [T @ system.A @ N, T @ system.B @ M]])
     drift = system.A @ state.centre + system.B @ inputs.centre
     rows, right = unit(rows, np.concatenate([state.g, inputs.g, t - T @ drift]))
-    costs = np.hstack([-F @ N, np.zeros((len(F), q))])
-    level = F @ state.centre - g
+    costs, level = np.hstack([-F @ N, np.zeros((len(F), q))]), F @ state.centre - g
     worst = -np.inf
     for i, cost in enumerate(costs):
         if i % _EVERY == 0:
             deadline.check()
-        size = float(np.linalg.norm(cost))
-        beyond = float(level[i])
+        size, beyond = float(np.linalg.norm(cost)), float(level[i])
         if size > 0.0:
             beyond = size * _upper_bound(cost / size, rows, right) + level[i]
             if beyond > worst and beyond > INVARIANT:
@@ -227,8 +218,7 @@ def _upper_bound(cost: Array, rows: Array, right: Array) -> float:
 def relative_rows(C: Polytope) -> Rows:
     """Return all rows of C as inequalities, divided by their range over the bounding box of C."""
     scale, scale_eq = C._row_scales
-    scale = np.where(scale > 0.0, scale, 1.0)
-    scale_eq = np.where(scale_eq > 0.0, scale_eq, 1.0)
+    scale, scale_eq = np.where(scale > 0.0, scale, 1.0), np.where(scale_eq > 0.0, scale_eq, 1.0)
     F = np.vstack([C.A / scale[:, None], C.A_eq / scale_eq[:, None], -C.A_eq / scale_eq[:, None]])
     return F, np.concatenate([C.b / scale, C.b_eq / scale_eq, -C.b_eq / scale_eq])
 

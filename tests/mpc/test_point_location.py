@@ -152,7 +152,7 @@ def test_wrong_calls_of_the_controller_are_refused_in_one_line():
     mpc = integrator(2, 0.1)
     wrong = [dict(theta_set="X"), dict(theta_set=box([1.0])), dict(theta_set=3), dict(max_regions=0),
              dict(max_regions=2.5), dict(time_limit=0), dict(time_limit="1"), dict(tree_time_limit=0),
-             dict(tree_time_limit=None), dict(method="walk"), dict(parameters=("y",))]  # fmt: skip
+             dict(tree_time_limit="short"), dict(method="walk"), dict(parameters=("y",))]  # fmt: skip
     for options in wrong:
         with pytest.raises(InputError) as caught:
             mpc.explicit(**options)
