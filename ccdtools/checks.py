@@ -142,7 +142,7 @@ def as_choice(argument: str, value: Any, choices: Sequence[str]) -> str:
 def as_names(argument: str, value: Any, size: int) -> tuple[str, ...]:
     """As many words as `size`."""
     if isinstance(value, str):
-        raise InputError(argument, shown(value), f"a list of {size} names")
+        raise InputError(argument, shown(value), f"a list of {size} name{'' if size == 1 else 's'}")
     try:
         names = tuple(value)
     except TypeError:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from learning.exceptions import CheckpointError
+from learning.exceptions import CheckpointError, InputError
 from learning.networks import ActorCritic
 from learning.quantile import QuantileNetwork
 
@@ -24,13 +25,21 @@ def save(path: str | Path, network: ActorCritic | QuantileNetwork, extra: dict[s
     ------
     CheckpointError
         If the file cannot be written.
+    InputError
+        If an argument is of another kind, or `extra` holds what JSON cannot.
     """
-    path = Path(path)
+    path = _path(path)
+    if not isinstance(network, tuple(_KINDS.values())):
+        raise InputError("network", repr(network)[:60], "an ActorCritic or a QuantileNetwork")
     header = {"format": FORMAT, "kind": type(network).__name__, "shape": network.shape(), "extra": extra or {}}
+    try:
+        text = json.dumps(header)
+    except (TypeError, ValueError) as error:
+        raise InputError("extra", str(error), "values that JSON can hold") from None
     tensors = {name: value.detach().contiguous() for name, value in network.state_dict().items()}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        save_file(tensors, str(path), metadata={"ccdtools": json.dumps(header)})
+        save_file(tensors, str(path), metadata={"ccdtools": text})
     except (OSError, SafetensorError) as error:
         raise CheckpointError(path, error, "a file that can be written") from None
 
@@ -42,8 +51,10 @@ def load(path: str | Path) -> tuple[Any, dict[str, Any]]:
     ------
     CheckpointError
         If the file is missing, unreadable, or not one of ours.
+    InputError
+        If `path` is no path.
     """
-    path = Path(path)
+    path = _path(path)
     try:
         with safe_open(str(path), framework="pt") as file:
             metadata = file.metadata() or {}
@@ -59,6 +70,13 @@ def load(path: str | Path) -> tuple[Any, dict[str, Any]]:
         return network.eval(), dict(header["extra"])
     except (RuntimeError, KeyError, IndexError, TypeError, ValueError):
         raise CheckpointError(path, "tensors that do not fit the header", "an intact file") from None
+
+
+def _path(value: Any) -> Path:
+    """Return a path, or refuse what is none."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise InputError("path", repr(value)[:60], "the path of a file")
+    return Path(value)
 
 
 def _header(text: str) -> dict[str, Any]:

@@ -56,6 +56,24 @@ def as_floats(value: Any, name: str) -> Array:
         raise InputError(name, f"a {type(value).__name__} that is no array of numbers", "an array of numbers") from None
 
 
+def check_instance(value: Any, name: str, kind: type) -> Any:
+    """Return `value`, if it is an object of that class."""
+    if not isinstance(value, kind):
+        raise InputError(name, repr(value)[:60], f"an object of {kind.__name__}")
+    return value
+
+
+def as_bounds(value: Any, name: str, size: int) -> tuple[Array, Array]:
+    """Return (lower, upper), each (size,); that they are finite and ordered is checked where they are used."""
+    bounds = tuple(value) if isinstance(value, (tuple, list, np.ndarray)) else ()
+    if len(bounds) != 2:
+        raise InputError(name, repr(value)[:60], f"(lower, upper), each ({size},)")
+    lower, upper = (np.atleast_1d(as_floats(bound, name)) for bound in bounds)
+    if not lower.shape == upper.shape == (size,):
+        raise InputError(name, f"shapes {lower.shape} and {upper.shape}", f"(lower, upper), each ({size},)")
+    return lower, upper
+
+
 def check_generator(rng: Any, name: str = "rng") -> np.random.Generator:
     """Return the generator, or refuse a seed or None."""
     if not isinstance(rng, np.random.Generator):

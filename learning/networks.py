@@ -11,7 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from learning.checks import as_floats, as_sizes, check_number
+from learning.checks import as_floats, as_sizes, check_instance, check_number
 from learning.exceptions import InputError
 
 LEAK = 0.01  # slope of the clip outside its range while cloning, so that a saturated output can still come back
@@ -102,7 +102,7 @@ class ActorCritic(nn.Module):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        self.config = config or NetworkConfig()
+        self.config = check_instance(NetworkConfig() if config is None else config, "config", NetworkConfig)
         for name, low, high in (
             ("observation", observation_lower, observation_upper),
             ("action", action_lower, action_upper),
@@ -165,6 +165,10 @@ class ActorCritic(nn.Module):
         own = [*self.mean_network.parameters(), self.log_std]
         own += list(self.std_network.parameters()) if self.std_network is not None else []
         return [parameter for parameter in own if parameter.requires_grad]
+
+    def __repr__(self) -> str:
+        sizes = f"{len(self.observation_offset)} observations, {len(self.action_offset)} actions"
+        return f"ActorCritic({sizes}, hidden layers {self.config.hidden})"
 
     def shape(self) -> dict:
         """All that `from_shape` needs to build the same network again."""

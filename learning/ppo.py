@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import trange
 
-from learning.checks import check_count, check_number
+from learning.checks import check_count, check_instance, check_number
 from learning.networks import ActorCritic
 from learning.rollout import Rollout, VectorEnv, collect
 
@@ -238,7 +238,8 @@ def train(
 
     The rates fall linearly to a tenth, the exploration geometrically to `config.final_std`.
     """
-    config = config or PPOConfig()
+    config = check_instance(PPOConfig() if config is None else config, "config", PPOConfig)
+    check_instance(agent, "agent", ActorCritic)
     check_count(iterations, "iterations")
     check_count(steps, "steps")
     ppo = PPO(agent, config)

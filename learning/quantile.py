@@ -17,7 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from tqdm import trange
 
-from learning.checks import ROUNDING, as_floats, as_sizes, check_count, check_generator, check_number
+from learning.checks import (
+    ROUNDING,
+    as_floats,
+    as_sizes,
+    check_count,
+    check_generator,
+    check_instance,
+    check_number,
+)  # fmt: skip
 from learning.exceptions import InputError
 from learning.networks import FeedForward
 
@@ -168,7 +176,7 @@ def fit_quantiles(
     InputError
         On mismatched, too few (under 20) or non-finite samples.
     """
-    config = config or QuantileConfig()
+    config = check_instance(QuantileConfig() if config is None else config, "config", QuantileConfig)
     rng = check_generator(rng)
     x = as_floats(inputs, "inputs")
     y = as_floats(targets, "targets")

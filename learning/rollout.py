@@ -8,6 +8,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from learning.checks import check_count, check_instance
+from learning.exceptions import InputError
 from learning.networks import ActorCritic
 
 
@@ -55,7 +57,18 @@ class Rollout:
 
 @torch.no_grad()
 def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.Generator) -> Rollout:
-    """`steps` steps of the sampled policy in every environment, starting from a reset."""
+    """`steps` steps of the sampled policy in every environment, starting from a reset.
+
+    Raises
+    ------
+    InputError
+        If an argument is of another kind.
+    """
+    if not all(callable(getattr(env, name, None)) for name in ("reset", "step")):
+        raise InputError("env", repr(env)[:60], "an environment with reset() and step(actions)")
+    check_instance(agent, "agent", ActorCritic)
+    check_count(steps, "steps")
+    check_instance(generator, "generator", torch.Generator)
     columns: list[tuple[Tensor, ...]] = []
     observation = env.reset()
     for _ in range(steps):

@@ -9,7 +9,15 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
-from learning.checks import ROUNDING, as_floats, check_count, check_generator, check_number
+from learning.checks import (
+    ROUNDING,
+    as_bounds,
+    as_floats,
+    check_count,
+    check_generator,
+    check_instance,
+    check_number,
+)  # fmt: skip
 from learning.exceptions import InputError
 from learning.networks import LEAK, ActorCritic, NetworkConfig
 
@@ -76,13 +84,15 @@ def fit_actor_critic(
     Raises
     ------
     InputError
-        On empty, mismatched or non-finite data.
+        On empty, mismatched or non-finite data, bounds of another size, or a configuration of another kind.
     """
-    config = config or CloningConfig()
+    config = check_instance(CloningConfig() if config is None else config, "config", CloningConfig)
+    shape = check_instance(NetworkConfig() if network is None else network, "network", NetworkConfig)
     rng = check_generator(rng)
     x, u, v = _checked(inputs, actions, values)
-    lower, upper = input_bounds if input_bounds is not None else _range(x)
-    agent = ActorCritic(lower, upper, *action_bounds, config=network, seed=int(rng.integers(2**31)))
+    lower, upper = _range(x) if input_bounds is None else as_bounds(input_bounds, "input_bounds", x.shape[1])
+    least, largest = as_bounds(action_bounds, "action_bounds", u.shape[1])
+    agent = ActorCritic(lower, upper, least, largest, config=shape, seed=int(rng.integers(2**31)))
     known = np.isfinite(v)
     if known.any():
         agent.value_offset.fill_(float(np.median(v[known])))

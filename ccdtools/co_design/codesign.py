@@ -69,7 +69,8 @@ def codesign(
 
 def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:
     """Raise an `InputError` unless the judge has the states, inputs and box of designs of `problem`."""
-    own, other = problem.design, judge.design
+    own = problem.design
+    other = judge.design
     same_box = own.names == other.names and np.array_equal([own.lower, own.upper], [other.lower, other.upper])
     if not same_box or (judge.model.nx, judge.model.nu) != (problem.model.nx, problem.model.nu):
         raise InputError("judge", repr(judge), "the states, inputs and box of designs of the problem")

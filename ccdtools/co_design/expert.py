@@ -123,7 +123,9 @@ def expert_dataset(
     as_choice("expert", expert, EXPERTS)
     gamma = as_share("gamma", gamma)
     horizon = as_count("horizon", horizon)
-    sets = as_instance("sets", sets or feasible_sets(problem), ParametricSet, "a ParametricSet or None")
+    sets = as_instance(
+        "sets", feasible_sets(problem) if sets is None else sets, ParametricSet, "a ParametricSet or None"
+    )
     designs = min(samples, _affordable_designs(problem, sets) if designs is None else as_count("designs", designs))
     x, p, feasible = _accepted(problem, sets, samples, designs, rng, progress)
     loops = _Loops(problem, p, feasible, expert, horizon, progress)
@@ -240,7 +242,8 @@ class _Loops:
         g = np.ones((n, m))
         for i, S in enumerate(self.feasible):
             size = np.abs(S.A) @ self.problem.state_scale
-            F[i, : len(S.b)], g[i, : len(S.b)] = S.A / size[:, None], S.b / size
+            F[i, : len(S.b)] = S.A / size[:, None]
+            g[i, : len(S.b)] = S.b / size
         return F @ self.A, F @ self.B, g
 
 

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_count, as_instance, as_vector, has_method, shown
+from ccdtools.checks import as_count, as_floats, as_instance, as_vector, finite, has_method, shown
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
@@ -128,6 +128,8 @@ class CoDesignProblem(Immutable):
         if not (isinstance(drawn, tuple) and len(drawn) == 2):
             got = f"{shown(drawn)} from sample(runs, steps, rng)"
             raise InputError("scenarios", got, "initial states and disturbances", "Use FixedStart(x0, disturbance).")
+        for what, array in zip(("initial states", "disturbances"), drawn):
+            finite(f"scenarios, {what}", as_floats(f"scenarios, {what}", array))
         x0, w = (np.shape(array) for array in drawn)
         if x0 != (1, self.model.nx):
             raise InputError("scenarios", f"initial states of shape {x0[1:]}", f"({self.model.nx},)")

@@ -135,6 +135,7 @@ def needs_of(controller: Any) -> frozenset[str]:
     if hasattr(controller, "state_dict") and hasattr(controller, "forward"):
         cure = "Use LearnedPolicy(agent, design), or a function that calls the module."
         raise InputError("controller", f"the torch module {type(controller).__name__}", "one on NumPy arrays", cure)
+    _check_takes_state(controller)
     needs: Any = getattr(controller, "needs", frozenset())
     if isinstance(needs, str) or not isinstance(needs, Iterable) or not set(needs) <= set(SIGNALS):
         raise InputError("controller.needs", shown(needs), f"some of {', '.join(SIGNALS)}")
@@ -142,6 +143,19 @@ def needs_of(controller: Any) -> frozenset[str]:
     if needs and horizon is not None:
         as_count("controller.horizon", horizon)
     return frozenset(needs)
+
+
+def _check_takes_state(controller: Any) -> None:
+    """Raise an `InputError` if the controller's signature has no place for the state."""
+    try:
+        signature = inspect.signature(controller)
+    except (TypeError, ValueError):  # a callable in C need not have one
+        return
+    try:
+        signature.bind_partial(None)
+    except TypeError:
+        got = f"a {type(controller).__name__} with the arguments {signature}"
+        raise InputError("controller", got, "a callable u = controller(x)") from None
 
 
 def one_call(controller: Controller, x: Array, surroundings: Surroundings, nu: int) -> Any:

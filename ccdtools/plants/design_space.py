@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_names, as_vector
+from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_names, as_number, as_vector
 from ccdtools.exceptions import InputError
 
 MAX_CORNERS = 10  # parameters of which every combination of bounds is looked at
@@ -54,7 +54,7 @@ class DesignSpace(Immutable):
         if repeated:
             raise InputError("names", f"{', '.join(repeated)} more than once", "a different name for every parameter")
         for name, low, high in zip(names, lower, upper):
-            if not low < high:
+            if not (low < high and np.isfinite(float(high) - float(low))):
                 raise InputError("lower, upper", f"[{low:g}, {high:g}] for {name}", "finite lower < upper")
         default = ("-",) * len(names)
         units = (
@@ -123,6 +123,7 @@ class DesignSpace(Immutable):
 
     def active_bounds(self, p: ArrayLike, *, tol: float = 1e-3) -> dict[str, str]:
         """Names of the parameters within `tol` (of the range) of a bound, with "lower" or "upper"."""
+        tol = as_number("tol", tol, expected="a number from 0 to 0.5", low=0.0, high=0.5)
         v = self.to_unit(as_vector("p", p, self.dim))
         active = {name: "lower" for name, vi in zip(self.names, v) if vi <= tol}
         return active | {name: "upper" for name, vi in zip(self.names, v) if vi >= 1 - tol}

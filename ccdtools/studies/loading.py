@@ -13,6 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
+from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
 from ccdtools.studies.options import study_names
 from ccdtools.studies.study import Study
@@ -49,12 +50,14 @@ def load_with_sources(name: str | Path) -> LoadedStudy:
     if text.endswith(".py"):
         module, neighbours = _executed(Path(text))
     elif text in study_names():
-        module, neighbours = import_module(f"ccdtools.studies.cases.{text}"), []
+        module = import_module(f"ccdtools.studies.cases.{text}")
+        neighbours = []
     else:
         raise InputError("study", repr(text), f"one of {', '.join(study_names())}, or a Python file")
     study = getattr(module, "study", None)
     if not isinstance(study, Study):
-        raise InputError("study", f"{text}, which declares no `study`", "a ccdtools.studies.Study of that name")
+        got = "declares no `study`" if study is None else f"declares {shown(study)} as its `study`"
+        raise InputError("study", f"{text}, which {got}", "a ccdtools.studies.Study of that name")
     files = [Path(m.__file__) for m in (module, *neighbours) if m.__file__]
     return LoadedStudy(study, {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files})
 

@@ -133,7 +133,7 @@ def located(study: str) -> str:
 def whole_number(argument: str, text: str) -> int:
     """The whole number that a text holds."""
     if not WHOLE.fullmatch(text):
-        raise InputError(argument, repr(text[:40]), "a whole number")
+        raise InputError(argument, repr(text[:50]), "a whole number of at most 40 digits")
     return int(text)
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, ArrayField
+from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_count, as_instance, as_vector, as_weight, has_method, shown
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
@@ -24,11 +23,10 @@ from mpc import MPCError, lqr
 
 MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
 MODEL_RUNS = 200  # runs logged in a deployment where the real plant is the model itself
-CHECKED_DESIGNS = 64  # besides the corners of the design box
 
 
-@dataclass(frozen=True, eq=False)
-class RealPlant:
+@dataclass(frozen=True, eq=False, repr=False)
+class RealPlant(Immutable):
     """The plant as it really is, and how it is driven.
 
     Attributes
@@ -65,9 +63,12 @@ class RealPlant:
             raise InputError("real.runs", got, f"at least {MINIMUM_LOG} samples to learn the discrepancy from")
         _check_disturbance("real.disturbance", self.disturbance, self.plant)
 
+    def __repr__(self) -> str:
+        return f"RealPlant({self.plant!r}, {self.runs} runs of {self.steps} steps)"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Study:
+class Study(Immutable):
     """A case study.
 
     Attributes
@@ -129,7 +130,7 @@ class Study:
         _check_disturbance("disturbance", self.disturbance, self.plant)
         object.__setattr__(self, "x0", as_vector("x0", self.x0, self.plant.nx, of="one per state"))
         p0 = as_vector("p0", self.p0, self.plant.design.dim, of="one per design parameter")
-        object.__setattr__(self, "p0", self.plant.design.check(p0, argument="p0"))
+        object.__setattr__(self, "p0", self.plant.design.check_one(p0, argument="p0"))
         if self.quantile_weight is not None:
             weight = as_weight("quantile_weight", self.quantile_weight, self.plant.nx)
             object.__setattr__(self, "quantile_weight", weight)
@@ -226,19 +227,10 @@ def _check_finite(plant: Plant) -> None:
     z = ca.vertcat(plant.x, plant.u, plant.w)
     at_zero = ca.substitute(ca.densify(ca.jacobian(plant.dynamics, z)), z, ca.SX.zeros(z.shape))
     matrices = ca.Function("matrices", [plant.p], [at_zero])
-    for design in designs_to_check(plant):
+    for design in plant.design.spread():
         if not np.isfinite(np.asarray(matrices(design), dtype=float)).all():
             got = f"dynamics that are not finite at {plant.design.describe(design)}"
             raise InputError("plant", got, "finite ones over the whole design box", "Move the bounds of the design.")
-
-
-def designs_to_check(plant: Plant) -> Array:
-    """The corners of the design box (of its first six parameters), its centre and seeded points between, (n, np)."""
-    space = plant.design
-    corners = np.array(list(product((0.0, 1.0), repeat=min(space.dim, 6))))
-    corners = np.pad(corners, ((0, 0), (0, space.dim - corners.shape[1])), constant_values=0.5)
-    between = space.latin_hypercube(CHECKED_DESIGNS, np.random.default_rng(0))
-    return np.vstack([space.from_unit(corners), space.from_unit(np.full((1, space.dim), 0.5)), between])
 
 
 def _check_same_plant(model: Plant, real: RealPlant) -> None:
@@ -252,8 +244,9 @@ def _check_same_plant(model: Plant, real: RealPlant) -> None:
     own_space = (tuple(plant.design.names), plant.design.lower.tolist(), plant.design.upper.tolist())
     if own_space != (tuple(model.design.names), model.design.lower.tolist(), model.design.upper.tolist()):
         raise InputError("real.plant", "another design space", "the parameters and bounds of the model")
-    u, w = np.zeros(plant.nu), np.zeros(plant.nw)
-    for design in designs_to_check(plant):
+    u = np.zeros(plant.nu)
+    w = np.zeros(plant.nw)
+    for design in plant.design.spread():
         if not np.isfinite(np.asarray(plant.step(real.x0, u, w, design), dtype=float)).all():
             got = f"a first step that is not finite at {plant.design.describe(design)}"
             raise InputError("real.plant", got, "finite dynamics over the whole design box")

@@ -29,7 +29,7 @@ class Replay(Immutable):
     logs: Sequence[Residuals]
 
     def __post_init__(self) -> None:
-        logs = tuple(self.logs)
+        logs = tuple(self.logs) if isinstance(self.logs, list | tuple) else (self.logs,)
         if not logs or not all(isinstance(log, Residuals) for log in logs):
             raise InputError("logs", shown(self.logs), "at least one Residuals")
         object.__setattr__(self, "logs", logs)
@@ -87,10 +87,24 @@ class Replay(Immutable):
 
 
 def replay_problem(problem: CoDesignProblem, errors: Sequence[Residuals], window: int) -> CoDesignProblem:
-    """The nominal model driven by logged errors, which enter as they are (E = I)."""
+    """The nominal model driven by logged errors, which enter as they are (E = I).
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    errors : Residuals, or a sequence of them
+        What a `DigitalTwin` keeps of its logs: `twin.logs`.
+    window : int
+        Length of an episode; at most that of the longest logged run.
+
+    Raises
+    ------
+    InputError
+        If an argument is of another kind, or no logged run is as long as `window`.
+    """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     model = replace(problem.model, E=ca.SX.eye(problem.model.nx))
-    return replace(problem, model=model, scenarios=Replay(tuple(errors)), steps=window, discrepancy=None)
+    return replace(problem, model=model, scenarios=Replay(errors), steps=window, discrepancy=None)
 
 
 def updated_problem(problem: CoDesignProblem, twin: DigitalTwin) -> CoDesignProblem:

@@ -46,7 +46,8 @@ def things(illustrative, clone, log):
     history = History(*(np.arange(3.0) for _ in range(6)))
     return [
         illustrative.plant, illustrative.real.plant, illustrative.model, illustrative.plant.design,
-        illustrative.problem(), illustrative.objective, policy, policy.sampled(np.random.default_rng(1)),
+        illustrative.problem(), illustrative, illustrative.real, cc.feasible_sets(illustrative.problem()),
+        illustrative.objective, policy, policy.sampled(np.random.default_rng(1)),
         cc.DigitalTwin(illustrative.model, (errors,), discrepancy), discrepancy,
         TwinPlant(illustrative.model, discrepancy), errors, Replay((errors,)), log, scenario, noise,
         cc.Uniform([0], [1]), cc.Sum((noise, noise)), cc.Recorded(np.zeros(50)), cc.GeneratedRoad(),

@@ -276,6 +276,18 @@ CALLS = {
     "a reference of another width": (lambda: simulate(reference=[1.0]), "reference.x"),
     "a reference of NaN": (lambda: simulate(reference=[np.nan, 0.0]), "reference.x"),
     "an output of another width": (lambda: simulate(output=np.ones((1, 3))), "output"),
+    "a controller without a place for the state": (lambda: simulate(controller=lambda: 3), "controller"),
+    "bounds whose range is infinite": (lambda: cc.DesignSpace(["k"], [-1e308], [1e308]), "lower, upper"),
+    "active bounds of tol text": (lambda: SPACE.active_bounds(P0, tol="near"), "tol"),
+    "active bounds of tol -1": (lambda: SPACE.active_bounds(P0, tol=-1), "tol"),
+    "sets zero": (lambda: dataset(sets=0), "sets"),
+    "a replay of a log": (lambda: cc.replay_problem(PROBLEM, simulate(), 5), "logs"),
+    "a replay of no log": (lambda: cc.replay_problem(PROBLEM, None, 5), "logs"),
+    "scenarios that hold NaN": (
+        lambda: problem(scenarios=SimpleNamespace(
+            sample=lambda runs, steps, rng: (np.zeros((runs, 2)), np.full((runs, steps, 1), np.nan)))),
+        "scenarios, disturbances",
+    ),
     "simulated steps 2.5": (lambda: simulate(steps=2.5), "steps"),
     "simulated steps 0": (lambda: simulate(steps=0), "steps"),
     "simulated steps text": (lambda: simulate(steps="5"), "steps"),

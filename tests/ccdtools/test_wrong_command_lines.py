@@ -164,6 +164,9 @@ WRONG = [
     (["new", "a"], "name: got a.py, which exists"),
     (["new", "my study"], "name: got 'my study', expected letters, digits and underscores"),
     (["new", "../up"], "name: got '../up'"),
+    (["new", "class"], "name: got 'class', expected a name that Python or an installed package does not use"),
+    (["new", "numpy"], "name: got 'numpy'"),
+    (["new", "ccdtools"], "name: got 'ccdtools'"),
     (["new", "1st"], "name: got '1st'"),
     (["new", ""], "name: got ''"),
 ]

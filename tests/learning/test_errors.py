@@ -1,17 +1,26 @@
 """What `learning` refuses: each error names its argument, carries its data and survives a process boundary."""
 
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from learning import CloningConfig, QuantileConfig, fit_actor_critic, fit_quantiles
+from learning import CloningConfig, QuantileConfig, collect, fit_actor_critic, fit_quantiles, train
 from learning.checkpoint import load, save
 from learning.exceptions import CheckpointError, InputError
 from learning.networks import ActorCritic, NetworkConfig
 
 BOX = ([-1.0], [1.0])
+NETWORK = ActorCritic([0], [1], [-1], [1])
+ENV = SimpleNamespace(reset=lambda: torch.zeros(1, 1), step=lambda actions: None)
+
+
+def cloned(**changes):
+    """Return `fit_actor_critic` on two samples of one input, with some of its arguments changed."""
+    given = {"action_bounds": BOX, "rng": np.random.default_rng(0), "config": CloningConfig(steps=1)}
+    return fit_actor_critic([[0.0], [1.0]], [[0.0], [0.5]], [0.0, -1.0], **(given | changes))
 
 
 @pytest.mark.parametrize(
@@ -34,6 +43,23 @@ BOX = ([-1.0], [1.0])
         (lambda: fit_actor_critic([["a"]], [[0.0]], [0.0], action_bounds=BOX, rng=np.random.default_rng(0)), "inputs"),
         (lambda: fit_actor_critic([[0.0], [1.0, 2.0]], [[0.0]], [0.0], action_bounds=BOX,
                                   rng=np.random.default_rng(0)), "inputs"),
+        (lambda: cloned(action_bounds=3), "action_bounds"),
+        (lambda: cloned(action_bounds=None), "action_bounds"),
+        (lambda: cloned(action_bounds=([-1, -1], [1, 1])), "action_bounds"),
+        (lambda: cloned(input_bounds=([-1, -1], [1, 1])), "input_bounds"),
+        (lambda: cloned(config=3), "config"),
+        (lambda: cloned(network=(64, 64)), "network"),
+        (lambda: fit_quantiles(np.zeros((30, 1)), np.zeros((30, 1)), rng=np.random.default_rng(0), config=0), "config"),
+        (lambda: collect(3, NETWORK, steps=2, generator=torch.Generator()), "env"),
+        (lambda: collect(ENV, 3, steps=2, generator=torch.Generator()), "agent"),
+        (lambda: collect(ENV, NETWORK, steps=0, generator=torch.Generator()), "steps"),
+        (lambda: collect(ENV, NETWORK, steps=2, generator=0), "generator"),
+        (lambda: train(ENV, NETWORK, iterations=1, steps=2, generator=torch.Generator(), config=3), "config"),
+        (lambda: train(ENV, None, iterations=1, steps=2, generator=torch.Generator()), "agent"),
+        (lambda: save("agent.safetensors", 3), "network"),
+        (lambda: save(3, NETWORK), "path"),
+        (lambda: save("agent.safetensors", NETWORK, {"a": object()}), "extra"),
+        (lambda: load(None), "path"),
         (lambda: ActorCritic(["low"], [1], [-1], [1]), "observation_lower"),
     ],
 )  # fmt: skip
@@ -69,3 +95,7 @@ def test_a_constant_column_far_from_zero_is_not_stretched():
     network = fit_quantiles(x, x[:, 1:], rng=rng, config=QuantileConfig(steps=20))
     assert network.input_scale[0] == 1.0
     assert network.input_scale[1] < 1e-8
+
+
+def test_a_network_prints_in_a_line():
+    assert repr(NETWORK) == "ActorCritic(1 observations, 1 actions, hidden layers (64, 64))"
