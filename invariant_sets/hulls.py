@@ -66,10 +66,13 @@ def hull_volume(points: Array) -> float:
         return float(np.ptp(points))
     from scipy.spatial import ConvexHull, QhullError
 
-    try:
-        return float(ConvexHull(points).volume)
-    except QhullError:
-        return float(ConvexHull(points, qhull_options="QJ").volume)
+    reason = ""
+    for options in (None, "QJ"):
+        try:
+            return float(ConvexHull(points, qhull_options=options).volume)
+        except QhullError as error:
+            reason = str(error).splitlines()[0]
+    raise NumericalError("The volume", points.shape, reason)
 
 
 def _holds_all(equations: Array, points: Array) -> bool:
@@ -181,6 +184,8 @@ def hull_of_points(V: Array) -> tuple[Array, Array, Array, Array, Array]:
         A = rows / scale
         b = g + rows @ (centre / scale)
         norms = np.linalg.norm(A, axis=1)
+        if not (np.isfinite(norms).all() and norms.all()):
+            raise NumericalError("The hull", V.shape, "its coordinates are too large or too small for doubles")
         A = A / norms[:, None]
         b = b / norms
     M = M / np.linalg.norm(M, axis=1)[:, None]

@@ -82,6 +82,7 @@ class ParametricSet:
 
     @property
     def _options(self) -> Options:
+        """The tolerance and caps of every design."""
         return Options(self.tol, self.max_iterations, self.max_facets, self.time_limit)
 
     def result(self, p: Any) -> SetResult:
@@ -201,6 +202,7 @@ class ParametricSet:
     # --- one design -----------------------------------------------------------------------------------------
 
     def _compute(self, p: Array) -> SetResult:
+        """Return the result at a design that is not yet known, from a neighbour where that helps."""
         neighbour = self._neighbour(p) if self.warm_start else None
         if neighbour is not None:
             warm = self._warm(p, *neighbour)
@@ -209,6 +211,7 @@ class ParametricSet:
         return self._cold(p)
 
     def _cold(self, p: Array, guess: Polytope | None = None) -> SetResult:
+        """Return the result computed from X, or from X and a set that should hold the answer."""
         answer = self.matrices(p)
         if not isinstance(answer, tuple) or len(answer) not in (2, 3):
             raise InputError("matrices", f"a value of type {type(answer).__name__}", "a tuple (A, B) or (A, B, E)")

@@ -34,6 +34,8 @@ def plot_polytope(P: SetOperations, *, ax: Any = None, coordinates: Any = None, 
     InputError, EmptySetError, UnboundedError
     """
     _check_drawable(P, "P")
+    if ax is not None and not hasattr(ax, "add_patch"):
+        raise InputError("ax", type(ax).__name__, "matplotlib Axes")
     if P.is_empty:
         raise EmptySetError("plot", "the set is empty, there is nothing to draw")
     if not P.is_bounded:

@@ -113,6 +113,7 @@ def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope | None, target: Po
     target = _scaled(target, size)
 
     def step_back(S: Polytope, deadline: Deadline) -> Step:
+        """Return one step backwards from S, checked."""
         return backward_step(system, S, X, U, deadline)
 
     progress = _repeat(step_back, target, steps, deadline.part(_EXACT_SHARE))
@@ -175,6 +176,7 @@ def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope | None, steps: in
     X = _scaled(X, size)
 
     def step_ahead(R: Polytope, deadline: Deadline) -> Step:
+        """Return one step forwards from R, cut by X and checked."""
         moves = U.affine_map(system.B)
         if system.disturbances is not None:
             moves = moves.minkowski_sum(Polytope.from_vertices(system.disturbances))

@@ -145,6 +145,7 @@ def _constraints(
     labels: list[Constraint] = []
 
     def impose(kind: str, step: int, halfspaces: tuple[Array, Array], form: Array) -> None:
+        """Append the rows H (form ξ) <= h of one step."""
         H, h = halfspaces
         rows.append(H @ form)
         bounds.append(h)

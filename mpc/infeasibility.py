@@ -235,6 +235,7 @@ def describe(problem: MPCProblem, label: Constraint) -> str:
 
 
 def _sentence(problem: MPCProblem, violations: tuple[Violation, ...], conflict: tuple[Constraint, ...]) -> str:
+    """What has to give and what contradicts what, in words."""
     gives = ", ".join(f"{v.meaning} by {v.amount:.3g} at step {v.constraint.step}" for v in violations)
     steps: dict[str, list[int]] = {}
     for label in conflict:

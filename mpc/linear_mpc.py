@@ -165,6 +165,9 @@ class LinearMPC(MPCProblem):
         x = as_floats("x", x)
         if x.ndim == 2:
             return np.array([plan.inputs[0] for plan in self.solve_many(x, **signals)]).reshape(len(x), self.nu)
+        for name in signals:
+            if name not in (*self.signal_shapes, "w"):
+                raise InputError(name, f"unknown signal {name!r}", f"some of {sorted(self.signal_shapes)}")
         return np.array(self.solve(x, **signals).inputs[0])
 
     def explain(self, x: ArrayLike, **signals: ArrayLike) -> Explanation:
@@ -231,10 +234,12 @@ class LinearMPC(MPCProblem):
 
     @cached_property
     def _condensed(self) -> _Built[CondensedSolver]:
+        """The solvers of the condensed QP, one for each combination of signals."""
         return _Built(partial(CondensedSolver, self))
 
     @cached_property
     def _sparse(self) -> _Built[SparseSolver]:
+        """The solvers with the states kept, one for each combination of signals."""
         return _Built(partial(SparseSolver, self, solver=self.solver))
 
 

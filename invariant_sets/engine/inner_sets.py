@@ -64,6 +64,7 @@ def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadlin
     limit = Deadline() if deadline is None else deadline
 
     def rows(target: Rows, fresh: Array | None = None) -> Rows:
+        """Return the predecessor rows of the target, of its fresh rows only where they are named."""
         F, g = target
         g = factor * g
         if dynamics.drift.any():
@@ -176,6 +177,7 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
         return None
 
     def backwards(target: Rows, fresh: Array | None) -> Rows:
+        """Return the rows of the states that the feedback takes into the target in one step."""
         F, g = target if fresh is None else (target[0][fresh], target[1][fresh])
         reach = 0.0 if noise is None else (F @ noise.T).max(axis=1)
         return F @ closed, g * (1 - CLOSED_LOOP_MARGIN) - reach

@@ -89,6 +89,7 @@ def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
     from scipy.linalg import schur
 
     def outside(real: float, imaginary: float = 0.0) -> bool:
+        """Return whether an eigenvalue is unstable."""
         return bool(np.hypot(real, imaginary) > 1.0 + UNSTABLE)
 
     T, Z, k = schur(A.T, output="real", sort=outside)

@@ -48,6 +48,8 @@ def plot_explicit(
     if not _is_index(component, law.nu):
         raise InputError("component", repr(component), f"the number of an input, below {law.nu}")
     points = as_count("points", points)
+    if ax is not None and not hasattr(ax, "add_patch"):
+        raise InputError("ax", type(ax).__name__, "matplotlib Axes")
     ax = plt.subplots(layout="constrained")[1] if ax is None else ax
     p = law.partition
     base = p.centre if at is None else as_array("at", at, (law.nt,))

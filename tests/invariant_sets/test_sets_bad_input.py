@@ -351,6 +351,7 @@ def test_what_cannot_be_read_as_numbers_is_refused_whatever_it_raises():
         lambda: X.contains([0.0, 0.0], tol=True),
         lambda: maximal_control_invariant_set(A, B, X, U, tol=huge),
         lambda: X.minkowski_sum(X, time_limit=huge),
+        lambda: plot_polytope(X, ax=3),
         lambda: plot_family(3),
         lambda: plot_family(X),
         lambda: plot_family([X], labels=3),
@@ -374,3 +375,12 @@ def test_a_time_limit_holds_for_any_number_of_steps():
         result = call()
         assert result.status is Status.TIME_LIMIT
         assert result.set.is_subset(result.outer, 1e-8)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_sets_beyond_what_doubles_hold_are_refused_by_name():
+    for call in (lambda: Polytope.from_vertices([[1e300, 0], [0, 1e300], [-1e300, -1e300]]).volume,
+                 lambda: X.scale(1e-320).volume,
+                 lambda: X.scale(1e305).minkowski_sum(X)):
+        with pytest.raises(InvariantSetsError):
+            call()

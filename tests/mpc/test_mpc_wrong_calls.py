@@ -195,6 +195,9 @@ def test_data_that_cannot_be_read_as_numbers_are_refused(controller):
         lambda: solve_mpqp(controller.build(), BASE["X"], compiled="no"),
         lambda: solve_mpqp(controller.build(), BASE["X"], max_regions=10**400),
         lambda: controller.explicit().save(""),
+        lambda: controller([1.0, 1.0], weather=3),
+        lambda: controller.explicit().plot(ax=3),
+        lambda: lqr(1e160 * np.asarray(A), B, Q=1.0, R=1.0),
     ):
         with pytest.raises(MPCError, match=r"got .{1,120}expected"):
             ask()
