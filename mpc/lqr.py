@@ -62,9 +62,9 @@ def lqr(A: Any, B: ArrayLike | None = None, *, Q: ArrayLike, R: ArrayLike) -> tu
         with np.errstate(over="ignore", invalid="ignore"):  # the checks below decide
             Ps = _riccati(As, Bs, Qs, Rs)
             Ks = _gain_of(Ps, As, Bs, Rs)
-    except (np.linalg.LinAlgError, ValueError) as error:  # SciPy's names for the same trouble
+    except (np.linalg.LinAlgError, ValueError):  # SciPy's names for the same trouble
         raise NotStabilisableError(
-            f"(A, B): got a Riccati equation without a stabilising solution ({error}), expected one. Check that "
+            "(A, B): got a Riccati equation without a stabilising solution, expected one. Check that "
             "(A, B) is stabilisable and that Q sees every mode on the unit circle."
         ) from None
     _check_solution(As, Bs, Qs, Rs, Ps, Ks)
