@@ -28,7 +28,7 @@ from invariant_sets.engine import certificate
 from invariant_sets.engine.inner_sets import Candidate, Limits, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
-from invariant_sets.engine.recursion import Outcome, Region, Shape, iterate
+from invariant_sets.engine.recursion import Caps, Outcome, Region, Shape, iterate
 from invariant_sets.engine.unstable_modes import unstable_bounds
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.interior_form import FLAT, unit_rows
@@ -114,11 +114,8 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
             guess = None
         if reserve is None and np.isfinite(limits.deadline.end) and len(problem.dynamics.A) >= _SLOW_DIM:
             reserve = _reserve(task, problem, start)
-        outcome = Outcome(start, 0)
-        if start.shape is Shape.SOLID and not start.is_small:
-            steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
-            caps = replace(limits.caps(STOP, max(steps, 1)), deadline=outer_deadline)
-            outcome = iterate(start, predecessor_of(problem, deadline=outer_deadline), caps)
+        steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
+        outcome = _recursion(problem, start, replace(limits.caps(STOP, max(steps, 1)), deadline=outer_deadline))
         iterations += outcome.iterations
         region = outcome.region if outcome.limit is not None else outcome.region.tidy()
         if region.shape is Shape.EMPTY:
@@ -131,6 +128,13 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
         if limits.deadline.passed:
             break
     return _fallback(task, reserve, X, _unfinished(limits, X.is_bounded), iterations)
+
+
+def _recursion(problem: LocalProblem, start: Region, caps: Caps) -> Outcome:
+    """Return how the recursion from `start` ended; at once, where that is flat, empty or has to be rescaled."""
+    if start.shape is not Shape.SOLID or start.is_small:
+        return Outcome(start, 0)
+    return iterate(start, predecessor_of(problem, deadline=caps.deadline), caps)
 
 
 def _unfinished(limits: Limits, bounded: bool) -> Status:

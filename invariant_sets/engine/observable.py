@@ -33,7 +33,9 @@ def observed_directions(A: Array, X: Polytope) -> Array | None:
     norms = np.abs(rows).max(axis=1)
     Q = _row_space(rows[norms > 0.0] / norms[norms > 0.0, None], 1.0)
     size = max(float(np.linalg.norm(balanced, 2)), np.finfo(float).tiny)
-    while len(Q) < len(A):
+    for _ in range(len(A)):  # every pass but the last adds a direction
+        if len(Q) == len(A):
+            break
         ahead = Q @ balanced
         more = _row_space(ahead - ahead @ Q.T @ Q, size)
         if not len(more):

@@ -217,6 +217,7 @@ def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: D
             break
         depth = region.reach(R, deadline) - r
         left = depth > CUT
+        left[first] = False  # whatever rounding says of them, so that every round leaves fewer rows
         R = R[left]
         r = r[left]
         depth = depth[left]

@@ -40,18 +40,13 @@ class Found(NamedTuple):
 
 def explore_compiled(qp: ScaledQP, limits: Limits) -> Found:
     """Regions of all optimal active sets, from facet to facet."""
-    from mpc.explicit.kernels.data import DONE, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
+    from mpc.explicit.kernels.data import DONE, KNOWN, QUEUED, ROWS, QPData
     from mpc.explicit.kernels.exploration import GROW, explore, rehash, seed
 
     m = len(qp.M)
     n = qp.D.shape[1] - 1
     data = QPData(qp.M, qp.D, qp.tie, qp.gram, qp.TA, qp.Tb)
-    graph = Graph(
-        masks=np.zeros((_CAPACITY, max(1, (m + 63) // 64)), dtype=np.uint64), kinds=np.zeros(_CAPACITY, dtype=np.int8),
-        table=np.full(4 * _CAPACITY, -1, dtype=np.int64), queue=np.zeros(_CAPACITY, dtype=np.int64),
-        counts=np.zeros(4, dtype=np.int64), tied=np.zeros(m, dtype=bool),
-    )  # fmt: skip
-    facets = Facets(np.zeros(_CAPACITY + 1, dtype=np.int64), np.empty((_FACETS * _CAPACITY, n + 1)))
+    graph, facets = _room(m, n)
     counts = graph.counts
     rng = np.random.default_rng(0)
     for _ in range(_ROUNDS):  # more only where every parameter found lies on the border of regions
@@ -83,6 +78,18 @@ def explore_compiled(qp: ScaledQP, limits: Limits) -> Found:
     sets = _members(graph.masks[graph.queue[:done]], m)
     rows = facets.rows[: counts[ROWS]].copy()
     return Found(status, sets, rows, facets.offsets[: done + 1].copy(), bool(graph.tied.any()))
+
+
+def _room(m: int, n: int) -> tuple[Any, Any]:
+    """An empty graph of active sets among m rows, and facets in n parameters."""
+    from mpc.explicit.kernels.data import Facets, Graph
+
+    graph = Graph(
+        masks=np.zeros((_CAPACITY, max(1, (m + 63) // 64)), dtype=np.uint64), kinds=np.zeros(_CAPACITY, dtype=np.int8),
+        table=np.full(4 * _CAPACITY, -1, dtype=np.int64), queue=np.zeros(_CAPACITY, dtype=np.int64),
+        counts=np.zeros(4, dtype=np.int64), tied=np.zeros(m, dtype=bool),
+    )  # fmt: skip
+    return graph, Facets(np.zeros(_CAPACITY + 1, dtype=np.int64), np.empty((_FACETS * _CAPACITY, n + 1)))
 
 
 def _grown(graph: Any, facets: Any) -> tuple[Any, Any]:

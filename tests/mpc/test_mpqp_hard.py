@@ -168,9 +168,10 @@ def test_objects_that_are_no_problem_are_refused():
     for problem in (None, "problem", mpc):
         with pytest.raises(InputError, match="problem: got"):
             solve_mpqp(problem, mpc.X)
-    for limit in (0, -1, np.nan, "1", None, True):
+    for limit in (0, -1, np.nan, "1", [1.0], True):
         with pytest.raises(InputError, match="time_limit: got"):
             solve_mpqp(mpc.build(), mpc.X, time_limit=limit)
+    for limit in (0, -1, np.nan, "1", None, True):
         with pytest.raises(InputError, match="max_regions: got"):
             solve_mpqp(mpc.build(), mpc.X, max_regions=limit)
     for theta_set in (None, "X", 3, [[0, 1]], box([1.0])):
