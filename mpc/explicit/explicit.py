@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats, as_halfspaces
 from mpc.exceptions import InfeasibleError, InputError
-from mpc.explicit.partition import Ints, MPQPStatus, Partition
-from mpc.explicit.search_tree import METHODS, Located, SearchTree, build_tree, find, region_points
-from mpc.halfspaces import nearest_points
+from mpc.explicit.partition import Ints, Laws, MPQPStatus, Partition
+from mpc.explicit.search_tree import METHODS, SearchTree, build_tree, evaluate, find, region_points
+from mpc.halfspaces import box_of, nearest_points
 from mpc.tolerances import EQUAL_LAW, LAW_ROUNDING
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ class ExplicitMPC:
     def locate(self, theta: ArrayLike, *, method: str = "tree") -> Ints:
         """Number of the region of each parameter (n, nt) -> (n,), or (nt,) -> (); -1 outside the partition."""
         points, single = self._points(theta)
-        found = self._find(points, method)
+        found = find(self.tree, self.partition, points, scan=_is_scan(method))
         region = np.where(found.outside, -1, found.region)
         return region[0] if single else region
 
@@ -180,14 +180,14 @@ class ExplicitMPC:
         InputError
             Wrong shape, NaN, or an unknown method.
         """
-        from mpc.explicit.kernels.search import apply
-
         points, single = self._points(theta)
-        found = self._find(points, method)
-        outside = found.outside
-        u = np.empty((len(points), self.nu))
-        apply(points, found, self.partition.centre, self.partition.half, self.law, u)
-        u[outside] = nearest_points(u[outside], *self.input_rows)
+        H, h = self.input_rows
+        box = box_of(H, h)
+        limits = np.array(box or (np.full(self.nu, -np.inf), np.full(self.nu, np.inf)))
+        laws = Laws(self.law, self.law_number, limits)
+        u, outside = evaluate(self.tree, self.partition, points, laws, scan=_is_scan(method))
+        if box is None:
+            u[outside] = nearest_points(u[outside], H, h)
         return (u[0], outside[0]) if single else (u, outside)
 
     def __call__(self, theta: ArrayLike) -> Array:
@@ -197,7 +197,7 @@ class ExplicitMPC:
     def value(self, theta: ArrayLike) -> Array:
         """Optimal cost (n,) or (), infinite outside the partition."""
         points, single = self._points(theta)
-        region, outside, _ = self._find(points, "tree")
+        region, outside = find(self.tree, self.partition, points)
         p, law = self.partition.problem, self.partition.law[region]
         with np.errstate(over="ignore", invalid="ignore"):  # parameters far outside
             z = np.einsum("nij,nj->ni", law[:, :, :-1], points) + law[:, :, -1]
@@ -243,16 +243,12 @@ class ExplicitMPC:
             raise InputError("theta", f"NaN or infinity in row {row}", "finite numbers")
         return points, single
 
-    def _find(self, points: Array, method: str) -> Located:
-        """Regions of parameters."""
-        if method not in METHODS:
-            raise InputError("method", repr(method), "'tree' or 'sequential'")
-        with np.errstate(over="ignore"):
-            scaled = np.clip((points - self.partition.centre) / self.partition.half, -_LARGEST, _LARGEST)
-        return find(self.tree, self.partition, scaled, scan=method == "sequential")
 
-
-_LARGEST = 1e30  # scaled parameters beyond this are cut off
+def _is_scan(method: str) -> bool:
+    """Whether all regions are to be scanned."""
+    if method not in METHODS:
+        raise InputError("method", repr(method), "'tree' or 'sequential'")
+    return method == "sequential"
 
 
 def as_path(name: str, value: Any) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,14 @@ class MPQPStatus(Enum):
     def advice(self) -> str:
         """What to do about it."""
         return self.value
+
+
+class Laws(NamedTuple):
+    """Law [gain, offset] of every region, its number, and limits [low, high] of the inputs outside."""
+
+    law: Array
+    number: Ints
+    limits: Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,8 +11,8 @@ import numpy as np
 
 from mpc.checks import Array, as_seconds
 from mpc.exceptions import InputError
-from mpc.explicit.partition import Ints, MPQPStatus, Partition
-from mpc.tolerances import CROSSING, INSIDE, SAME_HYPERPLANE_DIGITS
+from mpc.explicit.partition import Ints, Laws, MPQPStatus, Partition
+from mpc.tolerances import CROSSING, SAME_HYPERPLANE_DIGITS
 
 _SMALL = 2000  # regions up to which leaves are divided until one law is left
 _BUCKET = 8  # regions in a leaf that are not divided further in larger partitions
@@ -86,11 +86,10 @@ class SearchTree:
 
 
 class Located(NamedTuple):
-    """Regions of parameters, whether each lies outside, and the scaled parameter at which the law is to be taken."""
+    """Regions of parameters, and whether each lies outside."""
 
     region: Ints
     outside: Flags
-    points: Array
 
 
 class RegionPoints(NamedTuple):
@@ -132,35 +131,38 @@ def build_tree(
         status = TreeStatus.SEQUENTIAL
     else:
         planes, nodes, leaf, status = _grow(partition, laws, points, deadline)
+        leaf = _largest_first(nodes, leaf, points)
     border = np.zeros((0, partition.scaled_rows.shape[1]))
     if partition.status is MPQPStatus.COMPLETE:
         border = _border(partition, (planes, nodes, leaf), points)
     return SearchTree(planes, nodes, leaf, border, _centre_of(border), status)
 
 
-def find(tree: SearchTree, partition: Partition, points: Array, *, scan: bool = False) -> Located:
-    """Region of every scaled point (n, nt), by the tree or by a scan of all regions.
+def find(tree: SearchTree, partition: Partition, theta: Array, *, scan: bool = False) -> Located:
+    """Region of every parameter (n, nt), by the tree or by a scan of all regions.
 
-    A point outside a complete partition is moved towards the centre until it lies on the border, and gets the region
-    there; a point outside an incomplete one gets the region from which it is least far, in scaled parameters. Such
-    points are moved in place.
+    A parameter outside a complete partition gets the region where the straight line to the centre enters it; one
+    outside an incomplete partition the region from which it is least far, in scaled parameters.
     """
-    where = _locator(partition, _one_leaf(partition) if scan else (tree.planes, tree.nodes, tree.leaf_regions))
-    region, outside, gap = _locate(where, tree.border, tree.centre, points)
-    lost = np.flatnonzero(gap > INSIDE)
-    if len(lost) and not scan:  # not in this leaf: look at every region
-        everywhere = _locator(partition, _one_leaf(partition))
-        region[lost], _, gap[lost] = _locate(everywhere, tree.border[:0], tree.centre, points[lost])
-    outside[lost] |= gap[lost] > INSIDE
-    return Located(region, outside, points)
+    return _located(_searched(tree, partition, scan), theta)
+
+
+def evaluate(
+    tree: SearchTree, partition: Partition, theta: Array, laws: Laws, *, scan: bool = False
+) -> tuple[Array, Flags]:
+    """Input law[region] [θ; 1] of every parameter (n, nt), and whether it lies outside; regions as `find` gives them.
+
+    Outside a complete partition the law is taken at the border; outside any, it is kept within the rows of limits.
+    """
+    found = _search(_searched(tree, partition, scan), theta, laws)
+    return found.u, found.outside
 
 
 def scan_regions(partition: Partition, theta: Array) -> Ints:
     """Region of every parameter (n, nt) by a scan of all regions, -1 outside; no tree is needed."""
-    points = (theta - partition.centre) / partition.half
-    region, _, gap = _locate(_locator(partition, _one_leaf(partition)), np.zeros((0, points.shape[1] + 1)),
-                             np.zeros(points.shape[1]), points)  # fmt: skip
-    return np.where(gap > INSIDE, -1, region)
+    n = theta.shape[1]
+    region, outside = _located(_locator(partition, _no_leaf(n), np.zeros((0, n + 1)), np.zeros(n)), theta)
+    return np.where(outside, -1, region)
 
 
 def distinct_planes(rows: Array) -> tuple[Array, Ints, Flags]:
@@ -180,23 +182,41 @@ def _one_leaf(partition: Partition) -> tuple[Array, Ints, Ints]:
     return np.zeros((0, n)), np.array([[-1, 0, len(partition)]], dtype=np.int64), every
 
 
-def _locator(partition: Partition, tree: tuple[Array, Ints, Ints]) -> Any:
-    """Planes, nodes and leaf regions with the facets of the regions, for the compiled search."""
+def _no_leaf(n: int) -> tuple[Array, Ints, Ints]:
+    """Planes, nodes and leaf regions of a tree that holds nothing: all regions are looked at."""
+    return np.zeros((0, n + 1)), np.array([[-1, 0, 0]], dtype=np.int64), np.zeros(0, dtype=np.int64)
+
+
+def _locator(partition: Partition, tree: tuple[Array, Ints, Ints], border: Array, inner: Array) -> Any:
+    """Planes, nodes and leaf regions, the facets of the regions, and the border, for the compiled search."""
     from mpc.explicit.kernels.search import Locator
 
-    planes, nodes, leaf = (_view(array) for array in tree)
-    return Locator(planes, nodes, leaf, partition.scaled_rows, partition.offsets)
+    regions = (partition.scaled_rows, partition.offsets)
+    return Locator(*map(_view, (*tree, *regions, border, inner, partition.centre, partition.half)))
 
 
-def _locate(where: Any, border: Array, centre: Array, points: Array) -> tuple[Ints, Flags, Array]:
-    """Region of every point, whether it was beyond the border, and its distance from the region."""
-    from mpc.explicit.kernels.search import locate
+def _searched(tree: SearchTree, partition: Partition, scan: bool) -> Any:
+    """The same for a search tree, or for a scan of all regions within its border."""
+    parts = _no_leaf(len(partition.centre)) if scan else (tree.planes, tree.nodes, tree.leaf_regions)
+    return _locator(partition, parts, tree.border, tree.centre)
 
-    region = np.empty(len(points), dtype=np.int64)
-    outside = np.empty(len(points), dtype=bool)
-    gap = np.empty(len(points))
-    locate(where, _view(border), _view(centre), points, region, outside, gap)
-    return region, outside, gap
+
+def _located(where: Any, theta: Array) -> Located:
+    """Region of every parameter, and whether it lies outside."""
+    count = len(where.offsets) - 1
+    no_inputs = Laws(np.zeros((count, 0, theta.shape[1] + 1)), np.arange(count), np.zeros((2, 0)))
+    return Located(*_search(where, theta, no_inputs)[:2])
+
+
+def _search(where: Any, theta: Array, laws: Laws) -> Any:
+    """Region of every parameter, whether it lies outside, and its input."""
+    from mpc.explicit.kernels import search as compiled
+
+    count = len(theta)
+    region = np.empty(count, dtype=np.int64)
+    found = compiled.Found(region, np.empty(count, dtype=bool), np.empty((count, laws.law.shape[1])))
+    compiled.search(where, _view(theta), Laws(*map(_view, laws)), found)
+    return found
 
 
 def _view(array: Any) -> Any:
@@ -262,6 +282,17 @@ def _grow(
     return planes, nodes, leaf.copy(), status
 
 
+def _largest_first(nodes: Ints, leaf: Ints, points: RegionPoints) -> Ints:
+    """Regions of the leaves, in each leaf the large ones first: they hold most parameters."""
+    counts = np.diff(points.starts)
+    centres = np.repeat(points.points[points.starts[:-1]], counts, axis=0)
+    radius = np.add.reduceat(np.linalg.norm(points.points - centres, axis=1), points.starts[:-1]) / counts
+    leaves = nodes[nodes[:, 0] < 0]
+    leaves = leaves[np.argsort(leaves[:, 1], kind="stable")]
+    of_leaf = np.repeat(np.arange(len(leaves)), leaves[:, 2] - leaves[:, 1])
+    return np.asarray(leaf[np.lexsort((-radius[leaf], of_leaf))])
+
+
 def _roomier(growth: Any) -> Any:
     """The same growth with more room; regions of nodes already looked at are let go."""
     from mpc.explicit.kernels.growth import NEXT, POOL
@@ -297,9 +328,9 @@ def _border(partition: Partition, tree: tuple[Array, Ints, Ints], points: Region
     region = np.searchsorted(partition.offsets, candidates, side="right") - 1
     facet = points.starts[region] + 1 + candidates - partition.offsets[region]
     facet = np.minimum(facet, points.starts[region + 1] - 1)
-    across = points.points[facet] + CROSSING * rows[candidates, :-1]
-    _, _, gap = _locate(_locator(partition, tree), rows[:0], np.zeros(rows.shape[1] - 1), across)
-    return np.ascontiguousarray(rows[candidates[gap > INSIDE]])
+    across = partition.centre + partition.half * (points.points[facet] + CROSSING * rows[candidates, :-1])
+    inner = np.zeros(rows.shape[1] - 1)
+    return np.ascontiguousarray(rows[candidates[_located(_locator(partition, tree, rows[:0], inner), across).outside]])
 
 
 def _centre_of(border: Array) -> Array:

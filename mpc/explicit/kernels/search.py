@@ -12,114 +12,178 @@ from mpc.explicit.kernels.growth import side_of
 from mpc.tolerances import CROSSING, FAR_AWAY, INSIDE
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
-_SHORT_BORDER = 16  # rows up to which the border is looked at before the tree
+_SHORT_BORDER = 32  # rows up to which the border is looked at before the tree
+_LARGEST = 1e30  # scaled parameters beyond this are cut off
 
 
 class Locator(NamedTuple):
-    """Tree and regions together; see `SearchTree` and `Partition`."""
+    """Tree, regions and border in scaled parameters t = (θ - centre) / half; see `SearchTree` and `Partition`.
+
+    inner : point within the border towards which points beyond it are pulled.
+    """
 
     planes: Array
     nodes: Ints
     leaf: Ints
     rows: Array
     offsets: Ints
+    border: Array
+    inner: Array
+    centre: Array
+    half: Array
 
 
-@njit(cache=True, inline="always")
-def leaf_of(locator, points, q):
-    """Leaf of the tree in which point q lies."""
+class Found(NamedTuple):
+    """Region of every point, whether the point lies outside, and its input; all to be filled in."""
+
+    region: Ints
+    outside: np.ndarray[Any, np.dtype[np.bool_]]
+    u: Array
+
+
+@njit(cache=True)
+def side(rows, i, t):
+    """Distance of the point t above the hyperplane [a, b] of row i."""
+    s = -rows[i, len(t)]
+    for j in range(len(t)):
+        s += rows[i, j] * t[j]
+    return s
+
+
+@njit(cache=True)
+def leaf_of(planes, nodes, t):
+    """Leaf of the tree in which t lies."""
     node = 0
-    while locator.nodes[node, 0] >= 0:
-        below = side_of(locator.planes, locator.nodes[node, 0], points, q) <= 0.0
-        node = locator.nodes[node, 1] if below else locator.nodes[node, 2]
+    while nodes[node, 0] >= 0:
+        node = nodes[node, 1] if side(planes, nodes[node, 0], t) <= 0.0 else nodes[node, 2]
     return node
 
 
-@njit(cache=True, inline="always")
-def holder(locator, points, q):
-    """First region of its leaf that holds point q, to the tolerance INSIDE; -1 where none does."""
-    node = leaf_of(locator, points, q)
-    region = -1
-    for e in range(locator.nodes[node, 1], locator.nodes[node, 2]):
-        r = locator.leaf[e]
-        inside = True
-        for i in range(locator.offsets[r], locator.offsets[r + 1]):
-            if side_of(locator.rows, i, points, q) > INSIDE:
-                inside = False
-                break
-        if inside:
-            region = r
+@njit(cache=True)
+def excess(facets, t, most):
+    """Largest distance of t above the facets of a region; not searched further once it exceeds `most`."""
+    rows, first, end = facets
+    worst = -np.inf
+    for i in range(first, end):
+        worst = max(worst, side(rows, i, t))
+        if worst > most:
             break
-    return region
+    return worst
 
 
-@njit(cache=True, inline="always")
-def nearest(locator, points, q):
-    """Region of its leaf outside of which point q lies least far, and how far; -1 and inf in an empty leaf."""
-    node = leaf_of(locator, points, q)
+@njit(cache=True)
+def holder(rows, offsets, members, t):
+    """First of the member regions that holds t, to the tolerance INSIDE; -1 where none does."""
+    for r in members:
+        if excess((rows, offsets[r], offsets[r + 1]), t, INSIDE) <= INSIDE:
+            return r
+    return -1
+
+
+@njit(cache=True)
+def of_one_law(number, members):
+    """First of the member regions if all have the same law; -1 where they do not, or there is none."""
+    for r in members:
+        if number[r] != number[members[0]]:
+            return -1
+    return members[0] if len(members) > 0 else -1
+
+
+@njit(cache=True)
+def nearest(rows, offsets, t):
+    """First of all regions that holds t, and 0; where none does, the one it lies least far outside of, and how far."""
     region, distance = -1, np.inf
-    for e in range(locator.nodes[node, 1], locator.nodes[node, 2]):
-        r = locator.leaf[e]
-        worst = -np.inf
-        for i in range(locator.offsets[r], locator.offsets[r + 1]):
-            worst = max(worst, side_of(locator.rows, i, points, q))
-            if worst >= distance:
-                break
+    for r in range(len(offsets) - 1):
+        worst = excess((rows, offsets[r], offsets[r + 1]), t, distance)
+        if worst <= INSIDE:
+            return r, 0.0
         if worst < distance:
             region, distance = r, worst
     return region, distance
 
 
-@njit(cache=True, inline="always")
-def pull_back(border, room, centre, points, q):
-    """Move point q, if it lies beyond the border {a't <= b}, towards the centre until it is on it; whether it was.
-
-    room : distance of the centre from each row of the border.
-    """
-    n = points.shape[1]
+@njit(cache=True)
+def is_beyond(columns, height, t):
+    """Whether t lies beyond the border, given by its columns; all rows at once is faster than one after another."""
+    for i in range(len(height)):
+        height[i] = -columns[len(t), i]
+    for j in range(len(t)):
+        for i in range(len(height)):
+            height[i] += columns[j, i] * t[j]
     beyond = False
-    for i in range(len(border)):
-        if side_of(border, i, points, q) > INSIDE:
-            beyond = True
-            break
-    if beyond:
-        far = 0.0
-        for j in range(n):
-            far = max(far, abs(points[q, j] - centre[j]))
-        shrink = FAR_AWAY / far if far > FAR_AWAY else 1.0
-        share = 1.0
-        for i in range(len(border)):
-            step = 0.0
-            for j in range(n):
-                step += border[i, j] * (points[q, j] - centre[j])
-            if step * shrink * share > room[i]:
-                share = room[i] / (step * shrink)
-        for j in range(n):
-            points[q, j] = centre[j] + share * shrink * (points[q, j] - centre[j])
+    for i in range(len(height)):
+        beyond |= height[i] > INSIDE
     return beyond
 
 
 @njit(cache=True)
-def locate(locator, border, centre, points, region, outside, gap):
-    """Region of every point, whether it lies beyond the border, and how far it is from its region.
+def pull_back(columns, room, inner, t):
+    """Move t, which lies beyond the border, along the line to `inner` until it is on the border.
 
-    A point beyond the border is moved onto it. A gap above INSIDE says that the leaf does not hold the point.
+    room : distance of `inner` from each row of the border.
     """
+    far = 0.0
+    for j in range(len(t)):
+        t[j] -= inner[j]
+        far = max(far, abs(t[j]))
+    shrink = FAR_AWAY / far if far > FAR_AWAY else 1.0
+    for j in range(len(t)):
+        t[j] *= shrink
+    share = 1.0
+    for i in range(len(room)):
+        step = 0.0
+        for j in range(len(t)):
+            step += columns[j, i] * t[j]
+        if step * share > room[i]:
+            share = room[i] / step
+    for j in range(len(t)):
+        t[j] = inner[j] + share * t[j]
+
+
+@njit(cache=True, error_model="numpy")
+def search(where, points, laws, found):
+    """Region, outside and input of every point: law[region] [point; 1], outside at the border and within the limits.
+
+    The arrays are taken out of their tuples first: inside the loop that would cost more than the search.
+    """
+    planes, nodes, leaf, rows, offsets, border, inner, centre, half = where
+    law, number, limits = laws
+    region, outside, u = found
     n = points.shape[1]
+    t, height = np.empty(n), np.empty(len(border))
+    columns = np.ascontiguousarray(border.T)
     room = border[:, n].copy()
-    for i in range(len(border)):
-        for j in range(n):
-            room[i] -= border[i, j] * centre[j]
-    first = len(border) <= _SHORT_BORDER
+    for j in range(n):
+        room -= border[:, j] * inner[j]
+    border_first = len(border) <= _SHORT_BORDER
     for q in range(len(points)):
-        gap[q] = 0.0
-        outside[q] = first and pull_back(border, room, centre, points, q)
-        region[q] = holder(locator, points, q)
-        if region[q] < 0 and not first and pull_back(border, room, centre, points, q):
-            outside[q] = True
-            region[q] = holder(locator, points, q)
-        if region[q] < 0:
-            region[q], gap[q] = nearest(locator, points, q)
+        for j in range(n):
+            t[j] = min(max((points[q, j] - centre[j]) / half[j], -_LARGEST), _LARGEST)
+        beyond = border_first and is_beyond(columns, height, t)
+        if beyond:
+            pull_back(columns, room, inner, t)
+        node = leaf_of(planes, nodes, t)
+        members = leaf[nodes[node, 1] : nodes[node, 2]]
+        r = of_one_law(number, members) if beyond else -1  # on the border: it lies in one of them
+        if r < 0:
+            r = holder(rows, offsets, members, t)
+        if r < 0 and not border_first and is_beyond(columns, height, t):
+            beyond = True
+            pull_back(columns, room, inner, t)
+            node = leaf_of(planes, nodes, t)
+            r = holder(rows, offsets, leaf[nodes[node, 1] : nodes[node, 2]], t)
+        if r < 0:
+            r, gap = nearest(rows, offsets, t)
+            beyond = beyond or gap > INSIDE
+        region[q] = r
+        outside[q] = beyond
+        for j in range(n):
+            t[j] = centre[j] + half[j] * t[j] if beyond else points[q, j]
+        for i in range(law.shape[1]):
+            s = law[r, i, n]
+            for j in range(n):
+                s += law[r, i, j] * t[j]
+            u[q, i] = min(max(s, limits[0, i]), limits[1, i]) if beyond else s
 
 
 @njit(cache=True)
@@ -131,19 +195,3 @@ def supporting(rows, points, kept):
             if side_of(rows, i, points, q) > CROSSING:
                 kept[i] = False
                 break
-
-
-@njit(cache=True)
-def apply(points, found, centre, half, law, out):
-    """Rows of out: law[region] [point; 1], at the point on the border where it is outside."""
-    n = points.shape[1]
-    theta = np.empty(n)
-    for q in range(len(points)):
-        for j in range(n):
-            theta[j] = centre[j] + half[j] * found.points[q, j] if found.outside[q] else points[q, j]
-        r = found.region[q]
-        for i in range(law.shape[1]):
-            s = law[r, i, n]
-            for j in range(n):
-                s += law[r, i, j] * theta[j]
-            out[q, i] = s
