@@ -207,6 +207,7 @@ class PPO:
         return UpdateStatistics(kl, 1.0 - residual / variance if variance > 0 else float("nan"), passes)
 
     def _step(self, optimiser: torch.optim.Optimizer, loss: Tensor, parameters: list[nn.Parameter]) -> None:
+        """One step on a loss, its gradient clipped in norm."""
         optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(parameters, self.config.max_gradient)

@@ -121,6 +121,7 @@ class Comparison:
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
+        """The table for a notebook."""
         head = ("controller", "return", "std", "n", "minus LQR", "95 % interval", "diverged")
         body = "".join(f"<tr>{_html_row(_text_cells(score))}</tr>" for score in self.scores)
         return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>"

@@ -184,6 +184,7 @@ class Evaluation:
         })  # fmt: skip
 
     def _row(self, design: Array, score: Score) -> dict[str, Any]:
+        """One controller's row of the tables."""
         space = self.problem.design
         return {
             "controller": score.controller,
@@ -193,6 +194,7 @@ class Evaluation:
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
+        """Statistics of the returns of the runs that did not diverge, and the fraction that did."""
         run = scenario.run(policy, design=policy.design, limit=self.problem.limit)
         return asdict(summarise(run.returns(self.study.objective)[~run.diverged])) | {"diverged": run.diverged.mean()}
 

@@ -94,6 +94,7 @@ def configuration(
 
 
 def _paper(config: StudyConfig, study: Study) -> StudyConfig:
+    """The configuration with the paper's networks, rates, epochs and design gradient."""
     codesign = CoDesignConfig(
         iterations=PAPER_EPOCHS, runs=1, design_gradient="network_input", design_rate=PAPER_RATE, policy_rate=0.0,
         constant_rates=True, evaluate_every=200, ppo=PPOConfig(
@@ -106,7 +107,10 @@ def _paper(config: StudyConfig, study: Study) -> StudyConfig:
 
 
 def _quick(config: StudyConfig) -> StudyConfig:
+    """The configuration with fewer samples, runs and iterations, and marked so."""
+
     def fewer(codesign: CoDesignConfig, iterations: int) -> CoDesignConfig:
+        """A co-design of at most so many iterations."""
         iterations = min(iterations, codesign.iterations)
         return replace(codesign, iterations=iterations, runs=min(64, codesign.runs), pathwise_runs=64,
                        evaluation_runs=300, evaluate_every=max(1, iterations // 10))  # fmt: skip

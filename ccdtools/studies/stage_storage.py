@@ -66,7 +66,12 @@ def read_stage(folder: Path, run: str) -> Stage:
 
 def _check_manifest(folder: Path, run: str) -> None:
     """Raise a `ValueError` that names the first file which is not as this run wrote it."""
-    kept = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    if not (folder / MANIFEST).is_file():
+        raise ValueError(f"{MANIFEST} is missing")
+    try:
+        kept = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    except ValueError:
+        raise ValueError(f"{MANIFEST} is not as it was written") from None
     present = _hashes(folder)
     if not isinstance(kept, dict) or kept.get("stage") != folder.name or not isinstance(kept.get("files"), dict):
         raise ValueError(f"{MANIFEST} is not of this stage")

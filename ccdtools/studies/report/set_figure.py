@@ -95,6 +95,7 @@ def _telling_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
     pairs = list(combinations(range(nx), 2)) if nx <= 4 else [(i, i + 1) for i in range(0, nx - 1, 2)]
 
     def spread(pair: tuple[int, int]) -> float:
+        """How much the areas of the projected and the sliced sets differ, relative to the largest."""
         total = 0.0
         for cut in (_projected, _sliced):
             areas = [cut(S, pair).volume for S in sets.values()]

@@ -65,7 +65,8 @@ def generation_rows(results: Mapping[str, Any]) -> list[Row]:
             row[f"updated_model_return_{noise}_mean"] = summary["mean"]
         updates = generation["online_updates"]
         row["deployed_diverged"] = generation["deployed_diverged"]
-        row["online_updates"], row["online_updates_accepted"] = len(updates), sum(u["accepted"] for u in updates)
+        row["online_updates"] = len(updates)
+        row["online_updates_accepted"] = sum(update["accepted"] for update in updates)
         scores = generation["quantiles"]
         for name in ("rmse", "nominal_rmse", "pinball", "constant_pinball", "coverage"):
             row |= {f"{name}_{i + 1}": value for i, value in enumerate(scores[name])}
