@@ -13,7 +13,6 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
 from ccdtools.studies.options import study_names
 from ccdtools.studies.study import Study
@@ -56,8 +55,7 @@ def load_with_sources(name: str | Path) -> LoadedStudy:
         raise InputError("study", repr(text), f"one of {', '.join(study_names())}, or a Python file")
     study = getattr(module, "study", None)
     if not isinstance(study, Study):
-        got = "declares no `study`" if study is None else f"declares {shown(study)} as its `study`"
-        raise InputError("study", f"{text}, which {got}", "a ccdtools.studies.Study of that name")
+        raise InputError("study", f"{text}, which declares no `study`", "a ccdtools.studies.Study of that name")
     files = [Path(m.__file__) for m in (module, *neighbours) if m.__file__]
     return LoadedStudy(study, {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files})
 
