@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from tqdm import trange
 
 from learning.checks import check_count, check_instance, check_number
+from learning.exceptions import InputError
 from learning.networks import ActorCritic
 from learning.rollout import Rollout, VectorEnv, collect
 
@@ -121,7 +122,17 @@ def gae(
         V of the state acted in, and of the state led to (before any restart).
     terminated, truncated : (T, n) bool tensors
     gamma, lam : float
+        From 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ, or a number is out of range.
     """
+    _check_experience(rewards, values=values, successor_values=successor_values, terminated=terminated,
+                      truncated=truncated)  # fmt: skip
+    gamma = check_number(gamma, "gamma", 0, 1, closed=True)
+    lam = check_number(lam, "lam", 0, 1, closed=True)
     ended = terminated | truncated
     delta = rewards + gamma * successor_values * (~terminated) - values
     advantages = torch.zeros_like(rewards)
@@ -130,6 +141,19 @@ def gae(
         trace = delta[t] + gamma * lam * trace * (~ended[t])
         advantages[t] = trace
     return advantages
+
+
+def _check_experience(rewards: Tensor, **others: Tensor) -> None:
+    """Raise an `InputError` unless all are tensors of one shape, time first, those of flags Boolean."""
+    check_instance(rewards, "rewards", Tensor)
+    if rewards.ndim == 0 or rewards.numel() == 0:
+        raise InputError("rewards", f"shape {tuple(rewards.shape)}", "(T, n), neither of them 0")
+    for name, tensor in others.items():
+        check_instance(tensor, name, Tensor)
+        if tensor.shape != rewards.shape:
+            raise InputError(name, f"shape {tuple(tensor.shape)}", f"{tuple(rewards.shape)}, that of the rewards")
+        if name in ("terminated", "truncated") and tensor.dtype != torch.bool:
+            raise InputError(name, f"values of type {tensor.dtype}", "torch.bool")
 
 
 @torch.no_grad()
@@ -175,13 +199,15 @@ class PPO:
     """
 
     def __init__(self, agent: ActorCritic, config: PPOConfig) -> None:
-        self.agent = agent
-        self.config = config
+        self.agent = check_instance(agent, "agent", ActorCritic)
+        self.config = check_instance(config, "config", PPOConfig)
         self.actor_optimiser = torch.optim.Adam(agent.actor_parameters(), lr=config.learning_rate)
         self.critic_optimiser = torch.optim.Adam(agent.value_network.parameters(), lr=config.value_rate)
 
     def update(self, rollout: Rollout, *, generator: torch.Generator, actor: bool = True) -> UpdateStatistics:
         """One update on one rollout; `actor=False` trains the critic only."""
+        check_instance(rollout, "rollout", Rollout)
+        check_instance(generator, "generator", torch.Generator)
         agent = self.agent
         config = self.config
         batch = prepare(agent, rollout, config)

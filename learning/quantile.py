@@ -184,7 +184,7 @@ def fit_quantiles(
         raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", "(n, d), (n, m), n ≥ 20")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError("inputs, targets", "values that are not finite", "finite samples")
-    lengths = [len(x)] if stretches is None else [check_count(length, "stretches") for length in stretches]
+    lengths = [len(x)] if stretches is None else _lengths(stretches)
     if sum(lengths) != len(x):
         raise InputError("stretches", f"lengths that sum to {sum(lengths)}", f"{len(x)}, the number of samples")
     held = _last_parts(lengths, config.calibration)
@@ -193,6 +193,13 @@ def fit_quantiles(
     _descend(network, (x[~held], y[~held]), (x[held], y[held]), config, rng, progress)
     _calibrate(network, x[held], y[held])
     return network.eval()
+
+
+def _lengths(stretches: Sequence[int]) -> list[int]:
+    """Return the lengths of the stretches, each a positive integer."""
+    if not isinstance(stretches, (list, tuple, np.ndarray)):
+        raise InputError("stretches", repr(stretches)[:60], "a list of lengths")
+    return [check_count(length, "stretches") for length in stretches]
 
 
 def _last_parts(lengths: Sequence[int], fraction: float) -> NDArray[np.bool_]:

@@ -7,12 +7,23 @@ import numpy as np
 import pytest
 import torch
 
-from learning import CloningConfig, QuantileConfig, collect, fit_actor_critic, fit_quantiles, train
+from learning import (
+    PPO,
+    CloningConfig,
+    PPOConfig,
+    QuantileConfig,
+    collect,
+    fit_actor_critic,
+    fit_quantiles,
+    gae,
+    train,
+)  # fmt: skip
 from learning.checkpoint import load, save
 from learning.exceptions import CheckpointError, InputError
 from learning.networks import ActorCritic, NetworkConfig
 
 BOX = ([-1.0], [1.0])
+FEW = torch.zeros(3, 2)
 NETWORK = ActorCritic([0], [1], [-1], [1])
 ENV = SimpleNamespace(reset=lambda: torch.zeros(1, 1), step=lambda actions: None)
 
@@ -56,6 +67,15 @@ def cloned(**changes):
         (lambda: collect(ENV, NETWORK, steps=2, generator=0), "generator"),
         (lambda: train(ENV, NETWORK, iterations=1, steps=2, generator=torch.Generator(), config=3), "config"),
         (lambda: train(ENV, None, iterations=1, steps=2, generator=torch.Generator()), "agent"),
+        (lambda: gae(FEW, FEW, FEW, FEW > 0, FEW[:2] > 0, gamma=0.9, lam=0.9), "truncated"),
+        (lambda: gae("rewards", FEW, FEW, FEW > 0, FEW > 0, gamma=0.9, lam=0.9), "rewards"),
+        (lambda: gae(FEW, FEW, FEW, FEW, FEW > 0, gamma=0.9, lam=0.9), "terminated"),
+        (lambda: gae(FEW, FEW, FEW, FEW > 0, FEW > 0, gamma=9, lam=0.9), "gamma"),
+        (lambda: PPO(3, PPOConfig()), "agent"),
+        (lambda: PPO(NETWORK, PPOConfig), "config"),
+        (lambda: PPO(NETWORK, PPOConfig()).update(3, generator=torch.Generator()), "rollout"),
+        (lambda: fit_quantiles(np.zeros((30, 1)), np.zeros((30, 1)), stretches=30, rng=np.random.default_rng(0)),
+         "stretches"),
         (lambda: save("agent.safetensors", 3), "network"),
         (lambda: save(3, NETWORK), "path"),
         (lambda: save("agent.safetensors", NETWORK, {"a": object()}), "extra"),
