@@ -70,7 +70,7 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | 
     if (np.abs(rows[rest, n]) > FLAT * terms[rest].sum(axis=1)).any():
         return None
     solved, bound = [i for i, _ in pivots], [j for _, j in pivots]
-    free = np.setdiff1d(np.arange(n), bound)
+    free = np.array([j for j in range(n) if j not in bound], dtype=int)
     basis = np.zeros((n, len(free)))
     basis[free, np.arange(len(free))] = 1.0
     basis[bound] = -rows[solved][:, free]
@@ -113,10 +113,17 @@ def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array
             break
         factor = 1 / np.where(columns > 0, columns, 1.0)
         scale, rows = scale * factor, rows * factor
-    far = right[:len(b)] > np.median(right) / CLOSER
+    far = right[:len(b)] > _middle(right) / CLOSER
     reach = right[:, None] / np.where(rows > 0.5, rows, 1.0)
     sides = np.array([np.where((rows > 0.5) & (sign != -side), reach, np.inf).min(axis=0) for side in (1, -1)])
     lengths = np.where(np.isfinite(sides), sides, 0.0).max(axis=0)
     known = lengths[lengths > 0]
-    usual = np.median(known) if len(known) else np.median(right[right > 0]) if right.any() else 1.0
+    usual = 1.0
+    if not lengths.all() and right.any():
+        usual = _middle(known if len(known) else right[right > 0])
     return scale * np.where(lengths > 0, lengths, usual), far & (b > 0)
+
+
+def _middle(values: Array) -> float:
+    """Return the (upper) median of the values (k,), k >= 1."""
+    return float(np.sort(values)[len(values) // 2])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invariant_sets.equalities import eliminated, starting_scale
-from invariant_sets.linear_programs import inscribed_ball, minimise
+from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.tolerances import CANCELLED, FLAT, NULL_SPACE, ROUNDING, THIN
 from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look, pinched
 
@@ -92,11 +92,12 @@ def _solved(A: Array, b: Array, E: Array, e: Array, scale: Array) -> Body | None
                                                        cancelled=FLAT if hidden else CANCELLED)
         if hull is None or window is None:
             return None
-        measured = half_widths(window, scale)
+        widths = half_widths(window)
+        measured = np.where(widths > 0.0, widths, scale)
         if len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > UNLIKE:
             centre, scale, rescaled = window.centre, measured, rescaled + 1
         elif window.basis.shape[1] == 0 or window.ball.radius > FLAT or hidden > n:
-            return _body(window, hull.free)
+            return _body(window, hull.free, widths)
         else:
             rows = hidden_equalities(window)
             centre = window.centre + window.basis @ window.ball.centre
@@ -111,9 +112,9 @@ def support(body: Body, D: Array) -> Array:
     cancelled = np.abs(local) <= CANCELLED * (np.abs(D) @ np.abs(body.basis))
     local = np.where(cancelled, 0.0, local) if body.basis.shape[1] < body.basis.shape[0] else local
     size = np.abs(local).max(axis=1, initial=0.0)
+    moving = size > 0
     spread = np.zeros(len(D))
-    for i in np.flatnonzero(size > 0):
-        spread[i] = -size[i] * minimise(-local[i] / size[i], body.F, body.g)[0]
+    spread[moving] = size[moving] * maximise_rows(local[moving] / size[moving, None], body.F, body.g)
     values = D @ body.centre + spread
     return np.where(np.abs(values) > CANCELLED * (np.abs(D) @ np.abs(body.centre)), values, 0.0)
 
@@ -142,7 +143,7 @@ def _box(A: Array, b: Array) -> Body | None:
                 np.flatnonzero(solid), np.where(solid, half, 0.0))
 
 
-def _body(window: Window, free: Array) -> Body:
+def _body(window: Window, free: Array, widths: Array) -> Body:
     """Return the window as a `Body` about the centre of its ball, without rows that cannot touch the set."""
     y, bounded = window.ball.centre, not window.unbounded.any()
     touching = np.arange(len(window.g))
@@ -150,7 +151,7 @@ def _body(window: Window, free: Array) -> Body:
         touching = np.flatnonzero(window.g <= (1 + THIN) * np.abs(window.F).sum(axis=1))
     F, g = window.F[touching], window.g[touching]
     return Body(window.centre + window.basis @ y, window.basis, F, np.maximum(g - F @ y, FLAT), bounded, free,
-                half_widths(window, np.zeros(len(window.centre))))
+                widths)
 
 
 def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:

@@ -21,7 +21,18 @@ import daqp
 import numpy as np
 
 from invariant_sets.exceptions import NumericalError
-from invariant_sets.tolerances import ACTIVE, LP_COARSE, LP_RESIDUAL, LP_ROUNDING, LP_SOLVER, RAY, STEEP_RAY, UNEVEN
+from invariant_sets.tolerances import (
+    ACTIVE,
+    LP_COARSE,
+    LP_PROXIMAL,
+    LP_RESIDUAL,
+    LP_ROUNDING,
+    LP_SOLVER,
+    RAY,
+    STEEP_RAY,
+    THIN,
+    UNEVEN,
+)
 
 Array = np.ndarray
 _BOXES = 10.0 ** np.arange(3, 16, 3)  # half widths tried in turn where a program without a ray has not been solved
@@ -40,13 +51,16 @@ class Optimum:
     dual : (m,) array
         Multipliers, >= 0, with c + Aᵀ dual = 0.
     residual : float
-        Largest violation of the optimality conditions.
+        Largest violation of the optimality conditions, what rounding of large data explains taken off.
+    exact : bool
+        Whether it is at most `LP_ROUNDING` without that.
     """
 
     value: float
     x: Array
     dual: Array
     residual: float
+    exact: bool = False
 
 
 @dataclass(frozen=True)
@@ -111,19 +125,25 @@ def minimise(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
 
 def maximise_rows(D: Array, A: Array, b: Array) -> Array:
     """Return the (k,) maxima of the rows of D over A x <= b: +inf unbounded, −inf if empty."""
-    return np.array([-minimise(-d, A, b)[0] for d in np.atleast_2d(D)])
+    costs, A, b = (np.ascontiguousarray(array, dtype=np.float64) for array in (-D, A, b))
+    values, known = np.zeros(len(costs)), np.zeros(len(costs), bool)
+    if len(costs) > 1 and len(b) and np.abs(A).max(axis=0).min() >= UNEVEN:
+        values, known = _at_once(costs, A, b)
+    for i in np.flatnonzero(~known):
+        values[i] = minimise(costs[i], A, b)[0]
+    return -values
 
 
 def maximise_in_box(D: Array, A: Array, b: Array, box: float) -> Array:
     """Return the (k,) maxima of the rows of D over {A x <= b, |x| <= box}, which must hold a point."""
     rows, right = _with_box(A, b, box, A.shape[1])
-    values = np.empty(len(D))
-    for i, d in enumerate(D):
-        optimum = _optimum(-d, rows, right)
+    values, known = _at_once(-D, rows, right, coarse=True)
+    for i in np.flatnonzero(~known):
+        optimum = _optimum(-D[i], rows, right)
         if optimum is None:
             raise NumericalError("A linear program", A.shape, "neither DAQP nor HiGHS solves it")
-        values[i] = -optimum.value
-    return values
+        values[i] = optimum.value
+    return -values
 
 
 def inscribed_ball(A: Array, b: Array, cap: float) -> tuple[float, Array]:
@@ -151,7 +171,10 @@ def largest_ball(A: Array, b: Array, cap: float, box: float | None = None) -> Ba
     cost = np.zeros(n + 1)
     cost[n] = -1.0
     for half in (None, *_BOXES) if box is None else (box,):
-        optimum = _optimum(cost, *((rows, right) if half is None else _with_box(rows, right, half, n)))
+        program = (rows, right) if half is None else _with_box(rows, right, half, n)
+        optimum = _quick_optimum(cost, *program)
+        if optimum is None or -optimum.value <= THIN:  # verdicts on flat sets hang on the last digits
+            optimum = _optimum(cost, *program)
         if optimum is not None:
             return Ball(-optimum.value, optimum.x[:n], optimum.dual[:m])
     raise NumericalError("The largest ball", (m, n), "neither DAQP nor HiGHS finds it")
@@ -190,6 +213,48 @@ def _with_box(A: Array, b: Array, box: float, width: int) -> tuple[Array, Array]
     return np.vstack([A, eye, -eye]), np.append(b, np.full(2 * width, box))
 
 
+def _at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) -> tuple[Array, Array]:
+    """Return the least values (k,) that DAQP finds, and which of them (k,) are right.
+
+    They are recomputed from their active rows and right to `LP_ROUNDING`; if `coarse`, as found, to `LP_RESIDUAL`.
+    """
+    X, dual, solved = np.zeros(costs.shape), np.zeros((len(costs), len(b))), np.zeros(len(costs), bool)
+    for i, c in enumerate(costs):
+        x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_PROXIMAL)
+        if flag == 1:
+            X[i], dual[i], solved[i] = x, info["lam"], True
+    if not coarse:
+        solved &= _at_corners(A, b, X, dual)
+    values = (costs * X).sum(axis=1)
+    slope = np.abs(costs + dual @ A)
+    wrong = np.array([(X @ A.T - b).max(axis=1), -dual.min(axis=1), slope.max(axis=1), (slope * np.abs(X)).sum(axis=1),
+                      np.abs(values + dual @ b)])
+    return values, solved & (wrong <= (LP_RESIDUAL if coarse else LP_ROUNDING)).all(axis=0)
+
+
+def _at_corners(A: Array, b: Array, X: Array, dual: Array) -> Array:
+    """Move the points X (k, n) to the corners of their active rows; return which of them (k,) have one."""
+    n = X.shape[1]
+    active = dual > 0.0
+    corners = np.count_nonzero(active, axis=1) == n
+    rows = np.nonzero(active[corners])[1].reshape(-1, n)
+    try:
+        X[corners] = np.linalg.solve(A[rows], b[rows][:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        return np.zeros(len(X), bool)
+    return corners
+
+
+def _quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
+    """Return the optimum that DAQP finds if it is exact as it is; None if not."""
+    columns = np.abs(A).max(axis=0)
+    if 0 < columns.min() < UNEVEN:
+        return None
+    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_PROXIMAL)
+    optimum = _measured(c, A, b, x, info["lam"]) if flag == 1 else None
+    return optimum if optimum is not None and optimum.exact else None
+
+
 def _optimum(c: Array, A: Array, b: Array) -> Optimum | None:
     """Return a checked optimum, proposed by DAQP or else by HiGHS; None if neither passes."""
     columns = np.abs(A).max(axis=0)
@@ -216,8 +281,8 @@ def _best(c: Array, A: Array, b: Array) -> Optimum | None:
 
 def _from_daqp(c: Array, A: Array, b: Array) -> Optimum | None:
     """Return the optimum that DAQP proposes, recomputed; None if it proposes none."""
-    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER)
-    return _recomputed(c, A, b, np.array(x), np.array(info["lam"])) if flag == 1 else None
+    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_PROXIMAL)
+    return _recomputed(c, A, b, x, info["lam"]) if flag == 1 else None
 
 
 def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optimum | None:
@@ -264,13 +329,14 @@ def _measured(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
     """Return the point and its multipliers with the largest violation of the optimality conditions."""
     value = float(c @ x)
     excess = A @ x - b
-    slope = c + dual @ A
+    slope = np.abs(c + dual @ A)
     gap = abs(value + float(b @ dual))
     size = np.abs(x)
-    skewed = max(-dual.min(initial=0.0), np.abs(slope).max(), float(np.abs(slope) @ size))
-    worst = max(excess.max(initial=0.0), gap, skewed)
-    if worst > LP_ROUNDING:  # not for small data, so allow for the rounding of large ones
+    skewed = max(-float(dual.min()), float(slope.max()), float(slope @ size))
+    worst = max(0.0, float(excess.max()), gap, skewed)
+    exact = worst <= LP_ROUNDING
+    if not exact:  # not for small data, so allow for the rounding of large ones
         excess -= LP_ROUNDING * (np.abs(A) @ size + np.abs(b))
         gap -= LP_ROUNDING * float(np.abs(c) @ size + np.abs(b) @ np.abs(dual))
-        worst = max(excess.max(initial=0.0), gap, skewed)
-    return Optimum(value, x, np.maximum(dual, 0.0), float(worst))
+        worst = max(0.0, float(excess.max()), gap, skewed)
+    return Optimum(value, x, np.maximum(dual, 0.0), worst, exact)

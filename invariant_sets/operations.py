@@ -302,7 +302,10 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> tuple[Array, Array, Array, A
     norms_eq = np.linalg.norm(normal, axis=1)
     rows = rows / norms[:, None]
     normal = normal / norms_eq[:, None]
-    return rows, body.g / norms + rows @ origin, normal, normal @ origin
+    right = body.g / norms + rows @ origin
+    terms = body.g / norms + np.abs(rows) @ np.abs(origin)
+    right = np.where(np.abs(right) > CANCELLED * terms, right, 0.0)  # a cone has no size that rounding is small to
+    return rows, right, normal, normal @ origin
 
 
 def _without_cancelled(points: Array, V: Array, M: Array, c: Array) -> Array:

@@ -16,6 +16,7 @@ LP_RESIDUAL = 1e-9  # rows of unit norm: largest primal, dual and complementarit
 LP_COARSE = 1e-7  # the same, where no solver does better: rows that are almost parallel leave no more digits
 LP_ROUNDING = 1e-12  # of |bᵢ| + |Aᵢ||x|: added to it where the data are large
 LP_SOLVER = 1e-10  # feasibility tolerance handed to the solvers
+LP_PROXIMAL = 1e-9  # of a unit row: DAQP solves a linear program by proximal steps, until one moves by less
 ACTIVE = 1e-7  # of the largest multiplier: rows with more are taken for active when an answer is recomputed
 UNEVEN = 1e-3  # of the largest entry of its row: columns with smaller entries only are scaled before solving
 RAY = 1e-13  # of |Fᵢ||d|: a direction d may rise by this along a row and still counts as a ray

@@ -15,6 +15,7 @@ from invariant_sets.tolerances import CANCELLED, CLOSED, CLOSER, FLAT, ROUNDING,
 
 Array = np.ndarray
 _HALF = 4.0  # half width of the window, in coordinates in which the set should have half widths of one
+_FIRST = 8.0  # factor of the first window: first lengths come from the tightest rows, and sets are often longer
 _FURTHER = 1e3  # factor of one step away
 UNLIKE = 3.0  # decades: a scale that is wrong by more is replaced
 _STEPS = 80  # windows at most; one step is a factor of 1e3 or more, and doubles span 1e616
@@ -64,7 +65,7 @@ def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -
     The window ends where the set is solid and has the right size, or is flat: then `ball.radius` <= `FLAT`, and no
     closer look would change that.
     """
-    k = basis.shape[1]
+    k, basis = basis.shape[1], _FIRST * basis
     unbounded, settled, resized = np.zeros(k, bool), False, 0
     for _ in range(_STEPS):
         window = _window(A, b, centre, basis, unbounded, cancelled)
@@ -173,8 +174,8 @@ def _frame(window: Window, lower: Array, upper: Array, unbounded: Array) -> tupl
     return middle, np.where(unbounded, length, half)
 
 
-def half_widths(window: Window, scale: Array) -> Array:
-    """Return half the width (n,) of the set in every coordinate of x; that of `scale` in those in which it is flat."""
+def half_widths(window: Window) -> Array:
+    """Return half the width (n,) of the set in every coordinate of x; 0 in those in which it is flat."""
     basis, k = window.basis, window.basis.shape[1]
     reach = np.abs(basis).sum(axis=1)
     if k < len(basis) and k > 0 and len(window.near):
@@ -183,7 +184,7 @@ def half_widths(window: Window, scale: Array) -> Array:
         g = window.g[window.near] + 1.01 * max(-window.ball.radius, 0.0)
         ends = maximise_in_box(np.vstack([D, -D]), window.F[window.near], g, _HALF)
         reach[mixed] *= np.maximum((ends[:len(D)] + ends[len(D):]) / 2, FLAT)
-    return np.where(reach > ROUNDING * np.abs(window.centre), reach, scale)
+    return np.where(reach > ROUNDING * np.abs(window.centre), reach, 0.0)
 
 
 def hidden_equalities(window: Window) -> Array:

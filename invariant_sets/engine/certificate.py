@@ -17,7 +17,17 @@ from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import DOUBTFUL, DUAL_RESIDUAL, FLAT_WIDTH, INVARIANT, LP_SOLVER, WITNESS, WITNESS_SOLVER
+from invariant_sets.tolerances import (
+    DOUBTFUL,
+    DUAL_RESIDUAL,
+    FLAT_WIDTH,
+    INVARIANT,
+    LP_PROXIMAL,
+    LP_SOLVER,
+    MISSING,
+    WITNESS,
+    WITNESS_SOLVER,
+)
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -93,13 +103,16 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     rows = np.ascontiguousarray(np.block([[slope, -np.ones((len(slope), 1))], [H, np.zeros((len(H), 1))]]))
     cost = np.zeros(nu + 1)
     cost[nu] = 1.0
-    witnesses = np.zeros((len(room), nu))
-    for k in range(len(room)):
-        if k % _EVERY == 0:
+    witnesses = _middle_inputs(slope[:, 0], room, (H, h)) if nu == 1 else np.full((len(room), nu), np.inf)
+    leaves = _violations(witnesses, slope, room, (H, h))
+    doubtful = np.flatnonzero(~(leaves <= DOUBTFUL))
+    for count, k in enumerate(doubtful):
+        if count % _EVERY == 0:
             deadline.check()
         v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=WITNESS_SOLVER)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
-    leaves = _violations(witnesses, slope, room, (H, h))
+    if len(doubtful):
+        leaves[doubtful] = np.minimum(leaves[doubtful], _violations(witnesses[doubtful], slope, room[doubtful], (H, h)))
     for count, k in enumerate(np.argsort(-leaves)):  # DAQP stops early where the inputs are nearly parallel
         if leaves[k] <= DOUBTFUL:
             break
@@ -114,6 +127,17 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
         if leaves[k] > INVARIANT:  # confirmed by three solvers: the other vertices cannot mend that
             break
     return float(leaves.max())
+
+
+def _middle_inputs(slope: Array, room: Array, inputs: Rows) -> Array:
+    """Return the middle (k, 1) of the interval of single inputs v with slope v <= room_k, within the inputs."""
+    rows = np.concatenate([slope, inputs[0][:, 0]])
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        ends = np.hstack([room, np.broadcast_to(inputs[1], (len(room), len(inputs[1])))]) / rows
+        upper = np.where(rows > 0.0, ends, np.inf).min(axis=1)
+        lower = np.where(rows < 0.0, ends, -np.inf).max(axis=1)
+        middle = lower / 2 + upper / 2
+    return np.where(np.isfinite(middle), middle, 0.0)[:, None]
 
 
 def _checked_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
@@ -192,27 +216,35 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     drift = system.A @ state.centre + system.B @ inputs.centre
     rows, right = unit(rows, np.concatenate([state.g, inputs.g, t - T @ drift]))
     costs, level = np.hstack([-F @ N, np.zeros((len(F), q))]), F @ state.centre - g
+    size = np.linalg.norm(costs, axis=1)
+    moving = np.flatnonzero(size > 0.0)
+    beyond = level.copy()
+    for i in range(0, len(moving), _EVERY):
+        deadline.check()
+        part = moving[i:i + _EVERY]
+        beyond[part] += size[part] * _upper_bounds(costs[part] / size[part, None], rows, right)
     worst = -np.inf
-    for i, cost in enumerate(costs):
-        if i % _EVERY == 0:
-            deadline.check()
-        size, beyond = float(np.linalg.norm(cost)), float(level[i])
-        if size > 0.0:
-            beyond = size * _upper_bound(cost / size, rows, right) + level[i]
-            if beyond > worst and beyond > INVARIANT:
-                beyond = min(beyond, size * -minimise(cost / size, rows, right)[0] + level[i])
-        worst = max(worst, beyond)
+    for k in np.argsort(-beyond):
+        if beyond[k] <= worst:
+            break
+        if beyond[k] > MISSING and size[k] > 0.0:  # the multipliers may give too large a bound
+            beyond[k] = min(beyond[k], size[k] * -minimise(costs[k] / size[k], rows, right)[0] + level[k])
+        worst = max(worst, float(beyond[k]))
     return worst
 
 
-def _upper_bound(cost: Array, rows: Array, right: Array) -> float:
-    """Return max −costᵀz over the rows, or a value above it: that of the multipliers that DAQP stops at."""
-    _, _, flag, info = daqp.solve(None, cost, rows, right)
-    if flag == 1:
-        dual = np.maximum(info["lam"], 0.0)
-        if np.abs(cost + dual @ rows).max() <= DUAL_RESIDUAL:
-            return float(dual @ right)
-    return -minimise(cost, rows, right)[0]
+def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
+    """Return max −costᵀz over the rows for every cost, or a value above it: that of the multipliers DAQP stops at."""
+    dual, solved = np.zeros((len(costs), len(right))), np.zeros(len(costs), bool)
+    for i, cost in enumerate(costs):
+        _, _, flag, info = daqp.solve(None, cost, rows, right, eta_prox=LP_PROXIMAL)
+        if flag == 1:
+            dual[i], solved[i] = info["lam"], True
+    dual = np.maximum(dual, 0.0)
+    bounds = dual @ right
+    for i in np.flatnonzero(~(solved & (np.abs(costs + dual @ rows).max(axis=1) <= DUAL_RESIDUAL))):
+        bounds[i] = -minimise(costs[i], rows, right)[0]
+    return bounds
 
 
 def relative_rows(C: Polytope) -> Rows:
