@@ -242,8 +242,8 @@ def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
             dual[i], solved[i] = info["lam"], True
     dual = np.maximum(dual, 0.0)
     bounds = dual @ right
-    for i in np.flatnonzero(~(solved & (np.abs(costs + dual @ rows).max(axis=1) <= DUAL_RESIDUAL))):
-        bounds[i] = -minimise(costs[i], rows, right)[0]
+    for row in np.flatnonzero(~(solved & (np.abs(costs + dual @ rows).max(axis=1) <= DUAL_RESIDUAL))):
+        bounds[row] = -minimise(costs[row], rows, right)[0]
     return bounds
 
 
