@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from invariant_sets.exceptions import NumericalError
-from invariant_sets.linear_programs import minimise
+from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.tolerances import CHECKED, EPS, FLAT, REDUNDANT, ROUNDING, SAME
 
 Array = np.ndarray
@@ -140,7 +140,7 @@ def irredundant_rows(F: Array, g: Array, tol: float = REDUNDANT) -> Array:
         others = [j for j in needed if j != i]
         rows = np.vstack([F[others], F[i]])
         values = np.append(g[others], g[i] + 1.0)
-        if -minimise(-F[i], rows, values)[0] <= g[i] + tol:
+        if -least_value(-F[i], rows, values) <= g[i] + tol:
             needed = others
     return np.array(needed, dtype=int)
 

@@ -123,6 +123,12 @@ def minimise(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
     return _verdict(c, A, b)
 
 
+def least_value(c: Array, A: Array, b: Array) -> float:
+    """Return the value of `minimise`, right to `LP_ROUNDING` where the first answer of DAQP is."""
+    optimum = _quick_optimum(c, A, b)
+    return minimise(c, A, b)[0] if optimum is None else optimum.value
+
+
 def maximise_rows(D: Array, A: Array, b: Array) -> Array:
     """Return the (k,) maxima of the rows of D over A x <= b: +inf unbounded, −inf if empty."""
     costs, A, b = (np.ascontiguousarray(array, dtype=np.float64) for array in (-D, A, b))
