@@ -1,6 +1,6 @@
 """Random slabs, cones, boxes and polytopes in mixed units, judged by HiGHS in natural units.
 
-python benchmarks/adversarial_polytopes.py                 2000 supports and bounding boxes, 300 sums and projections
+python benchmarks/adversarial_polytopes.py                 supports and bounding boxes, sums, projections, flat sets
 python benchmarks/adversarial_polytopes.py --count 200     fewer
 python benchmarks/adversarial_polytopes.py --seed 7        others
 
@@ -174,6 +174,40 @@ def sum_case(seed: int, k: int, decades: float) -> str:
     return f"{k}: projection, n = {n}" if wrong else ""
 
 
+def flat_case(seed: int, k: int, decades: float) -> str:
+    """Return what is wrong with a point or a flat box, given by opposite rows in rotated coordinates; empty if nothing.
+
+    y in [lower, upper] with x = units · (Q y); redundant rows that touch the set or are far away, and scaled copies.
+    """
+    rng = np.random.default_rng((seed, k, 2))
+    n = int(rng.integers(2, 7))
+    solid = int(rng.choice([0, 0, 1, n - 1, rng.integers(0, n)]))
+    Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    lower = rng.normal(size=n) * (rng.random() < 0.7)
+    upper = lower + np.where(np.arange(n) < solid, rng.uniform(0.1, 2, n), 0.0)
+    units = 10 ** rng.uniform(-decades, decades, n)
+    touching = rng.normal(size=(int(rng.integers(0, 4)), n))
+    reach = (np.maximum(touching, 0) @ upper + np.minimum(touching, 0) @ lower
+             + rng.choice([0.0, 1.0, 1e6], len(touching)))
+    A, b = np.vstack([Q.T, -Q.T, touching @ Q.T]) / units, np.concatenate([upper, -lower, reach])
+    copied = rng.integers(0, len(b), int(rng.integers(0, 4)))
+    factors = 10 ** rng.uniform(-6, 6, len(b) + len(copied)) if rng.random() < 0.7 else np.ones(len(b) + len(copied))
+    order = rng.permutation(len(factors))
+    P = Polytope((np.vstack([A, A[copied]]) * factors[:, None])[order], (np.append(b, b[copied]) * factors)[order])
+    D = np.vstack([np.eye(n), -np.eye(n), rng.normal(size=(4, n))])
+    expected = np.maximum(D, 0) @ upper + np.minimum(D, 0) @ lower
+    name = f"{k}: flat, n = {n}, {solid} solid"
+    try:
+        if P.affine_dim != solid or not P.is_bounded:
+            return f"{name}: dimension {P.affine_dim}, bounded {P.is_bounded}"
+        if differ(P.support(D @ Q.T / units), expected, 1.0):
+            return f"{name}: support"
+        small = P.minimal()
+        return "" if P.equals(small) and small.affine_dim == solid else f"{name}: minimal"
+    except InvariantSetsError as error:
+        return f"{name}: {error}"
+
+
 def wrong_cases(case: Callable[[int, int, float], str], count: int, seed: int, decades: float) -> list[str]:
     """Return what is wrong, one line a case."""
     return [wrong for k in range(count) if (wrong := case(seed, k, decades))]
@@ -186,7 +220,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     for name, case, count in (("support and bounding box, n = 2 to 6", support_case, options.count),
-                              ("sums and projections, n = 2 to 5", sum_case, max(1, options.count * 3 // 20))):
+                              ("sums and projections, n = 2 to 5", sum_case, max(1, options.count * 3 // 20)),
+                              ("points and flat boxes, n = 2 to 6", flat_case, options.count)):
         for decades in (0.0, 8.0):
             start = time.perf_counter()
             wrong = wrong_cases(case, count, options.seed, decades)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invariant_sets.tolerances import CLOSER, DEPENDENT, FLAT
+from invariant_sets.tolerances import CANCELLED, CLOSER, DEPENDENT, FLAT, ROUNDING
 
 Array = np.ndarray
 
@@ -113,17 +113,81 @@ def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array
             break
         factor = 1 / np.where(columns > 0, columns, 1.0)
         scale, rows = scale * factor, rows * factor
-    far = right[:len(b)] > _middle(right) / CLOSER
-    reach = right[:, None] / np.where(rows > 0.5, rows, 1.0)
-    sides = np.array([np.where((rows > 0.5) & (sign != -side), reach, np.inf).min(axis=0) for side in (1, -1)])
-    lengths = np.where(np.isfinite(sides), sides, 0.0).max(axis=0)
+    m = len(b)
+    far = right[:m] > _middle(right) / CLOSER
+    if right.any():  # the far ones tell no length; beside rows through the origin alone nothing is far
+        right = np.append(np.where(right[:m] > _middle(right[right > 0]) / CLOSER, np.inf, right[:m]), right[m:])
+    lengths = _tightest(rows[:m], right[:m], sign[:m])
+    noise = right[:m] <= ROUNDING * (rows[:m] @ lengths)  # a row through the origin but for rounding tells no length
+    if (noise & (right[:m] > 0)).any():
+        lengths = _tightest(rows[:m], np.where(noise, 0.0, right[:m]), sign[:m])
+    if len(e) and not lengths.all():  # what an equality leaves, given the lengths of the other coordinates
+        reach = np.maximum(right[m:], rows[m:] @ lengths)[:, None] / np.where(rows[m:] > 0.5, rows[m:], 1.0)
+        reach = np.where(rows[m:] > 0.5, reach, np.inf).min(axis=0)
+        lengths = np.where((lengths == 0) & np.isfinite(reach), reach, lengths)
     known = lengths[lengths > 0]
     usual = 1.0
     if not lengths.all() and right.any():
         usual = _middle(known if len(known) else right[right > 0])
+    usual = usual if np.isfinite(usual) else 1.0
     return scale * np.where(lengths > 0, lengths, usual), far & (b > 0)
+
+
+def _tightest(rows: Array, right: Array, sign: Array) -> Array:
+    """Return the larger of the two distances (n,) at which steep rows end a coordinate on either side, 0 if none do."""
+    reach = right[:, None] / np.where(rows > 0.5, rows, 1.0)
+    sides = np.array([np.where((rows > 0.5) & (sign != -side), reach, np.inf).min(axis=0, initial=np.inf)
+                      for side in (1, -1)])
+    return np.where(np.isfinite(sides), sides, 0.0).max(axis=0)
 
 
 def _middle(values: Array) -> float:
     """Return the (upper) median of the values (k,), k >= 1."""
     return float(np.sort(values)[len(values) // 2])
+
+
+def opposite_rows(A: Array, b: Array) -> tuple[Array, Array]:
+    """Return one row of each pair that says aᵀx <= β and −aᵀx <= −β, and which rows such pairs make needless.
+
+    Parameters
+    ----------
+    A, b : (m, n) and (m,) arrays
+        Inequalities, none of them zero.
+
+    Returns
+    -------
+    chosen : (q,) int array
+        Rows that hold with equality, one of a pair.
+    needless : (m,) bool array
+        Rows parallel to one of them.
+
+    Notes
+    -----
+    Entries are compared one by one, relative to themselves, so units and scaled copies play no role. Parallel rows
+    have the same projection on a fixed direction, and stand beside one another once these are sorted.
+    """
+    m, n = A.shape
+    if m < 2:
+        return np.zeros(0, int), np.zeros(m, bool)
+    largest = np.abs(A).argmax(axis=1)
+    size = np.abs(A[np.arange(m), largest])
+    rows, right = A / size[:, None], b / size
+    projection = rows @ np.cos(np.arange(1, n + 1))
+    order = np.argsort(np.abs(projection))
+    level = np.abs(projection)[order]
+    starts = np.flatnonzero(np.append(True, np.diff(level) > CANCELLED * n))
+    upper, lower = (np.where(side * projection > 0, right, np.inf) for side in (1, -1))
+    low, high = (np.minimum.reduceat(limits[order], starts) for limits in (lower, upper))
+    needless, chosen = np.zeros(m, bool), []
+    pairs = np.isfinite(low) & np.isfinite(high)
+    pairs[pairs] = np.abs(low[pairs] + high[pairs]) <= ROUNDING * np.abs(low[pairs])
+    for group in np.flatnonzero(pairs):
+        members = order[starts[group]:np.append(starts, m)[group + 1]]
+        first = members[upper[members].argmin()]
+        second = members[lower[members].argmin()]
+        parallel = (np.abs(rows[members] - np.sign(projection[members] * projection[first])[:, None] * rows[first])
+                    <= CANCELLED * np.abs(rows[first])).all(axis=1)
+        if parallel[members == second].all():
+            chosen.append(first)
+            needless[members[parallel]] = True
+    return np.array(chosen, dtype=int), needless

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invariant_sets.equalities import eliminated, starting_scale
+from invariant_sets.equalities import eliminated, opposite_rows, starting_scale
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.tolerances import CANCELLED, FLAT, NULL_SPACE, ROUNDING, THIN
-from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look, pinched
+from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, is_flat, look, pinched
 
 Array = np.ndarray
 
@@ -69,10 +69,13 @@ def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
     A, b, E, e = A[~zero], b[~zero], A_eq[~zero_eq], b_eq[~zero_eq]
     if not len(e) and len(b) and (np.count_nonzero(A, axis=1) == 1).all():
         return _box(A, b)
+    chosen, needless = opposite_rows(A, b)
+    if len(chosen):
+        E, e, A, b = np.vstack([E, A[chosen]]), np.append(e, b[chosen]), A[~needless], b[~needless]
     scale, far = starting_scale(A, b, E, e)
     if far.any():
         near = body_of(A[~far], b[~far], E, e)
-        if near is None or (support(near, A[far]) <= b[far]).all():
+        if near is not None and (support(near, A[far]) <= b[far]).all():
             return near
     return _solved(A, b, E, e, scale)
 
@@ -93,17 +96,17 @@ def _solved(A: Array, b: Array, E: Array, e: Array, scale: Array) -> Body | None
         if hull is None or window is None:
             return None
         widths = half_widths(window)
-        measured = np.where(widths > 0.0, widths, scale)
-        if len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > UNLIKE:
+        flat, level = is_flat(window), pinched(window)[0]
+        measured = scale if flat and level == 0 else np.where(widths > 0.0, widths, scale)
+        if not flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > UNLIKE:
             centre, scale, rescaled = window.centre, measured, rescaled + 1
-        elif window.basis.shape[1] == 0 or window.ball.radius > FLAT or hidden > n:
+        elif window.basis.shape[1] == 0 or not flat or hidden > n:
             return _body(window, hull.free, widths)
         else:
             rows = hidden_equalities(window)
             centre = window.centre + window.basis @ window.ball.centre
-            level = b[rows] if pinched(window)[0] == 0 else A[rows] @ centre  # exact, or halfway through a thin set
-            E, e = np.vstack([E, A[rows]]), np.append(e, level)
-            scale, hidden, rescaled = measured, hidden + 1, 0
+            E, e = np.vstack([E, A[rows]]), np.append(e, b[rows] if level == 0 else A[rows] @ centre)
+            scale, hidden, rescaled = measured, hidden + 1, 0  # a set thinner than its rounding tells no scale
 
 
 def support(body: Body, D: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Small dense linear programs: DAQP first, HiGHS second; every answer and every verdict is checked here.
+"""Small dense linear programs: DAQP, then HiGHS, then rationals; every answer and every verdict is checked here.
 
 A solver only proposes an active set. Point and multipliers are recomputed from it, and an optimum counts once primal
 feasibility, dual feasibility and complementarity hold. "Unbounded" needs a ray, "infeasible" a Farkas certificate.
@@ -20,6 +20,7 @@ from functools import partial
 import daqp
 import numpy as np
 
+from invariant_sets.exact_programs import exact_optimum
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.tolerances import (
     ACTIVE,
@@ -262,15 +263,24 @@ def _quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
 
 
 def _optimum(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return a checked optimum, proposed by DAQP or else by HiGHS; None if neither passes."""
+    """Return a checked optimum, proposed by DAQP or else by HiGHS, or an exact one; None if there is none."""
     columns = np.abs(A).max(axis=0)
     if columns.min() >= UNEVEN or columns.min() == 0:
-        return _best(c, A, b)
+        return _best(c, A, b) or _exact(c, A, b)
     size = np.abs(c / columns).max()  # solved in variables that matter alike
     optimum = _best(np.ascontiguousarray(c / columns / size), np.ascontiguousarray(A / columns), b)
     if optimum is None:
-        return None
+        return _exact(c, A, b)
     return Optimum(optimum.value * size, optimum.x / columns, optimum.dual * size, optimum.residual)
+
+
+def _exact(c: Array, A: Array, b: Array) -> Optimum | None:
+    """Return the optimum in rational arithmetic; rows that miss each other by rounding are allowed to. None if none."""
+    for rounding in (0.0, LP_ROUNDING, LP_SOLVER):
+        answer = exact_optimum(c, A, b + rounding * (np.abs(b) + 1.0))
+        if answer is not None:
+            return Optimum(*answer, residual=rounding)
+    return None
 
 
 def _best(c: Array, A: Array, b: Array) -> Optimum | None:

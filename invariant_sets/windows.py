@@ -72,25 +72,26 @@ def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -
         if window is None or k == 0:
             return window
         radius = window.ball.radius
-        if radius > FLAT and settled:
+        flat = is_flat(window)
+        if settled and not flat:
             return window
-        if radius <= FLAT:
+        if flat:
             level, residual = pinched(window)
             if level < 0 and radius < -(FLAT if settled else THIN) and not residual.any():
-                return None
+                beyond, _ = _ends(window, unbounded)[2:]
+                if not beyond.any():
+                    return None
+                basis = basis * np.where(beyond, _FURTHER, 1.0)  # it misses by less than it is long
+                continue
             if radius < -THIN:
                 basis = basis * np.where(residual, _FURTHER, 1.0)
                 continue
-            if settled or level == 0:
+            if settled or (level == 0 and not residual.any()):
                 return window
-        lower, upper = _extents(window)
-        beyond = ((lower < -0.99 * _HALF) | (upper > 0.99 * _HALF)) & ~unbounded
+        lower, upper, beyond, unbounded = _ends(window, unbounded)
         if beyond.any():
-            endless = _endless(window, lower, upper) & beyond
-            unbounded = unbounded | endless
-            if (beyond & ~endless).any():
-                basis = basis * np.where(beyond & ~endless, _FURTHER, 1.0)
-                continue
+            basis = basis * np.where(beyond, _FURTHER, 1.0)
+            continue
         middle, half = _frame(window, lower, upper, unbounded)
         right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < UNLIKE or resized > 3
         resized += 1 if unbounded.any() else 0
@@ -136,12 +137,28 @@ def pinched(window: Window) -> tuple[float, Array]:
     return (0.0 if abs(level) <= doubt else level), residual
 
 
+def is_flat(window: Window) -> bool:
+    """Return whether the set is thinner than `FLAT` of the window, or than the rounding of the rows that hold it."""
+    level, residual = pinched(window)
+    return window.ball.radius <= FLAT or bool(level == 0 and window.ball.dual.any() and not residual.any())
+
+
 def _extents(window: Window) -> tuple[Array, Array]:
     """Return the lower and upper ends (k,) of what is seen of the set, at most `_HALF`."""
     k = window.F.shape[1]
     F, g = window.F[window.near], window.g[window.near] + 1.01 * max(-window.ball.radius, 0.0)
     ends = maximise_in_box(np.vstack([np.eye(k), -np.eye(k)]), F, g, _HALF)
     return -ends[k:], ends[:k]
+
+
+def _ends(window: Window, unbounded: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the extents, in which coordinates (k,) the set leaves the window, and in which it has no end."""
+    lower, upper = _extents(window)
+    beyond = ((lower < -0.99 * _HALF) | (upper > 0.99 * _HALF)) & ~unbounded
+    if beyond.any():
+        endless = _endless(window, lower, upper) & beyond
+        return lower, upper, beyond & ~endless, unbounded | endless
+    return lower, upper, beyond, unbounded
 
 
 def _endless(window: Window, lower: Array, upper: Array) -> Array:

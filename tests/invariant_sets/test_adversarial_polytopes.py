@@ -5,10 +5,11 @@ import pickle
 
 import numpy as np
 import pytest
-from adversarial_polytopes import sum_case, support_case, wrong_cases
+from adversarial_polytopes import flat_case, sum_case, support_case, wrong_cases
 from scipy.optimize import linprog
 
 from invariant_sets import Polytope
+from invariant_sets.exact_programs import exact_optimum
 from invariant_sets.exceptions import EmptySetError, InputError, NumericalError, TimeLimitError, UnboundedError
 from invariant_sets.linear_programs import inscribed_ball, minimise
 
@@ -23,6 +24,43 @@ def test_support_and_bounding_box_agree_with_highs(decades):
 @pytest.mark.parametrize("decades", [0.0, 8.0])
 def test_sums_and_projections_of_unbounded_sets_have_their_support(decades):
     assert wrong_cases(sum_case, 12, 5, decades) == []
+
+
+@pytest.mark.parametrize("decades", [0.0, 7.0])
+def test_points_and_flat_sets_by_opposite_rows_keep_their_dimension(decades):
+    assert wrong_cases(flat_case, 60, 5, decades) == []
+
+
+def test_opposite_rows_are_an_equality_whatever_their_factors():
+    P = Polytope([[1e-9, 3.0], [-2e-12, -6e-3], [1.0, 0]], [1.0, -2e-3, 5])
+    assert P.affine_dim == 1
+    wider = Polytope([[1.0, 3], [-1, -3], [1, 0]], [1.0, -1 + 1e-6, 5])
+    assert wider.affine_dim == 2
+
+
+def test_a_set_missed_by_less_than_its_length_in_rounding_is_not_empty():
+    c, s = np.cos(0.7), np.sin(0.7)
+    along, across = np.array([c, s]), np.array([-s, c])
+    P = Polytope([along, -along, across, -across], [1e7, 0.0, 0.0, -1e-12])
+    assert not P.is_empty
+    assert Polytope([along, -along, across, -across], [1.0, 0.0, 0.0, -1e-3]).is_empty
+
+
+def test_programs_in_rationals_agree_with_highs():
+    for k in range(25):
+        rng = np.random.default_rng(k)
+        n = int(rng.integers(1, 5))
+        A = np.vstack([rng.normal(size=(6, n)), np.eye(n), -np.eye(n)])
+        b = np.append(rng.uniform(-0.3, 1, 6), np.full(2 * n, 4.0))
+        c = rng.normal(size=n) * (rng.random(n) < 0.7)
+        judged, exact = linprog(c, A_ub=A, b_ub=b, bounds=(None, None)), exact_optimum(c, A, b)
+        assert (exact is None) == (judged.status == 2)
+        if exact is not None:
+            value, x, dual = exact
+            assert value == pytest.approx(judged.fun, abs=1e-9)
+            assert (A @ x <= b + 1e-12).all()
+            assert (dual >= 0).all()
+            np.testing.assert_allclose(c + dual @ A, 0, atol=1e-12)
 
 
 @pytest.mark.parametrize("far", [1e9, 1e15, 1e100, 1e300])
