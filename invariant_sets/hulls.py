@@ -8,6 +8,7 @@ Barber, Dobkin, Huhdanpaa (1996), The Quickhull algorithm for convex hulls, ACM 
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.tolerances import CHECKED, EPS, FLAT, REDUNDANT, ROUNDING, SAME
 
 Array = np.ndarray
+_DIRECTIONS = 5  # tried for a volume; the two with the least cancellation are compared
 
 
 def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Array, Array]:
@@ -73,6 +75,33 @@ def hull_volume(points: Array) -> float:
         except QhullError as error:
             reason = str(error).splitlines()[0]
     raise NumericalError("The volume", points.shape, reason)
+
+
+def cone_volume(F: Array, g: Array) -> float | None:
+    """Return the volume of the bounded {F y <= g}, g > 0, as a sum over its vertices; None where digits cancel.
+
+    Qhull triangulates the dual, whose facets are simplicial cones of normals, one or more to a vertex v. With c = Aᵀγ for
+    the n rows A of a cone, the volume is Σ (cᵀv)ⁿ / (n! |det A| Π γ). It needs no hull of the vertices, of which there are
+    many more than rows in five and more dimensions. The direction c is arbitrary: two of them have to agree.
+
+    References
+    ----------
+    Lawrence (1991), Polytope volume computation, Mathematics of Computation 57(195).
+    """
+    n = F.shape[1]
+    hull = convex_hull(F / g[:, None])
+    cones = F[hull.simplices]
+    V = -hull.equations[:, :-1] / hull.equations[:, -1:]
+    solid = np.abs(np.linalg.det(cones)) > EPS
+    cones, V = cones[solid], V[solid]
+    sizes = np.abs(np.linalg.det(cones)) * math.factorial(n)
+    found = []
+    for c in np.random.default_rng(0).standard_normal((_DIRECTIONS, n)):
+        gamma = np.linalg.solve(cones.transpose(0, 2, 1), np.broadcast_to(c[:, None], (len(cones), n, 1)))[..., 0]
+        terms = (V @ c) ** n / (sizes * gamma.prod(axis=1))
+        found.append((float(np.abs(terms).sum()), math.fsum(terms)))
+    (_, best), (_, second) = sorted(found)[:2]
+    return best if abs(best - second) <= CHECKED * abs(best) else None
 
 
 def _holds_all(equations: Array, points: Array) -> bool:

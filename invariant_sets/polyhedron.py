@@ -9,13 +9,14 @@ from typing import Any, Self
 import numpy as np
 
 from invariant_sets.exceptions import EmptySetError, InputError, TimeLimitError, UnboundedError
-from invariant_sets.hulls import facets_and_vertices, hull_of_points, hull_volume
+from invariant_sets.hulls import cone_volume, facets_and_vertices, hull_of_points, hull_volume
 from invariant_sets.interior_form import Body, body_of, body_of_vertices, support
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, check_time_limit
 from invariant_sets.tolerances import MEMBERSHIP, ROUNDING
 from invariant_sets.validation import as_batch, as_matrix, as_vector, check_count, check_finite, check_tolerance, frozen
 
 Array = np.ndarray
+_MANY_VERTICES = 5  # dimensions from which the hull of the vertices takes much longer than that of the rows
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -212,8 +213,13 @@ class Polyhedron:
         if body is None or body.basis.shape[1] < self.dim:
             return 0.0
         self._require_bounded("volume")
-        Y = (self.vertices - body.centre) @ body.inverse.T
-        return hull_volume(Y) * abs(float(np.linalg.det(body.basis)))
+        unit = abs(float(np.linalg.det(body.basis)))
+        if self.dim >= _MANY_VERTICES:
+            self.vertices  # noqa: B018  # the limits on the size of the hull
+            found = cone_volume(body.F, body.g)
+            if found is not None:
+                return found * unit
+        return hull_volume((self.vertices - body.centre) @ body.inverse.T) * unit
 
     def _require_bounded(self, what: str) -> Body:
         """Return the body, or raise `EmptySetError` or `UnboundedError`."""

@@ -1,11 +1,13 @@
 """`Polytope`: construction, questions, degenerate sets."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
 from invariant_sets import Polytope
+from invariant_sets.hulls import hull_volume
 
 
 def random_polytope(rng, n, rows=None):
@@ -109,3 +111,20 @@ def test_arrays_are_copied_in_and_read_only():
     assert P.A[0, 0] == 1
     with pytest.raises(ValueError, match="read-only"):
         P.A[0, 0] = 2
+
+
+@pytest.mark.parametrize("n", [5, 6])
+def test_volumes_in_many_dimensions_need_no_hull_of_the_vertices(n, rng):
+    units = 10.0 ** rng.integers(-6, 7, n)
+    box = Polytope.from_bounds(-units, 2 * units)
+    assert box.volume == pytest.approx(np.prod(3 * units), rel=1e-9)
+    signs = np.array(list(itertools.product([-1.0, 1.0], repeat=n)))
+    cross = Polytope(signs / units, np.ones(2**n))
+    assert cross.volume == pytest.approx(2**n / math.factorial(n) * np.prod(units), rel=1e-9)
+
+
+def test_both_ways_to_a_volume_agree(rng):
+    for _ in range(5):
+        A = rng.standard_normal((15, 5))
+        P = Polytope(np.vstack([A, np.eye(5), -np.eye(5)]), np.concatenate([np.ones(15), np.full(10, 2.0)]))
+        assert P.volume == pytest.approx(hull_volume(P.vertices), rel=1e-9)
