@@ -80,9 +80,9 @@ def hull_volume(points: Array) -> float:
 def cone_volume(F: Array, g: Array) -> float | None:
     """Return the volume of the bounded {F y <= g}, g > 0, as a sum over its vertices; None where digits cancel.
 
-    Qhull triangulates the dual, whose facets are simplicial cones of normals, one or more to a vertex v. With c = Aᵀγ for
-    the n rows A of a cone, the volume is Σ (cᵀv)ⁿ / (n! |det A| Π γ). It needs no hull of the vertices, of which there are
-    many more than rows in five and more dimensions. The direction c is arbitrary: two of them have to agree.
+    Qhull triangulates the dual, whose facets are simplicial cones of normals, one or more to a vertex v. With c = Aᵀγ
+    for the n rows A of a cone, the volume is Σ (cᵀv)ⁿ / (n! |det A| Π γ). It needs no hull of the vertices, of which
+    there are many more than rows in five and more dimensions. The direction c is arbitrary: two of them have to agree.
 
     References
     ----------
