@@ -46,8 +46,8 @@ def convex_hull(points: Array) -> Any:
     """Return Qhull's hull of the points (k, n), n >= 2; raise `NumericalError` where it cannot.
 
     Symmetric data in five or six dimensions have so many coplanar points that Qhull stops over a wide merge. It is then
-    told to go on (Q12), and at last to move the points by a part of 1e-10 or so (QJ); whether all points lie in the hull
-    is checked each time, and `facets_and_vertices` checks its answers.
+    told to go on (Q12), and at last to move the points by a part of 1e-10 or so (QJ). That all points lie in the hull
+    is checked each time; `facets_and_vertices` checks its answers.
     """
     from scipy.spatial import ConvexHull, QhullError
 
