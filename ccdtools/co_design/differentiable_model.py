@@ -54,12 +54,15 @@ class Stepper:
     E: Tensor
     p: Tensor
     limit: Tensor
+    carry: Tensor | None = None  # (nx, nx), of a learned error from the design of its log to this one
 
     @classmethod
     def at(cls, problem: CoDesignProblem, p: Tensor) -> Stepper:
         """The model at design `p` (np,), differentiable in it."""
         A, B, E = matrices(problem.model, p)
-        return cls(problem, A, B, E, p, p.new_tensor(problem.limit.tolist()))
+        transport = None if problem.discrepancy is None else problem.discrepancy.transport
+        carry = None if transport is None else transport.matrix(E)
+        return cls(problem, A, B, E, p, p.new_tensor(problem.limit.tolist()), carry)
 
     def __call__(self, x: Tensor, e: Tensor, u: Tensor, w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Next states (n, nx), next errors (n, nx) and rewards (n,)."""
@@ -70,7 +73,7 @@ class Stepper:
             x_next = x_next + w @ self.E.T
         else:
             e, penalty = discrepancy.advance(e, x, u, self.p, w)
-            x_next = x_next + e
+            x_next = x_next + (e if self.carry is None else e @ self.carry.T)
         return x_next, e, self.problem.objective.rewards(x_next, u) - penalty
 
     def left(self, x: Tensor) -> Tensor:

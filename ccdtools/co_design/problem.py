@@ -40,6 +40,11 @@ class ErrorModel(Protocol):
         """Penalty (nx, nx) on the width of the quantiles."""
         ...
 
+    @property
+    def transport(self) -> Any:
+        """Carries errors from the design they were learned at to others: a `Transport`, or None."""
+        ...
+
     def advance(self, e: Any, x: Any, u: Any, p: Any, w: Any) -> tuple[Any, Any]:
         """Next errors (n, nx) and penalties (n,), torch tensors."""
         ...

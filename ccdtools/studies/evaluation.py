@@ -23,8 +23,9 @@ from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import MINIMUM_LOG, Study
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
-from ccdtools.twin.replay import Replay, replay_problem
+from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.transport import ErrorSplit
 from learning.networks import ActorCritic
 
 MOSTLY = 0.5  # of the samples outside X: then the recording is not one of this plant
@@ -115,9 +116,10 @@ class Evaluation:
         if not logs:
             x0, w = self.problem.scenarios.sample(self.config.model_runs, self.study.steps, self.rng("model scenario"))
             return Scenario(self.study.model, x0, w)
-        x0, w = Replay(tuple(logs)).disjoint(self.window)
+        split = ErrorSplit(self.study.model, self.problem.state_scale)
+        x0, w = Replay(tuple(logs), split).disjoint(self.window)
         chosen = self.rng("replayed windows").permutation(len(x0))[: self.config.model_runs]
-        return Scenario(replay_problem(self.problem, logs, self.window).model, x0[chosen], w[chosen])
+        return Scenario(split.replayed_model, x0[chosen], w[chosen])
 
     def on_updated(self, discrepancy: Discrepancy, *, noise: str) -> Scenario:
         """From x0 on the model updated by a discrepancy."""

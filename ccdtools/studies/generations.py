@@ -101,7 +101,8 @@ class Generations:
             "comparison-0", "Comparison at the start design", self.compute.compare, 0, service, service, ()
         )
         rows = tuple(start.values["rows"])
-        return _State(service, DigitalTwin(study.model), (initial, start), rows=rows)
+        twin = DigitalTwin(study.model, scale=self.evaluation.problem.state_scale)
+        return _State(service, twin, (initial, start), rows=rows)
 
     def _next(self, generation: int, state: _State) -> _State:
         """One more generation: design, deploy, learn, compare, evaluate."""

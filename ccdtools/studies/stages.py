@@ -21,7 +21,7 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
 from ccdtools.twin.replay import replay_problem, updated_problem
-from ccdtools.twin.residuals import Residuals, residuals
+from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 from learning.warm_start import fit_actor_critic
 
@@ -151,9 +151,11 @@ class LoopStages:
 
     def learned_twin(self, twin: DigitalTwin, log: Trajectory, learned: Stage) -> DigitalTwin:
         """The twin that `learn` has left behind."""
-        discrepancy = Discrepancy(learned.networks["quantiles"], self.evaluation.study.weight)
-        logs = (*twin.logs, residuals(self.evaluation.study.model, log))
-        return replace(twin, logs=logs, discrepancy=discrepancy, scores=QuantileScores(**learned.values["scores"]))
+        taught = twin.remembering(log)
+        discrepancy = Discrepancy(
+            learned.networks["quantiles"], self.evaluation.study.weight, transport=taught.transport
+        )  # fmt: skip
+        return replace(taught, discrepancy=discrepancy, scores=QuantileScores(**learned.values["scores"]))
 
     def compare(
         self, rng: np.random.Generator, generation: int, designed: InService, deployed: InService,

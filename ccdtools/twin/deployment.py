@@ -22,6 +22,7 @@ from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.replay import Replay, replay_problem
 from ccdtools.twin.residuals import Residuals, residuals
+from ccdtools.twin.transport import ErrorSplit
 from learning.networks import ActorCritic
 from learning.ppo import PPOConfig
 
@@ -241,10 +242,10 @@ class _Service:
     def _gain(self, candidate: ActorCritic) -> PairedDifference:
         """Candidate minus policy in service, on replays of the held-out parts."""
         window = self.config.window
-        judge = replay_problem(self.problem, self.test, window)
-        x0, w = Replay(tuple(self.test)).disjoint(window)
+        split = ErrorSplit(self.problem.model, self.problem.state_scale)
+        x0, w = Replay(tuple(self.test), split).disjoint(window)
         chosen = self.rng.permutation(len(x0))[: self.config.judged]
-        scenario = Scenario(judge.model, x0[chosen], w[chosen])
+        scenario = Scenario(split.replayed_model, x0[chosen], w[chosen])
         returns = [
             scenario.run(LearnedPolicy(agent, self.design), design=self.design, limit=self.problem.limit).returns(
                 self.problem.objective

@@ -14,6 +14,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.transport import Transport
 from learning.quantile import QuantileNetwork, pinball
 
 NOISES = ("none", "quantiles", "replayed")
@@ -35,18 +36,23 @@ class Discrepancy(Immutable):
         What is added to the median. Nothing: the model is then deterministic. Draws from the learned distribution,
         linear between and beyond the levels. Or given innovations: what the median left unexplained in the log,
         replayed with its own correlation in time.
+    transport : Transport, optional
+        From the design in whose coordinates the network works to any other. Without it e⁺ does not depend on p.
     """
 
     network: QuantileNetwork
     weight: ArrayField
     design_as_feature: bool = False
     noise: str = "none"
+    transport: Transport | None = None
 
     def __post_init__(self) -> None:
         as_instance("network", self.network, QuantileNetwork, "a QuantileNetwork", "fit_quantiles makes one.")
         object.__setattr__(self, "weight", as_weight("weight", self.weight, self.network.outputs))
         as_flag("design_as_feature", self.design_as_feature)
         as_choice("noise", self.noise, NOISES)
+        if self.transport is not None:
+            as_instance("transport", self.transport, Transport, "a Transport or None")
 
     def __repr__(self) -> str:
         levels = ", ".join(f"{level:g}" for level in self.network.levels)
@@ -60,7 +66,7 @@ class Discrepancy(Immutable):
         return torch.cat(columns, dim=-1)
 
     def median(self, log: Residuals) -> Array:
-        """Predicted median of e⁺ along a log, (n, T, nx)."""
+        """Predicted median of e⁺ along a log in the coordinates of the network, (n, T, nx)."""
         e, x, u, p = (torch.tensor(a, dtype=torch.float32) for a in (log.e, log.x, log.u, log.p))
         with torch.no_grad():
             return self.network(self.features(e, x, u, p))[..., len(self.network.levels) // 2, :].double().numpy()
@@ -137,11 +143,13 @@ class TwinPlant(Immutable):
 
 
 class TwinStepper:
-    """The steps of a `TwinPlant` along n runs: the error e is its memory."""
+    """The steps of a `TwinPlant` along n runs: the error e, as at the design of the log, is its memory."""
 
     def __init__(self, plant: TwinPlant, p: Array, batch: int) -> None:
         self._discrepancy = plant.discrepancy
-        self._A, self._B, _ = plant.model.matrices(p)
+        self._A, self._B, E = plant.model.matrices(p)
+        transport = plant.discrepancy.transport
+        self._carry = np.eye(plant.nx) if transport is None else transport.matrix(E)
         self._p = torch.tensor(p, dtype=torch.float32)
         self._e = np.zeros((batch, plant.nx))
 
@@ -150,7 +158,7 @@ class TwinStepper:
         e, state, applied, drawn = (torch.tensor(a, dtype=torch.float32) for a in (self._e, x, u, w))
         with torch.no_grad():
             self._e = self._discrepancy.advance(e, state, applied, self._p, drawn)[0].double().numpy()
-        return x @ self._A.T + u @ self._B.T + self._e
+        return x @ self._A.T + u @ self._B.T + self._e @ self._carry.T
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-import casadi as ca
 import numpy as np
 
-from ccdtools.arrays import Array, Immutable
+from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_count, as_generator, as_instance, shown
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.exceptions import InputError
 from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
 
 
@@ -24,21 +24,30 @@ class Replay(Immutable):
     ----------
     logs : sequence of Residuals
         Drawn from in proportion to the windows they hold.
+    split : ErrorSplit, optional
+        Of every error into (ŵ, r), for the model that these drive at any design; without it errors are as logged.
     """
 
     logs: Sequence[Residuals]
+    split: ErrorSplit | None = None
+    _entering: tuple[Array, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         logs = tuple(self.logs) if isinstance(self.logs, list | tuple) else (self.logs,)
         if not logs or not all(isinstance(log, Residuals) for log in logs):
             raise InputError("logs", shown(self.logs), "at least one Residuals")
         object.__setattr__(self, "logs", logs)
+        if self.split is not None:
+            as_instance("split", self.split, ErrorSplit, "an ErrorSplit or None")
+        split = self.split
+        entering = tuple(frozen(log.e_next if split is None else split.disturbances(log)) for log in logs)
+        object.__setattr__(self, "_entering", entering)
 
     def __repr__(self) -> str:
         return f"Replay({', '.join(map(repr, self.logs))})"
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Initial states (runs, nx) and errors (runs, steps, nx).
+        """Initial states (runs, nx) and errors (runs, steps, nx), or (ŵ, r) (runs, steps, nw + nx) if they are split.
 
         Raises
         ------
@@ -53,15 +62,15 @@ class Replay(Immutable):
         edges = np.concatenate([[0], np.cumsum(windows)])
         x0 = []
         w = []
-        for errors, first, last in zip(self.logs, edges[:-1], edges[1:]):
+        for errors, entering, first, last in zip(self.logs, self._entering, edges[:-1], edges[1:]):
             chosen = draw[(draw >= first) & (draw < last)] - first
             run, start = np.divmod(chosen, max(errors.x.shape[1] - steps + 1, 1))
             x0.append(errors.x[run, start])
-            w.append(errors.e_next[run[:, None], start[:, None] + np.arange(steps)])
+            w.append(entering[run[:, None], start[:, None] + np.arange(steps)])
         return np.concatenate(x0), np.concatenate(w)
 
     def disjoint(self, steps: int) -> tuple[Array, Array]:
-        """Initial states (n, nx) and errors (n, steps, nx) of windows that share no sample: independent evidence.
+        """Initial states (n, nx) and errors (n, steps, ·) of windows that share no sample: independent evidence.
 
         Raises
         ------
@@ -71,11 +80,10 @@ class Replay(Immutable):
         self._require(steps)
         x0 = []
         w = []
-        for errors in self.logs:
-            length, nx = errors.e_next.shape[1:]
-            whole = length // steps * steps
-            x0.append(errors.x[:, :whole:steps].reshape(-1, nx))
-            w.append(errors.e_next[:, :whole].reshape(-1, steps, nx))
+        for errors, entering in zip(self.logs, self._entering):
+            whole = errors.steps // steps * steps
+            x0.append(errors.x[:, :whole:steps].reshape(-1, errors.x.shape[2]))
+            w.append(entering[:, :whole].reshape(-1, steps, entering.shape[2]))
         return np.concatenate(x0), np.concatenate(w)
 
     def _require(self, steps: int) -> None:
@@ -87,7 +95,10 @@ class Replay(Immutable):
 
 
 def replay_problem(problem: CoDesignProblem, errors: Sequence[Residuals], window: int) -> CoDesignProblem:
-    """The nominal model driven by logged errors, which enter as they are (E = I).
+    """The nominal model driven by logged errors, as they would be at whichever design.
+
+    An error logged at p is split into E(p) ŵ and a rest r; at a design q it is E(q) ŵ + r, so that the scenarios are
+    (ŵ, r) and the model has [E(q) I] in the place of E(q).
 
     Parameters
     ----------
@@ -103,8 +114,10 @@ def replay_problem(problem: CoDesignProblem, errors: Sequence[Residuals], window
         If an argument is of another kind, or no logged run is as long as `window`.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    model = replace(problem.model, E=ca.SX.eye(problem.model.nx))
-    return replace(problem, model=model, scenarios=Replay(errors), steps=window, discrepancy=None)
+    split = ErrorSplit(problem.model, problem.state_scale)
+    return replace(
+        problem, model=split.replayed_model, scenarios=Replay(errors, split), steps=window, discrepancy=None
+    )  # fmt: skip
 
 
 def updated_problem(problem: CoDesignProblem, twin: DigitalTwin) -> CoDesignProblem:

@@ -56,6 +56,10 @@ class Residuals(Immutable):
         """A stretch of the log."""
         return replace(self, **{name: getattr(self, name)[runs, steps] for name in ("e", "x", "u", "e_next")})
 
+    def carried(self, T: Array) -> Residuals:
+        """The same log with its errors e and e⁺ carried to another design by T (nx, nx)."""
+        return replace(self, e=self.e @ T.T, e_next=self.e_next @ T.T)
+
     def columns(self) -> tuple[Array, Array, Array, Array, Array]:
         """e, x, u, p and e⁺ of all samples, one after the other, (n T, ·) each."""
         p = np.broadcast_to(self.p, (*self.x.shape[:2], len(self.p)))
@@ -69,7 +73,7 @@ def residuals(model: LinearModel, log: Trajectory) -> Residuals:
     Raises
     ------
     InputError
-        If every run diverged, or the log is not of such a plant.
+        If every run diverged, or the log is not of such a plant, or of a design outside the model's box.
     """
     as_instance("model", model, LinearModel, "a LinearModel", "Pass discretise(plant).")
     check_log(model, log)
@@ -92,6 +96,8 @@ def check_log(model: LinearModel, log: Trajectory) -> None:
         raise InputError("log", f"{sizes[0]} states and {sizes[1]} inputs", f"{model.nx} and {model.nu} of the model")
     if not np.isclose(log.dt, model.dt):
         raise InputError("log", f"dt = {log.dt:g} s", f"dt = {model.dt:g} s of the model")
+    if model.design is not None:
+        model.design.check_one(log.design, argument="log.design")
 
 
 def block_parts(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[Residuals]:

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Immutable
+from ccdtools.arrays import ArrayField, Immutable
 from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_share, as_weight, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
+from ccdtools.twin.transport import Transport, as_extent
 from learning.quantile import QuantileConfig, fit_quantiles
 
 HELD_OUT = 0.2  # of every block of a log
@@ -24,13 +25,21 @@ BLOCKS = 20  # that a single long run is cut into
 class DigitalTwin(Immutable):
     """A nominal model with every log so far and the discrepancy learned from them.
 
-    `update` returns a new twin; the old one is unchanged.
+    `update` returns a new twin; the old one is unchanged. Its network works in the coordinates of the newest log's
+    design: errors of other logs are carried there before it is fitted, and what it says is carried to any other design.
+
+    Parameters
+    ----------
+    scale : (nx,) array, optional
+        Extent of each state, such as half the width of X, by which the errors are split into what enters through E(p)
+        and the rest. The largest |x| of the first log by default.
     """
 
     model: LinearModel
     logs: tuple[Residuals, ...] = ()
     discrepancy: Discrepancy | None = None
     scores: QuantileScores | None = None
+    scale: ArrayField | None = None
 
     def __post_init__(self) -> None:
         as_instance("model", self.model, LinearModel, "a LinearModel", "Pass discretise(plant).")
@@ -39,6 +48,8 @@ class DigitalTwin(Immutable):
         object.__setattr__(self, "logs", tuple(self.logs))
         if self.discrepancy is not None:
             as_instance("discrepancy", self.discrepancy, Discrepancy, "a Discrepancy or None")
+        if self.scale is not None:
+            object.__setattr__(self, "scale", as_extent(self.scale, self.model.nx))
 
     def __repr__(self) -> str:
         samples = sum(log.runs * log.steps for log in self.logs)
@@ -90,7 +101,8 @@ class DigitalTwin(Immutable):
         blocks = as_count("blocks", blocks)
         if config is not None:
             as_instance("config", config, QuantileConfig, "a QuantileConfig or None")
-        logs = (*self.logs, residuals(self.model, log))
+        twin = self.remembering(log)
+        logs = twin.carried()
         parts = [part for one in logs for part in block_parts(one, held_out, blocks, last=False)]
         train = stacked(parts)
         test = stacked(block_parts(logs[-1], held_out, blocks, last=True))
@@ -102,12 +114,33 @@ class DigitalTwin(Immutable):
         lengths = [part.runs * part.steps for part in parts]
         network = fit_quantiles(inputs, train[-1], stretches=lengths, rng=rng, config=config, progress=progress)
         return replace(
-            self, logs=logs, discrepancy=Discrepancy(network, weight, design_as_feature),
+            twin, discrepancy=Discrepancy(network, weight, design_as_feature, transport=twin.transport),
             scores=score_quantiles(network, tests, test[-1], train[-1]),
         )  # fmt: skip
 
+    def remembering(self, log: Trajectory) -> DigitalTwin:
+        """The twin with one more log, and nothing learned from it yet."""
+        logs = (*self.logs, residuals(self.model, log))
+        extent = np.abs(logs[0].x).max(axis=(0, 1))
+        scale = np.where(extent > 0, extent, 1.0) if self.scale is None else self.scale
+        return replace(self, logs=logs, scale=scale)
+
+    @property
+    def transport(self) -> Transport:
+        """Of errors from the design of the newest log to any other."""
+        if not self.logs or self.scale is None:
+            raise InputError("twin", "one without a log", "one after `update`")
+        return Transport.at(self.model, self.logs[-1].p, self.scale)
+
+    def carried(self) -> tuple[Residuals, ...]:
+        """The logs with their errors as they would be at the design of the newest one."""
+        if not self.logs or self.scale is None:
+            raise InputError("twin", "one without a log", "one after `update`")
+        E = self.model.matrices(self.logs[-1].p)[2]
+        return tuple(log.carried(Transport.at(self.model, log.p, self.scale).matrix(E)) for log in self.logs)
+
     def innovations(self) -> tuple[Residuals, ...]:
-        """The logs with e⁺ less its predicted median: what the updated model leaves unexplained."""
+        """The logs, as `carried`, with e⁺ less its predicted median: what the updated model leaves unexplained."""
         if self.discrepancy is None:
             raise InputError("twin", "one without a discrepancy", "one after `update`")
-        return tuple(replace(log, e_next=log.e_next - self.discrepancy.median(log)) for log in self.logs)
+        return tuple(replace(log, e_next=log.e_next - self.discrepancy.median(log)) for log in self.carried())

@@ -1,0 +1,143 @@
+"""How a one-step error that was logged at one design is met at another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_floats, as_instance
+from ccdtools.exceptions import InputError
+from ccdtools.plants.linear_model import LinearModel
+from ccdtools.twin.residuals import Residuals
+
+RANK = 1e-6  # columns of E, each of length one, are dependent below this singular value, relative to the largest
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Transport(Immutable):
+    """The split of an error at one design into what enters through E, and the rest.
+
+    e = E(p) ŵ + r with ŵ = E(p)⁺ e. At a design q the same disturbance enters through E(q), and the rest as it is:
+    E(q) ŵ + r = T e with T = I + (E(q) − E(p)) E(p)⁺, the identity where E does not depend on the design.
+
+    Attributes
+    ----------
+    E : (nx, nw) array
+        At the design p of the log.
+    inverse : (nw, nx) array
+        E(p)⁺: the least-squares solution in states divided by their scale, so that no unit matters.
+    """
+
+    E: Array
+    inverse: Array
+
+    def __post_init__(self) -> None:
+        for name in ("E", "inverse"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        return f"Transport({self.E.shape[0]} states, {self.E.shape[1]} disturbances)"
+
+    @classmethod
+    def at(cls, model: LinearModel, p: ArrayLike, scale: ArrayLike) -> Transport:
+        """The split at a design (np,); `scale` (nx,) is the extent of each state, such as half the width of X."""
+        as_instance("model", model, LinearModel, "a LinearModel", "Pass discretise(plant).")
+        scale = as_extent(scale, model.nx)
+        E = model.matrices(p)[2]
+        scaled, lengths = _columns_of_length_one(E / scale[:, None])
+        inverse = np.linalg.pinv(scaled, rcond=RANK) / scale / lengths[:, None]
+        return cls(E, inverse)
+
+    def split(self, e: Array) -> tuple[Array, Array]:
+        """Disturbances ŵ (..., nw) and the rest r (..., nx) of errors (..., nx) at the design of the log."""
+        w = e @ self.inverse.T
+        return w, e - w @ self.E.T
+
+    def matrix(self, E: Any) -> Any:
+        """T (nx, nx) for a design where the model has `E` (nx, nw): an array, or a tensor and differentiable in it."""
+        if isinstance(E, np.ndarray):
+            return np.eye(len(self.E)) + (E - self.E) @ self.inverse
+        own = E.new_tensor(self.E.tolist()).reshape(self.E.shape)
+        inverse = E.new_tensor(self.inverse.tolist()).reshape(self.inverse.shape)
+        return E.new_tensor(np.eye(len(self.E)).tolist()) + (E - own) @ inverse
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ErrorSplit(Immutable):
+    """Logged errors as disturbances (ŵ, r) of a model with [E(p) I] in the place of E(p).
+
+    Parameters
+    ----------
+    model : LinearModel
+        The nominal one.
+    scale : (nx,) array
+        Extent of each state, such as half the width of X.
+    """
+
+    model: LinearModel
+    scale: ArrayField
+
+    def __post_init__(self) -> None:
+        as_instance("model", self.model, LinearModel, "a LinearModel", "Pass discretise(plant).")
+        object.__setattr__(self, "scale", as_extent(self.scale, self.model.nx))
+
+    def __repr__(self) -> str:
+        return f"ErrorSplit({self.model!r})"
+
+    @property
+    def replayed_model(self) -> LinearModel:
+        """The model that (ŵ, r) drives: ŵ through E(p) of whichever design, r as it is."""
+        return replace(self.model, E=ca.horzcat(self.model.E, ca.SX.eye(self.model.nx)))
+
+    def disturbances(self, log: Residuals) -> Array:
+        """(ŵ, r) of every error of a log, (n, T, nw + nx)."""
+        return np.concatenate(Transport.at(self.model, log.p, self.scale).split(log.e_next), axis=-1)
+
+    def share_of_the_rest(self, logs: Sequence[Residuals]) -> float:
+        """Part of the errors' energy, in scaled states, that the rest r holds; 0 where there is no error."""
+        rest = sum(float(np.square(self._rest(log) / self.scale).sum()) for log in logs)
+        whole = sum(float(np.square(log.e_next / self.scale).sum()) for log in logs)
+        return rest / whole if whole > 0 else 0.0
+
+    def _rest(self, log: Residuals) -> Array:
+        """r of every error of a log, (n, T, nx)."""
+        return self.disturbances(log)[..., self.model.nw :]
+
+
+def as_extent(scale: ArrayLike, nx: int) -> Array:
+    """The extent of each state (nx,), all positive; else an `InputError`."""
+    extent = as_floats("scale", scale)
+    if extent.shape != (nx,) or not ((extent > 0) & np.isfinite(extent)).all():
+        got = f"{extent.tolist()} of shape {extent.shape}"
+        raise InputError("scale", got, f"({nx},) positive numbers, such as the half-widths of X")
+    return frozen(extent.copy())
+
+
+def full_rank(model: LinearModel, p: ArrayLike, scale: Array) -> bool:
+    """Whether every disturbance of a model can be told from an error at a design: E(p) is of full column rank."""
+    scaled, lengths = _columns_of_length_one(model.matrices(p)[2] / scale[:, None])
+    if model.nw == 0 or not np.isfinite(lengths).all():
+        return model.nw == 0
+    values = np.linalg.svd(scaled, compute_uv=False)
+    return len(values) == model.nw and bool(values[-1] > RANK * values[0])
+
+
+def check_disturbance_enters(model: LinearModel) -> None:
+    """Raise an `InputError` if the disturbance of a model enters at no design of its box."""
+    designs = np.zeros((1, 0)) if model.design is None else model.design.spread()
+    if model.nw and not any(np.any(model.matrices(p)[2]) for p in designs):
+        cure = "Let w act on the dynamics, for example as a force beside u."
+        raise InputError("plant", "an E(p) of rank zero: the disturbance w enters nowhere", "one that enters", cure)
+
+
+def _columns_of_length_one(M: Array) -> tuple[Array, Array]:
+    """M with its columns divided by their lengths, and those lengths; infinite for a column of zeros."""
+    lengths = np.linalg.norm(M, axis=0)
+    lengths = np.where(lengths > 0, lengths, np.inf)
+    return M / lengths, lengths
