@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
@@ -15,15 +15,16 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.comparison.baselines import REFERENCE
+from ccdtools.comparison.outside import BLOCK, Outside
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
+from ccdtools.limits import Excursions, StateLimits
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference, Summary, paired_difference, summarise
 from ccdtools.trajectory import Trajectory
 from invariant_sets import Polytope
 
-BLOCK = 100  # samples per replicate of a single long run
 MPC_RUNS = 100
 TIMED_CALLS = 50
 ROUNDING = 1e-6  # part of LQR's return: smaller differences are rounding and the tolerances of solvers
@@ -48,6 +49,13 @@ class Score:
         Fraction of runs.
     violations : float
         Fraction of the states outside X.
+    depth_mean, depth_peak, depth_worst : float
+        How far outside X, in half-widths of X (`ccdtools.depth_outside`): averaged over all states, the mean over the
+        runs of the peak of each, and the largest of all; of the runs that did not diverge.
+    exceeded : str
+        The row of X that is exceeded most; empty if none is.
+    further_outside_than : tuple of str
+        The controllers that leave X less deep, or less often, on the runs that both saw; see `further_outside`.
     step_time : float
         Median time of one call with one state [s].
     """
@@ -58,6 +66,11 @@ class Score:
     lqr_mean: float
     diverged: float
     violations: float
+    depth_mean: float
+    depth_peak: float
+    depth_worst: float
+    exceeded: str
+    further_outside_than: tuple[str, ...]
     step_time: float
 
 
@@ -93,7 +106,9 @@ class Comparison:
                 "ci95_high": score.summary.ci95[1], "minus_lqr": score.paired_to_lqr.mean,
                 "minus_lqr_low": score.paired_to_lqr.ci95[0], "minus_lqr_high": score.paired_to_lqr.ci95[1],
                 "lqr_mean": score.lqr_mean, "diverged": score.diverged,
-                "violations": score.violations, "step_time_us": 1e6 * score.step_time,
+                "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
+                "depth_worst": score.depth_worst, "exceeded": score.exceeded,
+                "further_outside_than": ", ".join(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
             }
             for score in self.scores
         ]  # fmt: skip
@@ -116,13 +131,13 @@ class Comparison:
 
     def __repr__(self) -> str:
         names = f"{'controller':<20}{'return':>11}{'std':>10}{'n':>7}{'minus LQR':>12}"
-        lines = [f"{names}  {'95 % interval':<24}{'diverged':>9}"]
+        lines = [f"{names}  {'95 % interval':<24}{'diverged':>9}{'outside X':>11}{'depth':>9}"]
         lines += ["".join(cells) for cells in map(_text_cells, self.scores)]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""
-        head = ("controller", "return", "std", "n", "minus LQR", "95 % interval", "diverged")
+        head = ("controller", "return", "std", "n", "minus LQR", "95 % interval", "diverged", "outside X", "depth")
         body = "".join(f"<tr>{_html_row(_text_cells(score))}</tr>" for score in self.scores)
         return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>"
 
@@ -171,25 +186,29 @@ def compare(
         raise InputError("X", f"dimension {X.dim}", f"{scenario.plant.nx}, one per state")
     few = {"MPC": MPC_RUNS} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")
     runs = {name: min(as_count(f"few[{name!r}]", n), len(scenario.x0)) for name, n in few.items()}
+    limits = StateLimits(X)
     reference = scenario.run(controllers[REFERENCE], design=design, limit=limit)
     scores = []
+    outside = {}
     for name, controller in controllers.items():
         seen = scenario.first(runs.get(name, len(scenario.x0)))
         run = reference if name == REFERENCE else seen.run(controller, design=design, limit=limit)
-        scores.append(_score(name, controller, run, reference, objective, X, scenario))
-    return Comparison(tuple(scores))
+        outside[name] = Outside.of(run, limits, scenario.plant)
+        scores.append(_score(name, controller, run, reference, objective, outside[name].whole, scenario))
+    return Comparison(tuple(
+        replace(score, further_outside_than=outside[score.controller].further_than(outside)) for score in scores
+    ))  # fmt: skip
 
 
 def _score(
     name: str, controller: Controller, run: Trajectory, reference: Trajectory, objective: QuadraticObjective,
-    X: Polytope, scenario: Scenario,
+    outside: Excursions, scenario: Scenario,
 ) -> Score:  # fmt: skip
     """One controller's row, paired to the run of the reference."""
     n = len(run.states)
     kept = ~(run.diverged | reference.diverged[:n])
     own = run.rewards(objective)
     other = reference.rewards(objective)[:n]
-    visited = run.states[~run.diverged][:, 1:].reshape(-1, run.states.shape[2])
     shared = replicates(other[kept], n)
     return Score(
         controller=name,
@@ -197,9 +216,19 @@ def _score(
         paired_to_lqr=paired_difference(replicates(own[kept], n), shared),
         lqr_mean=float(shared.mean()) if len(shared) else float("nan"),
         diverged=float(run.diverged.mean()),
-        violations=float(1 - X.contains(visited).mean()) if len(visited) else float("nan"),
+        violations=_mean(outside.fraction),
+        depth_mean=_mean(outside.mean),
+        depth_peak=_mean(outside.peak),
+        depth_worst=float(outside.peak.max()) if len(outside.peak) else float("nan"),
+        exceeded=outside.exceeded,
+        further_outside_than=(),
         step_time=step_time(controller, run.states[0, 0], scenario),
     )
+
+
+def _mean(values: Array) -> float:
+    """The mean; NaN of nothing."""
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def replicates(rewards: Array, runs: int) -> Array:
@@ -239,6 +268,7 @@ def _text_cells(score: Score) -> tuple[str, ...]:
     return (
         f"{score.controller:<20}", f"{mean:>11}", f"{std:>10}", f"{score.summary.n:>7}",
         f"{difference:>12}", f"  {interval:<24}", f"{score.diverged:>9.1%}",
+        f"{_percent(score.violations):>11}", f"{_shown(score.depth_peak, '.2g'):>9}",
     )  # fmt: skip
 
 
@@ -247,6 +277,11 @@ def _shown(value: float, form: str, floor: float = 0.0) -> str:
     if not np.isfinite(value):
         return "-"
     return "0" if abs(value) <= floor else format(value, form)
+
+
+def _percent(fraction: float) -> str:
+    """A fraction in per cent; a dash where there is none."""
+    return f"{fraction:.1%}" if np.isfinite(fraction) else "-"
 
 
 def _html_row(cells: tuple[str, ...]) -> str:

@@ -192,7 +192,9 @@ class Evaluation:
             "controller": score.controller,
             "design": space.as_dict(design), "active_bounds": space.active_bounds(design), **asdict(score.summary),
             "paired_to_lqr": asdict(score.paired_to_lqr), "lqr_mean": score.lqr_mean, "diverged": score.diverged,
-            "violations": score.violations, "step_time_us": 1e6 * score.step_time,
+            "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
+            "depth_worst": score.depth_worst, "exceeded": score.exceeded,
+            "further_outside_than": list(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:

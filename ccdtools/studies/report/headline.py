@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ccdtools.studies.report.formatting import design_text, share, signed_percent
-from ccdtools.studies.report.verdicts import NOT_WORSE, percent_of_reference, verdict
+from ccdtools.studies.report.verdicts import EQUAL, NOT_WORSE, outside_text, percent_of_reference, verdict
 
 Results = Mapping[str, Any]
 SMALL_PART = 0.02  # of a whole: a part below it goes unmentioned
@@ -64,13 +64,27 @@ def _policy(results: Results, last: int) -> str:
     reference = _row(results, last, "LQR")
     percent = percent_of_reference(row, reference)
     word = verdict(row, reference)
+    only = word.endswith(" in return only")
+    sentence = _return_beside_lqr(word.removesuffix(" in return only"), percent)
+    if not (only and sentence):
+        return sentence
+    if word.startswith("worse"):
+        return f"{sentence}, which leaves X further ({outside_text(reference, results['comparison'])})"
+    return f"{sentence}, but leaves X further ({outside_text(row, results['comparison'])})"
+
+
+def _return_beside_lqr(word: str, percent: tuple[float, float, float] | None) -> str:
+    """The return of the learned policy beside LQR's, as a sentence."""
     if percent is None:
         return "the learned policy equals LQR" if word == "equal" else ""
-    if word == "equal" or (word in ("better", "not worse") and percent[2] < NOT_WORSE):
-        return "the learned policy equals LQR" + ("" if word == "equal" else f" within {NOT_WORSE:g} %")
+    if word == "equal":
+        exact = max(abs(percent[1]), abs(percent[2])) <= EQUAL
+        return "the learned policy equals LQR" + ("" if exact else f" within {NOT_WORSE:g} %")
     if word in ("better", "worse"):
         less = signed_percent(abs(percent[0])).removeprefix("+")
         return f"the learned policy costs {less} {'less' if word == 'better' else 'more'} than LQR at the same design"
+    if word == "not worse":
+        return "the learned policy is not worse than LQR at the same design"
     return "the learned policy and LQR cannot be told apart on these runs"
 
 

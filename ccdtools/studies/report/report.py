@@ -28,7 +28,7 @@ from ccdtools.studies.report.formatting import (
     with_minus,
 )
 from ccdtools.studies.report.tables import fewer_runs_notes, write_tables
-from ccdtools.studies.report.verdicts import difference_text, reference_of, saw_fewer_runs, verdict
+from ccdtools.studies.report.verdicts import difference_text, limit_notes, reference_of, saw_fewer_runs, verdict
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 
@@ -148,7 +148,8 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
                           "star": saw_fewer_runs(row, reference)})  # fmt: skip
         blocks.append({
             "generation": g, "plant": place(rows[0]), "design": design_text(results, rows[0]["design"]),
-            "bounds": active_bounds_text(rows[0]["active_bounds"]), "rows": shown, "notes": fewer_runs_notes(rows),
+            "bounds": active_bounds_text(rows[0]["active_bounds"]), "rows": shown,
+            "notes": fewer_runs_notes(rows) + limit_notes(rows),
         })  # fmt: skip
     return blocks
 

@@ -11,7 +11,7 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.stage_storage import Stage, jsonable
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
 
 

@@ -16,13 +16,15 @@ from ccdtools.studies.report.formatting import (
     place,
     share,
 )
-from ccdtools.studies.report.verdicts import difference_text, reference_of, saw_fewer_runs
+from ccdtools.studies.report.verdicts import difference_text, limit_notes, reference_of, saw_fewer_runs
 from ccdtools.studies.run_folder import RunFolder
 
 Row = dict[str, Any]
 HEADINGS = (
-    "plant", "gen", "controller", "mean", "std", "n", "vs LQR", "95 % interval", "diverged", "outside X", "µs/step",
+    "plant", "gen", "controller", "mean", "std", "n", "vs LQR", "95 % interval", "diverged", "outside X", "depth",
+    "µs/step",
 )  # fmt: skip
+LIMIT_COLUMNS = ("violations", "depth_mean", "depth_peak", "depth_worst", "exceeded")
 
 
 def write_tables(results: Mapping[str, Any], folder: RunFolder) -> list[Path]:
@@ -48,7 +50,8 @@ def comparison_rows(results: Mapping[str, Any]) -> list[Row]:
             "lqr_mean_on_these_runs": row["lqr_mean"],
         }
         | dict(zip(("paired_low95", "paired_high95"), row["paired_to_lqr"]["ci95"]))
-        | {name: row[name] for name in ("diverged", "violations", "step_time_us")}
+        | {name: row[name] for name in ("diverged", *LIMIT_COLUMNS)}
+        | {"further_outside_than": ", ".join(row["further_outside_than"]), "step_time_us": row["step_time_us"]}
         for row in results["comparison"]
     ]
 
@@ -107,7 +110,7 @@ def console_table(results: Mapping[str, Any]) -> str:
             title = _block_title(results, row)
             lines.append(title)
         lines.append(_line(cells, widths))
-    return "\n".join([*lines, *fewer_runs_notes(rows)])
+    return "\n".join([*lines, *fewer_runs_notes(rows), *limit_notes(rows)])
 
 
 def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -136,7 +139,7 @@ def _cells(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> list[st
     return [
         place(row), str(row["generation"]), row["controller"] + star, number(row["mean"]), number(row["std"], 3),
         str(row["n"]), "-" if reference else mean, "-" if reference else interval, share(row["diverged"]),
-        share(row["violations"]), number(row["step_time_us"], 3),
+        share(row["violations"]), number(row["depth_peak"], 2), number(row["step_time_us"], 3),
     ]  # fmt: skip
 
 

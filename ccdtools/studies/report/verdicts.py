@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ccdtools.studies.report.formatting import number
+from ccdtools.studies.report.formatting import generation_name, number, place
 
 Row = Mapping[str, Any]
-NOT_WORSE = 0.5  # per cent: a controller whose interval lies above −0.5 % of |LQR| is not worse
+NOT_WORSE = 0.5  # per cent of |LQR|: smaller differences of the return do not matter
 EQUAL = 1e-4  # per cent: two returns this close differ by rounding and the tolerances of the solvers
 
 
@@ -39,21 +39,68 @@ def percent_of_reference(row: Row, reference: Row | None) -> tuple[float, float,
 
 
 def verdict(row: Row, reference: Row | None) -> str:
-    """Return "equal", "better", "not worse", "worse" or "open", as the interval of the paired difference to LQR says.
+    """Return "equal", "better", "not worse", "worse" or "open", and "in return only" behind it where X is left for it.
 
-    An interval within ±1e-4 % of zero is "equal": such differences are rounding, and no verdict rests on them.
+    "Better" and "worse" are certain and matter: the interval of the paired difference to LQR excludes zero, and its
+    mean is at least 0.5 % of LQR's return. An interval within ±0.5 % is "equal", one above −0.5 % "not worse". A
+    controller that leaves X further than LQR, or further than MPC where it is better than LQR, is so "in return only";
+    so is one that is worse than an LQR that leaves X further.
     """
+    word = _verdict_on_return(row, reference)
+    return f"{word} in return only" if _at_the_price_of_X(word, row, reference) else word
+
+
+def _verdict_on_return(row: Row, reference: Row | None) -> str:
+    """The verdict on the return alone."""
     percent = percent_of_reference(row, reference)
     if percent is None:
         return _verdict_on_nothing(row, reference)
-    _, low, high = percent
-    if low >= -EQUAL and high <= EQUAL:
+    mean, low, high = percent
+    if low >= -NOT_WORSE and high <= NOT_WORSE:
         return "equal"
-    if low > EQUAL:
+    if low > EQUAL and mean >= NOT_WORSE:
         return "better"
     if low > -NOT_WORSE:
         return "not worse"
-    return "worse" if high < -EQUAL else "open"
+    return "worse" if high < -EQUAL and mean <= -NOT_WORSE else "open"
+
+
+def _at_the_price_of_X(word: str, row: Row, reference: Row | None) -> bool:
+    """Whether a verdict on the return hides that one of the two leaves X further."""
+    if reference is None or row is reference:
+        return False
+    if word == "worse":
+        return row["controller"] in further_than(reference)
+    named = further_than(row)
+    return word in ("better", "not worse", "equal") and ("LQR" in named or (word == "better" and "MPC" in named))
+
+
+def further_than(row: Row) -> tuple[str, ...]:
+    """The controllers that leave X less than that of a row does, on the same runs."""
+    return tuple(row.get("further_outside_than", ()))
+
+
+def outside_text(row: Row, rows: Sequence[Row]) -> str:
+    """How far a controller leaves X beside LQR and MPC: "0.99 half-widths (v > 0.5); LQR 0.4, MPC 0.04"."""
+    same = [o for o in rows if (o["generation"], o["plant"]) == (row["generation"], row["plant"])]
+    others = [o for o in same if o["controller"] in ("LQR", "MPC") and o["controller"] != row["controller"]]
+    beside = ", ".join(f"{o['controller']} {number(o['depth_peak'], 2)}" for o in others)
+    which = f" ({row['exceeded']})" if row["exceeded"] else ""
+    return f"{number(row['depth_peak'], 2)} half-widths{which}" + (f"; {beside}" if beside else "")
+
+
+def limit_notes(rows: Sequence[Row]) -> list[str]:
+    """One line for every controller whose verdict is on the return only, saying who leaves X how far."""
+    notes = []
+    for row in rows:
+        reference = reference_of(rows, row)
+        if verdict(row, reference).endswith("in return only"):
+            where = f"{place(row)}, {generation_name(row['generation'])}"
+            word = verdict(row, reference).removesuffix(" in return only")
+            beside = "equal to" if word == "equal" else f"{word} than"
+            leaves = f"it leaves X by {outside_text(row, rows)}"
+            notes.append(f"{where}: {row['controller']} is {beside} LQR in return only: {leaves}")
+    return notes
 
 
 def _verdict_on_nothing(row: Row, reference: Row | None) -> str:

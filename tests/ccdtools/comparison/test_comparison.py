@@ -102,6 +102,38 @@ def test_violations_are_the_fraction_of_states_outside_X(illustrative, controlle
     assert score.violations == pytest.approx(outside, abs=1e-6)
 
 
+def test_the_table_says_how_far_outside_X_and_who_leaves_it_further(illustrative, controllers, scenario):
+    problem = illustrative.problem()
+    X = type(problem.X).from_bounds([-9.0, -0.3], [9.0, 0.9])
+    weak = LinearFeedback(0.3 * controllers["LQR"].K, [-1], [1])
+    scenario = Scenario(scenario.plant, [0.0, 0.0], scenario.disturbance)
+    table = compare({"LQR": controllers["LQR"], "weak": weak}, scenario, design=DESIGN, objective=problem.objective,
+                    X=X, limit=problem.limit)  # fmt: skip
+    run = scenario.run(controllers["LQR"], design=DESIGN, limit=problem.limit)
+    depth = np.maximum((-0.3 - run.states[:, 1:, 1]) / 0.6, (run.states[:, 1:, 1] - 0.9) / 0.6).clip(0.0)
+    assert table["LQR"].depth_mean == pytest.approx(depth.mean())
+    assert table["LQR"].depth_peak == pytest.approx(depth.max(axis=1).mean())
+    assert table["LQR"].depth_worst == pytest.approx(depth.max())
+    assert table["LQR"].exceeded == "x2 < -0.3"
+    assert table["weak"].further_outside_than == ("LQR",)
+    assert table["LQR"].further_outside_than == ()
+    assert table.rows()[1]["further_outside_than"] == "LQR"
+    assert {"violations", "depth_mean", "depth_peak", "depth_worst", "exceeded"} <= set(table.to_frame())
+    assert "outside X" in repr(table).splitlines()[0]
+    assert "<th>depth</th>" in table._repr_html_()
+
+
+def test_the_depth_of_a_single_long_run_is_paired_by_its_blocks(illustrative, controllers):
+    problem = illustrative.problem()
+    w = problem.scenarios.sample(1, 1000, np.random.default_rng(3))[1]
+    X = type(problem.X).from_bounds([-0.2, -0.2], [0.2, 0.2])
+    weak = LinearFeedback(0.3 * controllers["LQR"].K, [-1], [1])
+    table = compare({"LQR": controllers["LQR"], "weak": weak}, Scenario(illustrative.model, [0.0, 0.0], w),
+                    design=DESIGN, objective=problem.objective, X=X, limit=problem.limit)  # fmt: skip
+    assert table["weak"].depth_peak == table["weak"].depth_worst
+    assert table["weak"].further_outside_than == ("LQR",)
+
+
 def test_a_comparison_without_lqr_is_refused(illustrative, controllers, scenario):
     with pytest.raises(InputError, match=r"controllers: got \['passive'\], expected 'LQR' among them"):
         scored(illustrative, {"passive": controllers["passive"]}, scenario)
@@ -148,6 +180,8 @@ def test_the_picture_shows_each_mean_and_its_interval(table):
     (container,) = ax.containers
     np.testing.assert_allclose(container.lines[0].get_xdata(), [score.summary.mean for score in table])
     assert table.plot(ax=ax) is ax
+    with pytest.raises(InputError, match="ax: got 3, expected matplotlib axes, or None for a new figure"):
+        table.plot(ax=3)
 
 
 def test_the_lqr_stands_beside_a_controller_on_the_runs_that_both_saw(illustrative, controllers, scenario):

@@ -22,7 +22,7 @@ from ccdtools.studies.report.formatting import number, share, signed_percent
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.report.report import write_report
 from ccdtools.studies.report.tables import console_table
-from ccdtools.studies.report.verdicts import verdict
+from ccdtools.studies.report.verdicts import limit_notes, verdict
 from invariant_sets import Polytope
 
 
@@ -194,16 +194,17 @@ def test_changes_are_shown_without_false_digits(percent, text):
 
 @pytest.mark.parametrize(
     ("ends", "expected"),
-    [((0.1, 0.2), "better"), ((-0.4, 0.2), "not worse"), ((-0.7, 0.1), "open"), ((-0.9, -0.6), "worse"),
-     ((None, None), "no pairs"), ((1e-13, 3e-13), "equal"), ((-3e-13, -1e-13), "equal"), ((0.0, 0.0), "equal"),
+    [((0.6, 0.8), "better"), ((0.01, 1.2), "better"), ((0.1, 0.2), "equal"), ((-0.4, 0.2), "equal"),
+     ((0.01, 0.7), "not worse"), ((-0.4, 0.9), "not worse"), ((-0.7, 0.1), "open"), ((-0.6, -0.2), "open"),
+     ((-0.9, -0.6), "worse"), ((None, None), "no pairs"), ((1e-13, 3e-13), "equal"), ((0.0, 0.0), "equal"),
      ((-2.0, -1e-9), "open")],
 )  # fmt: skip
-def test_verdict_reads_the_interval_in_per_cent_of_lqr_and_takes_rounding_for_equal(ends, expected):
+def test_verdict_takes_what_is_certain_and_matters(ends, expected):
     low, high = ends
     gain = None if low is None else (low + high) / 2
     mean = None if gain is None else -100.0 + gain
     row = {"paired_to_lqr": {"mean": gain, "ci95": [low, high]}, "mean": mean, "n": 50, "diverged": 0.0}
-    row["lqr_mean"] = -100.0
+    row |= {"lqr_mean": -100.0, "controller": "learned"}
     assert verdict(row, {"mean": -100.0, "n": 50, "diverged": 0.0}) == expected
 
 
@@ -319,3 +320,60 @@ def test_landscape_of_nothing_but_divergence_is_still_drawn():
         figure.add_subplot(), axis, nothing, nothing, np.ones(3), [axis], label="a", allowed=0.01
     )
     assert style.png(figure).startswith(b"\x89PNG")
+
+
+def limit_row(controller, *, ends=(0.0, 0.0), depth=0.0, further=()):
+    """A row on the real plant whose paired difference and depth outside X are given; LQR returns −100."""
+    gain = {"mean": sum(ends) / 2, "ci95": list(ends)}
+    return {"plant": "real", "model": "real", "generation": 1, "controller": controller, "n": 50, "diverged": 0.0,
+            "mean": -100.0 + gain["mean"], "lqr_mean": -100.0, "paired_to_lqr": gain, "depth_peak": depth,
+            "exceeded": "speed > 0.5" if depth else "", "further_outside_than": list(further)}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("ends", "further", "expected"),
+    [((4.0, 6.0), ("LQR",), "better in return only"), ((4.0, 6.0), ("MPC",), "better in return only"),
+     ((4.0, 6.0), ("PID",), "better"), ((-0.1, 0.1), ("MPC",), "equal"),
+     ((-0.1, 0.1), ("LQR",), "equal in return only"),
+     ((-6.0, -4.0), ("LQR", "MPC"), "worse"), ((-6.0, 4.0), ("LQR",), "open")],
+)  # fmt: skip
+def test_better_is_not_said_of_a_controller_that_is_better_by_leaving_X(ends, further, expected):
+    assert verdict(limit_row("learned", ends=ends, depth=1.0, further=further), limit_row("LQR")) == expected
+
+
+def test_worse_is_qualified_where_lqr_is_better_by_leaving_X():
+    lqr = limit_row("LQR", depth=0.6, further=("learned", "MPC"))
+    assert verdict(limit_row("learned", ends=(-6.0, -4.0)), lqr) == "worse in return only"
+    assert verdict(limit_row("learned", ends=(4.0, 6.0)), lqr) == "better"
+
+
+def test_the_note_below_the_table_says_who_leaves_X_how_far():
+    learned = limit_row("learned", ends=(4.0, 6.0), depth=0.99, further=("LQR", "MPC"))
+    rows = [limit_row("LQR"), limit_row("MPC", depth=0.04), learned]
+    assert limit_notes(rows) == [
+        "real plant, generation 1: learned is better than LQR in return only: it leaves X by 0.99 half-widths "
+        "(speed > 0.5); LQR 0, MPC 0.040"
+    ]
+    assert limit_notes([limit_row("LQR"), limit_row("learned", ends=(4.0, 6.0))]) == []
+
+
+def test_the_headline_says_that_X_was_left_for_it():
+    results = outcome(100, 80, 72, ends=(7.9, 8.1), accepted=True)
+    for row in results["comparison"]:
+        further = ["LQR"] if row["controller"] == "learned" else []
+        row |= {"depth_peak": 0.99 if further else 0.0, "exceeded": "v > 0.5" if further else ""}
+        row["further_outside_than"] = further
+    assert "costs 10 % less than LQR at the same design, but leaves X further (0.99 half-widths (v > 0.5); LQR 0)" in (
+        headline(results)
+    )
+
+
+def test_every_table_shows_how_far_outside_X_beside_how_often(illustrative):
+    folder, results = illustrative
+    assert all(0 <= row["depth_mean"] <= row["depth_peak"] <= row["depth_worst"] for row in results["comparison"]
+               if row["depth_peak"] is not None)  # fmt: skip
+    text = console_table(results)
+    assert text.index("outside X") < text.index("depth") < text.index("µs/step")
+    header = (folder.path / "comparison.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert {"violations", "depth_mean", "depth_peak", "depth_worst", "exceeded", "further_outside_than"} <= set(header)
+    assert "<th>outside X</th><th>depth</th>" in (folder.path / "report.html").read_text(encoding="utf-8")

@@ -1,0 +1,202 @@
+"""How far outside X, beside how often."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.checks import as_array, as_floats, as_instance, as_names
+from ccdtools.exceptions import InputError
+from ccdtools.statistics import paired_difference
+from invariant_sets import Polytope
+
+FLAT = 1e-9  # of the range of a row over the box around X: below this, X has no width along the row
+TERMS = 3  # a row of X with more states than this is named by its number
+FURTHER = 0.01  # half-widths of the peak, or fraction of the states: smaller differences do not matter,
+FURTHER_PART = 0.05  # nor does a twentieth of what the other controller does
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StateLimits(Immutable):
+    """The rows of X, each divided by the half-width of X along it, so that units do not matter: rows·x ≤ bounds.
+
+    Along a row that X does not limit on its other side, the distance of the limit from 0 takes the place of the
+    half-width.
+
+    Parameters
+    ----------
+    X : Polytope
+        Not empty.
+
+    Attributes
+    ----------
+    rows : (m, nx) array
+    bounds : (m,) array
+
+    Raises
+    ------
+    InputError
+        If X is no Polytope, or empty.
+    """
+
+    X: Polytope
+    rows: Array = field(init=False)
+    bounds: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        as_instance("X", self.X, Polytope, "a Polytope", "Use Polytope.from_bounds(lower, upper).")
+        if self.X.is_empty:
+            raise InputError("X", "an empty set", "one with at least one point")
+        minimal = self.X.minimal()
+        rows = np.vstack([minimal.A, minimal.A_eq, -minimal.A_eq])
+        bounds = np.concatenate([minimal.b, minimal.b_eq, -minimal.b_eq])
+        widths = _half_widths(minimal, rows, bounds)
+        object.__setattr__(self, "rows", frozen(rows / widths[:, None]))
+        object.__setattr__(self, "bounds", frozen(bounds / widths))
+
+    def __repr__(self) -> str:
+        return f"StateLimits({self.rows.shape[1]} states, {len(self.bounds)} rows)"
+
+    def depths(self, x: Array) -> Array:
+        """How far each row is exceeded in states (..., nx), (..., m); negative within, 0 for points of X."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            beyond = x @ self.rows.T - self.bounds
+        beyond = np.where(np.isnan(beyond), np.inf, beyond)
+        inside = self.X.contains(x.reshape(-1, x.shape[-1])).reshape(x.shape[:-1])
+        return np.where(inside[..., None], np.minimum(beyond, 0.0), beyond)
+
+    def row_text(self, row: int, names: Sequence[str]) -> str:
+        """What exceeding a row means, in the names of the states: "velocity [m/s] > 0.5"."""
+        terms = np.flatnonzero(np.abs(self.rows[row]) > FLAT * np.abs(self.rows[row]).max())
+        if len(terms) > TERMS:
+            return f"row {row + 1} of X"
+        first = self.rows[row, terms[0]]
+        bound = self.bounds[row] / first
+        side = ">" if first > 0 else "<"
+        others = (_term(self.rows[row, i] / first, names[i]) for i in terms[1:])
+        return f"{names[terms[0]]}{''.join(others)} {side} {bound:.4g}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Excursions(Immutable):
+    """How often and how far runs are outside X; depths in half-widths of X along the row that is exceeded most.
+
+    Attributes
+    ----------
+    fraction : (n,) array
+        Fraction of the states of each run outside X.
+    mean : (n,) array
+        Depth, averaged over the states of each run; 0 inside.
+    peak : (n,) array
+        Largest depth of each run.
+    exceeded : str
+        The row that is exceeded most, over all runs; empty where all states lie in X.
+    """
+
+    fraction: Array
+    mean: Array
+    peak: Array
+    exceeded: str = ""
+
+    def of(self, kept: Any) -> Excursions:
+        """Those of some of the runs, by index or mask."""
+        return Excursions(self.fraction[kept], self.mean[kept], self.peak[kept], self.exceeded)
+
+    def __post_init__(self) -> None:
+        for name in ("fraction", "mean", "peak"):
+            object.__setattr__(self, name, frozen(as_floats(name, getattr(self, name))))
+
+    def __repr__(self) -> str:
+        if not len(self.peak):
+            return "Excursions(no runs)"
+        worst = f", most {self.exceeded}" if self.exceeded else ""
+        return (
+            f"Excursions({len(self.peak)} runs, {self.fraction.mean():.2%} of the states outside X, depth "
+            f"{self.mean.mean():.3g} in the mean, peak {self.peak.mean():.3g}, largest {self.peak.max():.3g}{worst})"
+        )
+
+
+def depth_outside(x: ArrayLike, X: Polytope | StateLimits) -> Array:
+    """How far states (..., nx) lie outside X, (...,): the largest violation of a row, in half-widths of X along it.
+
+    0 inside, to the tolerance of `X.contains`; 1 is one half-width beyond the limit.
+
+    Raises
+    ------
+    InputError
+        If `x` has another number of states, or X is empty.
+    """
+    limits = X if isinstance(X, StateLimits) else StateLimits(X)
+    states = as_floats("x", x)
+    if states.ndim == 0 or states.shape[-1] != limits.rows.shape[1]:
+        raise InputError("x", f"shape {states.shape}", f"(..., {limits.rows.shape[1]}), the states of X")
+    depth: Array = np.maximum(limits.depths(states).max(axis=-1), 0.0)
+    return depth
+
+
+def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[str] | None = None) -> Excursions:
+    """How often and how far runs of states (n, T, nx), or one run (T, nx), are outside X.
+
+    Parameters
+    ----------
+    states : (n, T, nx) or (T, nx) array_like
+    X : Polytope
+    names : sequence of str, optional
+        Of the states; x1, x2, … by default.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, or X is empty.
+    """
+    limits = X if isinstance(X, StateLimits) else StateLimits(X)
+    nx = limits.rows.shape[1]
+    runs = np.asarray(as_array("states", states, ("T", nx), ("n", "T", nx)) if np.size(states) else states)
+    runs = runs.reshape(-1, runs.shape[-2], nx)
+    names = tuple(f"x{i + 1}" for i in range(nx)) if names is None else as_names("names", names, nx)
+    if not len(runs):
+        return Excursions(np.zeros(0), np.zeros(0), np.zeros(0))
+    by_row = limits.depths(runs)
+    depth = np.maximum(by_row.max(axis=-1), 0.0)
+    largest = by_row.reshape(-1, by_row.shape[-1]).max(axis=0)
+    exceeded = limits.row_text(int(np.argmax(largest)), names) if largest.max() > 0 else ""
+    return Excursions((depth > 0).mean(axis=1), depth.mean(axis=1), depth.max(axis=1), exceeded)
+
+
+def further_outside(own: Excursions, other: Excursions) -> bool:
+    """Whether runs leave X deeper, or more often, than those of another controller under the same disturbances.
+
+    The 95 % interval of the paired difference excludes zero, and the difference matters: more than 0.01 half-widths of
+    the peak depth or 0.01 of the states, and more than a twentieth of what the other controller does.
+    """
+    for measure in ("peak", "fraction"):
+        reference = getattr(other, measure)
+        difference = paired_difference(getattr(own, measure), reference)
+        needed = max(FURTHER, FURTHER_PART * float(reference.mean())) if len(reference) else np.inf
+        if difference.ci95[0] > 0 and difference.mean > needed:
+            return True
+    return False
+
+
+def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:
+    """The half-width of X along each row; never zero."""
+    low = -np.asarray(X.support(-rows))
+    high = np.asarray(X.support(rows))
+    lower, upper = X.bounding_box()
+    box = 0.5 * (upper - lower)
+    reach = np.abs(rows) @ np.where(np.isfinite(box), box, 0.0)
+    width = 0.5 * (high - low)
+    width = np.where(np.isfinite(width), width, np.abs(bounds))
+    width = np.where(width > FLAT * reach, width, reach)
+    return np.where(width > 0, width, np.linalg.norm(rows, axis=1))
+
+
+def _term(factor: float, name: str) -> str:
+    """A further term of a row."""
+    size = "" if np.isclose(abs(factor), 1.0) else f"{abs(factor):.3g} "
+    return f" {'+' if factor > 0 else '−'} {size}{name}"
