@@ -9,8 +9,10 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ccdtools.co_design.admissible import admissible_inputs
     from ccdtools.co_design.codesign import codesign
     from ccdtools.co_design.expert import expert_dataset, feasible_sets
+    from ccdtools.co_design.least_depth import least_depth
     from ccdtools.co_design.objective import QuadraticObjective
     from ccdtools.co_design.problem import CoDesignProblem, FixedStart
     from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
@@ -18,12 +20,14 @@ if TYPE_CHECKING:
     from ccdtools.comparison.baselines import baselines, saturated_lqr
     from ccdtools.comparison.comparison import compare
     from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
+    from ccdtools.controllers.filtered import Filtered
     from ccdtools.controllers.learned import LearnedPolicy, load_policy
     from ccdtools.controllers.signals import Reference
     from ccdtools.disturbances.disturbance import Gaussian, Recorded, Sum, Uniform
     from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
     from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
-    from ccdtools.exceptions import CCDError, InputError, SamplingWarning
+    from ccdtools.exceptions import CCDError, InputError, LimitWarning, SamplingWarning
+    from ccdtools.limits import depth_outside, excursions
     from ccdtools.plants.design_space import DesignSpace
     from ccdtools.plants.discretisation import discretise
     from ccdtools.plants.linear_model import LinearModel
@@ -45,11 +49,13 @@ __all__ = [
     "CoDesignResult",
     "DesignSpace",
     "DigitalTwin",
+    "Filtered",
     "FixedStart",
     "Gaussian",
     "GeneratedRoad",
     "InputError",
     "LearnedPolicy",
+    "LimitWarning",
     "LinearFeedback",
     "LinearModel",
     "OnlineConfig",
@@ -65,14 +71,18 @@ __all__ = [
     "Sum",
     "Trajectory",
     "Uniform",
+    "admissible_inputs",
     "baselines",
     "codesign",
     "compare",
     "deploy",
     "deploy_and_update",
+    "depth_outside",
     "discretise",
+    "excursions",
     "expert_dataset",
     "feasible_sets",
+    "least_depth",
     "load_policy",
     "load_study",
     "read_disturbance",
@@ -93,11 +103,13 @@ _HOMES = {
     "CoDesignResult": "co_design.result",
     "DesignSpace": "plants.design_space",
     "DigitalTwin": "twin.twin",
+    "Filtered": "controllers.filtered",
     "FixedStart": "co_design.problem",
     "Gaussian": "disturbances.disturbance",
     "GeneratedRoad": "disturbances.roads",
     "InputError": "exceptions",
     "LearnedPolicy": "controllers.learned",
+    "LimitWarning": "exceptions",
     "LinearFeedback": "controllers.controllers",
     "LinearModel": "plants.linear_model",
     "OnlineConfig": "twin.deployment",
@@ -113,14 +125,18 @@ _HOMES = {
     "Sum": "disturbances.disturbance",
     "Trajectory": "trajectory",
     "Uniform": "disturbances.disturbance",
+    "admissible_inputs": "co_design.admissible",
     "baselines": "comparison.baselines",
     "codesign": "co_design.codesign",
     "compare": "comparison.comparison",
     "deploy": "twin.deployment",
     "deploy_and_update": "twin.deployment",
+    "depth_outside": "limits",
     "discretise": "plants.discretisation",
+    "excursions": "limits",
     "expert_dataset": "co_design.expert",
     "feasible_sets": "co_design.expert",
+    "least_depth": "co_design.least_depth",
     "load_policy": "controllers.learned",
     "load_study": "studies.loading",
     "read_disturbance": "disturbances.recordings",

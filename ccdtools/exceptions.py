@@ -13,3 +13,7 @@ class InputError(CCDError, sets.InputError):
 
 class SamplingWarning(UserWarning):
     """A plant has a mode that its sampling time hardly resolves, or not at all, for some design of its box."""
+
+
+class LimitWarning(UserWarning):
+    """No controller can keep the state limits of a co-design from its start."""

@@ -1,6 +1,6 @@
 """Convex polytopes and invariant sets of linear systems: numpy, scipy and daqp, nothing else."""
 
-from invariant_sets.admissible_inputs import AdmissibleInputs
+from invariant_sets.admissible_inputs import AdmissibleInputFamily, AdmissibleInputs
 from invariant_sets.control_invariant import maximal_control_invariant_set
 from invariant_sets.exceptions import InvariantSetsError
 from invariant_sets.minimal_robust import minimal_robust_positively_invariant_set
@@ -12,6 +12,7 @@ from invariant_sets.reachability import controllable_set, predecessor_set, reach
 from invariant_sets.results import Certificate, SetResult, Status
 
 __all__ = [
+    "AdmissibleInputFamily",
     "AdmissibleInputs",
     "Certificate",
     "InvariantSetsError",

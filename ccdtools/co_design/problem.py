@@ -75,7 +75,7 @@ class CoDesignProblem(Immutable):
     model : LinearModel
         x⁺ = A(p) x + B(p) u + E(p) w.
     X, U : Polytope
-        State and input limits; both bounded, 0 in X, U a box. Leaving X is counted, it does not end an episode.
+        State and input limits; both bounded and around 0, U a box. Leaving X is counted, it does not end an episode.
     objective : QuadraticObjective
     scenarios : Scenarios
         Initial states and disturbances of the episodes.
@@ -88,7 +88,7 @@ class CoDesignProblem(Immutable):
     ------
     InputError
         If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
-        not in X, or U is not a box.
+        not in X or not in U, U is not a box, or a `FixedStart` lies outside X.
     """
 
     model: LinearModel
@@ -109,6 +109,8 @@ class CoDesignProblem(Immutable):
             raise InputError("X", "a set without the origin", "one that holds the state 0, which is regulated to")
         if len(self.U.minimal().b) != 2 * model.nu or (np.count_nonzero(self.U.minimal().A, axis=1) != 1).any():
             raise InputError("U", "a set that is not a box", "independent bounds on each input")
+        if not self.U.contains(np.zeros(model.nu)):
+            raise InputError("U", "a set without the origin", "one that holds the input 0, which keeps the state at 0")
         as_instance("objective", self.objective, QuadraticObjective, "a QuadraticObjective")
         for name, size, n in (("Q", len(self.objective.Q), model.nx), ("R", len(self.objective.R), model.nu)):
             if size != n:
@@ -138,6 +140,8 @@ class CoDesignProblem(Immutable):
         x0, w = (np.shape(array) for array in drawn)
         if x0 != (1, self.model.nx):
             raise InputError("scenarios", f"initial states of shape {x0[1:]}", f"({self.model.nx},)")
+        if isinstance(self.scenarios, FixedStart) and not self.X.contains(self.scenarios.x0):
+            raise InputError("scenarios.x0", f"{self.scenarios.x0.tolist()}, which is outside X", "a state within X")
         replayed = self.discrepancy is not None and self.discrepancy.noise == "replayed"
         width = self.model.nx if replayed else self.model.nw
         if (self.discrepancy is None or replayed) and w != (1, self.steps, width):

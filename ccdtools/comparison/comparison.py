@@ -17,6 +17,7 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.comparison.baselines import REFERENCE
 from ccdtools.comparison.outside import BLOCK, Outside
 from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits
@@ -246,6 +247,8 @@ def replicates(rewards: Array, runs: int) -> Array:
 
 def step_time(controller: Controller, x: Array, scenario: Scenario) -> float:
     """Median time of one call for one state (nx,) [s], with the signals that the controller needs."""
+    if isinstance(controller, Filtered):
+        controller = controller.uncounted()
     around = Surroundings(scenario.disturbance[:1], scenario.reference, scenario.output)
     call = one_call(controller, x, around, scenario.plant.nu)
     times = []

@@ -163,12 +163,11 @@ class Study(Immutable):
         for argument, limits in (("X", self.X), ("U", self.U)):
             if limits.is_empty:
                 raise InputError(argument, "an empty set", "limits with a point between them")
-        self.problem()  # checks dimensions, boundedness, that U is a box, and the sizes of Q and R
-        for argument, limits in (("X", self.X), ("U", self.U)):
             if not limits.contains(np.zeros(limits.dim)):
                 raise InputError(argument, "a set without the origin", "limits around the point that is regulated to")
-        if not self.X.contains(self.x0):
+        if self.X.dim == self.plant.nx and not self.X.contains(self.x0):
             raise InputError("x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
+        self.problem()  # checks dimensions, boundedness, that U is a box, and the sizes of Q and R
 
     def _check_stabilisable(self) -> None:
         """Raise unless LQR exists at the first design."""

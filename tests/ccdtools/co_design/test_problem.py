@@ -65,3 +65,11 @@ def test_a_model_without_a_design_cannot_be_co_designed(illustrative):
     model = LinearModel.from_state_space(illustrative.model.state_space([1.0]), E=np.eye(2))
     with pytest.raises(InputError, match="model: got a model without design parameters, expected one of a plant"):
         replace(illustrative.problem(), model=model)
+
+
+def test_a_start_outside_X_and_inputs_without_zero_are_refused(illustrative):
+    problem = illustrative.problem()
+    with pytest.raises(InputError, match=r"scenarios.x0: got \[9.0, 0.0\], which is outside X, expected a state"):
+        replace(problem, scenarios=FixedStart([9.0, 0.0], illustrative.disturbance))
+    with pytest.raises(InputError, match="U: got a set without the origin, expected one that holds the input 0"):
+        replace(problem, U=Polytope.from_bounds([0.5], [1.0]))

@@ -1,0 +1,110 @@
+"""How far outside X a start forces every controller."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+from scipy.optimize import linprog
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_count, as_instance, as_vector
+from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+from ccdtools.exceptions import LimitWarning
+from ccdtools.limits import StateLimits
+
+LOOKED_AHEAD = 20  # steps, as the MPC that a co-design is compared with
+TIME = {"time_limit": 2.0}  # s, of one program; where it is not enough, nothing is claimed
+NOTHING = 1e-5  # half-widths: the linear program's own tolerance
+TRIED = 9  # designs beside the present one: the corners of a box of two or three parameters first
+
+
+def least_depth(
+    problem: CoDesignProblem, design: ArrayLike, *, x0: ArrayLike | None = None, steps: int | None = None
+) -> float:
+    """The least peak depth outside X that any inputs in U reach from a start, without disturbance, in half-widths of X.
+
+    A linear program over the inputs of the first `steps` samples of the nominal model at one design; 0 where X can be
+    kept. What a disturbance adds is not in it, so no controller does better.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    design : (np,) array_like
+    x0 : (nx,) array_like, optional
+        The start of the problem's scenarios by default; where they have several, the mean over the starts of eight.
+    steps : int, optional
+        The problem's by default, at most 20.
+
+    Raises
+    ------
+    InputError
+        If an argument has the wrong size, or the design lies outside its box.
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    p = problem.design.check_one(design)
+    horizon = min(problem.steps, LOOKED_AHEAD) if steps is None else as_count("steps", steps)
+    starts = _starts(problem) if x0 is None else as_vector("x0", x0, problem.model.nx, of="one per state")[None]
+    return float(np.mean([_least(problem, p, start, horizon) for start in starts]))
+
+
+def unavoidable_depth(problem: CoDesignProblem, design: Array) -> tuple[float, float]:
+    """The least depth at a design, and the least over designs spread over the box (looked up only if it is above 0)."""
+    here = least_depth(problem, design)
+    if here <= NOTHING:
+        return 0.0, 0.0
+    others = (least_depth(problem, other) for other in problem.design.spread()[:TRIED])
+    anywhere = min(here, *others)
+    return here, anywhere if anywhere > NOTHING else 0.0
+
+
+def unavoidable_text(here: float, anywhere: float) -> str:
+    """What `unavoidable_depth` found, as a sentence; empty where the limits can be kept."""
+    if here == 0.0:
+        return ""
+    where = f"; the least over the box of designs is {anywhere:.3g}" if anywhere > 0 else "; other designs can keep it"
+    return f"no controller keeps X from the start at this design: it is left by {here:.3g} half-widths at least{where}"
+
+
+def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> float:
+    """The least depth at the design where training begins, with a `LimitWarning` if it is above 0."""
+    import warnings
+
+    here, anywhere = unavoidable_depth(problem, design)
+    if here > 0:
+        warnings.warn(unavoidable_text(here, anywhere), LimitWarning, stacklevel=3)
+    return here
+
+
+def _starts(problem: CoDesignProblem) -> Array:
+    """The states where episodes start, (n, nx), each once."""
+    if isinstance(problem.scenarios, FixedStart):
+        return np.asarray(problem.scenarios.x0)[None]
+    x0, _ = problem.scenarios.sample(8, problem.steps, np.random.default_rng(0))
+    return np.unique(np.asarray(x0, dtype=float), axis=0)
+
+
+def _least(problem: CoDesignProblem, p: Array, x0: Array, steps: int) -> float:
+    """The least s ≥ 0 with rows·x_k ≤ bounds + s for k = 1 … N, states and inputs in units of X and U."""
+    limits = StateLimits(problem.X)
+    A, B, _ = problem.model.matrices(p)
+    size = problem.state_scale
+    reach = np.max(np.abs(problem.input_bounds), axis=0)
+    A = A * size / size[:, None]
+    B = B * reach / size[:, None]
+    nx, nu = B.shape
+    eye = sparse.identity(steps, format="csr")
+    back = sparse.diags([np.ones(steps - 1)], [-1], shape=(steps, steps), format="csr")
+    dynamics = sparse.hstack([sparse.kron(eye, np.eye(nx)) - sparse.kron(back, A), -sparse.kron(eye, B),
+                              sparse.csr_matrix((steps * nx, 1))], format="csr")  # fmt: skip
+    first = np.zeros(steps * nx)
+    first[:nx] = A @ (x0 / size)
+    m = len(limits.bounds)
+    rows = sparse.hstack([sparse.kron(eye, limits.rows * size), sparse.csr_matrix((steps * m, steps * nu)),
+                          -np.ones((steps * m, 1))], format="csr")  # fmt: skip
+    lower, upper = problem.input_bounds / reach
+    bounds = [(None, None)] * (steps * nx) + list(zip(lower, upper)) * steps + [(0.0, None)]
+    cost = np.zeros(steps * (nx + nu) + 1)
+    cost[-1] = 1.0
+    found = linprog(cost, rows, np.tile(limits.bounds, steps), dynamics, first, bounds, method="highs", options=TIME)
+    return max(float(found.fun), 0.0) if found.status == 0 else 0.0

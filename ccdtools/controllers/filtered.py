@@ -1,0 +1,145 @@
+"""A controller behind a filter that keeps the next state in a set."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, Immutable
+from ccdtools.checks import as_instance
+from ccdtools.controllers.controllers import Controller, as_states
+from ccdtools.controllers.signals import needs_of
+from ccdtools.exceptions import InputError
+from invariant_sets import AdmissibleInputs
+
+CHANGED = 1e-9  # of the range of an input over U: what differs by less was let through as it was
+PASSED_ON = ("needs", "horizon", "design", "reset", "agent")
+
+
+@dataclass(frozen=True)
+class FilterCounts:
+    """What a filter has done.
+
+    Attributes
+    ----------
+    inputs : int
+        Inputs that passed through it.
+    changed : int
+        Of these, those that it changed.
+    helpless : int
+        Of these, those for which no input keeps the next state in the set; the least harmful one was taken.
+    """
+
+    inputs: int = 0
+    changed: int = 0
+    helpless: int = 0
+
+    def __str__(self) -> str:
+        share = self.changed / self.inputs if self.inputs else 0.0
+        return f"{self.changed} of {self.inputs} inputs changed ({share:.1%}), {self.helpless} had no admissible one"
+
+
+class _Counter:
+    """Counts that the copies of a controller, made for a simulation, share with it."""
+
+    def __init__(self) -> None:
+        self.counts = FilterCounts()
+
+    def add(self, changed: Any, admissible: Any) -> None:
+        """Count one call."""
+        now = self.counts
+        self.counts = FilterCounts(
+            now.inputs + len(changed), now.changed + int(changed.sum()), now.helpless + int((~admissible).sum())
+        )
+
+    def __deepcopy__(self, memory: Any) -> _Counter:
+        return self
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Filtered(Immutable):
+    """u = the admissible input nearest to what another controller proposes, and how often the two differ.
+
+    It asks for what the other asks for (reference, preview, last input, output) and has its memory and its design, so
+    it stands wherever the other does: in `simulate`, `compare` and `deploy`. The last input that the other is told is
+    the one that was applied.
+
+    Parameters
+    ----------
+    controller : callable
+        u = controller(x), batched; see `ccdtools.controllers.controllers`.
+    admissible : AdmissibleInputs
+        Of the model at the same design, for example `admissible_inputs(problem, design)`.
+
+    Raises
+    ------
+    InputError
+        If one is of another kind.
+
+    References
+    ----------
+    Wabersich, Zeilinger (2018), Linear model predictive safety certification for learning-based control, CDC.
+
+    Examples
+    --------
+    >>> safe = Filtered(result.policy, admissible_inputs(problem, result.design))
+    >>> run = simulate(plant, safe, x0=x0, steps=100, design=result.design)
+    >>> print(safe.counts)
+    """
+
+    controller: Controller
+    admissible: AdmissibleInputs
+    _counter: _Counter = field(default_factory=_Counter, kw_only=True)
+
+    def __post_init__(self) -> None:
+        needs_of(self.controller)
+        cure = "Use admissible_inputs(problem, design)."
+        as_instance("admissible", self.admissible, AdmissibleInputs, "an AdmissibleInputs", cure)
+
+    def __repr__(self) -> str:
+        return f"Filtered({self.controller!r}, {self.admissible!r})"
+
+    def __getattr__(self, name: str) -> Any:
+        """What the other controller has and a closed loop asks for."""
+        if name == "loop" and callable(getattr(self.controller, "loop", None)):
+            return lambda n: Filtered(self.controller.loop(n), self.admissible, _counter=self._counter)  # type: ignore[attr-defined]
+        if name in PASSED_ON and "controller" in self.__dict__:
+            return getattr(self.controller, name)
+        raise AttributeError(f"'Filtered' object has no attribute {name!r}")
+
+    @property
+    def counts(self) -> FilterCounts:
+        """What the filter has done since it was made, in all simulations together."""
+        return self._counter.counts
+
+    def uncounted(self) -> Filtered:
+        """A copy with counts of its own."""
+        return Filtered(copy.deepcopy(self.controller), self.admissible)
+
+    def __call__(self, x: ArrayLike, **signals: Any) -> Array:
+        """Admissible inputs (n, nu) or (nu,); NaN where the state is."""
+        nx = self.admissible.S.dim
+        states = as_states(x, nx)
+        proposed = np.asarray(self.controller(states, **signals), dtype=float)
+        shape = (*states.shape[:-1], self.admissible.U.dim)
+        if proposed.shape != shape:
+            raise InputError("controller", f"inputs of shape {proposed.shape}", f"{shape}")
+        rows = states.reshape(-1, nx)
+        wanted = proposed.reshape(len(rows), -1)
+        known = np.isfinite(rows).all(axis=1) & np.isfinite(wanted).all(axis=1)
+        u = wanted.copy()
+        if known.any():
+            u[known], admissible = self.admissible.project(rows[known], wanted[known])
+            changed = (np.abs(u[known] - wanted[known]) > CHANGED * self._range).any(axis=1)
+            self._counter.add(changed, admissible)
+        return u.reshape(shape)
+
+    @property
+    def _range(self) -> Array:
+        """The range of each input over U, (nu,)."""
+        lower, upper = self.admissible.U.bounding_box()
+        return np.asarray(upper - lower)
