@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ccdtools.co_design.admissible import admissible_inputs
     from ccdtools.co_design.codesign import codesign
+    from ccdtools.co_design.configuration import CoDesignConfig
     from ccdtools.co_design.expert import expert_dataset, feasible_sets
     from ccdtools.co_design.least_depth import least_depth
     from ccdtools.co_design.objective import QuadraticObjective
     from ccdtools.co_design.problem import CoDesignProblem, FixedStart
-    from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
     from ccdtools.co_design.result import CoDesignResult
     from ccdtools.comparison.baselines import baselines, saturated_lqr
     from ccdtools.comparison.comparison import compare
@@ -98,7 +98,7 @@ __all__ = [
 _HOMES = {
     "PID": "controllers.controllers",
     "CCDError": "exceptions",
-    "CoDesignConfig": "co_design.reinforcement.ppo",
+    "CoDesignConfig": "co_design.configuration",
     "CoDesignProblem": "co_design.problem",
     "CoDesignResult": "co_design.result",
     "DesignSpace": "plants.design_space",

@@ -61,6 +61,7 @@ def run(
     quick: Annotated[bool, typer.Option("--quick", help="Same path, fewer samples; under a minute.")] = False,
     preset: Annotated[str, typer.Option(help="default, or paper: its networks, loss, rates and epochs.")] = "default",
     expert: Annotated[str, typer.Option(help="Imitated first: lqr (projected on X_fea), mpc, explicit.")] = "lqr",
+    method: Annotated[str | None, typer.Option(help="Of the policy: pathwise, ppo, or pathwise+ppo.")] = None,
     design_gradient: Annotated[str | None, typer.Option(help="pathwise, or network_input (the paper's).")] = None,
     x0: Annotated[str | None, typer.Option(help="Initial state, for example --x0=-3,0")] = None,
     p0: Annotated[str | None, typer.Option(help="Start design, for example --p0=0.8")] = None,
@@ -76,7 +77,8 @@ def run(
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report."""
     options = Options(
         located(study), whole_number("--generations", generations), whole_number("--seed", seed), quick, preset,
-        expert, design_gradient, numbers("--x0", x0), numbers("--p0", p0), disturbance, column, road, speed, driver,
+        expert, method=method, design_gradient=design_gradient, x0=numbers("--x0", x0), p0=numbers("--p0", p0),
+        disturbance=disturbance, column=column, road=road, speed=speed, driver=driver,
     )  # fmt: skip
     options.check_files()
     if output is not None:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
+from tqdm import tqdm
 
 from ccdtools.checks import as_choice, as_generator, as_instance
 from ccdtools.co_design.agents import check_agent
+from ccdtools.co_design.ascent import Ascent, LimitPenalty, Task
+from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.reinforcement.ppo import CoDesignConfig, codesign_ppo
+from ccdtools.co_design.reinforcement.gradients import check_gradients
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
-
-METHODS = ("ppo",)
 
 
 def codesign(
@@ -23,9 +26,10 @@ def codesign(
     agent: ActorCritic,
     design: ArrayLike,
     rng: np.random.Generator,
-    method: str = "ppo",
+    method: str = "pathwise",
     config: CoDesignConfig | None = None,
     judge: CoDesignProblem | None = None,
+    limits: LimitPenalty | None = None,
     progress: bool = False,
 ) -> CoDesignResult:
     """The best design and policy found for `problem`.
@@ -38,12 +42,15 @@ def codesign(
     design : (np,) array_like
         First design, in physical units.
     rng : numpy.random.Generator
-    method : {"ppo"}
-        Gradients through the model, with PPO beside them.
+    method : {"pathwise", "ppo", "pathwise+ppo"}
+        What moves the policy: its gradient through the model, PPO, or both. `config.design_gradient` says what moves
+        the design.
     config : CoDesignConfig, optional
     judge : CoDesignProblem, optional
         What the iterates are scored on, if not `problem` itself: for example replays of what was logged, where
         `problem` holds a learned model whose errors an optimiser may exploit.
+    limits : optional
+        What leaving X costs, see `LimitPenalty`; by default nothing.
     progress : bool
         Show a progress bar.
 
@@ -62,9 +69,13 @@ def codesign(
     check_agent(problem, agent)
     _check_judge(problem, judge)
     _check_objective(problem)
-    return codesign_ppo(
-        problem, agent=agent, design=design, rng=rng, config=config, judge=judge, progress=progress
-    )  # fmt: skip
+    task = Task(problem, judge, method, config, limits)
+    gradients = check_gradients(problem, agent, design, rng=rng, ppo=config.ppo) if task.moving else None
+    ascent = Ascent(task, copy.deepcopy(agent), design, rng)
+    with tqdm(total=config.iterations, desc="co-design", disable=not progress, leave=False) as bar:
+        best = ascent.run(bar)
+    found = problem.design.from_unit(best.v.double().numpy())
+    return CoDesignResult(found, best.agent, problem.design.active_bounds(found), ascent.history(), gradients)
 
 
 def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:

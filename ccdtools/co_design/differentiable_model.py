@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -10,7 +11,6 @@ from torch import Tensor
 
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.linear_model import LinearModel
-from learning.networks import ActorCritic
 
 
 class _Matrices(torch.autograd.Function):
@@ -32,21 +32,32 @@ class _Matrices(torch.autograd.Function):
 
 
 def matrices(model: LinearModel, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """A, B, E at a design tensor (np,), differentiable in it."""
+    """A, B, E at a design tensor (np,), or stacked along axis 0 at designs (n, np); differentiable in it."""
     columns = model.nx + model.nu + model.nw
-    M = _Matrices.apply(p, model).reshape(columns, model.nx).T
-    return M[:, : model.nx], M[:, model.nx : model.nx + model.nu], M[:, model.nx + model.nu :]
+    flat = _Matrices.apply(p, model) if p.ndim == 1 else torch.stack([_Matrices.apply(one, model) for one in p])
+    M = flat.unflatten(-1, (columns, model.nx)).mT
+    return M[..., : model.nx], M[..., model.nx : model.nx + model.nu], M[..., model.nx + model.nu :]
 
 
 def to_design(problem: CoDesignProblem, v: Tensor) -> Tensor:
-    """The design tensor of a point `v` in the unit box."""
+    """The design tensor of a point `v` in the unit box; of many, (n, np), one by one."""
     lower = v.new_tensor(problem.design.lower.tolist())
     return lower + v * (v.new_tensor(problem.design.upper.tolist()) - lower)
 
 
 @dataclass(frozen=True, eq=False)
 class Stepper:
-    """One step of a problem's model at one design, for batches of torch states."""
+    """One step of a problem's model, for batches of torch states.
+
+    Attributes
+    ----------
+    A, B, E : (nx, ·) tensors
+        At one design `p` (np,), or stacked (n, nx, ·) at designs (n, np), one per run.
+    limit : (nx,) tensor
+        Divergence limit on |x|.
+    carry : (nx, nx) tensor or None
+        Of a learned error, from the design of its log to this one.
+    """
 
     problem: CoDesignProblem
     A: Tensor
@@ -54,11 +65,11 @@ class Stepper:
     E: Tensor
     p: Tensor
     limit: Tensor
-    carry: Tensor | None = None  # (nx, nx), of a learned error from the design of its log to this one
+    carry: Tensor | None = None
 
     @classmethod
     def at(cls, problem: CoDesignProblem, p: Tensor) -> Stepper:
-        """The model at design `p` (np,), differentiable in it."""
+        """The model at design `p` (np,) or (n, np), differentiable in it."""
         A, B, E = matrices(problem.model, p)
         transport = None if problem.discrepancy is None else problem.discrepancy.transport
         carry = None if transport is None else transport.matrix(E)
@@ -66,64 +77,60 @@ class Stepper:
 
     def __call__(self, x: Tensor, e: Tensor, u: Tensor, w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Next states (n, nx), next errors (n, nx) and rewards (n,)."""
-        x_next = x @ self.A.T + u @ self.B.T
+        x_next, e, penalty = self.advance(x, e, u, self.drive(w[:, None])[:, 0])
+        return x_next, e, self.rewards(x_next[None], u[None])[0] - sum(penalty)
+
+    def drive(self, w: Tensor) -> Tensor:
+        """What a disturbance (n, T, nw) adds to the states, (n, T, nx); the noise itself where errors are learned."""
+        return w if self.problem.discrepancy is not None else _times(self.E, w)
+
+    def advance(self, x: Tensor, e: Tensor, u: Tensor, drive: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
+        """Next states and errors (n, nx), and the penalty (n,) of a learned error if there is one."""
         discrepancy = self.problem.discrepancy
-        penalty: Tensor | float = 0.0
         if discrepancy is None:
-            x_next = x_next + w @ self.E.T
-        else:
-            e, penalty = discrepancy.advance(e, x, u, self.p, w)
-            x_next = x_next + (e if self.carry is None else e @ self.carry.T)
-        return x_next, e, self.problem.objective.rewards(x_next, u) - penalty
+            return _plus_times(_plus_times(drive, self.A, x), self.B, u), e, ()
+        e, penalty = discrepancy.advance(e, x, u, self.p, drive)
+        carried = e if self.carry is None else _times(self.carry, e[:, None])[:, 0]
+        return _plus_times(_plus_times(carried, self.A, x), self.B, u), e, (penalty,)
+
+    def rewards(self, x_next: Tensor, u: Tensor) -> Tensor:
+        """Rewards (T, n) of next states (T, n, nx) and inputs (T, n, nu), asked for in one call."""
+        rewards = self.problem.objective.rewards(x_next.flatten(0, 1), u.flatten(0, 1))
+        return rewards.unflatten(0, x_next.shape[:2])
 
     def left(self, x: Tensor) -> Tensor:
-        """Runs beyond the divergence limit, (n,) bool."""
+        """States (..., nx) beyond the divergence limit, (...,) bool."""
         return ~(x.abs() <= self.limit).all(-1)
+
+    def outside(self, x: Tensor) -> Tensor:
+        """How far states (..., nx) are outside X, (...,): the largest violation of a facet, in half-widths of X."""
+        F, g = self._facets
+        return (x @ F.T - g).amax(-1).clamp(min=0.0)
+
+    @cached_property
+    def _facets(self) -> tuple[Tensor, Tensor]:
+        """X as F x ≤ g, each row divided by half the width of X's bounding box along it."""
+        X = self.problem.X
+        lower, upper = X.bounding_box()
+        half = np.abs(X.A) @ (upper - lower) / 2
+        return self.limit.new_tensor((X.A / half[:, None]).tolist()), self.limit.new_tensor((X.b / half).tolist())
+
+
+def _times(M: Tensor, x: Tensor) -> Tensor:
+    """M x for vectors (n, T, k) and one matrix, or a matrix (n, m, k) for each run."""
+    return x @ M.mT
+
+
+def _plus_times(y: Tensor, M: Tensor, x: Tensor) -> Tensor:
+    """y + M x for vectors (n, ·) and one matrix, or a matrix for each run."""
+    if M.ndim == 2:
+        return torch.addmm(y, x, M.T)
+    return torch.baddbmm(y[:, None], x[:, None], M.mT)[:, 0]
 
 
 def observe(x: Tensor, p: Tensor) -> Tensor:
     """Observations (x, p), (n, nx + np)."""
     return torch.cat([x, p.expand(*x.shape[:-1], p.shape[-1])], dim=-1)
-
-
-def returns(problem: CoDesignProblem, agent: ActorCritic, p: Tensor, x0: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
-    """Undiscounted returns (n,) of the mean policy, and which runs diverged; differentiable end to end.
-
-    Parameters
-    ----------
-    p : (np,) tensor
-    x0 : (n, nx) tensor
-    w : (n, T, nw) tensor
-    """
-    step = Stepper.at(problem, p)
-    x = x0
-    e = torch.zeros_like(x0)
-    total = torch.zeros(len(x0))
-    running = torch.ones(len(x0), dtype=torch.bool)
-    for k in range(w.shape[1]):
-        u = agent.action(agent.latent(observe(x, p)))
-        x_next, e_next, reward = step(x, e, u, w[:, k])
-        if not bool(running.all()):
-            x_next = torch.where(running[:, None], x_next, x)
-            e_next = torch.where(running[:, None], e_next, e)
-            reward = torch.where(running, reward, 0.0)
-        total = total + reward
-        x = x_next
-        e = e_next
-        running = running & ~step.left(x.detach())
-    return total, ~running
-
-
-def returns_at(
-    problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: tuple[Tensor, Tensor]
-) -> tuple[Tensor, Tensor]:
-    """`returns` at a point `v` (np,) of the unit box, on scenarios (x0, w)."""
-    return returns(problem, agent, to_design(problem, v), *scenarios)
-
-
-def mean_return(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tensor:
-    """Mean undiscounted return of the mean policy at a point `v` (np,) of the unit box; differentiable."""
-    return returns_at(problem, agent, v, scenarios)[0].mean()
 
 
 def scenario_tensors(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:

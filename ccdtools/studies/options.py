@@ -14,6 +14,7 @@ from ccdtools.exceptions import InputError
 
 PRESETS = ("default", "paper")
 EXPERTS = ("lqr", "mpc", "explicit")
+METHODS = ("pathwise", "ppo", "pathwise+ppo")
 DESIGN_GRADIENTS = ("pathwise", "network_input")
 DRIVERS = ("mild", "aggressive")
 FILES = ("disturbance", "road", "speed")
@@ -29,7 +30,7 @@ class Options:
     ----------
     study : str
         Name of a study, or the absolute path of its file.
-    generations, seed, quick, preset, expert, design_gradient
+    generations, seed, quick, preset, expert, method, design_gradient
         As in `Generations` and `configuration`.
     x0, p0 : list of float or None
         Another initial state and first design.
@@ -48,6 +49,7 @@ class Options:
     quick: bool = False
     preset: str = "default"
     expert: str = "lqr"
+    method: str | None = None
     design_gradient: str | None = None
     x0: list[float] | None = None
     p0: list[float] | None = None
@@ -65,6 +67,8 @@ class Options:
             raise InputError("--quick", shown(self.quick), "true or false")
         as_choice("--preset", self.preset, PRESETS)
         as_choice("--expert", self.expert, EXPERTS)
+        if self.method is not None:
+            as_choice("--method", self.method, METHODS)
         if self.design_gradient is not None:
             as_choice("--design-gradient", self.design_gradient, DESIGN_GRADIENTS)
         if self.driver is not None:

@@ -90,9 +90,9 @@ def _prepared(options: Options, loaded: LoadedStudy, source: Disturbance | None)
     with blamed_on_options({"real.disturbance": f"--{given[0]}", "disturbance": f"--{given[0]}"} if given else {}):
         if source is not None:
             study = replace(study, real=replace(study.real, disturbance=source))
-        gradient = options.design_gradient
         config = configuration(
-            study, preset=options.preset, quick=options.quick, expert=options.expert, design_gradient=gradient
+            study, preset=options.preset, quick=options.quick, expert=options.expert, method=options.method,
+            design_gradient=options.design_gradient,
         )
         Evaluation(study, config, options.seed).check_recording()
     return PreparedRun(options, study, config, fingerprint(LoadedStudy(study, loaded.sources), config))

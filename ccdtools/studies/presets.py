@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from ccdtools.checks import as_choice
-from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
+from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.studies.options import EXPERTS, PRESETS
 from ccdtools.studies.study import Study
 from ccdtools.twin.deployment import ONLINE_TRAINING, OnlineConfig
@@ -29,6 +29,8 @@ class StudyConfig:
     quick : bool
         Same path, fewer samples.
     expert : {"lqr", "mpc", "explicit"}
+    method : {"pathwise", "ppo", "pathwise+ppo"}
+        What moves the policy in a co-design.
     samples : int
         Latin hypercube samples of the initialisation.
     model_runs, real_runs : int
@@ -44,6 +46,7 @@ class StudyConfig:
     preset: str = "default"
     quick: bool = False
     expert: str = "lqr"
+    method: str = "pathwise"
     samples: int = 1000
     model_runs: int = 4000
     real_runs: int = 4000
@@ -67,6 +70,7 @@ def configuration(
     preset: str = "default",
     quick: bool = False,
     expert: str = "lqr",
+    method: str | None = None,
     design_gradient: str | None = None,
 ) -> StudyConfig:
     """The configuration of a preset.
@@ -77,13 +81,15 @@ def configuration(
     Raises
     ------
     InputError
-        If `preset`, `expert` or `design_gradient` is unknown.
+        If `preset`, `expert`, `method` or `design_gradient` is unknown.
     """
     as_choice("preset", preset, PRESETS)
     as_choice("expert", expert, EXPERTS)
     config = StudyConfig(preset=preset, expert=expert, samples=study.samples)
     if preset == "paper":
         config = _paper(config, study)
+    if method is not None:
+        config = replace(config, method=as_choice("method", method, METHODS))
     if design_gradient is not None:
         config = replace(
             config,
@@ -103,7 +109,7 @@ def _paper(config: StudyConfig, study: Study) -> StudyConfig:
         ),
     )  # fmt: skip
     network = NetworkConfig(study.paper_networks, skip=False, initial_std=0.01, std_network=True)
-    return replace(config, network=network, codesign=codesign, redesign=codesign)
+    return replace(config, method="ppo", network=network, codesign=codesign, redesign=codesign)
 
 
 def _quick(config: StudyConfig) -> StudyConfig:

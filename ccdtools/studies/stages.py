@@ -71,13 +71,13 @@ class LoopStages:
         config = self.evaluation.config
         if twin.discrepancy is None:
             first = codesign(
-                problem, agent=current.agent, design=current.design, rng=rng, config=config.codesign,
-                progress=self.progress,
+                problem, agent=current.agent, design=current.design, rng=rng, method=config.method,
+                config=config.codesign, progress=self.progress,
             )  # fmt: skip
             return self._co_designed(first, InService(first.agent, first.design), {})
         result = codesign(
             updated_problem(problem, twin), agent=current.agent, design=current.design, rng=rng,
-            config=config.redesign, judge=replay_problem(problem, twin.logs, self.evaluation.window),
+            method=config.method, config=config.redesign, judge=replay_problem(problem, twin.logs, self.evaluation.window),
             progress=self.progress,
         )  # fmt: skip
         proposals = {"redesign": InService(result.agent, result.design)}

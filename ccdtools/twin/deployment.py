@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_count, as_floats, as_generator, as_instance, as_share
 from ccdtools.co_design.codesign import codesign
+from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.scenario import Scenario

@@ -1,6 +1,6 @@
-"""Co-design by gradients through the model, with PPO beside them."""
+"""PPO's part in a co-design, and the design gradients compared."""
 
+from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.reinforcement.gradients import check_gradients
-from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
 
 __all__ = ["CoDesignConfig", "check_gradients"]

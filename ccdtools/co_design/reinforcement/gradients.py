@@ -9,15 +9,14 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_generator, as_instance, as_positive
 from ccdtools.co_design.agents import check_agent
-from ccdtools.co_design.differentiable_model import mean_return, observe, returns_at, scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import observe, scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
+from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import GradientCheck
 from learning.networks import ActorCritic
 from learning.ppo import Batch, PPOConfig, ppo_loss, prepare
 from learning.rollout import collect
-
-METHODS = ("pathwise", "network_input")
 
 
 def check_gradients(
@@ -66,7 +65,7 @@ def finite_differences(
             moved = v.clone()
             moved[i] += sign * step
             with torch.no_grad():
-                ends.append(returns_at(problem, agent, moved, scenarios)[0].double().mean().item())
+                ends.append(episode_at(problem, agent, moved, scenarios).total.mean().item())
         differences.append((ends[0] - ends[1]) / (2 * step))
     return np.array(differences)
 
@@ -76,7 +75,7 @@ def pathwise_gradient(
 ) -> tuple[Tensor, Tensor]:
     """∂/∂v of the mean return through dynamics, policy and reward, (np,); and the mean return."""
     v = v.detach().clone().requires_grad_(True)
-    mean = mean_return(problem, agent, v, scenarios)
+    mean = episode_at(problem, agent, v, scenarios).total.mean()
     (gradient,) = torch.autograd.grad(mean, v)
     return gradient, mean.detach()
 

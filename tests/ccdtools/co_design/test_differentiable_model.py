@@ -7,9 +7,14 @@ import pytest
 import torch
 
 from ccdtools import LearnedPolicy, QuadraticObjective, simulate
-from ccdtools.co_design.differentiable_model import Stepper, matrices, observe, returns, scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import Stepper, matrices, observe, scenario_tensors, to_design
+from ccdtools.co_design.episodes import episode
 from ccdtools.twin.discrepancy import Discrepancy
 from learning.quantile import QuantileNetwork
+
+
+def floats(values):
+    return torch.tensor(np.asarray(values), dtype=torch.float32)
 
 
 def double(values):
@@ -44,13 +49,10 @@ def test_returns_in_torch_equal_a_simulation_of_the_same_policy(study, clone):
     problem, agent = study.problem(), clone(study)
     x0, w = problem.scenarios.sample(20, 30, np.random.default_rng(2))
     with torch.no_grad():
-        total, lost = returns(
-            problem, agent, torch.tensor(study.p0, dtype=torch.float32),
-            torch.tensor(x0, dtype=torch.float32), torch.tensor(w, dtype=torch.float32),
-        )  # fmt: skip
+        seen = episode(problem, agent, floats(study.p0), (floats(x0), floats(w)))
     run = simulate(study.model, LearnedPolicy(agent, study.p0), x0=x0, steps=30, disturbance=w, design=study.p0)
-    np.testing.assert_allclose(total, run.returns(study.objective), rtol=2e-4)
-    assert not lost.any()
+    np.testing.assert_allclose(seen.total, run.returns(study.objective), rtol=2e-4)
+    assert not seen.diverged.any()
 
 
 class Scaled(QuadraticObjective):
@@ -65,7 +67,7 @@ def test_an_objective_of_ones_own_is_what_the_design_is_trained_on(illustrative,
     own = replace(problem, objective=Scaled(problem.objective.Q, problem.objective.R))
     scenarios = scenario_tensors(problem, 20, np.random.default_rng(0))
     with torch.no_grad():
-        plain, scaled = (returns(one, agent, torch.tensor([2.0]), *scenarios)[0] for one in (problem, own))
+        plain, scaled = (episode(one, agent, torch.tensor([2.0]), scenarios).total for one in (problem, own))
     torch.testing.assert_close(scaled, 3.0 * plain)
 
 
@@ -74,19 +76,19 @@ def test_a_run_that_diverges_is_frozen_and_counted_as_in_a_simulation(illustrati
     x0 = np.array([[-10.0, -5.0], [0.0, 0.0]])
     w = np.zeros((2, 80, 2))
     with torch.no_grad():
-        total, lost = returns(problem, agent, *(torch.tensor(a, dtype=torch.float32) for a in ([1.0], x0, w)))
+        seen = episode(problem, agent, floats([1.0]), (floats(x0), floats(w)))
     run = simulate(
         problem.model, LearnedPolicy(agent, [1.0]), x0=x0, steps=80, disturbance=w, design=[1.0], limit=problem.limit
     )
-    assert lost.tolist() == run.diverged.tolist() == [True, False]
-    np.testing.assert_allclose(total, run.returns(problem.objective), rtol=1e-3)
+    assert seen.diverged.tolist() == run.diverged.tolist() == [True, False]
+    np.testing.assert_allclose(seen.total, run.returns(problem.objective), rtol=1e-3)
 
 
 def test_gradients_flow_through_a_whole_episode(study, clone):
     problem, agent = study.problem(), clone(study)
     p = torch.tensor(study.p0, dtype=torch.float32, requires_grad=True)
-    total, _ = returns(problem, agent, p, *scenario_tensors(problem, 4, np.random.default_rng(0)))
-    total.mean().backward()
+    seen = episode(problem, agent, p, scenario_tensors(problem, 4, np.random.default_rng(0)))
+    seen.total.mean().backward()
     assert torch.isfinite(p.grad).all()
     assert p.grad.abs().min() > 0
     for parameter in agent.parameters():

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from ccdtools import InputError
-from ccdtools.co_design.differentiable_model import returns, scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
+from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.reinforcement import CoDesignConfig, check_gradients
 from ccdtools.co_design.reinforcement.gradients import (
     loss_gradient,
@@ -31,7 +32,7 @@ def finite_differences(problem, agent, v, x0, w, step):
         for i in range(len(v)):
             h = torch.zeros_like(v)
             h[i] = step
-            ends = [returns(problem, agent, to_design(problem, v + s * h), x0, w)[0].mean().item() for s in (1, -1)]
+            ends = [episode_at(problem, agent, v + s * h, (x0, w)).total.mean().item() for s in (1, -1)]
             gradient.append((ends[0] - ends[1]) / (2 * step))
     return np.array(gradient)
 

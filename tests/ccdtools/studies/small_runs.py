@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ccdtools.cli import main
-from ccdtools.co_design.reinforcement.ppo import CoDesignConfig
+from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.studies import StudyConfig, configuration
 from learning.networks import NetworkConfig
 

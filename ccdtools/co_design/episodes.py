@@ -1,0 +1,211 @@
+"""Whole episodes of a policy on the differentiable model: returns, divergence, and how far they leave X.
+
+Long episodes are cut into segments that are computed again on the way back, so that memory grows with the square root
+of their length and the gradient stays exact.
+
+References
+----------
+Chen, Xu, Zhang and Guestrin, "Training deep nets with sublinear memory cost", arXiv:1604.06174, 2016.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from ccdtools.co_design.differentiable_model import Stepper, to_design
+from ccdtools.co_design.problem import CoDesignProblem
+from learning.networks import ActorCritic
+
+LONGEST_SEGMENT = 100  # steps whose intermediate values are held at once
+FEWEST = 16  # parallel episodes, however long they are
+
+Law = Callable[[Tensor], Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What came of n episodes; returns and depths are differentiable.
+
+    Attributes
+    ----------
+    total : (n,) tensor
+        Undiscounted returns, in double precision.
+    diverged : (n,) bool tensor
+        Runs that passed the divergence limit; they are frozen there and earn nothing more.
+    depth, peak : (n,) tensors
+        Mean over the steps, and largest, depth outside X in half-widths of X; zero unless asked for.
+    outside : (n,) tensor
+        Fraction of the steps that end outside X; without a gradient, zero unless asked for.
+    """
+
+    total: Tensor
+    diverged: Tensor
+    depth: Tensor
+    peak: Tensor
+    outside: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class _Progress:
+    """Where n episodes stand after a segment: states, errors of the model, and the sums so far."""
+
+    x: Tensor
+    e: Tensor
+    running: Tensor
+    total: Tensor
+    depth: Tensor
+    peak: Tensor
+    outside: Tensor
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """The fields in order."""
+        return (self.x, self.e, self.running, self.total, self.depth, self.peak, self.outside)
+
+
+def episode(
+    problem: CoDesignProblem,
+    agent: ActorCritic,
+    p: Tensor,
+    scenarios: tuple[Tensor, Tensor],
+    *,
+    depths: bool = False,
+) -> Episode:
+    """Episodes of the mean policy at design `p`, differentiable end to end.
+
+    Parameters
+    ----------
+    p : (np,) or (n, np) tensor
+        One design for all runs, or one for each.
+    scenarios : tensors (n, nx) and (n, T, nw)
+        Initial states and disturbances.
+    depths : bool
+        Measure how far the runs are outside X.
+    """
+    return simulated(Stepper.at(problem, p), mean_law(agent, p), scenarios, depths=depths)
+
+
+def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, depths: bool = False) -> Episode:
+    """Episodes of any law, states (n, nx) → inputs (n, nu), on a model at its design."""
+    x0, w = scenarios
+    steps = w.shape[1]
+    nothing = torch.zeros(len(x0), dtype=torch.float64)
+    running = torch.ones(len(x0), dtype=torch.bool)
+    progress = _Progress(x0, torch.zeros_like(x0), running, nothing, nothing, nothing, nothing)
+    recomputed = torch.is_grad_enabled() and steps > 2 * LONGEST_SEGMENT
+    for part in w.split(math.isqrt(steps) if recomputed else LONGEST_SEGMENT, dim=1):
+        if recomputed:
+            tensors = checkpoint(_segment, step, law, part, depths, *progress.tensors(), use_reentrant=False)
+        else:
+            tensors = _segment(step, law, part, depths, *progress.tensors())
+        progress = _Progress(*tensors)
+    return Episode(progress.total, ~progress.running, progress.depth / steps, progress.peak, progress.outside / steps)
+
+
+def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) -> tuple[Tensor, ...]:
+    """The progress after the steps of `w` (n, T, nw).
+
+    No run is expected to diverge: whether one did is looked up at the end, and only then is the segment computed again
+    with each run frozen where it was lost. A gradient must not pass through states of 1e30.
+    """
+    progress = _Progress(*before)
+    if not bool(progress.running.all()):
+        return _guarded(step, law, w, depths, progress)
+    drive = step.drive(w)
+    x = progress.x
+    e = progress.e
+    states: list[Tensor] = []
+    inputs: list[Tensor] = []
+    penalties: list[Tensor] = []
+    for k in range(w.shape[1]):
+        u = law(x)
+        x, e, penalty = step.advance(x, e, u, drive[:, k])
+        states.append(x)
+        inputs.append(u)
+        penalties.extend(penalty)
+    visited = torch.stack(states)
+    if bool(step.left(visited.detach()).any()):
+        return _guarded(step, law, w, depths, progress)
+    rewards = step.rewards(visited, torch.stack(inputs))
+    total = progress.total + rewards.double().sum(0)
+    if penalties:
+        total = total - torch.stack(penalties).double().sum(0)
+    if not depths:
+        return x, e, progress.running, total, progress.depth, progress.peak, progress.outside
+    depth = step.outside(visited).double()
+    peak = torch.maximum(progress.peak, depth.amax(0))
+    return x, e, progress.running, total, progress.depth + depth.sum(0), peak, progress.outside + (depth > 0).sum(0)
+
+
+def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progress) -> tuple[Tensor, ...]:
+    """As `_segment`, with every run frozen from the step at which it passed the divergence limit."""
+    drive = step.drive(w)
+    x, e, running, total, depth, peak, outside = progress.tensors()
+    for k in range(w.shape[1]):
+        u = law(x)
+        x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
+        x = torch.where(running[:, None], x_next, x)
+        e = torch.where(running[:, None], e_next, e)
+        reward = step.rewards(x[None], u[None])[0] - sum(penalty)
+        total = total + torch.where(running, reward, 0.0).double()
+        if depths:
+            own = torch.where(running, step.outside(x[None])[0].double(), 0.0)
+            depth = depth + own
+            peak = torch.maximum(peak, own)
+            outside = outside + (own > 0)
+        running = running & ~step.left(x.detach())
+    return x, e, running, total, depth, peak, outside
+
+
+def mean_law(agent: ActorCritic, p: Tensor) -> Law:
+    """The mean policy at design `p` (np,) or (n, np), as a function of the states (n, nx).
+
+    What does not change along an episode, the design's part of the first layer and the scaling of the states, is
+    computed once.
+    """
+    nx = len(agent.observation_offset) - p.shape[-1]
+    scale = agent.observation_scale[:nx]
+    design = (p - agent.observation_offset[nx:]) / agent.observation_scale[nx:]
+    network = agent.mean_network
+    shift = agent.observation_offset[:nx] / scale
+
+    def entry(weight: Tensor) -> tuple[Tensor, Tensor]:
+        """The map from raw states, (nx, m), and what offset and design add to it, (m,) or (n, m)."""
+        own = weight[:, :nx]
+        return (own / scale).T, design @ weight[:, nx:].T - own @ shift
+
+    first, *others = network.linear_layers()
+    W, fixed = entry(first.weight)
+    b = fixed + first.bias
+    layers = [(layer.weight.T, layer.bias) for layer in others]
+    head = (network.head.weight.T, network.head.bias)
+    skip = None if network.skip is None else entry(network.skip.weight)
+
+    def law(x: Tensor) -> Tensor:
+        """Inputs (n, nu)."""
+        hidden = torch.tanh(torch.addmm(b, x, W))
+        for weight, bias in layers:
+            hidden = torch.tanh(torch.addmm(bias, hidden, weight))
+        latent = torch.addmm(head[1], hidden, head[0])
+        if skip is not None:
+            latent = torch.addmm(latent + skip[1], x, skip[0])
+        return agent.action(latent)
+
+    return law
+
+
+def episode_at(
+    problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: tuple[Tensor, Tensor], *, depths: bool = False
+) -> Episode:
+    """`episode` at a point `v` (np,) or (n, np) of the unit box."""
+    return episode(problem, agent, to_design(problem, v), scenarios, depths=depths)
+
+
+def fewer_runs(runs: int, steps: int) -> int:
+    """Parallel episodes of `steps` steps that hold about as many samples as `runs` of 100; at least 16 of `runs`."""
+    return max(min(runs, FEWEST), min(runs, math.ceil(runs * 100 / steps)))
