@@ -77,8 +77,8 @@ class LoopStages:
             return self._co_designed(first, InService(first.agent, first.design), {})
         result = codesign(
             updated_problem(problem, twin), agent=current.agent, design=current.design, rng=rng,
-            method=config.method, config=config.redesign, judge=replay_problem(problem, twin.logs, self.evaluation.window),
-            progress=self.progress,
+            method=config.method, config=config.redesign, progress=self.progress,
+            judge=replay_problem(problem, twin.logs, self.evaluation.window),
         )  # fmt: skip
         proposals = {"redesign": InService(result.agent, result.design)}
         if not same_design(problem.design, result.design, current.design):
