@@ -15,7 +15,6 @@ from mpc.explicit.equality_elimination import (
     eliminate,
     equality_pairs,
     implied_equalities,
-    irredundant_rows,
 )
 from mpc.explicit.exploration import Found, Limits, explore_compiled
 from mpc.explicit.partition import Ints, MPQPStatus, Partition
@@ -87,11 +86,7 @@ def solve_mpqp(
             qp, implied = reduced
             equalities = np.concatenate([equalities, implied])
             found = explore(qp, limits)
-    if found.tied:  # several active sets are optimal together: first leave out rows that the others imply
-        kept = irredundant_rows(qp)
-        if len(kept) < len(qp.M):
-            qp = qp.rows(kept)
-            found = explore(qp, limits)
+    qp = found.qp
     H, h = qp.unscale_rows(found.rows)
     sets = tuple(tuple(sorted(int(i) for i in (*equalities, *qp.origin[list(act)]))) for act in found.active_sets)
     law = qp.law(found.active_sets)

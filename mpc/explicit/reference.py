@@ -8,6 +8,7 @@ import daqp
 import numpy as np
 
 from mpc.checks import Array
+from mpc.explicit.equality_elimination import irredundant_rows
 from mpc.explicit.exploration import Found, Limits
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP
@@ -21,10 +22,18 @@ Rows = tuple[Array, Array]
 
 
 def explore_all(qp: ScaledQP, limits: Limits) -> Found:
+    """Regions of all optimal active sets; where several are optimal together, without rows that the others imply."""
+    found, tied = _explore(qp, limits)
+    kept = irredundant_rows(qp) if tied else np.arange(len(qp.M))
+    return found if len(kept) == len(qp.M) else _explore(qp.rows(kept), limits)[0]
+
+
+def _explore(qp: ScaledQP, limits: Limits) -> tuple[Found, bool]:
     """Explore optimal active sets of every dimension, changing any one constraint at a time.
 
     Arnström and Axehill (IEEE CDC 2024) show that the graph of optimal active sets is connected when those of lower
     dimension are kept as nodes; no facet, hash of bits or redundancy test is needed, only linear programs.
+    The second value says whether several sets are optimal on one region.
     """
     stack = _first(qp)
     status = MPQPStatus.COMPLETE if stack else MPQPStatus.INFEASIBLE
@@ -53,7 +62,8 @@ def explore_all(qp: ScaledQP, limits: Limits) -> Found:
             break
     sizes = np.cumsum([0] + [len(rows) for rows in regions.values()])
     facets = np.vstack([np.zeros((0, qp.D.shape[1])), *regions.values()])
-    return Found(status, [tuple(sorted(active)) for active in regions], facets, sizes.astype(np.int64), tied)
+    sets = [tuple(sorted(active)) for active in regions]
+    return Found(status, qp, sets, facets, sizes.astype(np.int64)), tied
 
 
 def _first(qp: ScaledQP) -> list[Members]:

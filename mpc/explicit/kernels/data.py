@@ -11,6 +11,7 @@ from mpc.checks import Array
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 KNOWN, QUEUED, DONE, ROWS = 0, 1, 2, 3  # positions in `Graph.counts`
+FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: its region is empty or of lower dimension
 
 
 class QPData(NamedTuple):

@@ -9,12 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mpc.explicit.kernels.data import DONE, KNOWN, QUEUED, ROWS
-from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, project
-from mpc.explicit.kernels.region import DEPENDENT, FLAT, FULL, gram_factor, gram_solve, optimal_set, region_rows
+from mpc.explicit.kernels.data import DEPENDENT, DONE, FLAT, FULL, KNOWN, QUEUED, ROWS
+from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind, project
+from mpc.explicit.kernels.region import gram_factor, gram_solve, optimal_at, optimal_set, region_rows
 from mpc.tolerances import EXCHANGE, INSETS, PROJECTION, SAME_PLANE, TIE
 
 FINISHED, GROW, PAUSED = 0, 1, 2  # why the exploration returned
+_MARGIN = 0.1  # distance from the other facets, scaled parameters, that a point behind a facet keeps where it can
 _TWINS = 4  # rows on one hyperplane whose combinations are all tried
 _ROOM = 20  # active sets that one facet may add, beside exchanges
 
@@ -126,6 +127,7 @@ def explore(qp, graph, facets, budget):
     b = np.empty(m + len(qp.Tb))
     centre = np.empty(n)
     kept = np.empty(m + len(qp.Tb), np.int64)
+    hits = np.empty((m + len(qp.Tb), n))
     act = np.empty(m + 1, np.int64)
     theta = np.empty(n)
     mask = np.empty(graph.masks.shape[1], np.uint64)
@@ -137,10 +139,10 @@ def explore(qp, graph, facets, budget):
         mask[:] = graph.masks[graph.queue[counts[DONE]]]
         k = from_mask(mask, act)
         region_rows(qp, act, k, graph.tied, A, b)
-        interior_point(A, b, np.inf, centre)
-        count = irredundant(A, b, centre, kept)
+        radius = interior_point(A, b, np.inf, centre)
+        count = irredundant(A, b, centre, kept, hits)
         room = min(len(graph.masks), len(graph.table) // 2)
-        if counts[ROWS] + count > len(facets.rows) or counts[KNOWN] + count * (k + _ROOM) > room:
+        if counts[ROWS] + m + len(qp.Tb) > len(facets.rows) or counts[KNOWN] + count * (k + _ROOM) > room:
             return GROW
         for a in range(count):
             for j in range(n):
@@ -150,19 +152,26 @@ def explore(qp, graph, facets, budget):
         facets.offsets[counts[DONE] + 1] = counts[ROWS]
         counts[DONE] += 1
         for a in range(count):
-            if kept[a] >= m or behind(qp, graph, A, b, act, k, mask, kept[a], work):
-                continue  # the border of the parameter set, or neighbours found by algebra
-            if across(A, b, kept, count, kept[a], theta):
-                consider_parameter(qp, graph, theta, work)
+            if kept[a] >= m:
+                continue  # the border of the parameter set
+            kind = behind(qp, graph, A, b, mask, kept[a], work)
+            if kind == FULL:
+                continue  # found by algebra
+            found = just_behind(A, b, kept, count, a, hits[a], theta)
+            if found or across(A, b, kept, count, kept[a], hits[a], min(_MARGIN, radius), theta):
+                if kind != DEPENDENT or not exchange(qp, graph, act, k, kept[a], mask, theta):
+                    consider_parameter(qp, graph, theta, work)
+            elif kind == DEPENDENT:
+                exchange(qp, graph, act, k, kept[a], mask, centre)
     return FINISHED
 
 
 @njit(cache=True)
-def behind(qp, graph, A, b, act, k, mask, facet, work):
-    """Consider sets that differ in the rows on the hyperplane of a facet; True when one is the neighbour for sure.
+def behind(qp, graph, A, b, mask, facet, work):
+    """Consider the sets that differ in the rows on the hyperplane of a facet.
 
-    That is the set which differs in one row alone. Of several rows on the hyperplane, and of the rows that can leave a
-    dependent set, some lead to regions elsewhere.
+    Returns the kind of the set which differs in one row alone, the neighbour when it is FULL; FLAT where several rows
+    lie on the hyperplane: some of their combinations lead to regions elsewhere.
     """
     m = len(qp.D)
     n = A.shape[1]
@@ -171,7 +180,9 @@ def behind(qp, graph, A, b, act, k, mask, facet, work):
     for i in range(m):
         close = abs(b[i] - b[facet]) < SAME_PLANE
         for j in range(n):
-            close = close and abs(A[i, j] - A[facet, j]) < SAME_PLANE
+            if not close:
+                break
+            close = abs(A[i, j] - A[facet, j]) < SAME_PLANE
         if close and shared < _TWINS:
             twins[shared] = i
             shared += 1
@@ -182,14 +193,15 @@ def behind(qp, graph, A, b, act, k, mask, facet, work):
             if combination >> s & 1:
                 flip(work, twins[s])
         kind = consider(qp, graph, work)
-        if kind == DEPENDENT and shared == 1:
-            exchange(qp, graph, act, k, facet, mask)
-    return kind == FULL and shared == 1
+    return kind if shared == 1 else FLAT
 
 
 @njit(cache=True)
-def exchange(qp, graph, act, k, entering, mask):
-    """Consider sets in which the entering row replaces another; one with a positive coefficient has to leave."""
+def exchange(qp, graph, act, k, entering, mask, theta):
+    """Consider sets in which the entering row replaces another; one with a positive coefficient has to leave.
+
+    Returns True when one of them that has a region is optimal at θ.
+    """
     L = np.empty((k, k))
     coefficient = np.empty(k)
     gram_factor(qp.gram, act, k, L)
@@ -197,12 +209,16 @@ def exchange(qp, graph, act, k, entering, mask):
         coefficient[a] = qp.gram[act[a], entering]
     gram_solve(L, k, coefficient)
     swapped = np.empty(len(mask), np.uint64)
+    members = np.empty(len(qp.D), np.int64)
+    sure = False
     for a in range(k):
         if coefficient[a] > EXCHANGE:
             swapped[:] = mask
             flip(swapped, entering)
             flip(swapped, act[a])
-            consider(qp, graph, swapped)
+            if consider(qp, graph, swapped) == FULL and not sure:
+                sure = optimal_at(qp, members, from_mask(swapped, members), theta)
+    return sure
 
 
 @njit(cache=True)

@@ -164,8 +164,11 @@ def interior_point(A, b, wanted, centre):
 
 
 @njit(cache=True)
-def irredundant(A, b, centre, facets):
-    """Rows of {Aθ <= b} that are facets, by Clarkson's method (1994) from an interior point; returns their number."""
+def irredundant(A, b, centre, facets, hits):
+    """Rows of {Aθ <= b} that are facets, by Clarkson's method (1994) from an interior point; returns their number.
+
+    Writes the point where a ray from the interior has hit each facet into `hits`, the interior point where none did.
+    """
     m, n = A.shape
     slack = np.empty(m)
     for i in range(m):
@@ -206,6 +209,9 @@ def irredundant(A, b, centre, facets):
                     hit = e
             if known[hit]:
                 hit = i
+                nearest = 0.0
+            for j in range(n):
+                hits[count, j] = centre[j] + nearest * (theta[j] - centre[j])
             known[hit] = True
             facets[count] = hit
             for j in range(n):
@@ -216,15 +222,32 @@ def irredundant(A, b, centre, facets):
 
 
 @njit(cache=True)
-def across(A, b, facets, count, facet, theta):
-    """Write a point just across one facet, away from the others, into θ; False when the facet is too small."""
+def just_behind(A, b, facets, count, number, hit, theta):
+    """Write the point just behind `hit` into θ; False when `hit` is not on the facet, or not clear of the others."""
+    for a in range(count):
+        slack = b[facets[a]]
+        for j in range(len(hit)):
+            slack -= A[facets[a], j] * hit[j]
+        if a == number and abs(slack) > 0.1 * CROSSING:
+            return False
+        if a != number and slack < 10.0 * CROSSING:
+            return False
+    for j in range(len(hit)):
+        theta[j] = hit[j] + CROSSING * A[facets[number], j]
+    return True
+
+
+@njit(cache=True)
+def across(A, b, facets, count, facet, start, margin, theta):
+    """Write a point just across one facet, away from the others, into θ; False when the facet is too small.
+
+    It is the one nearest to `start` with the largest margin to the others, of the given one and smaller ones.
+    """
     n = A.shape[1]
     AI = np.empty((count + 1, n))
     bI = np.empty(count + 1)
     work = np.empty(n + 1, np.int64)
     lam = np.empty(n + 1)
-    start = np.zeros(n)
-    margin = 0.1
     while margin > 0.1 * REGION_RADIUS:
         step = min(CROSSING, margin)
         for a in range(count):

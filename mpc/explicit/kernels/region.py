@@ -20,10 +20,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from mpc.explicit.kernels.data import DEPENDENT, FLAT, FULL
 from mpc.explicit.kernels.halfspace import project
 from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, ROUNDING, ZERO_ROW
-
-FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: empty or of lower dimension
 
 
 @njit(cache=True)
@@ -172,6 +171,35 @@ def region_rows(qp, act, k, tied, A, b):
             A[m + i, c] = qp.TA[i, c]
         b[m + i] = qp.Tb[i]
     return FULL
+
+
+@njit(cache=True)
+def optimal_at(qp, act, k, theta):
+    """Whether an active set of independent rows is optimal at θ: no negative multiplier, no violated row."""
+    m = len(qp.D)
+    n = len(theta)
+    d = np.empty(m)
+    for i in range(m):
+        d[i] = qp.D[i, n]
+        for j in range(n):
+            d[i] += qp.D[i, j] * theta[j]
+    L = np.empty((k, k))
+    if not gram_factor(qp.gram, act, k, L):
+        return False
+    lam = np.empty(k)
+    for a in range(k):
+        lam[a] = -d[act[a]]
+    gram_solve(L, k, lam)
+    for a in range(k):
+        if lam[a] < 0.0:
+            return False
+    for i in range(m):
+        slack = d[i]
+        for a in range(k):
+            slack += qp.gram[i, act[a]] * lam[a]
+        if slack < -OPTIMAL_SET:
+            return False
+    return True
 
 
 @njit(cache=True)
