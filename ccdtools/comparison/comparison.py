@@ -22,7 +22,7 @@ from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import PairedDifference, Summary, paired_difference, summarise
+from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.trajectory import Trajectory
 from invariant_sets import Polytope
 
@@ -39,9 +39,8 @@ class Score:
     ----------
     controller : str
     summary : Summary
-        Of the returns of the runs that did not diverge. For a single long run the replicates are its blocks of
-        100 samples, scaled to the whole: `mean` is the return of the run, `std` that of the scaled blocks, `n` their
-        number, and `ci95` the interval of the whole if blocks are independent.
+        Of the returns of the runs that did not diverge. Of a single long run `mean` is its return and `n` is 1; `std`,
+        from run to run, and `ci95` come from its own autocorrelation, see `ccdtools.statistics.mean_interval`.
     paired_to_lqr : PairedDifference
         On the runs that both saw and where neither diverged.
     lqr_mean : float
@@ -210,11 +209,11 @@ def _score(
     kept = ~(run.diverged | reference.diverged[:n])
     own = run.rewards(objective)
     other = reference.rewards(objective)[:n]
-    shared = replicates(other[kept], n)
+    shared = other[kept].sum(axis=1)
     return Score(
         controller=name,
-        summary=summarise(replicates(own[~run.diverged], n)),
-        paired_to_lqr=paired_difference(replicates(own[kept], n), shared),
+        summary=summarise_returns(own[~run.diverged], runs=n),
+        paired_to_lqr=paired_returns(own[kept], other[kept], runs=n),
         lqr_mean=float(shared.mean()) if len(shared) else float("nan"),
         diverged=float(run.diverged.mean()),
         violations=_mean(outside.fraction),
@@ -230,19 +229,6 @@ def _score(
 def _mean(values: Array) -> float:
     """The mean; NaN of nothing."""
     return float(values.mean()) if len(values) else float("nan")
-
-
-def replicates(rewards: Array, runs: int) -> Array:
-    """Independent returns from rewards (n, T): one per run, or the blocks of a single run.
-
-    The N block sums b_i of a single run become N b_i: their mean is the return of the run, and the standard error
-    of that mean is the standard deviation of a total of N independent blocks.
-    """
-    if runs > 1 or len(rewards) == 0 or rewards.shape[1] < 2 * BLOCK:
-        return rewards.sum(axis=1)
-    edges = np.arange(0, rewards.shape[1] - BLOCK + 1, BLOCK)
-    blocks = np.add.reduceat(rewards[0], edges)
-    return blocks.sum() + len(blocks) * (blocks - blocks.mean())
 
 
 def step_time(controller: Controller, x: Array, scenario: Scenario) -> float:

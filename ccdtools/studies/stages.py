@@ -11,9 +11,8 @@ import numpy as np
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.result import CoDesignResult
-from ccdtools.comparison.comparison import replicates
 from ccdtools.exceptions import InputError
-from ccdtools.statistics import summarise
+from ccdtools.statistics import summarise_returns
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.redesign import InService, RedesignDecision, judge_redesign, same_design
 from ccdtools.studies.stage_storage import Stage
@@ -127,7 +126,7 @@ class LoopStages:
             place = evaluation.problem.design.describe(current.design)
             got = f"a start from which every run of deployment {generation} diverged at {place}"
             raise InputError("real.x0", got, "one that some design can recover from")
-        returns = summarise(replicates(log.rewards(evaluation.study.objective)[~log.diverged], real.runs))
+        returns = summarise_returns(log.rewards(evaluation.study.objective)[~log.diverged], runs=real.runs)
         updates = [asdict(update) for update in deployment.updates]
         accepted = sum(update.accepted for update in deployment.updates)
         report = [f"return {returns.mean:.4g}, {log.diverged.mean():.1%} diverged, "

@@ -104,9 +104,11 @@ def limit_notes(rows: Sequence[Row]) -> list[str]:
 
 
 def _verdict_on_nothing(row: Row, reference: Row | None) -> str:
-    """The verdict where the return of LQR is zero, or there are no pairs."""
-    if reference is None or row["lqr_mean"] != 0 or row["paired_to_lqr"]["mean"] is None:
+    """The verdict where the return of LQR is zero, there is no interval, or there are no pairs."""
+    if reference is None or row["paired_to_lqr"]["mean"] is None:
         return "no pairs"
+    if row["lqr_mean"] != 0:
+        return "open"
     return "equal" if row["paired_to_lqr"]["mean"] == 0 else "worse"  # no return is above zero
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from ccdtools import InputError, simulate
 from ccdtools.comparison.baselines import baselines, saturated_lqr
-from ccdtools.comparison.comparison import compare, replicates, step_time
+from ccdtools.comparison.comparison import compare, step_time
 from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise
@@ -188,43 +188,6 @@ def test_the_lqr_stands_beside_a_controller_on_the_runs_that_both_saw(illustrati
     rows = scored(illustrative, {name: controllers[name] for name in ("LQR", "MPC")}, scenario, few={"MPC": 7})
     assert rows["MPC"].lqr_mean == pytest.approx(rows["MPC"].summary.mean - rows["MPC"].paired_to_lqr.mean)
     assert rows["MPC"].lqr_mean != rows["LQR"].summary.mean
-
-
-# ── replicates ──
-
-
-def test_many_runs_are_their_own_replicates(rng):
-    rewards = rng.standard_normal((7, 30))
-    np.testing.assert_allclose(replicates(rewards, 7), rewards.sum(axis=1))
-    np.testing.assert_allclose(replicates(rewards[:1], 7), rewards[:1].sum(axis=1))
-
-
-@pytest.mark.parametrize("steps", [200, 1500, 1550, 1599])
-def test_the_mean_over_the_replicates_of_one_long_run_is_its_total(rng, steps):
-    rewards = rng.standard_normal((1, steps))
-    values = replicates(rewards, 1)
-    assert len(values) == steps // 100
-    assert values.mean() == pytest.approx(rewards.sum())
-
-
-def test_a_short_single_run_is_one_value(rng):
-    rewards = rng.standard_normal((1, 199))
-    np.testing.assert_allclose(replicates(rewards, 1), [rewards.sum()])
-
-
-def test_no_run_has_no_replicates():
-    assert len(replicates(np.zeros((0, 500)), 1)) == 0
-
-
-def test_the_interval_of_one_long_run_covers_its_expected_total():
-    rng = np.random.default_rng(0)
-    covered, widths = 0, []
-    for _ in range(400):
-        low, high = summarise(replicates(rng.standard_normal((1, 2000)) - 1.0, 1)).ci95
-        covered += low < -2000 < high
-        widths.append(high - low)
-    assert 0.92 <= covered / 400 <= 0.98
-    assert np.mean(widths) == pytest.approx(2 * 2.09 * np.sqrt(2000), rel=0.05)
 
 
 # ── time per step ──
