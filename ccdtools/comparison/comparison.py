@@ -15,7 +15,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.comparison.baselines import REFERENCE
-from ccdtools.comparison.outside import BLOCK, Outside
+from ccdtools.comparison.outside import Outside
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.signals import Surroundings, needs_of, one_call
