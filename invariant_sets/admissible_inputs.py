@@ -9,13 +9,13 @@ from typing import Any
 import daqp
 import numpy as np
 
-from invariant_sets.engine.certificate import relative_rows
+from invariant_sets.engine.certificate import tightened_rows
 from invariant_sets.engine.local_problem import left_inverse
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
 from invariant_sets.input_intervals import Intervals
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
-from invariant_sets.system_checks import checked_system, disturbance_vertices
+from invariant_sets.system_checks import CheckedSystem, Set, checked_system
 from invariant_sets.tolerances import ADMISSIBLE, INPUT_SLACK, LP_SOLVER
 from invariant_sets.validation import as_batch, as_vector, frozen
 
@@ -34,13 +34,13 @@ class AdmissibleInputs:
         State matrix.
     B : (nx, nu) array
         Input matrix.
-    S : Polytope
+    S : Polytope, or bounds (lower, upper)
         Where the next state must lie, for example a control invariant set.
-    U : Polytope
+    U : Polytope, or bounds (lower, upper)
         Input constraints; nonempty and bounded.
     E : (nx, nw) array, optional
         Disturbance matrix; the identity if W is given without it.
-    W : Polytope, optional
+    W : Polytope, or bounds (lower, upper), optional
         Bounded disturbance set.
 
     Raises
@@ -65,13 +65,13 @@ class AdmissibleInputs:
     U: Polytope
     _rows: _LocalRows = field(repr=False)
 
-    def __init__(self, A: Any, B: Any, S: Polytope, U: Polytope, *, E: Any = None, W: Polytope | None = None) -> None:
-        A, B, E = checked_system(A, B, S, U, E, W, state_set="S")
-        if U.is_empty:
+    def __init__(self, A: Any, B: Any, S: Set, U: Set, *, E: Any = None, W: Set | None = None) -> None:
+        system = checked_system(A, B, S, U, E, W, state_set="S")
+        if system.U.is_empty:
             raise EmptySetError("AdmissibleInputs", "U is empty, no input can be admissible")
-        if not U.is_bounded:
+        if not system.U.is_bounded:
             raise UnboundedError("AdmissibleInputs", "U is unbounded. Intersect it with a box")
-        for name, value in (("S", S), ("U", U), ("_rows", _local_rows(A, B, S, U, disturbance_vertices(E, W)))):
+        for name, value in (("S", system.X), ("U", system.U), ("_rows", _local_rows(system))):
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
@@ -230,14 +230,14 @@ class _LocalRows:
             return np.clip((u - self.middle) @ self.back.T, -_LARGE, _LARGE)
 
 
-def _local_rows(A: Array, B: Array, S: Polytope, U: Polytope, disturbances: Array | None) -> _LocalRows:
-    """Return the rows of S and U in coordinates in which U has extents of one."""
-    body = U._body
+def _local_rows(system: CheckedSystem) -> _LocalRows:
+    """Return the rows of the target set and of U in coordinates in which U has extents of one."""
+    body = system.U._body
     assert body is not None
-    F, g = relative_rows(S)
-    if disturbances is not None and len(g):
-        g = g - (F @ disturbances.T).max(axis=1)
-    arrays = (body.centre, body.basis, left_inverse(body.basis), -F @ A, F @ B @ body.basis, g - F @ B @ body.centre,
+    F, g = tightened_rows(system.X, system.motion.disturbances)
+    after = -F @ system.A
+    push = F @ system.B
+    arrays = (body.centre, body.basis, left_inverse(body.basis), after, push @ body.basis, g - push @ body.centre,
               body.F, body.g)
     return _LocalRows(*(frozen(np.array(array)) for array in arrays))
 

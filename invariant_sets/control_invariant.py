@@ -14,17 +14,15 @@ from typing import Any
 
 from invariant_sets.engine.inner_sets import Limits
 from invariant_sets.engine.invariance import Task, largest_invariant_set
-from invariant_sets.engine.local_problem import LinearSystem
-from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult
-from invariant_sets.system_checks import checked_system, disturbance_vertices
+from invariant_sets.system_checks import Set, checked_system
 from invariant_sets.time_limits import Deadline, check_time_limit
 from invariant_sets.tolerances import GAP
 from invariant_sets.validation import check_count, check_tolerance
 
 
-def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E: Any = None,
-                                  W: Polytope | None = None, tol: float = GAP, max_iterations: int = 500,
+def maximal_control_invariant_set(A: Any, B: Any, X: Set, U: Set, *, E: Any = None,
+                                  W: Set | None = None, tol: float = GAP, max_iterations: int = 500,
                                   max_facets: int = 1000, time_limit: float | None = None) -> SetResult:
     """Return the maximal (robust) control invariant set of x⁺ = A x + B u + E w in X, with u in U, w in W.
 
@@ -34,11 +32,12 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Polytope, U: Polytope, *, E
         State matrix.
     B : (nx, nu) array
         Input matrix.
-    X, U : Polytope
-        State and input constraints, in the units of x and u; scaling is done here.
+    X, U : Polytope, or bounds (lower, upper)
+        State and input constraints, in the units of x and u; scaling is done here. Each bound is a number for all
+        coordinates, or an array of one number each; ±inf is no bound.
     E : (nx, nw) array, optional
         Disturbance matrix; the identity if W is given without it.
-    W : Polytope, optional
+    W : Polytope, or bounds (lower, upper), optional
         Bounded disturbance set. The set is then robust: the input may not know w.
     tol : float
         Largest relative gap between `outer` and `set`.
@@ -90,8 +89,7 @@ class Options:
                       check_count(self.max_facets, "max_facets", 1), Deadline.after(check_time_limit(self.time_limit)))
 
 
-def control_task(A: Any, B: Any, X: Polytope, U: Polytope, options: Options, *, E: Any = None,
-                 W: Polytope | None = None) -> Task:
+def control_task(A: Any, B: Any, X: Set, U: Set, options: Options, *, E: Any = None, W: Set | None = None) -> Task:
     """Return the checked task of `maximal_control_invariant_set`, or raise `InputError`."""
-    A, B, E = checked_system(A, B, X, U, E, W)
-    return Task(LinearSystem(A, B, disturbance_vertices(E, W)), X, U, options.limits())
+    checked = checked_system(A, B, X, U, E, W)
+    return Task(checked.motion, checked.X, checked.U, options.limits())

@@ -60,16 +60,18 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | 
     rest = list(range(len(rows)))
     pivots: list[tuple[int, int]] = []
     while rest:
-        i = max(rest, key=lambda row: np.abs(rows[row, :n]).max())
-        j = int(np.abs(rows[i, :n]).argmax())
+        largest = int(np.abs(rows[rest, :n]).argmax())
+        i = rest[largest // n]
+        j = largest % n
         if rows[i, j] == 0.0:
             break
         rest.remove(i)
         pivots.append((i, j))
         _clear_column(rows, terms, i, j, rest)
-    if (np.abs(rows[rest, n]) > FLAT * terms[rest].sum(axis=1)).any():
+    if rest and (np.abs(rows[rest, n]) > FLAT * terms[rest].sum(axis=1)).any():
         return None
-    solved, bound = [i for i, _ in pivots], [j for _, j in pivots]
+    solved = [i for i, _ in pivots]
+    bound = [j for _, j in pivots]
     free = np.array([j for j in range(n) if j not in bound], dtype=int)
     basis = np.zeros((n, len(free)))
     basis[free, np.arange(len(free))] = 1.0
@@ -89,6 +91,8 @@ def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) ->
     terms += np.abs(factors)[:, None] * terms[i]
     rows[:, j] = 0.0
     rows[i, j] = 1.0
+    if not rest:
+        return
     left = rows[rest, :-1]
     rows[rest, :-1] = np.where(np.abs(left) > DEPENDENT * terms[rest, :-1], left, 0.0)
 
@@ -99,20 +103,23 @@ def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array
     Rows and columns are balanced, so that every coordinate is steep in some row; the tightest steep row on either side
     then gives its length. A row is suspected to be far away if the others' right-hand sides are nothing beside its own.
     """
-    rows = np.vstack([A, E])
+    rows = np.concatenate([A, E])
     if not len(rows):
         return np.ones(A.shape[1]), np.zeros(0, bool)
     sign = np.sign(rows)
     scale = np.ones(rows.shape[1])
-    rows, right = np.abs(rows), np.abs(np.append(b, e))
+    rows = np.abs(rows)
+    right = np.abs(np.concatenate([b, e]))
     for _ in range(6):
         size = rows.max(axis=1)
-        rows, right = rows / size[:, None], right / size
+        rows = rows / size[:, None]
+        right = right / size
         columns = rows.max(axis=0)
         if (columns[columns > 0] > 0.5).all():
             break
         factor = 1 / np.where(columns > 0, columns, 1.0)
-        scale, rows = scale * factor, rows * factor
+        scale = scale * factor
+        rows = rows * factor
     m = len(b)
     far = right[:m] > _middle(right) / CLOSER
     if right.any():  # the far ones tell no length; beside rows through the origin alone nothing is far
@@ -135,10 +142,13 @@ def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array
 
 def _tightest(rows: Array, right: Array, sign: Array) -> Array:
     """Return the larger of the two distances (n,) at which steep rows end a coordinate on either side, 0 if none do."""
-    reach = right[:, None] / np.where(rows > 0.5, rows, 1.0)
-    sides = np.array([np.where((rows > 0.5) & (sign != -side), reach, np.inf).min(axis=0, initial=np.inf)
-                      for side in (1, -1)])
-    return np.where(np.isfinite(sides), sides, 0.0).max(axis=0)
+    steep = rows > 0.5
+    reach = np.where(steep, right[:, None] / np.where(steep, rows, 1.0), np.inf)
+    above = np.where(sign < 0, np.inf, reach).min(axis=0, initial=np.inf)
+    below = np.where(sign > 0, np.inf, reach).min(axis=0, initial=np.inf)
+    above[above == np.inf] = 0.0
+    below[below == np.inf] = 0.0
+    return np.maximum(above, below)
 
 
 def _middle(values: Array) -> float:
@@ -171,23 +181,29 @@ def opposite_rows(A: Array, b: Array) -> tuple[Array, Array]:
         return np.zeros(0, int), np.zeros(m, bool)
     largest = np.abs(A).argmax(axis=1)
     size = np.abs(A[np.arange(m), largest])
-    rows, right = A / size[:, None], b / size
+    rows = A / size[:, None]
+    right = b / size
     projection = rows @ np.cos(np.arange(1, n + 1))
     order = np.argsort(np.abs(projection))
     level = np.abs(projection)[order]
-    starts = np.flatnonzero(np.append(True, np.diff(level) > CANCELLED * n))
-    upper, lower = (np.where(side * projection > 0, right, np.inf) for side in (1, -1))
-    low, high = (np.minimum.reduceat(limits[order], starts) for limits in (lower, upper))
-    needless, chosen = np.zeros(m, bool), []
+    starts = np.append(0, (level[1:] - level[:-1] > CANCELLED * n).nonzero()[0] + 1)
+    needless = np.zeros(m, bool)
+    if len(starts) == m:
+        return np.zeros(0, int), needless
+    chosen: list[int] = []
+    upper = np.where(projection > 0, right, np.inf)
+    lower = np.where(projection < 0, right, np.inf)
+    low = np.minimum.reduceat(lower[order], starts)
+    high = np.minimum.reduceat(upper[order], starts)
     pairs = np.isfinite(low) & np.isfinite(high)
     pairs[pairs] = np.abs(low[pairs] + high[pairs]) <= ROUNDING * np.abs(low[pairs])
-    for group in np.flatnonzero(pairs):
+    for group in pairs.nonzero()[0]:
         members = order[starts[group]:np.append(starts, m)[group + 1]]
         first = members[upper[members].argmin()]
         second = members[lower[members].argmin()]
         parallel = (np.abs(rows[members] - np.sign(projection[members] * projection[first])[:, None] * rows[first])
                     <= CANCELLED * np.abs(rows[first])).all(axis=1)
         if parallel[members == second].all():
-            chosen.append(first)
+            chosen.append(int(first))
             needless[members[parallel]] = True
     return np.array(chosen, dtype=int), needless

@@ -94,7 +94,8 @@ def cone_volume(F: Array, g: Array) -> float | None:
     cones = F[hull.simplices]
     V = -hull.equations[:, :-1] / hull.equations[:, -1:]
     solid = np.abs(np.linalg.det(cones)) > EPS
-    cones, V = cones[solid], V[solid]
+    cones = cones[solid]
+    V = V[solid]
     sizes = np.abs(np.linalg.det(cones)) * math.factorial(n)
     found = []
     for c in np.random.default_rng(0).standard_normal((_DIRECTIONS, n)):

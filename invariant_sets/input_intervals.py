@@ -46,7 +46,9 @@ class Intervals:
             level[empty] = stuck._least_level()
             low, high = self._at_level(level)
         middle = np.clip((low + high) / 2, self.lower, self.upper)
-        low, high = np.where(low > high, middle, low), np.where(low > high, middle, high)
+        crossed = low > high
+        low = np.where(crossed, middle, low)
+        high = np.where(crossed, middle, high)
         v = np.clip(np.clip(wanted, low, high), self.lower, self.upper)
         return v, self.violation(v)
 

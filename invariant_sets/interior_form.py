@@ -12,7 +12,7 @@ import numpy as np
 from invariant_sets.equalities import eliminated, opposite_rows, starting_scale
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.tolerances import CANCELLED, FLAT, NULL_SPACE, ROUNDING, THIN
-from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, is_flat, look, pinched
+from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look
 
 Array = np.ndarray
 
@@ -63,15 +63,22 @@ class Body:
 
 def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
     """Return the `Body` of {A x <= b, A_eq x = b_eq}, or None if the set is empty."""
-    zero, zero_eq = ~A.any(axis=1), ~A_eq.any(axis=1)
-    if (b[zero] < 0).any() or b_eq[zero_eq].any():
+    used = A.any(axis=1)
+    used_eq = A_eq.any(axis=1)
+    if (b[~used] < 0).any() or b_eq[~used_eq].any():
         return None
-    A, b, E, e = A[~zero], b[~zero], A_eq[~zero_eq], b_eq[~zero_eq]
+    A = A[used]
+    b = b[used]
+    E = A_eq[used_eq]
+    e = b_eq[used_eq]
     if not len(e) and len(b) and (np.count_nonzero(A, axis=1) == 1).all():
         return _box(A, b)
     chosen, needless = opposite_rows(A, b)
     if len(chosen):
-        E, e, A, b = np.vstack([E, A[chosen]]), np.append(e, b[chosen]), A[~needless], b[~needless]
+        E = np.vstack([E, A[chosen]])
+        e = np.append(e, b[chosen])
+        A = A[~needless]
+        b = b[~needless]
     scale, far = starting_scale(A, b, E, e)
     if far.any():
         near = body_of(A[~far], b[~far], E, e)
@@ -88,25 +95,32 @@ def _solved(A: Array, b: Array, E: Array, e: Array, scale: Array) -> Body | None
     """
     n = A.shape[1]
     centre = np.zeros(n)
-    hidden, rescaled = 0, 0
+    hidden = 0
+    rescaled = 0
     while True:  # every pass adds an equality, of which there are n at most, or rescales, three times at most
         hull = eliminated(E, e, centre, scale)
-        window = None if hull is None else look(A, b, hull.centre, hull.basis,
-                                                       cancelled=FLAT if hidden else CANCELLED)
-        if hull is None or window is None:
+        if hull is None:
+            return None
+        window = look(A, b, hull.centre, hull.basis, cancelled=FLAT if hidden else CANCELLED)
+        if window is None:
             return None
         widths = half_widths(window)
-        flat, level = is_flat(window), pinched(window)[0]
-        measured = scale if flat and level == 0 else np.where(widths > 0.0, widths, scale)
-        if not flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > UNLIKE:
-            centre, scale, rescaled = window.centre, measured, rescaled + 1
-        elif window.basis.shape[1] == 0 or not flat or hidden > n:
+        pinched = window.is_flat and window.pinched[0] == 0  # a set thinner than its rounding tells no scale
+        measured = scale if pinched else np.where(widths > 0.0, widths, scale)
+        if not window.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > UNLIKE:
+            centre = window.centre
+            scale = measured
+            rescaled += 1
+        elif window.basis.shape[1] == 0 or not window.is_flat or hidden > n:
             return _body(window, hull.free, widths)
         else:
             rows = hidden_equalities(window)
             centre = window.centre + window.basis @ window.ball.centre
-            E, e = np.vstack([E, A[rows]]), np.append(e, b[rows] if level == 0 else A[rows] @ centre)
-            scale, hidden, rescaled = measured, hidden + 1, 0  # a set thinner than its rounding tells no scale
+            E = np.vstack([E, A[rows]])
+            e = np.append(e, b[rows] if pinched else A[rows] @ centre)
+            scale = measured
+            hidden += 1
+            rescaled = 0
 
 
 def support(body: Body, D: Array) -> Array:
@@ -128,7 +142,8 @@ def _box(A: Array, b: Array) -> Body | None:
     column = np.abs(A).argmax(axis=1)
     slope = A[np.arange(len(b)), column]
     bound = b / slope
-    upper, lower = np.full(n, np.inf), np.full(n, -np.inf)
+    upper = np.full(n, np.inf)
+    lower = np.full(n, -np.inf)
     np.minimum.at(upper, column[slope > 0], bound[slope > 0])
     np.maximum.at(lower, column[slope < 0], bound[slope < 0])
     size = np.maximum(np.where(np.isfinite(lower), np.abs(lower), 0), np.where(np.isfinite(upper), np.abs(upper), 0))
@@ -138,7 +153,8 @@ def _box(A: Array, b: Array) -> Body | None:
     unit = np.where(size > 0, size, 1.0)
     low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * unit, -unit))
     high = np.where(np.isfinite(upper), upper, low + 2 * unit)
-    centre, half = low / 2 + high / 2, high / 2 - low / 2
+    centre = low / 2 + high / 2
+    half = high / 2 - low / 2
     sides = np.vstack([np.eye(n)[:, solid], -np.eye(n)[:, solid]])
     ends = np.concatenate([(upper - centre), (centre - lower)]) / np.tile(np.where(solid, half, 1.0), 2)
     used = np.isfinite(ends) & np.tile(solid, 2)
@@ -148,26 +164,32 @@ def _box(A: Array, b: Array) -> Body | None:
 
 def _body(window: Window, free: Array, widths: Array) -> Body:
     """Return the window as a `Body` about the centre of its ball, without rows that cannot touch the set."""
-    y, bounded = window.ball.centre, not window.unbounded.any()
+    y = window.ball.centre
+    bounded = not window.unbounded.any()
     touching = np.arange(len(window.g))
     if bounded:
         touching = np.flatnonzero(window.g <= (1 + THIN) * np.abs(window.F).sum(axis=1))
-    F, g = window.F[touching], window.g[touching]
+    F = window.F[touching]
+    g = window.g[touching]
     return Body(window.centre + window.basis @ y, window.basis, F, np.maximum(g - F @ y, FLAT), bounded, free,
                 widths)
 
 
 def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
     """Return the `Body` of {A x <= b} with the vertices V (k, n); None if it is flat or V are not its vertices."""
-    lower, upper = V.min(axis=0), V.max(axis=0)
-    centre, half = (lower + upper) / 2, (upper - lower) / 2
+    lower = V.min(axis=0)
+    upper = V.max(axis=0)
+    centre = (lower + upper) / 2
+    half = (upper - lower) / 2
     if (half <= ROUNDING * np.abs(centre)).any():
         return None
-    F, g = A * half, b - A @ centre
+    F = A * half
+    g = b - A @ centre
     norms = np.linalg.norm(F, axis=1)
     if not norms.all():
         return None
-    F, g = F / norms[:, None], g / norms
+    F = F / norms[:, None]
+    g = g / norms
     radius, y = inscribed_ball(F, g, cap=1.0)
     if radius <= FLAT or (((V - centre) / half @ F.T).max(axis=0) > g + THIN).any():
         return None
@@ -195,5 +217,7 @@ def unit_rows(A: Array, b: Array, *, always: bool = False):
     if zero.any():
         if not always and (b[zero] < -FLAT * np.maximum(1.0, np.abs(b).max())).any():
             return None, b
-        A, b, norms = A[~zero], b[~zero], norms[~zero]
+        A = A[~zero]
+        b = b[~zero]
+        norms = norms[~zero]
     return A / norms[:, None], b / norms

@@ -22,7 +22,7 @@ from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
 from invariant_sets.positive_invariant import NO_INPUT
 from invariant_sets.results import Certificate, SetResult, Status, no_set
-from invariant_sets.system_checks import checked_disturbance, checked_state_matrix, disturbance_vertices
+from invariant_sets.system_checks import Set, checked_disturbance, checked_state_matrix, disturbance_vertices
 from invariant_sets.time_limits import LimitReached, TimeLimitReached
 from invariant_sets.tolerances import DRIVEN, GAP, LEAST_ALPHA, SUM_END
 from invariant_sets.validation import check_tolerance
@@ -32,7 +32,7 @@ _SERIES = 5000  # terms of a sum of supports at most
 _SUM_SHARE = 0.6  # of the time limit for the partial sums; the rest is for a set from outside and the certificate
 
 
-def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = None, eps: float = 1e-2,
+def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, eps: float = 1e-2,
                                             max_iterations: int = 500, max_facets: int = 2000,
                                             time_limit: float | None = None) -> SetResult:
     """Return a robust positively invariant outer approximation of the smallest one, ⊕ᵢ AⁱEW.
@@ -41,7 +41,7 @@ def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = Non
     ----------
     A : (nx, nx) array
         State matrix, strictly stable.
-    W : Polytope
+    W : Polytope, or bounds (lower, upper)
         Bounded disturbance set, not empty; it need not hold the origin, and may be flat.
     E : (nx, nw) array, optional
         Disturbance matrix; the identity if left out.
@@ -77,14 +77,15 @@ def minimal_robust_positively_invariant_set(A: Any, W: Polytope, *, E: Any = Non
     """
     A = checked_state_matrix(A)
     if W is None:
-        raise InputError("W", "None", "a Polytope")
-    E = checked_disturbance(E, W, len(A))
+        raise InputError("W", "None", "a Polytope or bounds (lower, upper)")
+    E, noise_set = checked_disturbance(E, W, len(A))
+    assert noise_set is not None
     limits = replace(Options(0.0, max_iterations, max_facets, time_limit).limits(), tol=check_tolerance(eps, "eps"))
     radius = float(np.abs(np.linalg.eigvals(A)).max())
     if radius >= 1.0:
         raise InputError("A", f"spectral radius {radius:.6g}", "less than 1", "Close a stabilising loop first.")
-    noise = disturbance_vertices(E, W)
-    centre = W.affine_map(E)._body.centre  # type: ignore[union-attr]
+    noise = disturbance_vertices(E, noise_set)
+    centre = noise_set.affine_map(E)._body.centre  # type: ignore[union-attr]
     rest = np.linalg.solve(np.eye(len(A)) - A, centre)
     size = _extent(A, noise - centre)
     local = A * size / size[:, None]  # in units of the answer's own extent

@@ -13,7 +13,7 @@ from invariant_sets.engine.invariance import largest_invariant_set
 from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
-from invariant_sets.system_checks import check_set
+from invariant_sets.system_checks import as_set
 from invariant_sets.tolerances import FELT, GAP, MEMBERSHIP, NEIGHBOUR_MARGIN, TINY
 from invariant_sets.validation import as_batch, as_floats, as_matrix, as_vector, check_count, check_rng, check_tolerance
 
@@ -29,9 +29,9 @@ class ParametricSet:
     ----------
     matrices : callable
         p (np,) → (A, B) or (A, B, E), arrays (nx, nx), (nx, nu) and (nx, nw).
-    X, U : Polytope
-        State and input constraints.
-    W : Polytope, optional
+    X, U : Polytope, or bounds (lower, upper)
+        State and input constraints. Bounds are arrays of one number a coordinate, or numbers for a single one.
+    W : Polytope, or bounds (lower, upper), optional
         Disturbance set; the sets are then robust. E is the third matrix, or the identity.
     tol : float
         Passed to `maximal_control_invariant_set`, as are the next two.
@@ -72,8 +72,9 @@ class ParametricSet:
     def __post_init__(self) -> None:
         if not callable(self.matrices):
             raise InputError("matrices", type(self.matrices).__name__, "a callable p -> (A, B)")
-        for name, value in (("X", self.X), ("U", self.U), *((("W", self.W),) if self.W is not None else ())):
-            check_set(value, name, getattr(value, "dim", 0))
+        for name, value in (("X", self.X), ("U", self.U), ("W", self.W)):
+            if value is not None or name != "W":
+                object.__setattr__(self, name, as_set(value, name))
         self._options.limits()  # raises where one of them is no proper number
 
     def __repr__(self) -> str:

@@ -12,7 +12,7 @@ from invariant_sets.exceptions import EmptySetError, InputError, TimeLimitError,
 from invariant_sets.hulls import cone_volume, facets_and_vertices, hull_of_points, hull_volume
 from invariant_sets.interior_form import Body, body_of, body_of_vertices, support
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, check_time_limit
-from invariant_sets.tolerances import MEMBERSHIP, ROUNDING
+from invariant_sets.tolerances import MEMBERSHIP, ROUNDING, TINY
 from invariant_sets.validation import as_batch, as_matrix, as_vector, check_count, check_finite, check_tolerance, frozen
 
 Array = np.ndarray
@@ -180,7 +180,7 @@ class Polyhedron:
     @property
     def is_bounded(self) -> bool:
         """Whether the set fits into a box. The empty set is bounded."""
-        return self._body is None or self._body.bounded
+        return self._vertices is not None or self._body is None or self._body.bounded
 
     @property
     def affine_dim(self) -> int:
@@ -283,8 +283,26 @@ class Polyhedron:
 
     def _scales_along(self, other: Polyhedron) -> tuple[Array, Array]:
         """Return the range of each row of `other` over the bounding box of this set."""
-        extent = np.zeros(self.dim) if self._body is None else 2 * self._body.half_widths
-        return np.abs(other.A) @ extent, np.abs(other.A_eq) @ extent
+        return np.abs(other.A) @ self._widths, np.abs(other.A_eq) @ self._widths
+
+    @cached_property
+    def _widths(self) -> Array:
+        """The widths (n,) of the bounding box, by the vertices where they are known; 0 where it is flat."""
+        if self._vertices is not None and not len(self.b_eq):
+            lower = self._vertices.min(axis=0)
+            upper = self._vertices.max(axis=0)
+            if (upper - lower > ROUNDING * np.abs(lower + upper)).all():
+                return upper - lower
+        return np.zeros(self.dim) if self._body is None else 2 * self._body.half_widths
+
+    @cached_property
+    def _relative_rows(self) -> tuple[Array, Array]:
+        """All rows as inequalities, divided by their range over the bounding box of the set."""
+        scale, scale_eq = (np.where(ranges > 0.0, ranges, 1.0) for ranges in self._row_scales)
+        equalities = self.A_eq / scale_eq[:, None]
+        values = self.b_eq / scale_eq
+        rows = np.concatenate([self.A / scale[:, None], equalities, -equalities])
+        return frozen(rows), frozen(np.concatenate([self.b / scale, values, -values]))
 
     def bounding_box(self) -> tuple[Array, Array]:
         """Return the smallest box (lower, upper), each (n,), infinite where unbounded. Raises `EmptySetError`."""
@@ -321,8 +339,8 @@ def counter_clockwise(V: Array) -> Array:
     """Return points of the plane in the order of their angle about the mean; others as they are."""
     if V.shape[1] != 2 or len(V) < 3:
         return V
-    x = V - V.mean(axis=0)
-    x = x / np.maximum(np.abs(x).max(axis=0), np.finfo(float).tiny)
+    x = V - V.sum(axis=0) / len(V)
+    x = x / np.maximum(np.abs(x).max(axis=0), TINY)
     return V[np.argsort(np.arctan2(x[:, 1], x[:, 0]))]
 
 

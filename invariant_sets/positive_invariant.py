@@ -11,7 +11,7 @@ from invariant_sets.engine.invariance import Task, largest_invariant_set
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult
-from invariant_sets.system_checks import check_set, checked_disturbance, checked_state_matrix, disturbance_vertices
+from invariant_sets.system_checks import Set, as_set, checked_disturbance, checked_state_matrix, disturbance_vertices
 from invariant_sets.tolerances import GAP
 from invariant_sets.validation import as_matrix
 
@@ -19,7 +19,7 @@ Array = np.ndarray
 NO_INPUT = Polytope(np.zeros((0, 1)), np.zeros(0), np.ones((1, 1)), np.zeros(1))
 
 
-def maximal_positively_invariant_set(A: Any, X: Polytope, *, C: Any = None, E: Any = None, W: Polytope | None = None,
+def maximal_positively_invariant_set(A: Any, X: Set, *, C: Any = None, E: Any = None, W: Set | None = None,
                                      tol: float = GAP, max_iterations: int = 500,
                                      max_facets: int = 1000, time_limit: float | None = None) -> SetResult:
     """Return the largest set of states whose trajectories x⁺ = A x + E w keep C x in X for ever.
@@ -28,13 +28,13 @@ def maximal_positively_invariant_set(A: Any, X: Polytope, *, C: Any = None, E: A
     ----------
     A : (nx, nx) array
         State matrix, for example A + B K in closed loop.
-    X : Polytope
+    X : Polytope, or bounds (lower, upper)
         Constraints on the output y = C x; on the state if C is left out.
     C : (ny, nx) array, optional
         Output matrix. [I; K] with X × U gives the states from which u = K x respects all constraints.
     E : (nx, nw) array, optional
         Disturbance matrix; the identity if W is given without it.
-    W : Polytope, optional
+    W : Polytope, or bounds (lower, upper), optional
         Bounded disturbance set.
     tol : float
         Largest relative gap between `outer` and `set`.
@@ -66,12 +66,11 @@ def maximal_positively_invariant_set(A: Any, X: Polytope, *, C: Any = None, E: A
     """
     A = checked_state_matrix(A)
     if C is None:
-        check_set(X, "X", len(A))
+        X = as_set(X, "X", len(A))
     else:
         C = as_matrix(C, "C", columns=len(A))
-        check_set(X, "X", len(C))
-        X = X.preimage(C)
-    E = checked_disturbance(E, W, len(A))
+        X = as_set(X, "X", len(C)).preimage(C)
+    E, W = checked_disturbance(E, W, len(A))
     system = LinearSystem(A, np.zeros((len(A), 1)), disturbance_vertices(E, W))
     options = Options(tol, max_iterations, max_facets, time_limit)
     return largest_invariant_set(Task(system, X, NO_INPUT, options.limits()))

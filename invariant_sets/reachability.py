@@ -18,11 +18,10 @@ from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.steps import Step, backward_step, forward_step
 from invariant_sets.engine.trajectories import Trajectories, inner_hull
 from invariant_sets.exceptions import NumericalError
-from invariant_sets.operations import same_space
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
 from invariant_sets.results import Certificate, SetResult, Status, no_set
-from invariant_sets.system_checks import check_set, checked_state_matrix, checked_system, disturbance_vertices
+from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached, check_time_limit
 from invariant_sets.validation import check_count
 
@@ -31,21 +30,21 @@ _EXACT_SHARE = 0.8  # of the time limit for the exact recursion; the rest is for
 _GRACE = 0.3  # seconds after the limit in which an inner set may still be found
 
 
-def predecessor_set(A: Any, B: Any, S: Polytope, U: Polytope | None, *, X: Polytope | None = None, E: Any = None,
-                    W: Polytope | None = None, time_limit: float | None = None) -> SetResult:
+def predecessor_set(A: Any, B: Any, S: Set, U: Set | None, *, X: Set | None = None, E: Any = None,
+                    W: Set | None = None, time_limit: float | None = None) -> SetResult:
     """Return {x in X : some u in U has A x + B u + E w in S for all w in W}, the one-step predecessor of S.
 
     Parameters
     ----------
     A, B : (nx, nx) and (nx, nu) arrays
         Dynamics; B and U may both be None for a system without input.
-    S, U : Polytope
+    S, U : Polytope, or bounds (lower, upper)
         Target and input set.
-    X : Polytope, optional
+    X : Polytope, or bounds (lower, upper), optional
         State constraints; the whole space if left out.
     E : (nx, nw) array, optional
         Disturbance matrix; the identity if W is given without it.
-    W : Polytope, optional
+    W : Polytope, or bounds (lower, upper), optional
         Bounded disturbance set.
     time_limit : float, optional
         Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT.
@@ -61,26 +60,26 @@ def predecessor_set(A: Any, B: Any, S: Polytope, U: Polytope | None, *, X: Polyt
     certificate (every vertex, tolerance 1e-9) measures it.
     """
     A = checked_state_matrix(A)
-    check_set(S, "S", len(A))
+    S = as_set(S, "S", len(A))
     X = _whole_space(S) if X is None else X
     return controllable_set(A, B, X, U, S, 1, E=E, W=W, time_limit=time_limit)
 
 
-def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope | None, target: Polytope, steps: int, *, E: Any = None,
-                     W: Polytope | None = None, time_limit: float | None = None) -> SetResult:
+def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: int, *, E: Any = None,
+                     W: Set | None = None, time_limit: float | None = None) -> SetResult:
     """Return the states in X that inputs in U can steer into `target` in exactly `steps` steps, staying in X.
 
     Parameters
     ----------
     A, B : (nx, nx) and (nx, nu) arrays
         Dynamics; B and U may both be None for a system without input x⁺ = A x + B u + E w.
-    X, U, target : Polytope
+    X, U, target : Polytope, or bounds (lower, upper)
         State, input and target sets.
     steps : int
         Number of steps, >= 0.
     E : (nx, nw) array, optional
         Disturbance matrix; the identity if W is given without it.
-    W : Polytope, optional
+    W : Polytope, or bounds (lower, upper), optional
         Bounded disturbance set; the input may depend on the state, not on w.
     time_limit : float, optional
         Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT and
@@ -101,46 +100,46 @@ def controllable_set(A: Any, B: Any, X: Polytope, U: Polytope | None, target: Po
     Borrelli, Bemporad, Morari (2017), algorithm 10.3; robust: algorithm 10.5. Tolerance 1e-9 of the set's extent.
     """
     A, B, U = _with_inputs(A, B, U)
-    A, B, E = checked_system(A, B, X, U, E, W)
-    check_set(target, "target", len(A))
+    checked = checked_system(A, B, X, U, E, W)
+    goal = as_set(target, "target", len(checked.A))
     steps = check_count(steps, "steps")
     deadline = Deadline.after(check_time_limit(time_limit))
     if steps == 0:
-        return _exact(target.intersection(X).minimal(), 0, Certificate(0.0, 0.0, 0))
-    size = _units(X, target)
-    system = _in_units(LinearSystem(A, B, disturbance_vertices(E, W)), size)
-    X = _scaled(X, size)
-    target = _scaled(target, size)
+        return _exact(goal.intersection(checked.X).minimal(), 0, Certificate(0.0, 0.0, 0))
+    size = _units(checked.X, goal)
+    system = _in_units(checked.motion, size)
+    within = _scaled(checked.X, size)
+    goal = _scaled(goal, size)
 
     def step_back(S: Polytope, deadline: Deadline) -> Step:
         """Return one step backwards from S, checked."""
-        return backward_step(system, S, X, U, deadline)
+        return backward_step(system, S, within, checked.U, deadline)
 
-    progress = _repeat(step_back, target, steps, deadline.part(_EXACT_SHARE))
+    progress = _repeat(step_back, goal, steps, deadline.part(_EXACT_SHARE))
     if isinstance(progress, _Progress):
-        states = Trajectories(system.A, system.B, X, X, target, U, steps)
+        states = Trajectories(system.A, system.B, within, within, goal, checked.U, steps)
         inner = None if W is not None else inner_hull(states, 0, _last_part(deadline))
-        progress = _interrupted(inner, X, progress)
+        progress = _interrupted(inner, within, progress)
     return _in_given_units(progress, size)
 
 
-def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope | None, steps: int, *, X: Polytope | None = None,
-                  E: Any = None, W: Polytope | None = None, time_limit: float | None = None) -> SetResult:
+def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: Set | None = None,
+                  E: Any = None, W: Set | None = None, time_limit: float | None = None) -> SetResult:
     """Return the states that x⁺ = A x + B u + E w can reach from `start` in exactly `steps` steps.
 
     Parameters
     ----------
     A, B : (nx, nx) and (nx, nu) arrays
         Dynamics; B and U may both be None for a system without input.
-    start, U : Polytope
+    start, U : Polytope, or bounds (lower, upper)
         Initial and input sets.
     steps : int
         Number of steps, >= 0.
-    X : Polytope, optional
+    X : Polytope, or bounds (lower, upper), optional
         State constraints that hold after every step.
     E : (nx, nw) array, optional
         Disturbance matrix; the identity if W is given without it.
-    W : Polytope, optional
+    W : Polytope, or bounds (lower, upper), optional
         Bounded disturbance set; the disturbance may be any in W.
     time_limit : float, optional
         Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT and
@@ -162,30 +161,32 @@ def reachable_set(A: Any, B: Any, start: Polytope, U: Polytope | None, steps: in
     Borrelli, Bemporad, Morari (2017), section 10.1.1. Tolerance 1e-9 of the set's extent.
     """
     A, B, U = _with_inputs(A, B, U)
-    A, B, E = checked_system(A, B, start, U, E, W, state_set="start")
-    X = _whole_space(start) if X is None else same_space(start, X, "X")
+    checked = checked_system(A, B, start, U, E, W, state_set="start")
+    within = _whole_space(checked.X) if X is None else as_set(X, "X", len(checked.A))
     steps = check_count(steps, "steps")
     deadline = Deadline.after(check_time_limit(time_limit))
-    first = start.intersection(X).minimal()
-    if steps == 0 or first.is_empty or U.is_empty:
-        return no_set(len(A), 0) if U.is_empty else _exact(first, 0, Certificate(0.0, 0.0, 0))
+    first = checked.X.intersection(within).minimal()
+    if checked.U.is_empty:
+        return no_set(len(checked.A), 0)
+    if steps == 0 or first.is_empty:
+        return _exact(first, 0, Certificate(0.0, 0.0, 0))
 
-    size = _units(first, X)
-    system = _in_units(LinearSystem(A, B, disturbance_vertices(E, W)), size)
+    size = _units(first, within)
+    system = _in_units(checked.motion, size)
     first = _scaled(first, size)
-    X = _scaled(X, size)
+    within = _scaled(within, size)
 
     def step_ahead(R: Polytope, deadline: Deadline) -> Step:
         """Return one step forwards from R, cut by X and checked."""
-        moves = U.affine_map(system.B)
+        moves = checked.U.affine_map(system.B)
         if system.disturbances is not None:
             moves = moves.minkowski_sum(Polytope.from_vertices(system.disturbances))
-        return _within(forward_step(system, R, moves, deadline), X)
+        return _within(forward_step(system, R, moves, deadline), within)
 
     progress = _repeat(step_ahead, first, steps, deadline.part(_EXACT_SHARE))
     if isinstance(progress, _Progress):
-        states = Trajectories(system.A, system.B, first, X, X, U, steps)
-        progress = _interrupted(inner_hull(states, steps, _last_part(deadline)), X, progress)
+        states = Trajectories(system.A, system.B, first, within, within, checked.U, steps)
+        progress = _interrupted(inner_hull(states, steps, _last_part(deadline)), within, progress)
     return _in_given_units(progress, size)
 
 

@@ -1,16 +1,36 @@
-"""The checks that every function of a linear system and its sets shares."""
+"""The checks that every function of a linear system and its sets shares; sets may be given by their bounds."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
-from invariant_sets.validation import as_matrix
+from invariant_sets.validation import as_floats, as_matrix, brief
 
 Array = np.ndarray
+Set = Polytope | tuple[Any, Any]  # a polytope, or bounds (lower, upper): numbers, or one number a coordinate
+
+
+@dataclass(frozen=True)
+class CheckedSystem:
+    """A, B and E as arrays, with their sets as polytopes; E and W are None without a disturbance."""
+
+    A: Array
+    B: Array
+    X: Polytope
+    U: Polytope
+    E: Array | None
+    W: Polytope | None
+
+    @property
+    def motion(self) -> LinearSystem:
+        """x⁺ = A x + B u + w with w in the hull of the vertices of E W."""
+        return LinearSystem(self.A, self.B, disturbance_vertices(self.E, self.W))
 
 
 def checked_state_matrix(A: Any) -> Array:
@@ -29,27 +49,26 @@ def checked_input_matrix(B: Any, nx: int) -> Array:
     return B
 
 
-def checked_disturbance(E: Any, W: Any, nx: int) -> Array | None:
-    """Return E (nx, nw), the identity if only W is given, None if neither is; or raise `InputError`."""
+def checked_disturbance(E: Any, W: Any, nx: int) -> tuple[Array, Polytope] | tuple[None, None]:
+    """Return E (nx, nw), the identity if only W is given, and W; None and None if neither is; or raise `InputError`."""
     if W is None:
         if E is not None:
             raise InputError("E", "a matrix without W", "both or neither", "Give the disturbance set W too.")
-        return None
+        return None, None
     E = np.eye(nx) if E is None else as_matrix(E, "E", rows=nx)
-    check_set(W, "W", E.shape[1])
+    W = as_set(W, "W", E.shape[1])
     if W.is_empty or not W.is_bounded:
         raise InputError("W", "an empty set" if W.is_empty else "an unbounded set", "a bounded, nonempty set")
-    return E
+    return E, W
 
 
-def checked_system(A: Any, B: Any, X: Any, U: Any, E: Any, W: Any, *,
-                   state_set: str = "X") -> tuple[Array, Array, Array | None]:
-    """Return A, B and E as arrays, or raise `InputError` where shapes, types or numbers do not fit."""
+def checked_system(A: Any, B: Any, X: Any, U: Any, E: Any, W: Any, *, state_set: str = "X") -> CheckedSystem:
+    """Return the system and its sets, or raise `InputError` where shapes, types or numbers do not fit."""
     A = checked_state_matrix(A)
     B = checked_input_matrix(B, len(A))
-    check_set(X, state_set, len(A))
-    check_set(U, "U", B.shape[1])
-    return A, B, checked_disturbance(E, W, len(A))
+    X = as_set(X, state_set, len(A))
+    U = as_set(U, "U", B.shape[1])
+    return CheckedSystem(A, B, X, U, *checked_disturbance(E, W, len(A)))
 
 
 def disturbance_vertices(E: Array | None, W: Polytope | None) -> Array | None:
@@ -57,9 +76,31 @@ def disturbance_vertices(E: Array | None, W: Polytope | None) -> Array | None:
     return None if E is None or W is None else W.vertices @ E.T
 
 
-def check_set(value: Any, name: str, dim: int) -> None:
-    """Raise `InputError` unless `value` is a `Polytope` of dimension `dim`."""
+def as_set(value: Any, name: str, dim: int | None = None) -> Polytope:
+    """Return `value` as a `Polytope` of dimension `dim` (any if None), or raise `InputError`.
+
+    Bounds (lower, upper), each a number or one number a coordinate, become a box. Two numbers hold for every
+    coordinate, and for a single one where `dim` is None.
+    """
+    if isinstance(value, (tuple, list)) and len(value) == 2:
+        return _box(value, name, dim)
     if not isinstance(value, Polytope):
-        raise InputError(name, type(value).__name__, "a Polytope")
-    if value.dim != dim:
+        got = brief(value) if isinstance(value, (tuple, list, int, float)) else type(value).__name__
+        raise InputError(name, got, "a Polytope or bounds (lower, upper)")
+    if dim is not None and value.dim != dim:
         raise InputError(name, f"a set of dimension {value.dim}", f"dimension {dim}")
+    return value
+
+
+def _box(value: Any, name: str, dim: int | None) -> Polytope:
+    """Return the box of two bounds; errors name the set and the side."""
+    sides = [as_floats(side, f"{name}[{i}]") for i, side in enumerate(value)]
+    n = max(side.size for side in sides) if dim is None else dim
+    for i, side in enumerate(sides):
+        if side.ndim > 1 or side.size not in (1, n):
+            raise InputError(f"{name}[{i}]", f"shape {side.shape}", f"a number or {n} numbers" if n > 1 else "a number")
+    try:
+        return Polytope.from_bounds(*(np.broadcast_to(side, (n,)) for side in sides))
+    except InputError as error:
+        which = 0 if error.argument == "lower" else 1
+        raise InputError(f"{name}[{which}]", error.got, error.expected, error.cure) from None

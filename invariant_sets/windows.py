@@ -7,6 +7,7 @@ while the set reaches its edges. A row that cannot reach the window has no influ
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -58,6 +59,28 @@ class Window:
         full[self.near] = self.ball.dual
         return full
 
+    @cached_property
+    def pinched(self) -> tuple[float, Array]:
+        """How much room the rows that hold the ball leave, and in which coordinates they do not close.
+
+        With multipliers λ >= 0 and Fᵀλ = 0 every point has λᵀg >= 0: a negative λᵀg proves that the set is empty
+        (Farkas), and a zero one that the rows hold with equality. The room is zero where rounding decides.
+        """
+        dual = self.ball.dual
+        F = self.F[self.near]
+        level = float(dual @ self.g[self.near])
+        doubt = float(dual @ self.error[self.near])
+        residual = np.abs(dual @ F) > CLOSED * (dual @ np.abs(F))
+        return (0.0 if abs(level) <= doubt else level), residual
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether the set is thinner than `FLAT` of the window, or than the rounding of the rows that hold it."""
+        if self.ball.radius <= FLAT:
+            return True
+        level, residual = self.pinched
+        return bool(level == 0 and self.ball.dual.any() and not residual.any())
+
 
 def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -> Window | None:
     """Return the window in which the extents of the set are one; None if the set is empty.
@@ -65,18 +88,20 @@ def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -
     The window ends where the set is solid and has the right size, or is flat: then `ball.radius` <= `FLAT`, and no
     closer look would change that.
     """
-    k, basis = basis.shape[1], _FIRST * basis
-    unbounded, settled, resized = np.zeros(k, bool), False, 0
+    k = basis.shape[1]
+    basis = _FIRST * basis
+    unbounded = np.zeros(k, bool)
+    settled = False
+    resized = 0
     for _ in range(_STEPS):
         window = _window(A, b, centre, basis, unbounded, cancelled)
         if window is None or k == 0:
             return window
         radius = window.ball.radius
-        flat = is_flat(window)
-        if settled and not flat:
+        if settled and not window.is_flat:
             return window
-        if flat:
-            level, residual = pinched(window)
+        if window.is_flat:
+            level, residual = window.pinched
             if level < 0 and radius < -(FLAT if settled else THIN) and not residual.any():
                 beyond, _ = _ends(window, unbounded)[2:]
                 if not beyond.any():
@@ -96,58 +121,49 @@ def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -
         right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < UNLIKE or resized > 3
         resized += 1 if unbounded.any() else 0
         settled = bool((half[~unbounded] >= SETTLED).all()) and right_size
-        centre, basis = centre + basis @ middle, basis * half
+        centre = centre + basis @ middle
+        basis = basis * half
     return window
 
 
 def _window(A: Array, b: Array, centre: Array, basis: Array, unbounded: Array, cancelled: float) -> Window | None:
     """Return what is seen in the coordinates given; None if a row that is parallel to the hull excludes all of it."""
-    F, g = A @ basis, b - A @ centre
-    error = ROUNDING * (np.abs(b) + np.abs(A) @ np.abs(centre))
+    F = A @ basis
+    g = b - A @ centre
+    slope = np.abs(A)
+    error = ROUNDING * (np.abs(b) + slope @ np.abs(centre))
+    index = np.arange(len(b))
     if basis.shape[1] < basis.shape[0]:
-        terms = np.abs(A) @ np.abs(basis)
-        F = np.where(np.abs(F) > cancelled * terms, F, 0.0)
+        terms = slope @ np.abs(basis)
+        F[np.abs(F) <= cancelled * terms] = 0.0
         parallel = ~F.any(axis=1)
-        if (g[parallel] < -error[parallel] - 100 * cancelled * terms[parallel].sum(axis=1)).any():
-            return None
-    else:
-        parallel = np.zeros(len(b), bool)
-    index = np.flatnonzero(~parallel)
-    size = np.abs(F[index]).max(axis=1, initial=0.0)
-    F = F[index] / size[:, None]
-    norms = np.linalg.norm(F, axis=1)
-    F, g, error = F / norms[:, None], g[index] / size / norms, error[index] / size / norms
-    near = np.flatnonzero(g <= _HALF * np.abs(F).sum(axis=1))
+        if parallel.any():
+            if (g[parallel] < -error[parallel] - 100 * cancelled * terms[parallel].sum(axis=1)).any():
+                return None
+            index = (~parallel).nonzero()[0]
+            F = F[index]
+            g = g[index]
+            error = error[index]
+    size = np.abs(F).max(axis=1, initial=0.0)
+    F = F / size[:, None]
+    norms = np.sqrt((F * F).sum(axis=1))
+    F = F / norms[:, None]
+    g = g / size / norms
+    error = error / size / norms
+    near = (g <= _HALF * np.abs(F).sum(axis=1)).nonzero()[0]
     ball = Ball(1.0, np.zeros(F.shape[1]), np.zeros(len(near)))
     if len(near):
         ball = largest_ball(F[near], g[near], 1.0, box=_HALF)
     return Window(centre, basis, F, g, error, index, near, ball, unbounded)
 
 
-def pinched(window: Window) -> tuple[float, Array]:
-    """Return how much room the rows that hold the ball leave, and in which coordinates they do not close.
-
-    With multipliers λ >= 0 and Fᵀλ = 0 every point has λᵀg >= 0: a negative λᵀg proves that the set is empty (Farkas),
-    and a zero one that the rows hold with equality. Zero is returned where rounding decides.
-    """
-    dual = window.multipliers
-    level, doubt = float(dual @ window.g), float(dual @ window.error)
-    terms = dual @ np.abs(window.F)
-    residual = np.abs(dual @ window.F) > CLOSED * terms
-    return (0.0 if abs(level) <= doubt else level), residual
-
-
-def is_flat(window: Window) -> bool:
-    """Return whether the set is thinner than `FLAT` of the window, or than the rounding of the rows that hold it."""
-    level, residual = pinched(window)
-    return window.ball.radius <= FLAT or bool(level == 0 and window.ball.dual.any() and not residual.any())
-
-
 def _extents(window: Window) -> tuple[Array, Array]:
     """Return the lower and upper ends (k,) of what is seen of the set, at most `_HALF`."""
     k = window.F.shape[1]
-    F, g = window.F[window.near], window.g[window.near] + 1.01 * max(-window.ball.radius, 0.0)
-    ends = maximise_in_box(np.vstack([np.eye(k), -np.eye(k)]), F, g, _HALF)
+    F = window.F[window.near]
+    g = window.g[window.near] + 1.01 * max(-window.ball.radius, 0.0)
+    eye = np.eye(k)
+    ends = maximise_in_box(np.concatenate([eye, -eye]), F, g, _HALF)
     return -ends[k:], ends[:k]
 
 
@@ -177,7 +193,8 @@ def _frame(window: Window, lower: Array, upper: Array, unbounded: Array) -> tupl
 
     A coordinate without an end gets the smallest length at which a row feels it as much as the other coordinates.
     """
-    middle, half = (lower + upper) / 2, np.maximum((upper - lower) / 2, CLOSER)
+    middle = (lower + upper) / 2
+    half = np.maximum((upper - lower) / 2, CLOSER)
     if not unbounded.any():
         return middle, half
     ends = np.where(lower > -0.99 * _HALF, lower, np.where(upper < 0.99 * _HALF, upper, window.ball.centre))
@@ -193,13 +210,14 @@ def _frame(window: Window, lower: Array, upper: Array, unbounded: Array) -> tupl
 
 def half_widths(window: Window) -> Array:
     """Return half the width (n,) of the set in every coordinate of x; 0 in those in which it is flat."""
-    basis, k = window.basis, window.basis.shape[1]
+    basis = window.basis
+    k = basis.shape[1]
     reach = np.abs(basis).sum(axis=1)
     if k < len(basis) and k > 0 and len(window.near):
         mixed = np.count_nonzero(basis, axis=1) > 1
         D = basis[mixed] / reach[mixed, None]
         g = window.g[window.near] + 1.01 * max(-window.ball.radius, 0.0)
-        ends = maximise_in_box(np.vstack([D, -D]), window.F[window.near], g, _HALF)
+        ends = maximise_in_box(np.concatenate([D, -D]), window.F[window.near], g, _HALF)
         reach[mixed] *= np.maximum((ends[:len(D)] + ends[len(D):]) / 2, FLAT)
     return np.where(reach > ROUNDING * np.abs(window.centre), reach, 0.0)
 

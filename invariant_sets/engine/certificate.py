@@ -99,8 +99,12 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     nu = H.shape[1]
     if nu > 1:  # nearly parallel inputs: their difference becomes an input of its own
         turn = np.linalg.svd(slope, full_matrices=True)[2].T
-        slope, H = slope @ turn, H @ turn
-    rows = np.ascontiguousarray(np.block([[slope, -np.ones((len(slope), 1))], [H, np.zeros((len(H), 1))]]))
+        slope = slope @ turn
+        H = H @ turn
+    rows = np.zeros((len(slope) + len(H), nu + 1))
+    rows[:len(slope), :nu] = slope
+    rows[:len(slope), nu] = -1.0
+    rows[len(slope):, :nu] = H
     cost = np.zeros(nu + 1)
     cost[nu] = 1.0
     witnesses = _middle_inputs(slope[:, 0], room, (H, h)) if nu == 1 else np.full((len(room), nu), np.inf)
@@ -171,7 +175,7 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feed
     closed = system.A + system.B @ law.gain
     shift = system.B @ (law.centre - law.gain @ law.equilibrium)
     F, g = tightened_rows(C, system.disturbances)
-    H, h = relative_rows(U)
+    H, h = U._relative_rows
     rows = np.vstack([F @ closed, H @ law.gain])
     right = np.append(g - F @ shift, h - H @ (law.centre - law.gain @ law.equilibrium))
     worst = -np.inf
@@ -186,13 +190,16 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
 
     Without `by_vertices`, by linear programs: for a set in so many dimensions that vertices take too long.
     """
-    F, g = np.vstack([X.A, X.A_eq, -X.A_eq]), np.concatenate([X.b, X.b_eq, -X.b_eq])
+    F = np.concatenate([X.A, X.A_eq, -X.A_eq])
+    g = np.concatenate([X.b, X.b_eq, -X.b_eq])
     if not len(g):
         return 0.0
     if by_vertices and C.is_bounded:
-        beyond, extent = (F @ C.vertices.T).max(axis=1) - g, np.ptp(C.vertices, axis=0)
+        beyond = (F @ C.vertices.T).max(axis=1) - g
+        extent = np.ptp(C.vertices, axis=0)
     else:
-        beyond, extent = C.support(F) - g, 2 * np.linalg.norm(C._body.basis, axis=1)  # type: ignore[union-attr]
+        beyond = C.support(F) - g
+        extent = 2 * np.linalg.norm(C._body.basis, axis=1)  # type: ignore[union-attr]
     scale = np.abs(F) @ np.maximum(extent, FLAT_WIDTH * extent.max(initial=0.0))
     return float((beyond / np.where(scale > 0.0, scale, 1.0)).max())
 
@@ -203,19 +210,24 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     For every row f of C one linear program: max fᵀx over x in X and u in U with A x + B u + w in C for all w. A set
     that has collapsed, or was cut too far, shows here.
     """
-    state, inputs = X._body, U._body
+    state = X._body
+    inputs = U._body
     assert state is not None
     assert inputs is not None
-    F, g = relative_rows(C)
-    T, t = (F, g) if system.disturbances is None else tightened_rows(C, system.disturbances)
-    N, M = state.basis, inputs.basis
-    k, q = N.shape[1], M.shape[1]
-    rows = np.block([
-        [state.F, np.zeros((len(state.g), q))], [np.zeros((len(inputs.g), k)), inputs.F],
-        [T @ system.A @ N, T @ system.B @ M]])
+    F, g = C._relative_rows
+    T, t = tightened_rows(C, system.disturbances)
+    k = state.basis.shape[1]
+    m = len(state.g)
+    rows = np.zeros((m + len(inputs.g) + len(t), k + inputs.basis.shape[1]))
+    rows[:m, :k] = state.F
+    rows[m:m + len(inputs.g), k:] = inputs.F
+    rows[m + len(inputs.g):, :k] = T @ system.A @ state.basis
+    rows[m + len(inputs.g):, k:] = T @ system.B @ inputs.basis
     drift = system.A @ state.centre + system.B @ inputs.centre
     rows, right = unit(rows, np.concatenate([state.g, inputs.g, t - T @ drift]))
-    costs, level = np.hstack([-F @ N, np.zeros((len(F), q))]), F @ state.centre - g
+    costs = np.zeros((len(F), rows.shape[1]))
+    costs[:, :k] = -F @ state.basis
+    level = F @ state.centre - g
     size = np.linalg.norm(costs, axis=1)
     moving = np.flatnonzero(size > 0.0)
     beyond = level.copy()
@@ -224,22 +236,24 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
         part = moving[i:i + _EVERY]
         beyond[part] += size[part] * _upper_bounds(costs[part] / size[part, None], rows, right)
     worst = -np.inf
-    for k in np.argsort(-beyond):
-        if beyond[k] <= worst:
+    for row in np.argsort(-beyond):
+        if beyond[row] <= worst:
             break
-        if beyond[k] > MISSING and size[k] > 0.0:  # the multipliers may give too large a bound
-            beyond[k] = min(beyond[k], size[k] * -minimise(costs[k] / size[k], rows, right)[0] + level[k])
-        worst = max(worst, float(beyond[k]))
+        if beyond[row] > MISSING and size[row] > 0.0:  # the multipliers may give too large a bound
+            beyond[row] = min(beyond[row], size[row] * -minimise(costs[row] / size[row], rows, right)[0] + level[row])
+        worst = max(worst, float(beyond[row]))
     return worst
 
 
 def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
     """Return max −costᵀz over the rows for every cost, or a value above it: that of the multipliers DAQP stops at."""
-    dual, solved = np.zeros((len(costs), len(right))), np.zeros(len(costs), bool)
+    dual = np.zeros((len(costs), len(right)))
+    solved = np.zeros(len(costs), bool)
     for i, cost in enumerate(costs):
         _, _, flag, info = daqp.solve(None, cost, rows, right, eta_prox=LP_PROXIMAL)
         if flag == 1:
-            dual[i], solved[i] = info["lam"], True
+            dual[i] = info["lam"]
+            solved[i] = True
     dual = np.maximum(dual, 0.0)
     bounds = dual @ right
     for row in np.flatnonzero(~(solved & (np.abs(costs + dual @ rows).max(axis=1) <= DUAL_RESIDUAL))):
@@ -247,17 +261,9 @@ def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
     return bounds
 
 
-def relative_rows(C: Polytope) -> Rows:
-    """Return all rows of C as inequalities, divided by their range over the bounding box of C."""
-    scale, scale_eq = C._row_scales
-    scale, scale_eq = np.where(scale > 0.0, scale, 1.0), np.where(scale_eq > 0.0, scale_eq, 1.0)
-    F = np.vstack([C.A / scale[:, None], C.A_eq / scale_eq[:, None], -C.A_eq / scale_eq[:, None]])
-    return F, np.concatenate([C.b / scale, C.b_eq / scale_eq, -C.b_eq / scale_eq])
-
-
 def tightened_rows(C: Polytope, disturbances: Array | None) -> Rows:
     """Return the relative rows of C ⊖ E W."""
-    F, g = relative_rows(C)
+    F, g = C._relative_rows
     return F, g if disturbances is None or not len(g) else g - (F @ disturbances.T).max(axis=1)
 
 

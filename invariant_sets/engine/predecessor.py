@@ -39,7 +39,8 @@ def predecessor_rows(target: Rows, A: Array, B: Array, joint: Rows, *, fresh: Ar
     Assumes coordinates of order one (scale by the bounding boxes first). Redundant rows are removed between
     the inputs, not after the last one. A set without points gives the row 0 x <= −1.
     """
-    (F, g), (H, h) = target, joint
+    F, g = target
+    H, h = joint
     nu = B.shape[1]
     R = np.vstack([np.hstack([F @ A, F @ B]), H])
     r = np.append(g, h)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invariant_sets.engine.certificate import control_violation, precise_minimiser, relative_rows
+from invariant_sets.engine.certificate import control_violation, precise_minimiser
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
@@ -114,7 +114,7 @@ def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> flo
     """Return by how much the lifted set reaches beyond a facet of P, relative to the range of the facet over P."""
     body = lifted._body
     assert body is not None
-    F, g = relative_rows(P)
+    F, g = P._relative_rows
     worst = 0.0
     for i, f in enumerate(F):
         if i % _EVERY == 0:
@@ -138,7 +138,7 @@ def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: D
     image = R.affine_map(system.A).minkowski_sum(moves).minimal()
     if image.is_empty or not len(image.b) + len(image.b_eq):
         return Step(image, 0.0, 0.0, 0)
-    F, g = relative_rows(image)
+    F, g = image._relative_rows
     exact = R.support(F @ system.A) + moves.support(F)
     missing = float((exact - g).max())
     violation = float((g - exact).max())

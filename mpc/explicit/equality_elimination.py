@@ -32,7 +32,9 @@ class ImpliedEqualities(NamedTuple):
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
     """Pairs of rows of M that are opposite, with opposite bounds, judged in scaled coordinates."""
     first, second = np.nonzero(qp.gram < ZERO_ROW - 1)
-    first, second = first[first < second], second[first < second]
+    once = first < second
+    first = first[once]
+    second = second[once]
     size = np.maximum(1.0, np.maximum(np.abs(qp.D[first]), np.abs(qp.D[second])).max(axis=1, initial=0.0))
     apart = np.abs(qp.D[first] + qp.D[second]).max(axis=1, initial=0.0) / size
     close = (apart < EQUALITY) & (np.abs(qp.M[first] + qp.M[second]).max(axis=1, initial=0.0) < EQUALITY)

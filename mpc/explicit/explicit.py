@@ -105,7 +105,8 @@ class ExplicitMPC:
             raise InputError("partition", type(partition).__name__, "the Partition that solve_mpqp returns")
         if not len(partition):
             raise InfeasibleError(f"the partition has no region: {MPQPStatus.INFEASIBLE.advice}")
-        problem, nu = partition.problem, partition.problem.nu
+        problem = partition.problem
+        nu = problem.nu
         law = problem.Lz[:nu] @ partition.law
         law[:, :, :-1] += problem.Lt[:nu]
         law[:, :, -1] += problem.l[:nu]
@@ -198,7 +199,8 @@ class ExplicitMPC:
         """Optimal cost (n,) or (), infinite outside the partition."""
         points, single = self._points(theta)
         region, outside = find(self.tree, self.partition, points)
-        p, law = self.partition.problem, self.partition.law[region]
+        p = self.partition.problem
+        law = self.partition.law[region]
         with np.errstate(over="ignore", invalid="ignore"):  # parameters far outside
             z = np.einsum("nij,nj->ni", law[:, :, :-1], points) + law[:, :, -1]
             free = np.sum(points @ p.Y * points, axis=1) / 2 + points @ p.y + p.c
@@ -265,7 +267,8 @@ def as_path(name: str, value: Any) -> Path:
 def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:
     """Parameters of interest where none are named: X, or X × U when the last input is a parameter."""
     names = [name for name, _ in problem.parameters]
-    (HX, hX), (HU, hU) = mpc.state_rows, mpc.input_rows
+    HX, hX = mpc.state_rows
+    HU, hU = mpc.input_rows
     if mpc.X is None or set(names) - {"x", "u_prev"} or ("u_prev" in names and not len(hU)):
         raise InputError("theta_set", "None", f"a bounded Polytope of the parameters {names}")
     if names == ["x"]:

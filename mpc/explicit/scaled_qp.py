@@ -200,7 +200,9 @@ def _unit_of(D: Array) -> float:
 def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
     """Rows that remain when of equal normals in v and t only the tightest is kept."""
     first, second = np.nonzero(gram > 1 - DUPLICATE)
-    first, second = first[first < second], second[first < second]
+    once = first < second
+    first = first[once]
+    second = second[once]
     size = np.maximum(1.0, np.abs(D[first, :-1]).max(axis=1, initial=0.0))
     apart = np.abs(D[first, :-1] - D[second, :-1]).max(axis=1, initial=0.0) / size
     close = (apart < DUPLICATE) & (np.abs(M[first] - M[second]).max(axis=1, initial=0.0) < DUPLICATE)

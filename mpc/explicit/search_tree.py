@@ -297,7 +297,8 @@ def _roomier(growth: Any) -> Any:
     """The same growth with more room; regions of nodes already looked at are let go."""
     from mpc.explicit.kernels.growth import NEXT, POOL
 
-    node, filled = growth.counts[NEXT], growth.counts[POOL]
+    node = growth.counts[NEXT]
+    filled = growth.counts[POOL]
     begin = growth.first[node]
     more = growth._asdict()
     for name in ("nodes", "parents", "first", "last", "leaf"):

@@ -1,0 +1,192 @@
+"""Optima of small dense linear programs: proposed by DAQP, then HiGHS, then rationals, and checked here.
+
+A solver only proposes an active set. Point and multipliers are recomputed from it, and an optimum counts once primal
+feasibility, dual feasibility and complementarity hold.
+
+DAQP reads raw memory, so every array handed to it is a C-contiguous float64 array.
+
+References
+----------
+Arnström, Bemporad, Axehill (2022), A dual active-set solver for embedded quadratic programming using
+recursive LDLᵀ updates, IEEE Trans. Automatic Control 67(8).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import daqp
+import numpy as np
+
+from invariant_sets.exact_programs import exact_optimum
+from invariant_sets.tolerances import ACTIVE, LP_COARSE, LP_PROXIMAL, LP_RESIDUAL, LP_ROUNDING, LP_SOLVER, UNEVEN
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A checked minimiser of cᵀx over A x <= b.
+
+    Attributes
+    ----------
+    value : float
+        cᵀx.
+    x : (n,) array
+        Minimiser.
+    dual : (m,) array
+        Multipliers, >= 0, with c + Aᵀ dual = 0.
+    residual : float
+        Largest violation of the optimality conditions, what rounding of large data explains taken off.
+    exact : bool
+        Whether it is at most `LP_ROUNDING` without that.
+    """
+
+    value: float
+    x: Array
+    dual: Array
+    residual: float
+    exact: bool = False
+
+
+def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) -> tuple[Array, Array]:
+    """Return the least values (k,) that DAQP finds, and which of them (k,) are right.
+
+    They are recomputed from their active rows and right to `LP_ROUNDING`; if `coarse`, as found, to `LP_RESIDUAL`.
+    """
+    X = np.zeros(costs.shape)
+    dual = np.zeros((len(costs), len(b)))
+    solved = np.zeros(len(costs), bool)
+    for i, c in enumerate(costs):
+        x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_PROXIMAL)
+        if flag == 1:
+            X[i] = x
+            dual[i] = info["lam"]
+            solved[i] = True
+    if not coarse:
+        solved &= _at_corners(A, b, X, dual)
+    values = (costs * X).sum(axis=1)
+    slope = np.abs(costs + dual @ A)
+    wrong = np.array([(X @ A.T - b).max(axis=1), -dual.min(axis=1), slope.max(axis=1), (slope * np.abs(X)).sum(axis=1),
+                      np.abs(values + dual @ b)])
+    return values, solved & (wrong <= (LP_RESIDUAL if coarse else LP_ROUNDING)).all(axis=0)
+
+
+def _at_corners(A: Array, b: Array, X: Array, dual: Array) -> Array:
+    """Move the points X (k, n) to the corners of their active rows; return which of them (k,) have one."""
+    n = X.shape[1]
+    active = dual > 0.0
+    corners = np.count_nonzero(active, axis=1) == n
+    rows = np.nonzero(active[corners])[1].reshape(-1, n)
+    try:
+        X[corners] = np.linalg.solve(A[rows], b[rows][:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        return np.zeros(len(X), bool)
+    return corners
+
+
+def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
+    """Return the optimum that DAQP finds if it is exact as it is; None if not."""
+    columns = np.abs(A).max(axis=0)
+    if 0 < columns.min() < UNEVEN:
+        return None
+    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_PROXIMAL)
+    optimum = _measured(c, A, b, x, info["lam"]) if flag == 1 else None
+    return optimum if optimum is not None and optimum.exact else None
+
+
+def checked_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
+    """Return a checked optimum, proposed by DAQP or else by HiGHS, or an exact one; None if there is none."""
+    columns = np.abs(A).max(axis=0)
+    if columns.min() >= UNEVEN or columns.min() == 0:
+        return _best(c, A, b) or _exact(c, A, b)
+    size = np.abs(c / columns).max()  # solved in variables that matter alike
+    optimum = _best(np.ascontiguousarray(c / columns / size), np.ascontiguousarray(A / columns), b)
+    if optimum is None:
+        return _exact(c, A, b)
+    return Optimum(optimum.value * size, optimum.x / columns, optimum.dual * size, optimum.residual)
+
+
+def _exact(c: Array, A: Array, b: Array) -> Optimum | None:
+    """Return the optimum in rational arithmetic; rows that miss each other by rounding are allowed to. None if none."""
+    for rounding in (0.0, LP_ROUNDING, LP_SOLVER):
+        answer = exact_optimum(c, A, b + rounding * (np.abs(b) + 1.0))
+        if answer is not None:
+            return Optimum(*answer, residual=rounding)
+    return None
+
+
+def _best(c: Array, A: Array, b: Array) -> Optimum | None:
+    """Return the first proposed optimum within `LP_RESIDUAL`, or the best one within `LP_COARSE`."""
+    coarse = []
+    for propose in (from_daqp, _from_highs, partial(_from_highs, method="highs-ipm")):
+        optimum = propose(c, A, b)
+        if optimum is not None and optimum.residual <= LP_RESIDUAL:
+            return optimum
+        if optimum is not None and optimum.residual <= LP_COARSE:
+            coarse.append(optimum)
+    return min(coarse, key=lambda optimum: optimum.residual, default=None)
+
+
+def from_daqp(c: Array, A: Array, b: Array) -> Optimum | None:
+    """Return the optimum that DAQP proposes, recomputed; None if it proposes none."""
+    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_PROXIMAL)
+    return _recomputed(c, A, b, x, info["lam"]) if flag == 1 else None
+
+
+def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optimum | None:
+    """Return the optimum that HiGHS proposes, recomputed; None if it proposes none."""
+    from scipy.optimize import linprog
+
+    answer = linprog(c, A_ub=A, b_ub=b, bounds=(None, None), method=method,
+                     options={"primal_feasibility_tolerance": LP_SOLVER, "dual_feasibility_tolerance": LP_SOLVER})
+    if answer.status != 0:
+        return None
+    return _recomputed(c, A, b, np.asarray(answer.x), -np.asarray(answer.ineqlin.marginals))
+
+
+def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
+    """Return the better of the optimum proposed and those in which its active rows hold with equality."""
+    best = None
+    for least in (0.0, ACTIVE * dual.max(initial=0.0)):
+        exact = _at_active_rows(c, A, b, x, np.flatnonzero(dual > least))
+        if exact is not None and exact.residual <= LP_ROUNDING:
+            return exact
+        best = exact if best is None or (exact is not None and exact.residual < best.residual) else best
+    proposed = _measured(c, A, b, x, dual)
+    return proposed if best is None or proposed.residual < best.residual else best
+
+
+def _at_active_rows(c: Array, A: Array, b: Array, x: Array, active: Array) -> Optimum | None:
+    """Return point and multipliers with which the `active` rows hold with equality, None if they are dependent."""
+    rows = A[active]
+    if len(active) == len(c):
+        try:
+            exact = np.linalg.solve(rows, b[active])
+            multipliers = np.linalg.solve(rows.T, -c)
+        except np.linalg.LinAlgError:
+            return None
+    else:
+        exact = x + np.linalg.lstsq(rows, b[active] - rows @ x, rcond=None)[0]
+        multipliers = np.linalg.lstsq(rows.T, -c, rcond=None)[0]
+    dual = np.zeros(len(b))
+    dual[active] = multipliers
+    return _measured(c, A, b, exact, dual)
+
+
+def _measured(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
+    """Return the point and its multipliers with the largest violation of the optimality conditions."""
+    value = float(c @ x)
+    excess = A @ x - b
+    slope = np.abs(c + dual @ A)
+    gap = abs(value + float(b @ dual))
+    size = np.abs(x)
+    skewed = max(-float(dual.min()), float(slope.max()), float(slope @ size))
+    worst = max(0.0, float(excess.max()), gap, skewed)
+    exact = worst <= LP_ROUNDING
+    if not exact:  # not for small data, so allow for the rounding of large ones
+        excess -= LP_ROUNDING * (np.abs(A) @ size + np.abs(b))
+        gap -= LP_ROUNDING * float(np.abs(c) @ size + np.abs(b) @ np.abs(dual))
+        worst = max(0.0, float(excess.max()), gap, skewed)
+    return Optimum(value, x, np.maximum(dual, 0.0), worst, exact)
