@@ -315,13 +315,14 @@ def _without_cancelled(points: Array, V: Array, M: Array, c: Array) -> Array:
 
 
 def _pulled_back(A: Array, b: Array, M: Array, c: Array) -> tuple[Array, Array]:
-    """Return the rows A (M x + c) <= b on x, with what has cancelled set to zero."""
+    """Return the rows A (M x + c) <= b on x, with what has cancelled set to zero.
+
+    Where c is a corner, what is left of the right-hand sides may be all that tells the length of the answer.
+    """
     rows = A @ M
     right = b - A @ c
     rows = np.where(np.abs(rows) > _EPS * (np.abs(A) @ np.abs(M)), rows, 0.0)
-    constant = ~rows.any(axis=1)  # such a row only says whether its right-hand side is negative
-    cancelled = constant & (np.abs(right) <= CANCELLED * (np.abs(b) + np.abs(A) @ np.abs(c)))
-    return rows, np.where(cancelled, 0.0, right)
+    return rows, np.where(np.abs(right) > CANCELLED * (np.abs(b) + np.abs(A) @ np.abs(c)), right, 0.0)
 
 
 def _meeting_point(A: Array, right: Array, mine: Body, theirs: Body) -> Array:

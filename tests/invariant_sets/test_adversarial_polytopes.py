@@ -46,6 +46,38 @@ def test_a_set_missed_by_less_than_its_length_in_rounding_is_not_empty():
     assert Polytope([along, -along, across, -across], [1.0, 0.0, 0.0, -1e-3]).is_empty
 
 
+@pytest.mark.parametrize("k", range(12))
+def test_flat_boxes_about_a_corner_at_zero_keep_their_dimension_whatever_the_rounding(k):
+    rng = np.random.default_rng((k, 7))
+    n = int(rng.integers(2, 6))
+    solid = int(rng.integers(1, n + 1))
+    Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    units = 10 ** rng.uniform(-7, 7, n)
+    upper = np.where(np.arange(n) < solid, rng.uniform(0.1, 2, n), 0.0)
+    right = np.append(upper, np.zeros(n))
+    right = np.where(right == 0.0, 1e-19 * rng.normal(size=2 * n), right)  # each row has its own rounding for zero
+    P = Polytope(np.vstack([Q.T, -Q.T]) / units, right)
+    assert not P.is_empty
+    assert P.affine_dim == solid
+
+
+def test_a_set_without_any_length_but_its_rounding_is_judged_by_that_as_in_any_other_unit():
+    for unit in (1.0, 1e-19):
+        assert Polytope([[1.0, 0.5], [-1, -0.5], [0, 1], [0, -1]], np.array([1.0, -2, 1, 1]) * unit).is_empty
+        assert Polytope([[1.0, 0.5], [-1, -0.5], [0, 1], [0, -1]], np.array([2.0, -1, 1, 1]) * unit).affine_dim == 2
+
+
+@pytest.mark.parametrize("c", [[0.3, -0.7], [1e6, 0.1], [0.0, 0.0]])
+def test_a_corner_moved_to_the_origin_is_one_point_and_not_lost_to_rounding(c):
+    c = np.array(c)
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(2, 2))
+    A = np.vstack([A, -A.sum(axis=0)])
+    moved = Polytope(A, A @ c).preimage(rng.normal(size=(2, 2)), c)
+    assert moved.affine_dim == 0
+    np.testing.assert_allclose(moved.vertices, 0, atol=1e-9)
+
+
 def test_programs_in_rationals_agree_with_highs():
     for k in range(25):
         rng = np.random.default_rng(k)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from disguises import BOUNDED, DIMENSION, KINDS, MAPS, SAME_SET, empty, hidden_equality, point, units, with_equality
 
+from invariant_sets import Polytope
+
 every_kind = pytest.mark.parametrize("kind", KINDS, ids=lambda f: f.__name__)
 every_n = pytest.mark.parametrize("n", [2, 3, 4])
 
@@ -124,3 +126,48 @@ def test_the_difference_of_a_set_with_itself_is_a_point_in_any_units(kind, n, rn
     assert difference.affine_dim == 0
     extent = np.maximum(np.ptp(P.vertices, axis=0), 1e-9 * np.abs(P.vertices).max(axis=0))
     assert (np.abs(difference.vertices[0]) <= 1e-7 * extent).all()
+
+
+def inner_point(P):
+    return np.zeros(P.dim) if P.is_empty else P.chebyshev_ball()[0]
+
+
+
+@every_kind
+@every_n
+@pytest.mark.parametrize("change", SAME_SET, ids=lambda f: f.__name__)
+def test_slices_preimages_and_products_do_not_depend_on_rows_or_units(kind, n, change, rng):
+    rows, M = kind(rng, n), units(rng, n)
+    scale = np.diag(M)
+    P, Q = rows.polytope, change(rng, rows).mapped(np.diag(1 / scale)).polytope
+    x = inner_point(P)
+    fixed, free = [n - 1], list(range(n - 1))
+    along, W, factors = rng.normal(size=(n, 2)), Polytope.from_bounds([-1, 0], [2, 3]), np.array([1e-7, 1e6])
+    D, E, both = rng.normal(size=(6, n - 1)), rng.normal(size=(6, 2)), rng.normal(size=(6, n + 2))
+    pairs = [
+        (P.slice(fixed, x[fixed]), D, Q.slice(fixed, (scale * x)[fixed]), D / scale[free]),
+        (P.preimage(along, x), E, Q.preimage(scale[:, None] * along / factors, scale * x), E / factors),
+        (P.cartesian_product(W), both, Q.cartesian_product(W.affine_map(np.diag(factors))),
+         both / np.append(scale, factors)),
+    ]
+    for ours, one, theirs, other in pairs:
+        assert_same_shape(ours, theirs)
+        h = ours.support(one)
+        assert_same(theirs.support(other), h, size_of(h))
+
+
+@pytest.mark.parametrize("kind", [*BOUNDED, with_equality, hidden_equality, point], ids=lambda f: f.__name__)
+@every_n
+def test_samples_lie_in_the_set_and_spread_alike_in_any_units_and_rows(kind, n, rng):
+    rows, scale = kind(rng, n), np.diag(units(rng, n))
+    changed = rows
+    for change in SAME_SET:
+        changed = change(rng, changed)
+    P, Q = rows.polytope, changed.mapped(np.diag(1 / scale)).polytope
+    ours, theirs = P.sample(400, rng=rng), Q.sample(400, rng=rng)
+    assert Q.contains(theirs).all()
+    assert P.contains(theirs / scale, 1e-7).all()
+    spread = ours.std(axis=0)
+    noise = 1e-9 * (spread.max() + np.abs(ours).max())
+    assert (np.abs((theirs / scale).mean(axis=0) - ours.mean(axis=0)) <= 0.4 * spread + noise).all()  # 5.6 deviations
+    np.testing.assert_allclose((theirs / scale).std(axis=0), spread, rtol=0.35, atol=noise)
