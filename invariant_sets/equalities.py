@@ -27,11 +27,14 @@ class AffineHull:
         A point, and columns that span the hull.
     free : (k,) int array
         The coordinate of x that column j moves and no other column does.
+    terms : (n,) array
+        Size of the terms that each coordinate of the centre was computed from: their rounding is the centre's.
     """
 
     centre: Array
     basis: Array
     free: Array
+    terms: Array
 
 
 def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | None:
@@ -53,7 +56,7 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | 
     """
     n = len(scale)
     if not len(e):
-        return AffineHull(centre.copy(), np.diag(scale), np.arange(n))
+        return AffineHull(centre.copy(), np.diag(scale), np.arange(n), np.abs(centre))
     size = np.abs(E * scale).max(axis=1)
     rows = np.column_stack([E * scale, e]) / size[:, None]
     terms = np.abs(rows)
@@ -78,7 +81,11 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | 
     basis[bound] = -rows[solved][:, free]
     point = np.zeros(n)  # the dependent coordinates are computed anew: a correction would keep old rounding
     point[bound] = rows[solved, n]
-    return AffineHull(scale * (point + basis @ (centre[free] / scale[free])), scale[:, None] * basis, free)
+    size = np.zeros(n)
+    size[bound] = terms[solved, n]
+    start = centre[free] / scale[free]
+    return AffineHull(scale * (point + basis @ start), scale[:, None] * basis, free,
+                      scale * (size + np.abs(basis) @ np.abs(start)))
 
 
 def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) -> None:

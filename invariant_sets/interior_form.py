@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invariant_sets.equalities import eliminated, opposite_rows, starting_scale
+from invariant_sets.equalities import AffineHull, eliminated, opposite_rows, starting_scale
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.tolerances import CANCELLED, FLAT, NULL_SPACE, ROUNDING, THIN
 from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look
@@ -35,6 +35,9 @@ class Body:
         The coordinate of x that column j of the basis moves and no other column does.
     half_widths : (n,) array
         Half the widths of the bounding box; 0 where it is flat, a length of the rows where it has no end.
+    terms : (n,) array
+        Size of the terms that each coordinate of the centre was computed from: the set's place is known to `ROUNDING`
+        of it. Where slanted rows meet it is larger than the coordinate.
     """
 
     centre: Array
@@ -44,6 +47,7 @@ class Body:
     bounded: bool
     free: Array
     half_widths: Array
+    terms: Array
 
     @property
     def inverse(self) -> Array:
@@ -112,7 +116,7 @@ def _solved(A: Array, b: Array, E: Array, e: Array, scale: Array) -> Body | None
             scale = measured
             rescaled += 1
         elif window.basis.shape[1] == 0 or not window.is_flat or hidden > n:
-            return _body(window, hull.free, widths)
+            return _body(window, hull, widths)
         else:
             rows = hidden_equalities(window)
             centre = window.centre + window.basis @ window.ball.centre
@@ -159,10 +163,10 @@ def _box(A: Array, b: Array) -> Body | None:
     ends = np.concatenate([(upper - centre), (centre - lower)]) / np.tile(np.where(solid, half, 1.0), 2)
     used = np.isfinite(ends) & np.tile(solid, 2)
     return Body(centre, np.diag(half)[:, solid], sides[used], ends[used], bool(used.sum() == 2 * solid.sum()),
-                np.flatnonzero(solid), np.where(solid, half, 0.0))
+                np.flatnonzero(solid), np.where(solid, half, 0.0), np.abs(centre))
 
 
-def _body(window: Window, free: Array, widths: Array) -> Body:
+def _body(window: Window, hull: AffineHull, widths: Array) -> Body:
     """Return the window as a `Body` about the centre of its ball, without rows that cannot touch the set."""
     y = window.ball.centre
     bounded = not window.unbounded.any()
@@ -171,8 +175,9 @@ def _body(window: Window, free: Array, widths: Array) -> Body:
         touching = np.flatnonzero(window.g <= (1 + THIN) * np.abs(window.F).sum(axis=1))
     F = window.F[touching]
     g = window.g[touching]
-    return Body(window.centre + window.basis @ y, window.basis, F, np.maximum(g - F @ y, FLAT), bounded, free,
-                widths)
+    centre = window.centre + window.basis @ y
+    return Body(centre, window.basis, F, np.maximum(g - F @ y, FLAT), bounded, hull.free, widths,
+                np.maximum(np.abs(centre), hull.terms))
 
 
 def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
@@ -193,7 +198,8 @@ def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
     radius, y = inscribed_ball(F, g, cap=1.0)
     if radius <= FLAT or (((V - centre) / half @ F.T).max(axis=0) > g + THIN).any():
         return None
-    return Body(centre + half * y, np.diag(half), F, g - F @ y, True, np.arange(len(half)), half)
+    centre = centre + half * y
+    return Body(centre, np.diag(half), F, g - F @ y, True, np.arange(len(half)), half, np.abs(centre))
 
 
 def null_space(rows: Array) -> Array:

@@ -271,10 +271,13 @@ class Polyhedron:
             wider, wider_eq = over._scales_along(self)
             scale = np.maximum(scale, wider)
             scale_eq = np.maximum(scale_eq, wider_eq)
-        centre = np.zeros(self.dim) if self._body is None else np.abs(self._body.centre)
+        terms = np.zeros(self.dim)
+        for one in (self, over):
+            if one is not None and one._body is not None:
+                terms = np.maximum(terms, one._body.terms)
         rounding = min(tol, ROUNDING)
-        return (np.maximum(tol * scale, rounding * (np.abs(self.b) + np.abs(self.A) @ centre)),
-                np.maximum(tol * scale_eq, rounding * (np.abs(self.b_eq) + np.abs(self.A_eq) @ centre)))
+        return (np.maximum(tol * scale, rounding * (np.abs(self.b) + np.abs(self.A) @ terms)),
+                np.maximum(tol * scale_eq, rounding * (np.abs(self.b_eq) + np.abs(self.A_eq) @ terms)))
 
     @cached_property
     def _row_scales(self) -> tuple[Array, Array]:

@@ -80,12 +80,9 @@ def hidden_equality(rng, n):
 
 
 def point(rng, n):
-    """A corner moves by the rounding of its rows times their condition, which has to stay far below 1e-12."""
-    normals = rng.normal(size=(n, n))
-    while np.linalg.cond(normals) > 50:
-        normals = rng.normal(size=(n, n))
-    A = np.vstack([normals, -normals.sum(axis=0)])
-    return only(A, A @ np.round(rng.normal(size=n), 3))
+    A, x = np.vstack([rng.normal(size=(n, n)), -np.ones(n)]), np.round(rng.normal(size=n), 3)
+    A[n] = -A[:n].sum(axis=0)
+    return only(A, A @ x)
 
 
 def empty(rng, n):

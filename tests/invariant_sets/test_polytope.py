@@ -128,3 +128,18 @@ def test_both_ways_to_a_volume_agree(rng):
         A = rng.standard_normal((15, 5))
         P = Polytope(np.vstack([A, np.eye(5), -np.eye(5)]), np.concatenate([np.ones(15), np.full(10, 2.0)]))
         assert P.volume == pytest.approx(hull_volume(P.vertices), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_point_where_slanted_rows_meet_equals_the_point_itself(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 5))
+    x = rng.normal(size=n)
+    x[0] = 0.0  # a coordinate that is rounding where it has been computed
+    A = rng.normal(size=(n, n))
+    A = np.vstack([A, -A.sum(axis=0)])
+    P = Polytope(A, A @ x)
+    assert P.affine_dim == 0
+    assert P.equals(Polytope.from_vertices(x[None]))
+    assert P.contains(x)
+    assert not P.contains(x + 1e-6 * rng.normal(size=n))
