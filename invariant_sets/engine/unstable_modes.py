@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from invariant_sets.tolerances import DOUBLE_EIGENVALUE, EDGE, REAL_EIGENVALUE, SERIES_END, UNSTABLE
@@ -51,9 +53,9 @@ def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) 
         return np.zeros((0, len(A))), np.zeros(0), np.zeros(0, int)
     real = np.abs(values.imag) <= REAL_EIGENVALUE * radius
     simple = np.array([np.sum(np.abs(values - value) <= DOUBLE_EIGENVALUE * abs(value)) == 1 for value in values])
-    rows = []
-    bounds = []
-    groups = []
+    rows: list[Array] = []
+    bounds: list[tuple[float, float]] = []
+    groups: list[int] = []
     for i in np.flatnonzero(unstable & real & simple):
         direction = left[:, i].real
         rows.append(direction)
@@ -84,7 +86,8 @@ def _mode_bound(value: float, v: Array, inputs: Array, disturbances: Array | Non
     return float(up), float(down)
 
 
-def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
+def _subspace_bounds(A: Array, inputs: Array,
+                     disturbances: Array | None) -> Iterator[tuple[Array, tuple[float, float]]]:
     """Yield rows and their two bounds on the whole left unstable subspace, by summing the series."""
     from scipy.linalg import schur
 
@@ -96,13 +99,9 @@ def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
     L = Z[:, :k].T  # L A = Λ L with Λ = T₁₁ᵀ
     inverse = np.linalg.inv(T[:k, :k].T)
     reach = max(np.abs(inputs).max(), 0.0 if disturbances is None else np.abs(disturbances).max())
-    terms = [inverse]
-    block = inverse @ inverse
-    while len(terms) < _MAX_TERMS and np.linalg.norm(block) > SERIES_END:
-        terms.append(block)
-        block = block @ inverse
-    tail = _tail(block, inverse, reach * np.sqrt(A.shape[0]))
-    back = np.array(terms) @ L  # (terms, k, n)
+    powers, next_power = _powers(inverse)
+    tail = _tail(next_power, inverse, reach * np.sqrt(A.shape[0]))
+    back = powers @ L  # (terms, k, n)
     moves = back @ inputs.T
     drifts = np.zeros((len(back), k, 1)) if disturbances is None else back @ disturbances.T
     for c in np.vstack([np.eye(k), _edge_normals(moves) if k == 2 else np.zeros((0, k))]):
@@ -111,6 +110,16 @@ def _subspace_bounds(A: Array, inputs: Array, disturbances: Array | None):
         up = (-u.min(axis=1) - w.max(axis=1)).sum() + tail
         down = (u.max(axis=1) + w.min(axis=1)).sum() + tail
         yield c @ L, (float(up), float(down))
+
+
+def _powers(inverse: Array) -> tuple[Array, Array]:
+    """Return the powers Λ⁻¹, Λ⁻², … (j, k, k) until they are negligible, and the first one left out."""
+    powers = [inverse]
+    power = inverse @ inverse
+    while len(powers) < _MAX_TERMS and np.linalg.norm(power) > SERIES_END:
+        powers.append(power)
+        power = power @ inverse
+    return np.array(powers), power
 
 
 def _edge_normals(moves: Array) -> Array:
