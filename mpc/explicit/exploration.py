@@ -52,7 +52,7 @@ def explore_compiled(qp: ScaledQP, limits: Limits) -> Found:
     while search.done < search.queued:
         search.advance(limits.max_regions)
         late = time.perf_counter() > limits.deadline
-        if not search.thinned and (search.tied or _MANY < search.done < search.queued):
+        if not search.thinned and (search.done == _MANY or (search.done == search.queued and search.tied)):
             search.thin()
         if search.done == search.queued and not late:
             search.look_again()
@@ -120,7 +120,8 @@ class _Search:
 
         before = self.done
         start = time.perf_counter()
-        if explore(self.data, self.graph, self.facets, min(self.portion, most - before)) == GROW:
+        stop = most if self.thinned else min(most, _MANY)  # not where the clock says: the regions keep their order
+        if explore(self.data, self.graph, self.facets, min(self.portion, stop - before)) == GROW:
             self._grow()
         taken = max(time.perf_counter() - start, 1e-6)
         self.portion = max(1, int(_LOOK * (self.done - before + 1) / taken))
