@@ -72,6 +72,9 @@ def run(
     road: Annotated[str | None, typer.Option(help="CSV with distance [m] and elevation [m]; with --speed.")] = None,
     speed: Annotated[str | None, typer.Option(help="CSV with time [s] and speed [km/h]; with --road.")] = None,
     driver: Annotated[str | None, typer.Option(help="mild or aggressive, when the road is generated.")] = None,
+    redesign_price: Annotated[
+        str | None, typer.Option(help='Gain that a redesign must promise: "0.5 %" (of the return) or "12 return".')
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in the output folder.")] = False,
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report."""
@@ -79,6 +82,7 @@ def run(
         located(study), whole_number("--generations", generations), whole_number("--seed", seed), quick, preset,
         expert, method=method, design_gradient=design_gradient, x0=numbers("--x0", x0), p0=numbers("--p0", p0),
         disturbance=disturbance, column=column, road=road, speed=speed, driver=driver,
+        redesign_price=redesign_price,
     )  # fmt: skip
     options.check_files()
     if output is not None:

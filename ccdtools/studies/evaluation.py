@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
@@ -26,11 +27,13 @@ from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
+from ccdtools.twin.twin import DigitalTwin
 from learning.networks import ActorCritic
 
 MOSTLY = 0.5  # of the samples outside X: then the recording is not one of this plant
 BAND_RUNS = 500  # of the trajectories kept for figures
 BAND_STEPS = 1000
+NOMINAL_DRIVES = 16  # of the nominal model, which say what it expects of a single long run
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +119,54 @@ class Evaluation:
         if not logs:
             x0, w = self.problem.scenarios.sample(self.config.model_runs, self.study.steps, self.rng("model scenario"))
             return Scenario(self.study.model, x0, w)
+        return self.on_logs(logs)[0]
+
+    def on_logs(self, logs: Sequence[Residuals]) -> tuple[Scenario, NDArray[np.int64]]:
+        """The nominal model met by logged errors in windows, and for each window the number of its group.
+
+        Windows of one run, and of runs that met the same disturbance in several deployments, make one group: only
+        groups are independent evidence. Of a single long run every window is one.
+        """
         split = ErrorSplit(self.study.model, self.problem.state_scale)
-        x0, w = Replay(tuple(logs), split).disjoint(self.window)
+        return self._windows(split.replayed_model, Replay(tuple(logs), split))
+
+    def on_updated_logs(self, twin: DigitalTwin) -> tuple[Scenario, NDArray[np.int64]]:
+        """The same windows on the updated model, with what it leaves unexplained replayed."""
+        assert twin.discrepancy is not None
+        plant = TwinPlant(self.study.model, replace(twin.discrepancy, noise="replayed"))
+        return self._windows(plant, Replay(twin.innovations()))
+
+    def _windows(self, plant: Any, replay: Replay) -> tuple[Scenario, NDArray[np.int64]]:
+        """Windows of a replay that share no sample, as a scenario, with their groups."""
+        x0, w = replay.disjoint(self.window)
+        groups = _groups(replay.logs, self.window, self.study.real.runs)
         chosen = self.rng("replayed windows").permutation(len(x0))[: self.config.model_runs]
-        return Scenario(split.replayed_model, x0[chosen], w[chosen])
+        return Scenario(plant, x0[chosen], w[chosen]), groups[chosen]
+
+    def whole_log(self, log: Residuals) -> Scenario:
+        """The nominal model met by all errors of a log, from where each of its runs began to its end."""
+        split = ErrorSplit(self.study.model, self.problem.state_scale)
+        return Scenario(split.replayed_model, log.x[:, 0], split.disturbances(log))
+
+    def nominal_deployment(self) -> Scenario:
+        """What the nominal model expects of a deployment."""
+        real = self.study.real
+        runs = NOMINAL_DRIVES if real.runs == 1 else real.runs
+        w = self.study.disturbance.sample(runs, self.deployment_steps, self.rng("nominal deployment"))
+        return Scenario(self.study.model, np.tile(real.x0, (runs, 1)), w)
+
+    def deployment(self, generation: int) -> Array:
+        """The disturbances of a deployment, (runs, T, nw).
+
+        A single run is the same in every generation. Of several, every second one is: there two generations are
+        compared run by run; the others are fresh, for what there is to be learned.
+        """
+        runs = self.study.real.runs
+        common = self.recorded(runs, "deployment")
+        if runs == 1:
+            return common
+        w = self.recorded(runs, f"deployment-{generation}")
+        return np.where((np.arange(runs) % 2 == 0)[:, None, None], common, w)
 
     def on_updated(self, discrepancy: Discrepancy, *, noise: str) -> Scenario:
         """From x0 on the model updated by a discrepancy."""
@@ -213,6 +260,28 @@ class Evaluation:
                 low, high = np.percentile(kept, [2.5, 97.5], axis=0)
                 bands[f"{name}_{kind}"] = np.stack([low, kept.mean(axis=0), high])
         return bands
+
+
+def common_runs(runs: int) -> slice:
+    """The runs of a deployment that meet the same disturbances in every generation."""
+    return slice(None, None, 2 if runs > 1 else 1)
+
+
+def _groups(logs: Sequence[Residuals], window: int, runs: int) -> NDArray[np.int64]:
+    """The group of every disjoint window of logs, in the order of `Replay.disjoint`."""
+    groups = []
+    fresh = runs
+    for log in logs:
+        windows = log.steps // window
+        if runs == 1:
+            groups.append(np.tile(np.arange(windows), log.runs))
+            continue
+        own = np.arange(fresh, fresh + log.runs)
+        if log.runs == runs:  # none was lost: runs have kept their numbers
+            own[common_runs(runs)] = np.arange(runs)[common_runs(runs)]
+        fresh += log.runs
+        groups.append(np.repeat(own, windows))
+    return np.concatenate(groups)
 
 
 def model_name(logs: Sequence[Residuals]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,12 @@ from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.redesign import InService
 from ccdtools.studies.report.results import generation_entry, results
 from ccdtools.studies.run_folder import RunFolder
+from ccdtools.studies.service import Served, ServiceStatus, after_deployment
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.stages import LoopStages, unpacked
 from ccdtools.studies.study import Study
+from ccdtools.studies.trust_region import Trust
+from ccdtools.trajectory import Trajectory
 from ccdtools.twin.twin import DigitalTwin
 
 Echo = Callable[[str], None]
@@ -26,11 +29,16 @@ Echo = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where the loop stands between two generations: policy and design in service, the twin, the results so far."""
+    """Where the loop stands between two generations: policy and design in service, the twin, the results so far.
+
+    `served` is the deployment that speaks for what is in service.
+    """
 
     service: InService
     twin: DigitalTwin
     stages: tuple[Stage, ...]
+    served: Served | None = None
+    trust: Trust = field(default_factory=Trust)
     entries: tuple[dict[str, Any], ...] = ()
     rows: tuple[dict[str, Any], ...] = ()
 
@@ -109,32 +117,48 @@ class Generations:
         title = f"Generation {generation}"
         known = state.twin.logs
         found = self._stage(
-            f"codesign-{generation}", f"{title}: co-design", self.compute.co_design, state.service, state.twin
-        )
-        designed = InService(found.networks["agent"], found.arrays["design"])
+            f"codesign-{generation}", f"{title}: co-design", self.compute.co_design, state.service, state.twin,
+            state.trust,
+        )  # fmt: skip
         deployed = self._stage(
-            f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, designed
-        )
-        service = InService(deployed.networks["agent"], designed.design)
+            f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, state.served,
+            state.trust,
+        )  # fmt: skip
         log = unpacked(deployed, self.evaluation.study.plant.dt)
         learned = self._stage(
             f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, state.twin, log
         )
         twin = self.compute.learned_twin(state.twin, log, learned)
+        following = self._in_service(generation, state, found, deployed, log)
+        designed = following.served.designed if following.served is not None else following.service
         compared = self._stage(
-            f"comparison-{generation}", f"{title}: comparison", self.compute.compare, generation, designed, service,
-            known,
+            f"comparison-{generation}", f"{title}: comparison", self.compute.compare, generation, designed,
+            following.service, known,
         )  # fmt: skip
         returns = self._stage(
             f"evaluation-{generation}", f"{title}: evaluation", self.compute.evaluate, designed, known, twin
         )
         entry = generation_entry(
-            generation, self.evaluation, found=found, deployed=deployed, learned=learned, returns=returns
-        )
+            generation, self.evaluation, found=found, deployed=deployed, learned=learned, returns=returns,
+            design=following.service.design,
+        )  # fmt: skip
         return replace(
-            state, service=service, twin=twin, stages=(*state.stages, found, deployed, learned, compared, returns),
+            following, twin=twin, stages=(*state.stages, found, deployed, learned, compared, returns),
             entries=(*state.entries, entry), rows=(*state.rows, *compared.values["rows"]),
         )  # fmt: skip
+
+    def _in_service(
+        self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory
+    ) -> _State:
+        """The state after a deployment: what was deployed is in service, or what was before it again."""
+        redesign = found.values["redesign"]
+        served = Served(generation, InService(found.networks["agent"], found.arrays["design"]), log)
+        status = ServiceStatus(deployed.values["delivery"]["status"])
+        service, speaks = after_deployment(
+            status, served, deployed.networks["agent"], state.service, state.served,
+            redesigned=redesign is not None and redesign["accepted"],
+        )  # fmt: skip
+        return replace(state, service=service, served=speaks, trust=Trust(**deployed.values["trust"]))
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
         """The stage of a name: read back, or computed from its inputs with a generator of its own."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from ccdtools.checks import as_choice, as_count, shown
 from ccdtools.exceptions import InputError
+from ccdtools.studies.price import RedesignPrice
 
 PRESETS = ("default", "paper")
 EXPERTS = ("lqr", "mpc", "explicit")
@@ -34,6 +35,8 @@ class Options:
         As in `Generations` and `configuration`.
     x0, p0 : list of float or None
         Another initial state and first design.
+    redesign_price : str or None
+        As in `Study`; the study's own where None.
     disturbance, column, road, speed, driver : str or None
         Files of a recorded disturbance, or the driver of a generated one.
 
@@ -58,6 +61,7 @@ class Options:
     road: str | None = None
     speed: str | None = None
     driver: str | None = None
+    redesign_price: str | None = None
 
     def __post_init__(self) -> None:
         _check_study(self.study)
@@ -73,6 +77,8 @@ class Options:
             as_choice("--design-gradient", self.design_gradient, DESIGN_GRADIENTS)
         if self.driver is not None:
             as_choice("--driver", self.driver, DRIVERS)
+        if self.redesign_price is not None:
+            RedesignPrice.parse(self.redesign_price, "--redesign-price")
         for name in ("x0", "p0"):
             _check_numbers(f"--{name}", getattr(self, name))
         for name in (*FILES, "column"):

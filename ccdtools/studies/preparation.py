@@ -23,7 +23,7 @@ from ccdtools.studies.presets import StudyConfig, configuration
 from ccdtools.studies.run_folder import DISTURBANCE, RunFolder
 from ccdtools.studies.study import Study
 
-FORMAT = 2  # of run.json
+FORMAT = 3  # of run.json
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +86,8 @@ def _prepared(options: Options, loaded: LoadedStudy, source: Disturbance | None)
     study = loaded.study
     with blamed_on_options({name: f"--{name}" for name in ("x0", "p0") if getattr(options, name) is not None}):
         study = study.started(x0=_array(options.x0), p0=_array(options.p0))
+    if options.redesign_price is not None:
+        study = replace(study, redesign_price=options.redesign_price)
     given = options.sources()
     with blamed_on_options({"real.disturbance": f"--{given[0]}", "disturbance": f"--{given[0]}"} if given else {}):
         if source is not None:

@@ -12,10 +12,12 @@ from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.exceptions import InputError
-from ccdtools.statistics import summarise_returns
+from ccdtools.studies.account import account, region_lines
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.redesign import InService, RedesignDecision, judge_redesign, same_design
+from ccdtools.studies.redesign import InService, RedesignDecision, judge_redesign, promised, same_design
+from ccdtools.studies.service import Served, judge_deployment, promise_of
 from ccdtools.studies.stage_storage import Stage
+from ccdtools.studies.trust_region import Trust, doubt_of, within
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
@@ -60,7 +62,7 @@ class LoopStages:
         report = [f"{data.acceptance:.0%} of {config.samples} candidates feasible, {len(data.inputs)} samples imitated"]
         return Stage(values | {"report": report}, networks={"agent": agent})
 
-    def co_design(self, rng: np.random.Generator, current: InService, twin: DigitalTwin) -> Stage:
+    def co_design(self, rng: np.random.Generator, current: InService, twin: DigitalTwin, trust: Trust) -> Stage:
         """The first co-design on the nominal model; later ones on the updated model, taken if they are worth it.
 
         A redesign is trained on the median model, with what that leaves unexplained replayed, and judged on replays of
@@ -73,69 +75,104 @@ class LoopStages:
                 problem, agent=current.agent, design=current.design, rng=rng, method=config.method,
                 config=config.codesign, progress=self.progress,
             )  # fmt: skip
-            return self._co_designed(first, InService(first.agent, first.design), {})
+            return self._co_designed(first, InService(first.agent, first.design), twin, None)
+        doubt = doubt_of(twin, problem.state_scale)
+        limited = trust.limits(doubt)
+        region = within(problem, current.design, trust.radius) if limited else problem
         result = codesign(
-            updated_problem(problem, twin), agent=current.agent, design=current.design, rng=rng,
+            updated_problem(region, twin), agent=current.agent, design=current.design, rng=rng,
             method=config.method, config=config.redesign, progress=self.progress,
-            judge=replay_problem(problem, twin.logs, self.evaluation.window),
+            judge=replay_problem(region, twin.logs, self.evaluation.window),
         )  # fmt: skip
-        proposals = {"redesign": InService(result.agent, result.design)}
-        if not same_design(problem.design, result.design, current.design):
-            proposals["its policy at the present design"] = InService(result.agent, current.design)
         decisions: dict[str, RedesignDecision] = {}
-        for name, proposal in proposals.items():
-            decisions[name] = judge_redesign(self.evaluation, proposal, current, twin.logs)
+        chosen = current
+        for name, proposal in self._proposals(result, current).items():
+            decisions[name] = judge_redesign(self.evaluation, proposal, current, twin.logs, twin)
             if decisions[name].accepted:
-                return self._co_designed(result, proposal, decisions)
-        return self._co_designed(result, current, decisions)
+                chosen = proposal
+                break
+        redesign = self._redesign(result, chosen, current, decisions)
+        redesign["region"] = {"radius": trust.radius if limited else None, **asdict(doubt), "text": doubt.describe()}
+        return self._co_designed(result, chosen, twin, redesign)
+
+    def _proposals(self, result: CoDesignResult, current: InService) -> dict[str, InService]:
+        """What is judged, by name: the redesign, and its policy without its design."""
+        proposals = {"redesign": InService(result.agent, result.design)}
+        if not same_design(self.evaluation.problem.design, result.design, current.design):
+            proposals["its policy at the present design"] = InService(result.agent, current.design)
+        return proposals
+
+    def _redesign(
+        self, result: CoDesignResult, chosen: InService, current: InService, decisions: Mapping[str, RedesignDecision]
+    ) -> dict[str, Any]:
+        """What became of a redesign, as plain values."""
+        space = self.evaluation.problem.design
+        return {
+            "proposed": space.as_dict(result.design), "accepted": chosen is not current,
+            "from": space.as_dict(current.design), "texts": [d.describe(name) for name, d in decisions.items()],
+            "decisions": {name: decision.as_dict() for name, decision in decisions.items()},
+        }  # fmt: skip
 
     def _co_designed(
-        self, result: CoDesignResult, chosen: InService, decisions: Mapping[str, RedesignDecision]
+        self, result: CoDesignResult, chosen: InService, twin: DigitalTwin, redesign: dict[str, Any] | None
     ) -> Stage:
-        """A co-design, with the policy and design that go into service and the decisions that led to them."""
+        """A co-design, with the policy and design that go into service, the decisions, and what they promise."""
         history = result.history
         space = self.evaluation.problem.design
         arrays = {f"history_{name}": getattr(history, name) for name in history.__dataclass_fields__}
         check = None if result.gradients is None else asdict(result.gradients)
         report = [*str(result.gradients).splitlines()] if result.gradients is not None else []
-        redesign: dict[str, Any] | None = None
-        if decisions:
-            texts = [decision.describe(name) for name, decision in decisions.items()]
-            taken = any(decision.accepted for decision in decisions.values())
-            redesign = {"proposed": space.as_dict(result.design), "accepted": taken, "texts": texts,
-                        "decisions": {name: asdict(decision) for name, decision in decisions.items()}}  # fmt: skip
-            report += [f"proposed: {space.describe(result.design)}", *texts]
+        if redesign is not None:
+            report += [*region_lines(redesign["region"]), f"proposed: {space.describe(result.design)}",
+                       *redesign["texts"]]  # fmt: skip
         active = space.active_bounds(chosen.design)
         named = ", ".join(f"{name} at its {side} bound" for name, side in active.items())
         report.append(f"{space.describe(chosen.design)}; active bounds: {named or 'none'}")
-        values = {"active_bounds": active, "gradient_check": check, "redesign": redesign, "report": report}
+        promise = promised(self.evaluation, chosen, twin.logs)
+        report.append(f"promised return of the deployment {promise.mean:.4g}")
+        values = {"active_bounds": active, "gradient_check": check, "redesign": redesign, "promised": asdict(promise),
+                  "report": report}  # fmt: skip
         return Stage(values, {"design": chosen.design, **arrays}, {"agent": chosen.agent})
 
-    def deploy(self, rng: np.random.Generator, generation: int, current: InService) -> Stage:
-        """The policy on the real plant, updated on the way; the log."""
+    def deploy(
+        self, rng: np.random.Generator, generation: int, found: Stage, former: Served | None, trust: Trust
+    ) -> Stage:
+        """The policy on the real plant, updated on the way; the log, and whether it stays in service."""
         real = self.evaluation.study.real
         evaluation = self.evaluation
-        w = evaluation.recorded(real.runs, "deployment" if real.runs == 1 else f"deployment-{generation}")
+        current = InService(found.networks["agent"], found.arrays["design"])
         deployment = deploy_and_update(
             evaluation.problem, real.plant, current.agent, current.design, x0=np.tile(real.x0, (real.runs, 1)),
-            disturbance=w, rng=rng, config=replace(evaluation.config.online, window=evaluation.window),
-            progress=self.progress,
+            disturbance=evaluation.deployment(generation), rng=rng,
+            config=replace(evaluation.config.online, window=evaluation.window), progress=self.progress,
         )  # fmt: skip
         log = deployment.log
-        if log.diverged.all():
+        if former is None and log.diverged.all():
             place = evaluation.problem.design.describe(current.design)
             got = f"a start from which every run of deployment {generation} diverged at {place}"
             raise InputError("real.x0", got, "one that some design can recover from")
-        returns = summarise_returns(log.rewards(evaluation.study.objective)[~log.diverged], runs=real.runs)
+        redesign = found.values["redesign"]
+        delivery = judge_deployment(
+            log, None if former is None else former.log, evaluation.study.objective,
+            promise_of(found.values["promised"]), redesigned=redesign is not None and redesign["accepted"],
+        )  # fmt: skip
         updates = [asdict(update) for update in deployment.updates]
-        accepted = sum(update.accepted for update in deployment.updates)
-        report = [f"return {returns.mean:.4g}, {log.diverged.mean():.1%} diverged, "
-                  f"{accepted} of {len(updates)} updates of the policy accepted"]  # fmt: skip
-        values = {"deployed_return": asdict(returns), "diverged": log.diverged.mean(), "updates": updates}
-        return Stage(values | {"report": report}, packed(log), {"agent": deployment.agent})
+        kept = None if former is None else delivery.judge.kept
+        values = {
+            "deployed_return": asdict(delivery.returns), "diverged": log.diverged.mean(), "updates": updates,
+            "delivery": delivery.as_dict() | {"former": None if former is None else former.generation},
+            "trust": asdict(trust.after(kept)),
+        }  # fmt: skip
+        space = evaluation.problem.design
+        sentence = account(generation, values, redesign, space.describe(current.design))
+        return Stage(values | {"account": sentence, "report": [sentence]}, packed(log), {"agent": deployment.agent})
 
     def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory) -> Stage:
         """The quantiles of the one-step errors of the nominal model along all logs."""
+        if log.diverged.all() and twin.discrepancy is not None and twin.scores is not None:
+            report = ["every run diverged: nothing was learned from them"]
+            networks = {"quantiles": twin.discrepancy.network}
+            return Stage({"scores": asdict(twin.scores), "report": report}, networks=networks)
         updated = twin.update(
             log, weight=self.evaluation.study.weight, rng=rng, config=self.evaluation.config.quantile,
             progress=self.progress,
@@ -150,6 +187,8 @@ class LoopStages:
 
     def learned_twin(self, twin: DigitalTwin, log: Trajectory, learned: Stage) -> DigitalTwin:
         """The twin that `learn` has left behind."""
+        if log.diverged.all():
+            return twin
         taught = twin.remembering(log)
         discrepancy = Discrepancy(
             learned.networks["quantiles"], self.evaluation.study.weight, transport=taught.transport

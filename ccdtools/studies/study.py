@@ -18,6 +18,8 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
+from ccdtools.studies.price import DEFAULT_PRICE, RedesignPrice
+from ccdtools.twin.transport import check_disturbance_enters
 from invariant_sets import Polytope
 from mpc import MPCError, lqr
 
@@ -95,6 +97,9 @@ class Study(Immutable):
         Hidden layers of the preset ``paper``.
     samples : int
         Latin hypercube samples of the initialisation.
+    redesign_price : str
+        The gain that a redesign must promise: "0.5 %" of the return in service, or "12 return", in units of the return
+        of an evaluation.
     sampling_guard : {"warn", "ignore"}
         Whether a sampling time that does not resolve the plant is warned of, see `discretise`.
 
@@ -119,6 +124,7 @@ class Study(Immutable):
     quantile_weight: ArrayField = None
     paper_networks: tuple[int, ...] = (32, 32, 16, 16)
     samples: int = 1000
+    redesign_price: str = DEFAULT_PRICE
     sampling_guard: str = "warn"
 
     def __repr__(self) -> str:
@@ -139,6 +145,7 @@ class Study(Immutable):
             object.__setattr__(self, "real", itself)
         self._check_limits()
         self._check_stabilisable()
+        check_disturbance_enters(self.model)
         _check_same_plant(self.plant, as_instance("real", self.real, RealPlant, "a RealPlant, or None for the model"))
 
     def _check_kinds(self) -> None:
@@ -157,6 +164,8 @@ class Study(Immutable):
             raise InputError("paper_networks", shown(self.paper_networks), "the widths of the hidden layers")
         widths = tuple(as_count("paper_networks", width) for width in self.paper_networks)
         object.__setattr__(self, "paper_networks", widths)
+
+        RedesignPrice.parse(self.redesign_price)
 
     def _check_limits(self) -> None:
         """Raise unless X and U can be regulated in, and the start lies within X."""
@@ -182,6 +191,11 @@ class Study(Immutable):
     def model(self) -> LinearModel:
         """The exact discrete model, symbolic in the design."""
         return discretise(self.plant, sampling_guard=self.sampling_guard)
+
+    @property
+    def price(self) -> RedesignPrice:
+        """The gain that a redesign must promise."""
+        return RedesignPrice.parse(self.redesign_price)
 
     @property
     def weight(self) -> Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -37,6 +38,20 @@ def signed_percent(percent: float) -> str:
     """A change in per cent with its sign: "+0.34 %", "−12 %"; what rounds to nothing is "0 %"."""
     text = _rounded(percent)
     return "0 %" if float(text) == 0 else with_minus(f"{'+' if percent > 0 else ''}{text} %")
+
+
+def percent_interval(mean: float | None, ci95: Sequence[float | None], size: float | None) -> str:
+    """A change with its 95 % interval in per cent of a size: "+0.1 % [−0.2, +0.4]"; "n/a" where there is none."""
+    if not _finite(mean) or not _finite(size) or size == 0:
+        return "n/a"
+    values = [signed_percent(100 * value / abs(size)) for value in (mean, *ci95) if _finite(value)]  # type: ignore
+    ends = f" [{', '.join(value.removesuffix(' %') for value in values[1:])}]" if len(values) == 3 else ""
+    return values[0] + ends
+
+
+def _finite(value: float | None) -> bool:
+    """Whether there is a value, and a finite one."""
+    return value is not None and math.isfinite(value)
 
 
 def _rounded(percent: float) -> str:

@@ -16,9 +16,26 @@ SAME_DESIGN = 1e-3  # of the range of a design parameter
 def headline(results: Results) -> str:
     """Cost on the real plant before and after, where the change comes from, and what each generation did."""
     last = len(results["generations"])
-    parts = [_cost(results, last), _policy(results, last), *_generations(results)]
+    idle = _idle(results)
+    parts = [_cost(results, last), _policy(results, last), *([] if idle else _generations(results))]
+    text = "; ".join(part for part in parts if part) + "."
     quick = "QUICK run, not a result: " if results["quick"] else ""
-    return quick + "; ".join(part for part in parts if part) + "."
+    return quick + (f"{idle}. {text[:1].upper()}{text[1:]}" if idle else text)
+
+
+def _idle(results: Results) -> str:
+    """That the later generations brought nothing, if none of them did, in the words of the last one."""
+    later = results["generations"][1:]
+    if not later or any(_brought(generation) for generation in later):
+        return ""
+    several = f"generations 2 to {len(later) + 1} brought nothing; " if len(later) > 1 else ""
+    return several + later[-1]["account"]
+
+
+def _brought(generation: Mapping[str, Any]) -> bool:
+    """Whether a later generation left anything in service that was not there before."""
+    updated = any(update["accepted"] for update in generation["online_updates"])
+    return generation["delivery"]["replaces"] and (generation["redesign"]["accepted"] or updated)
 
 
 def _row(results: Results, generation: int, controller: str) -> dict[str, Any]:
@@ -109,6 +126,8 @@ def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> 
     updated = any(update["accepted"] for update in generation["online_updates"])
     if redesign is None:
         return "" if moved else f"{name} left the design where it was"
+    if not generation["delivery"]["replaces"]:
+        return f"{name} was taken back, because it was worse"
     if moved:
         return f"{name} moved the design to {design_text(results, generation['design'])}"
     return f"{name} changed the policy only" if redesign["accepted"] or updated else f"{name} changed nothing"

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
+from ccdtools.arrays import Array
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.stage_storage import Stage, jsonable
@@ -16,17 +17,24 @@ PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
 
 
 def generation_entry(
-    generation: int, evaluation: Evaluation, *, found: Stage, deployed: Stage, learned: Stage, returns: Stage
-) -> dict[str, Any]:
-    """One element of ``generations``, from the stages of a generation."""
+    generation: int, evaluation: Evaluation, *, found: Stage, deployed: Stage, learned: Stage, returns: Stage,
+    design: Array,
+) -> dict[str, Any]:  # fmt: skip
+    """One element of ``generations``, from the stages of a generation; `design` is the one in service after it."""
+    space = evaluation.problem.design
     keep = ("model", "model_return", "nominal_return", "updated_model_return")
     return {
         "generation": generation,
-        "design": evaluation.problem.design.as_dict(found.arrays["design"]),
-        "active_bounds": found.values["active_bounds"],
+        "account": deployed.values["account"],
+        "design": space.as_dict(design),
+        "active_bounds": space.active_bounds(design),
+        "deployed_design": space.as_dict(found.arrays["design"]),
+        "promised_return": found.values["promised"],
         **{name: returns.values[name] for name in keep},
         "deployed_return": deployed.values["deployed_return"],
         "deployed_diverged": deployed.values["diverged"],
+        "delivery": deployed.values["delivery"],
+        "trust": deployed.values["trust"],
         "online_updates": deployed.values["updates"],
         "quantiles": learned.values["scores"],
         "gradient_check": found.values["gradient_check"],

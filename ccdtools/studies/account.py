@@ -1,0 +1,108 @@
+"""One sentence a generation: what changed, what was promised, what was delivered, and what did it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ccdtools.studies.report.formatting import number, percent_interval, with_minus
+from ccdtools.studies.service import JudgeStatus, ServiceStatus
+
+Values = Mapping[str, Any]
+
+
+def account(generation: int, deployed: Values, redesign: Values | None, place: str) -> str:
+    """The sentence of a generation, without a full stop.
+
+    Parameters
+    ----------
+    generation : int
+    deployed : mapping
+        Of its deployment: ``deployed_return``, ``delivery``, ``updates``.
+    redesign : mapping or None
+        Of its co-design; None for the first one.
+    place : str
+        The deployed design with its units.
+    """
+    name = f"generation {generation}"
+    delivery = deployed["delivery"]
+    accepted = sum(update["accepted"] for update in deployed["updates"])
+    if redesign is None:
+        return "; ".join([f"{name} designed {place} on the nominal model", _returns(delivery, deployed),
+                          _updates(accepted, deployed["updates"], "the policy is as designed")])  # fmt: skip
+    if redesign["accepted"]:
+        parts = [_redesigned(name, redesign, delivery, place), *_verdict(delivery)]
+        return "; ".join([*parts, _updates(accepted, deployed["updates"], "all of it is the redesign's")])
+    before = delivery["former"]
+    replaces = delivery["replaces"]
+    kept = _kept(before, accepted, replaces)
+    changed = "changed nothing" if not accepted else "changed the policy only, by updates while deployed"
+    if not replaces:
+        changed = f"was worse than the generation before ({_change(delivery)}) and its updates were taken back"
+    updates = _updates(accepted, deployed["updates"], kept)
+    delivered = [f"delivered {_change(delivery)}"] if accepted and replaces else []
+    return "; ".join([f"{name} {changed}: {refusal(redesign)}", *delivered, *_judged(delivery), updates])
+
+
+def refusal(redesign: Values) -> str:
+    """Why no redesign was taken."""
+    decision = redesign["decisions"]["redesign"]
+    best = "the best redesign found" if decision["moved"] else "the best policy found"
+    return f"{best} promised {decision['promise']}, {decision['reason']}"
+
+
+def region_lines(region: Values) -> list[str]:
+    """The trust region of a redesign, as a line of text; none where it is not limited."""
+    if region["radius"] is None:
+        return []
+    return [f"redesign limited to ±{region['radius']:.0%} of the box around what is in service: {region['text']}"]
+
+
+def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> str:
+    """What a redesign changed and promised, and what it delivered."""
+    decision = next(d for d in redesign["decisions"].values() if d["accepted"])
+    what = f"moved the design to {place}" if decision["moved"] else "changed the policy at the same design"
+    delivered = f"delivered {_change(delivery)} against generation {delivery['former']}"
+    return f"{name} {what}, promised {decision['promise']} and {delivered}"
+
+
+def _verdict(delivery: Values) -> list[str]:
+    """Whether a redesign stays in service, if it does not, and whether the judge was wrong."""
+    status = ServiceStatus(delivery["status"])
+    former = f"design and policy of generation {delivery['former']} stay in service"
+    return ([] if status.replaces else [f"{status.value}, so {former}"]) + _judged(delivery)
+
+
+def _judged(delivery: Values) -> list[str]:
+    """That the judge was wrong, where it was, with both returns."""
+    if JudgeStatus(delivery["judge"]) is not JudgeStatus.LESS:
+        return []
+    promised = with_minus(number(delivery["promised"]["mean"]))
+    return [f"the judge was wrong: it promised a deployed return of {promised}"]
+
+
+def _returns(delivery: Values, deployed: Values) -> str:
+    """Promised and deployed return of the first generation."""
+    promised, delivered = (with_minus(number(s["mean"])) for s in (delivery["promised"], deployed["deployed_return"]))
+    return f"promised a deployed return of {promised} and delivered {delivered}"
+
+
+def _change(delivery: Values) -> str:
+    """The change that a deployment delivered, in per cent of what was in service."""
+    change = delivery["change"]
+    return percent_interval(change["mean"], change["ci95"], delivery["size"])
+
+
+def _kept(before: int, accepted: int, replaces: bool) -> str:
+    """What became of the policy in service."""
+    if accepted and replaces:
+        return f"design of generation {before}, policy updated"
+    return f"the policy in service is that of generation {before}, unchanged"
+
+
+def _updates(accepted: int, updates: Sequence[Any], consequence: str) -> str:
+    """How many updates were accepted; the consequence where none was."""
+    if not updates:
+        return f"no update was tried; {consequence}"
+    said = f"{accepted} of {len(updates)} updates accepted"
+    return said if accepted else f"{said}, {consequence}"

@@ -1,0 +1,56 @@
+"""What a redesign costs: the gain that it must promise."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from ccdtools.checks import shown
+from ccdtools.exceptions import InputError
+
+DEFAULT_PRICE = "0.5 %"
+PRICE = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(%|return)\s*")
+EXPECTED = "a price ≥ 0 with its unit"
+CURE = 'Write "0.5 %" (of the return in service), or "12 return" (in units of the return of an evaluation).'
+
+
+@dataclass(frozen=True)
+class RedesignPrice:
+    """The gain in return that a redesign must exceed.
+
+    Attributes
+    ----------
+    amount : float
+        In per cent of the return in service, or in units of the return of an evaluation.
+    relative : bool
+        Whether it is in per cent.
+    """
+
+    amount: float
+    relative: bool
+
+    @classmethod
+    def parse(cls, text: Any, argument: str = "redesign_price") -> RedesignPrice:
+        """The price that a text such as "0.5 %" or "12 return" states.
+
+        Raises
+        ------
+        InputError
+            If it is negative, not finite, or has no unit.
+        """
+        found = PRICE.fullmatch(text) if isinstance(text, str) else None
+        if found is None:
+            raise InputError(argument, shown(text), EXPECTED, CURE)
+        amount = float(found[1])
+        if not math.isfinite(amount) or math.copysign(1.0, amount) < 0:
+            raise InputError(argument, shown(text), EXPECTED, CURE)
+        return cls(amount, found[2] == "%")
+
+    def __str__(self) -> str:
+        return f"{self.amount:g} %" if self.relative else f"{self.amount:g} in return"
+
+    def of(self, size: float, part: float) -> float:
+        """The gain needed where the return in service has that size, over that part of the length of an evaluation."""
+        return self.amount / 100 * size if self.relative else self.amount * part

@@ -1,0 +1,216 @@
+"""Whether what was deployed stays in service: it must not be worse than what it replaces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from ccdtools.arrays import Array
+from ccdtools.comparison.comparison import replicates
+from ccdtools.statistics import PairedDifference, Summary, paired_difference, summarise
+from ccdtools.studies.evaluation import common_runs
+from ccdtools.studies.redesign import InService
+from ccdtools.trajectory import Trajectory
+
+ROUNDING = 1e-6  # of the return: smaller differences are none
+
+
+class ServiceStatus(Enum):
+    """What became of a deployed generation."""
+
+    FIRST = "the first in service"
+    BETTER = "better"
+    NOT_WORSE = "not worse"
+    NOT_BETTER = "not better"
+    WORSE = "worse"
+    DIVERGED = "more of its runs diverged"
+
+    @property
+    def replaces(self) -> bool:
+        """Whether it stays in service."""
+        return self in (ServiceStatus.FIRST, ServiceStatus.BETTER, ServiceStatus.NOT_WORSE)
+
+    @property
+    def advice(self) -> str:
+        """What the user may do about it."""
+        if self.replaces:
+            return ""
+        return "What was in service before is in service again; the log of this generation still teaches the twin."
+
+
+class JudgeStatus(Enum):
+    """How a promise and what was delivered agree."""
+
+    AGREED = "as promised"
+    MORE = "more than promised"
+    LESS = "less than promised: the judge was wrong"
+    OPEN = "too few runs to tell"
+
+    @property
+    def kept(self) -> bool | None:
+        """What it says of the judge: right, wrong, or nothing."""
+        return {JudgeStatus.AGREED: True, JudgeStatus.LESS: False}.get(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Served:
+    """A generation in service: its number, what was deployed, and the log of its deployment."""
+
+    generation: int
+    designed: InService
+    log: Trajectory
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """What a deployment delivered, beside what was promised and what the generation in service had delivered.
+
+    Attributes
+    ----------
+    returns : Summary
+        Of the deployment.
+    promised : Summary
+        Predicted for it.
+    judge : JudgeStatus
+        How the two agree.
+    change : PairedDifference
+        Deployed return minus that of what was in service; NaN for the first generation.
+    paired : bool
+        Whether both met the same disturbances.
+    size : float
+        The return that was in service.
+    status : ServiceStatus
+    """
+
+    returns: Summary
+    promised: Summary
+    judge: JudgeStatus
+    change: PairedDifference
+    paired: bool
+    size: float
+    status: ServiceStatus
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for results.json."""
+        return {
+            "promised": asdict(self.promised), "judge": self.judge.value, "change": asdict(self.change),
+            "paired": self.paired, "size": self.size, "status": self.status.value, "replaces": self.status.replaces,
+        }  # fmt: skip
+
+
+def judge_deployment(
+    log: Trajectory, former: Trajectory | None, objective: Any, promised: Summary, *, redesigned: bool
+) -> Delivery:
+    """Whether a deployment replaces what was in service before it.
+
+    It does if its return is better beyond chance; or if it is not worse and was asked for: by the judge, to whom it had
+    promised a gain beyond its price, where no loss was delivered; or because nothing was redesigned. It does not if
+    more runs diverged.
+
+    Parameters
+    ----------
+    log : Trajectory
+        Of the deployment.
+    former : Trajectory or None
+        Log of what was in service before. Runs that met the same disturbances are compared in pairs, a single run by
+        its blocks, others by Welch's interval.
+    objective : QuadraticObjective
+    promised : Summary
+        Predicted return.
+    redesigned : bool
+        Whether a redesign was deployed, which must bring something; what was in service before need not.
+    """
+    rewards = log.rewards(objective)
+    returns = summarise(replicates(rewards[~log.diverged], len(rewards)))
+    judge = _agreement(promised, returns)
+    if former is None:
+        none = PairedDifference(np.nan, (np.nan, np.nan))
+        return Delivery(returns, promised, judge, none, False, abs(returns.mean), ServiceStatus.FIRST)
+    others = former.rewards(objective)
+    size = abs(float(replicates(others[~former.diverged], len(others)).mean()))
+    change, paired = _change(log, former, rewards, others)
+    lost = _more_diverged(log, former, everywhere=redesigned or not paired)
+    status = ServiceStatus.DIVERGED if lost else _status(change, ROUNDING * size, redesigned=redesigned)
+    return Delivery(returns, promised, judge, change, paired, size, status)
+
+
+def _agreement(promised: Summary, returns: Summary) -> JudgeStatus:
+    """How a promise and what was delivered agree: apart if their intervals are."""
+    if not np.isfinite([*promised.ci95, *returns.ci95]).all():
+        return JudgeStatus.OPEN if np.isfinite(returns.mean) else JudgeStatus.LESS
+    if returns.ci95[1] < promised.ci95[0]:
+        return JudgeStatus.LESS
+    return JudgeStatus.MORE if returns.ci95[0] > promised.ci95[1] else JudgeStatus.AGREED
+
+
+def _change(log: Trajectory, former: Trajectory, own: Array, others: Array) -> tuple[PairedDifference, bool]:
+    """Difference of the deployed returns with its interval, and whether it is of pairs."""
+    runs = len(own)
+    common = common_runs(runs)
+    same = log.disturbances.shape == former.disturbances.shape and np.array_equal(
+        log.disturbances[common], former.disturbances[common]
+    )
+    if same and (runs == 1 or runs >= 4):
+        kept = ~(log.diverged | former.diverged)[common]
+        first, second = (replicates(rewards[common][kept], runs) for rewards in (own, others))
+        return paired_difference(first, second), True
+    first, second = (
+        replicates(rewards[~run.diverged], len(rewards)) for rewards, run in ((own, log), (others, former))
+    )  # fmt: skip
+    return welch_difference(first, second), False
+
+
+def welch_difference(a: Array, b: Array) -> PairedDifference:
+    """Difference of the means of two independent samples with its 95 % interval by Welch."""
+    if min(len(a), len(b)) < 2:
+        mean = float(a.mean() - b.mean()) if min(len(a), len(b)) else float("nan")
+        return PairedDifference(mean, (float("nan"), float("nan")))
+    interval = stats.ttest_ind(a, b, equal_var=False).confidence_interval()
+    return PairedDifference(float(a.mean() - b.mean()), (float(interval.low), float(interval.high)))
+
+
+def _more_diverged(log: Trajectory, former: Trajectory, *, everywhere: bool) -> bool:
+    """Whether more runs diverged than before: of all, or of those that met the same disturbances."""
+    common = common_runs(len(log.diverged))
+    if log.diverged[common].mean() > former.diverged[common].mean():
+        return True
+    return everywhere and bool(log.diverged.mean() > former.diverged.mean())
+
+
+def _status(change: PairedDifference, floor: float, *, redesigned: bool) -> ServiceStatus:
+    """What becomes of a deployment with that change; below `floor` it is rounding."""
+    if change.ci95[1] < -floor:
+        return ServiceStatus.WORSE
+    if change.ci95[0] > floor:
+        return ServiceStatus.BETTER
+    return ServiceStatus.NOT_BETTER if redesigned and change.mean < -floor else ServiceStatus.NOT_WORSE
+
+
+def after_deployment(
+    status: ServiceStatus, deployed: Served, agent_at_end: Any, before: InService, former: Served | None,
+    *, redesigned: bool,
+) -> tuple[InService, Served]:  # fmt: skip
+    """What is in service after a deployment, and the deployment that speaks for it.
+
+    Where a redesign fell short, that is what was in service before. Where nothing but updates of the policy came
+    between two deployments and the later one is worse, it is the policy that the former deployment began with.
+    """
+    if status.replaces or former is None:
+        return InService(agent_at_end, deployed.designed.design), deployed
+    return (before if redesigned else former.designed), former
+
+
+def promise_of(values: Mapping[str, Any]) -> Summary:
+    """The predicted return that a stage has kept."""
+    def real(value: float | None) -> float:
+        """The value; NaN where JSON has none."""
+        return float("nan") if value is None else value
+
+    mean, std, median = (real(values[name]) for name in ("mean", "std", "median"))
+    low, high = map(real, values["ci95"])
+    return Summary(mean, std, median, values["n"], (low, high))

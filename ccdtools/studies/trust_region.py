@@ -1,0 +1,121 @@
+"""How far from what has been deployed a redesign may go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.twin.transport import Transport, full_rank
+from ccdtools.twin.twin import DigitalTwin
+
+DOUBT = 0.1  # part of the errors' energy whose change with the design is not known, above which a redesign is limited
+FIRST_RADIUS = 0.25  # of the range of every parameter
+LEAST_RADIUS = 1 / 64
+CONSTANT = 1e-9  # difference of E over the box, relative to E, that is rounding
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """How well it is known what the logged errors would be at another design.
+
+    Attributes
+    ----------
+    rest : float
+        Part of the errors' energy that does not enter through E(p).
+    explained : float
+        Further part that the discrepancy explains by state and input: it may change with the design otherwise than E.
+    identified : bool
+        Whether every disturbance can be told from an error, at every design where E(p) changes at all.
+    """
+
+    rest: float
+    explained: float
+    identified: bool
+
+    @property
+    def limits(self) -> bool:
+        """Whether a redesign is limited to a trust region."""
+        return not self.identified or self.rest + self.explained > DOUBT
+
+    def describe(self) -> str:
+        """Why a redesign is limited, or not."""
+        if not self.identified:
+            return "E(p) is not of full column rank everywhere"
+        shares = f"{self.rest:.0%} of the errors' energy does not enter through E(p)"
+        return f"{shares}, {self.explained:.0%} depends on state and input"
+
+
+@dataclass(frozen=True)
+class Trust:
+    """The radius of the trust region, as the deployments so far have left it.
+
+    Attributes
+    ----------
+    radius : float
+        Largest move of a parameter, as a part of its range; from 1 on there is no limit.
+    betrayed : bool
+        Whether a deployment fell short of what was promised: from then on the region counts whatever the doubt.
+    """
+
+    radius: float = FIRST_RADIUS
+    betrayed: bool = False
+
+    def after(self, kept: bool | None) -> Trust:
+        """The trust after a deployment that kept its promise, or did not; None if it says neither."""
+        if kept is None:
+            return self
+        if kept:
+            return replace(self, radius=min(1.0, 2 * self.radius))
+        return Trust(max(LEAST_RADIUS, self.radius / 2), betrayed=True)
+
+    def limits(self, doubt: Doubt) -> bool:
+        """Whether a redesign is limited."""
+        return self.radius < 1 and (self.betrayed or doubt.limits)
+
+
+def doubt_of(twin: DigitalTwin, scale: Array) -> Doubt:
+    """How well a twin knows what its errors would be at another design; `scale` (nx,) is the extent of the states."""
+    logs = twin.carried()
+    E = twin.model.matrices(logs[-1].p)[2]
+    transport = Transport.at(twin.model, logs[-1].p, scale)
+    whole = rest = entering = 0.0
+    for log, left in zip(logs, twin.innovations()):
+        whole += _energy(log.e_next, scale)
+        rest += _energy(transport.split(log.e_next)[1], scale)
+        entering += _energy(transport.split(left.e_next)[0] @ E.T, scale)
+    if whole == 0:
+        return Doubt(0.0, 0.0, True)
+    unknown = min(1.0, max(0.0, 1 - entering / whole))
+    return Doubt(rest / whole, max(0.0, unknown - rest / whole), _identified(twin, scale))
+
+
+def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignProblem:
+    """`problem` with the box of designs narrowed to so much of each range on either side of a design."""
+    space = problem.design
+    middle = space.to_unit(centre)
+    lower = space.from_unit(np.clip(middle - radius, 0, 1))
+    upper = space.from_unit(np.clip(middle + radius, 0, 1))
+    return replace(
+        problem, model=replace(problem.model, design=DesignSpace(space.names, lower, upper, space.units))
+    )  # fmt: skip
+
+
+def _identified(twin: DigitalTwin, scale: Array) -> bool:
+    """Whether E does not change over the box, or is of full column rank all over it."""
+    space = twin.model.design
+    if space is None:
+        return True
+    designs = space.spread()
+    matrices = twin.model.matrices(designs)[2] / scale[:, None]
+    if np.ptp(matrices, axis=0).max(initial=0.0) <= CONSTANT * np.abs(matrices).max(initial=0.0):
+        return True
+    return all(full_rank(twin.model, p, scale) for p in designs)
+
+
+def _energy(errors: Array, scale: Array) -> float:
+    """Sum of squares of errors (..., nx) in scaled states."""
+    return float(np.square(errors / scale).sum())
