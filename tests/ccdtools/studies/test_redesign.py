@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.statistics import PairedDifference
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.redesign import WORTH_A_DESIGN, WORTH_A_POLICY, InService, judge_redesign
+from ccdtools.studies.redesign import WORTH_A_POLICY, InService, RedesignStatus, judge_redesign, promised
 from ccdtools.twin.deployment import deploy
 from ccdtools.twin.residuals import residuals
 
@@ -65,6 +66,7 @@ def test_a_better_design_is_taken(evaluation, agent, noisy):
 def test_a_worse_design_is_not_taken(evaluation, agent, noisy):
     decision = judge_redesign(evaluation, at(agent, 1.2), at(agent, 2.2), noisy)
     assert not decision.accepted
+    assert decision.status is RedesignStatus.NO_GAIN
     assert "not taken, no gain beyond chance" in decision.describe("redesign")
 
 
@@ -84,8 +86,46 @@ def test_a_log_that_says_nothing_moves_no_design(evaluation, agent, silent):
     assert not back.accepted
 
 
-def test_a_design_needs_half_a_per_cent_and_a_policy_a_tenth(evaluation, agent, noisy):
+def test_a_design_costs_half_a_per_cent_and_a_policy_a_tenth_by_default(evaluation, agent, noisy):
     moved = judge_redesign(evaluation, at(agent, 2.1), at(agent, 2.0), noisy)
     stays = judge_redesign(evaluation, at(agent, 2.0), at(agent, 2.0), noisy)
-    assert moved.needed / stays.needed == pytest.approx(WORTH_A_DESIGN / WORTH_A_POLICY)
+    assert moved.needed / stays.needed == pytest.approx(0.005 / WORTH_A_POLICY)
     assert stays.needed >= WORTH_A_POLICY * abs(stays.nominal_before)
+
+
+def test_a_gain_beyond_chance_below_its_price_is_not_taken_and_says_so(evaluation, agent, noisy):
+    free = judge_redesign(evaluation, at(agent, 2.2), at(agent, 1.2), noisy)
+    study = replace(evaluation.study, redesign_price=f"{1.01 * free.gain.mean} return")
+    dear = judge_redesign(replace(evaluation, study=study), at(agent, 2.2), at(agent, 1.2), noisy)
+    assert dear.status is RedesignStatus.BELOW_PRICE
+    assert "less than its price of" in dear.describe("redesign")
+    cheap = replace(study, redesign_price=f"{0.99 * free.gain.mean} return")
+    assert judge_redesign(replace(evaluation, study=cheap), at(agent, 2.2), at(agent, 1.2), noisy).accepted
+
+
+def test_a_gain_that_the_updated_model_denies_is_not_taken(evaluation, agent, noisy, monkeypatch):
+    denied = PairedDifference(-1.0, (-2.0, -0.1))
+    monkeypatch.setattr("ccdtools.studies.redesign._updated_gain", lambda *_: denied)
+    decision = judge_redesign(evaluation, at(agent, 2.2), at(agent, 1.2), noisy)
+    assert decision.status is RedesignStatus.CONTRADICTED
+    assert "the updated model says the contrary, −" in decision.describe("redesign")
+    assert decision.status.advice
+
+
+def test_the_same_disturbances_logged_twice_are_no_more_evidence(evaluation, agent, noisy):
+    """Half of the runs of a deployment meet the disturbances of every other deployment; here all of them do."""
+    once, groups = evaluation.on_logs(noisy)
+    study = replace(evaluation.study, real=replace(evaluation.study.real, runs=60))
+    twice, both = replace(evaluation, study=study).on_logs([*noisy, *noisy])
+    assert len(np.unique(groups)) == len(once.x0) == 60
+    assert len(twice.x0) == 120
+    assert len(np.unique(both)) == 90
+
+
+def test_the_promise_is_the_deployment_itself_where_the_plant_is_the_model(evaluation, agent, noisy):
+    study = evaluation.study
+    w = study.disturbance.sample(60, STEPS, np.random.default_rng(0))
+    run = deploy(study.plant, LearnedPolicy(agent, [2.0]), [2.0], w, x0=np.tile(study.x0, (60, 1)))
+    assert promised(evaluation, at(agent, 2.0), noisy).mean == pytest.approx(run.returns(study.objective).mean())
+    before_any_log = promised(evaluation, at(agent, 2.0), ())
+    assert before_any_log.ci95[0] < before_any_log.mean < 0

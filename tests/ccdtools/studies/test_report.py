@@ -8,6 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from markupsafe import escape
 from matplotlib.figure import Figure
 from small_runs import tiny
 
@@ -219,7 +220,7 @@ def test_mpc_stands_beside_lqr_on_the_runs_that_both_saw(illustrative):
     assert "MPC *" in text
 
 
-def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False):
+def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False, replaces=True):
     """Results with costs on the real plant at the start and after two generations."""
     def row(generation, controller, cost, ci):
         gain = {"mean": (ci[0] + ci[1]) / 2, "ci95": list(ci)}
@@ -230,7 +231,8 @@ def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False
     redesigns = [None, {"accepted": accepted}]
     entries = [
         {"generation": g + 1, "design": {"p": 2.0 if g == 0 or not moved else 3.0}, "redesign": redesigns[g],
-         "online_updates": [{"accepted": False}]}
+         "online_updates": [{"accepted": False}], "account": f"generation {g + 1} did this and that",
+         "delivery": {"replaces": replaces}}
         for g in range(2)
     ]  # fmt: skip
     rows = [row(0, "LQR", start, (0.0, 0.0)), row(0, "learned", start, (0.0, 0.0)), row(2, "LQR", lqr, (0.0, 0.0)),
@@ -244,8 +246,8 @@ def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False
     [
         (
             outcome(8384, 6425, 6425),
-            "real plant: cost −23 % (8384 → 6425), all of it from the design; the learned policy equals LQR; "
-            "generation 2 changed nothing.",
+            "generation 2 did this and that. Real plant: cost −23 % (8384 → 6425), all of it from the design; the "
+            "learned policy equals LQR.",
         ),
         (
             outcome(100, 80, 72, ends=(7.9, 8.1), accepted=True),
@@ -253,13 +255,18 @@ def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False
             "costs 10 % less than LQR at the same design; generation 2 changed the policy only.",
         ),
         (
-            outcome(100, 100.1, 100, moved=True, ends=(-1, 1)),
+            outcome(100, 100.1, 100, accepted=True, moved=True, ends=(-1, 1)),
             "real plant: cost unchanged within 0.5 % (100 → 100); the learned policy and LQR cannot be told apart on "
             "these runs; generation 2 moved the design to p = 3.",
         ),
         (
             outcome(0.0, 0.0, 0.004, ends=(-0.005, -0.003)),
-            "real plant: cost 0.004; LQR at the start design: 0; generation 2 changed nothing.",
+            "generation 2 did this and that. Real plant: cost 0.004; LQR at the start design: 0.",
+        ),
+        (
+            outcome(100, 80, 80, accepted=True, replaces=False),
+            "generation 2 did this and that. Real plant: cost −20 % (100 → 80), all of it from the design; the learned "
+            "policy equals LQR.",
         ),
     ],
 )
@@ -270,8 +277,8 @@ def test_the_headline_says_what_came_out(results, sentence):
 def test_the_headline_comes_first(illustrative):
     folder, results = illustrative
     page = (folder.path / "report.html").read_text(encoding="utf-8")
-    assert page.index("real plant: cost") < page.index("What came out")
-    assert results["headline"].startswith("QUICK run, not a result: real plant: cost")
+    assert page.lower().index("real plant: cost") < page.index("What came out")
+    assert results["headline"].startswith("QUICK run, not a result: ")
 
 
 def test_the_page_says_how_many_updates_were_accepted_and_states_the_problem(illustrative):
@@ -289,9 +296,24 @@ def test_the_redesign_is_reported_whether_taken_or_not(illustrative):
     redesign = results["generations"][1]["redesign"]
     assert results["generations"][0]["redesign"] is None
     assert redesign["texts"]
-    assert ("Design and policy stay." in (folder.path / "report.html").read_text(encoding="utf-8")) == (
-        not redesign["accepted"]
-    )
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert str(escape(redesign["texts"][0].replace("-", "−")[1:])) in page
+
+
+def test_promised_and_deployed_return_stand_side_by_side(illustrative):
+    folder, results = illustrative
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    with (folder.path / "generations.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for generation, row in zip(results["generations"], rows):
+        assert row["account"] == generation["account"]
+        assert str(escape(generation["account"][1:])) in page
+        assert float(row["promised_return_mean"]) == generation["promised_return"]["mean"]
+        assert row["judge"] == generation["delivery"]["judge"]
+    first, second = results["generations"]
+    assert first["delivery"]["status"] == "the first in service"
+    assert second["delivery"]["former"] == 1
+    assert second["delivery"]["paired"]
 
 
 def test_a_generation_has_one_colour_in_every_figure():

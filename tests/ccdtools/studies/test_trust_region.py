@@ -1,0 +1,96 @@
+"""A redesign goes only as far from what was deployed as the errors are known to follow the design."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from ccdtools import DesignSpace, DigitalTwin, Plant, discretise, simulate
+from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.studies.trust_region import LEAST_RADIUS, Doubt, Trust, doubt_of, within
+from learning.quantile import QuantileConfig
+
+SCALE = np.array([4.0, 4.0])
+
+
+def mass(*, cubic=0.0, push=0.0):
+    """A mass on a spring: `cubic` is a force the model lacks, `push` moves the position without any force."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    force = -1.5 * x[0] - cubic * x[0] ** 3 - 0.4 * x[1] + u + w
+    dynamics = ca.vertcat(x[1] + push * ca.cos(3 * x[0]), force / p)
+    return Plant(x, u, w, p, dynamics, DesignSpace(["m"], [0.3], [3.0]), dt=0.1)
+
+
+def taught(real, model=None):
+    """A twin of the linear mass after a log of the real one."""
+    w = 0.5 * np.random.default_rng(0).standard_normal((40, 60, 1))
+    law = LinearFeedback(np.array([[1.0, 1.0]]))
+    log = simulate(real, law, x0=np.tile([1.5, 0.0], (40, 1)), steps=60, disturbance=w, design=[1.0])
+    twin = DigitalTwin(discretise(mass()) if model is None else model, scale=SCALE)
+    return twin.update(log, weight=np.eye(2), rng=np.random.default_rng(0), config=QuantileConfig(steps=600))
+
+
+def test_where_the_real_plant_is_the_model_a_redesign_is_free():
+    doubt = doubt_of(taught(mass()), SCALE)
+    assert doubt.rest < 1e-6
+    assert doubt.explained < 0.05
+    assert not doubt.limits
+
+
+def test_what_does_not_enter_through_E_limits_a_redesign():
+    doubt = doubt_of(taught(mass(push=0.5)), SCALE)
+    assert doubt.rest > 0.1
+    assert doubt.limits
+    assert "does not enter through E(p)" in doubt.describe()
+
+
+def test_what_depends_on_the_state_limits_a_redesign_even_if_it_enters_as_the_disturbance_does():
+    doubt = doubt_of(taught(mass(cubic=2.0)), SCALE)
+    assert doubt.rest < 0.05
+    assert doubt.explained > 0.3
+    assert doubt.limits
+
+
+def test_a_disturbance_that_cannot_be_told_from_another_limits_a_redesign():
+    model = discretise(mass())
+    doubt = doubt_of(taught(mass(), replace(model, E=ca.horzcat(model.E, 2 * model.E))), SCALE)
+    assert not doubt.identified
+    assert doubt.limits
+    assert "not of full column rank" in doubt.describe()
+
+
+def test_an_E_that_is_the_same_everywhere_need_not_be_identified():
+    model = discretise(mass())
+    constant = ca.SX(ca.DM([[0.1, 0.2], [0.1, 0.2]]))
+    assert doubt_of(taught(mass(), replace(model, E=constant)), SCALE).identified
+
+
+def test_the_region_widens_where_the_judge_was_right_and_halves_where_it_was_wrong():
+    trust = Trust(0.25)
+    known = Doubt(0.0, 0.0, True)
+    assert trust.after(None) is trust
+    assert trust.after(True) == Trust(0.5)
+    assert not trust.limits(known)
+    wrong = trust.after(False)
+    assert wrong == Trust(0.125, betrayed=True)
+    assert wrong.limits(known)
+    for _ in range(20):
+        wrong = wrong.after(False)
+    assert wrong.radius == LEAST_RADIUS
+    for _ in range(20):
+        wrong = wrong.after(True)
+    assert wrong.radius == 1.0
+    assert not wrong.limits(Doubt(1.0, 0.0, False))
+
+
+def test_the_box_of_a_redesign_is_narrowed_and_stays_within_the_bounds(illustrative):
+    problem = illustrative.problem()
+    space = within(problem, np.array([2.9]), 0.25).design
+    np.testing.assert_allclose([space.lower, space.upper], [[2.9 - 0.25 * 2.5], [3.0]])
+    np.testing.assert_array_equal(within(problem, np.array([2.9]), 1.0).design.lower, problem.design.lower)
+
+
+def test_a_silent_log_leaves_nothing_to_doubt():
+    twin = taught(mass())
+    quiet = replace(twin.logs[0], e=0 * twin.logs[0].e, e_next=0 * twin.logs[0].e_next)
+    assert doubt_of(replace(twin, logs=(quiet,)), SCALE) == Doubt(0.0, 0.0, True)
