@@ -8,6 +8,7 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
 from ccdtools.comparison.comparison import replicates
@@ -193,7 +194,9 @@ def _updated_gain(
     return _clustered(evaluation, after, before, labels)
 
 
-def _clustered(evaluation: Evaluation, after: Trajectory, before: Trajectory, labels: Array) -> PairedDifference:
+def _clustered(
+    evaluation: Evaluation, after: Trajectory, before: Trajectory, labels: NDArray[np.int64]
+) -> PairedDifference:
     """Mean difference of the returns, over groups of windows that met the same disturbance or stood in one run."""
     kept = ~(after.diverged | before.diverged)
     objective = evaluation.study.objective
