@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
-from ccdtools.comparison.comparison import replicates
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import PairedDifference, Summary, paired_difference, summarise
+from ccdtools.statistics import PairedDifference, Summary, mean_interval, summarise, summarise_returns
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
 from ccdtools.studies.report.formatting import percent_interval
@@ -158,7 +157,7 @@ def promised(evaluation: Evaluation, choice: InService, logs: Sequence[Residuals
     scenario = evaluation.whole_log(logs[-1]) if logs else evaluation.nominal_deployment()
     run = _run(evaluation, choice, scenario)
     rewards = run.rewards(evaluation.study.objective)[~run.diverged]
-    return summarise(replicates(rewards, len(run.states)))
+    return summarise_returns(rewards, runs=len(run.states))
 
 
 def same_design(space: DesignSpace, one: Array, other: Array) -> bool:
@@ -197,13 +196,22 @@ def _updated_gain(
 def _clustered(
     evaluation: Evaluation, after: Trajectory, before: Trajectory, labels: NDArray[np.int64]
 ) -> PairedDifference:
-    """Mean difference of the returns, over groups of windows that met the same disturbance or stood in one run."""
+    """Mean difference of the returns, over groups of windows that met the same disturbance or stood in one run.
+
+    Windows of a single long run follow each other in time; their rewards make one correlated series.
+    """
     kept = ~(after.diverged | before.diverged)
     objective = evaluation.study.objective
-    difference = (after.returns(objective) - before.returns(objective))[kept]
-    _, group = np.unique(labels[kept], return_inverse=True)
-    means = np.bincount(group, difference) / np.bincount(group)
-    return paired_difference(means, np.zeros_like(means))
+    difference = (after.rewards(objective) - before.rewards(objective))[kept]
+    _, group, sizes = np.unique(labels[kept], return_inverse=True, return_counts=True)
+    means = np.zeros((len(sizes), difference.shape[1]))
+    np.add.at(means, group, difference / sizes[group, None])
+    if evaluation.study.real.runs > 1 or not len(means):
+        summary = summarise(means.sum(axis=1))
+        return PairedDifference(summary.mean, summary.ci95)
+    series = mean_interval(means.ravel())
+    length = means.shape[1]
+    return PairedDifference(length * series.mean, (length * series.ci95[0], length * series.ci95[1]))
 
 
 def _run(evaluation: Evaluation, choice: InService, scenario: Scenario) -> Trajectory:

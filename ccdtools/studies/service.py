@@ -11,8 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ccdtools.arrays import Array
-from ccdtools.comparison.comparison import replicates
-from ccdtools.statistics import PairedDifference, Summary, paired_difference, summarise
+from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.studies.evaluation import common_runs
 from ccdtools.studies.redesign import InService
 from ccdtools.trajectory import Trajectory
@@ -117,8 +116,8 @@ def judge_deployment(
     log : Trajectory
         Of the deployment.
     former : Trajectory or None
-        Log of what was in service before. Runs that met the same disturbances are compared in pairs, a single run by
-        its blocks, others by Welch's interval.
+        Log of what was in service before. Runs that met the same disturbances are compared in pairs, a single run as
+        a correlated series, others by Welch's interval.
     objective : QuadraticObjective
     promised : Summary
         Predicted return.
@@ -126,13 +125,13 @@ def judge_deployment(
         Whether a redesign was deployed, which must bring something; what was in service before need not.
     """
     rewards = log.rewards(objective)
-    returns = summarise(replicates(rewards[~log.diverged], len(rewards)))
+    returns = summarise_returns(rewards[~log.diverged], runs=len(rewards))
     judge = _agreement(promised, returns)
     if former is None:
         none = PairedDifference(np.nan, (np.nan, np.nan))
         return Delivery(returns, promised, judge, none, False, abs(returns.mean), ServiceStatus.FIRST)
     others = former.rewards(objective)
-    size = abs(float(replicates(others[~former.diverged], len(others)).mean()))
+    size = abs(float(others[~former.diverged].sum(axis=1).mean()))
     change, paired = _change(log, former, rewards, others)
     lost = _more_diverged(log, former, everywhere=redesigned or not paired)
     status = ServiceStatus.DIVERGED if lost else _status(change, ROUNDING * size, redesigned=redesigned)
@@ -157,12 +156,8 @@ def _change(log: Trajectory, former: Trajectory, own: Array, others: Array) -> t
     )
     if same and (runs == 1 or runs >= 4):
         kept = ~(log.diverged | former.diverged)[common]
-        first, second = (replicates(rewards[common][kept], runs) for rewards in (own, others))
-        return paired_difference(first, second), True
-    first, second = (
-        replicates(rewards[~run.diverged], len(rewards)) for rewards, run in ((own, log), (others, former))
-    )  # fmt: skip
-    return welch_difference(first, second), False
+        return paired_returns(own[common][kept], others[common][kept], runs=runs), True
+    return welch_difference(own[~log.diverged].sum(axis=1), others[~former.diverged].sum(axis=1)), False
 
 
 def welch_difference(a: Array, b: Array) -> PairedDifference:
