@@ -1,6 +1,7 @@
 """Learning on arrays: networks, PPO, cloning and quantile regression."""
 
 from learning.checkpoint import load, save
+from learning.copula_fit import fit_copula
 from learning.exceptions import LearningError
 from learning.networks import ActorCritic, NetworkConfig
 from learning.ppo import PPO, PPOConfig, gae, train
@@ -19,6 +20,7 @@ __all__ = [
     "VectorEnv",
     "collect",
     "fit_actor_critic",
+    "fit_copula",
     "fit_quantiles",
     "gae",
     "load",

@@ -5,20 +5,22 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
+from learning.copula import InnovationCopula
 from learning.exceptions import CheckpointError, InputError
 from learning.networks import ActorCritic
 from learning.quantile import QuantileNetwork
 
 FORMAT = "ccdtools-1"
-_KINDS: dict[str, Any] = {"ActorCritic": ActorCritic, "QuantileNetwork": QuantileNetwork}
+Network: TypeAlias = ActorCritic | QuantileNetwork | InnovationCopula
+_KINDS: dict[str, Any] = {kind.__name__: kind for kind in (ActorCritic, QuantileNetwork, InnovationCopula)}
 
 
-def save(path: str | Path, network: ActorCritic | QuantileNetwork, extra: dict[str, Any] | None = None) -> None:
+def save(path: str | Path, network: Network, extra: dict[str, Any] | None = None) -> None:
     """Write a network and JSON-able `extra` values to one safetensors file; missing folders are made.
 
     Raises
@@ -30,7 +32,7 @@ def save(path: str | Path, network: ActorCritic | QuantileNetwork, extra: dict[s
     """
     path = _path(path)
     if not isinstance(network, tuple(_KINDS.values())):
-        raise InputError("network", repr(network)[:60], "an ActorCritic or a QuantileNetwork")
+        raise InputError("network", repr(network)[:60], "an ActorCritic, a QuantileNetwork or an InnovationCopula")
     header = {"format": FORMAT, "kind": type(network).__name__, "shape": network.shape(), "extra": extra or {}}
     try:
         text = json.dumps(header)

@@ -48,6 +48,18 @@ def as_sizes(value: Any, name: str) -> tuple[int, ...]:
     return tuple(int(size) for size in sizes)
 
 
+def as_lengths(value: Any, name: str, total: int) -> list[int]:
+    """Return the lengths of contiguous stretches that make up `total` samples; one stretch where nothing is given."""
+    if value is None:
+        return [total]
+    if not isinstance(value, (list, tuple, np.ndarray)):
+        raise InputError(name, repr(value)[:60], "a list of lengths")
+    lengths = [check_count(length, name) for length in value]
+    if sum(lengths) != total:
+        raise InputError(name, f"lengths that sum to {sum(lengths)}", f"{total}, the number of samples")
+    return lengths
+
+
 def as_floats(value: Any, name: str) -> Array:
     """Return a float array of any shape; text and ragged lists are refused."""
     try:

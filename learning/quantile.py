@@ -20,6 +20,7 @@ from tqdm import trange
 from learning.checks import (
     ROUNDING,
     as_floats,
+    as_lengths,
     as_sizes,
     check_count,
     check_generator,
@@ -110,8 +111,7 @@ class QuantileNetwork(nn.Module):
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Quantiles (..., levels, m), lowest level first, in the units of the targets."""
-        clipped = torch.maximum(torch.minimum(inputs, self.input_upper), self.input_lower)
-        z = (clipped - self.input_offset) / self.input_scale
+        z = (self.clipped(inputs) - self.input_offset) / self.input_scale
         median = self.median_network(z).unsqueeze(-2)
         gaps = nn.functional.softplus(self.gap_network(z)).unflatten(-1, (len(self.levels) - 1, self.outputs))
         gaps = self.calibration * gaps
@@ -120,6 +120,10 @@ class QuantileNetwork(nn.Module):
         above = gaps[..., middle:, :].cumsum(-2)
         spread = torch.cat([below, torch.zeros_like(median), above], dim=-2)
         return self.output_offset + self.output_scale * (median + spread)
+
+    def clipped(self, inputs: Tensor) -> Tensor:
+        """Inputs within the range of the training data."""
+        return torch.maximum(torch.minimum(inputs, self.input_upper), self.input_lower)
 
     def predict(self, inputs: ArrayLike) -> Array:
         """`forward` for arrays, in float64."""
@@ -184,22 +188,13 @@ def fit_quantiles(
         raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", "(n, d), (n, m), n ≥ 20")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError("inputs, targets", "values that are not finite", "finite samples")
-    lengths = [len(x)] if stretches is None else _lengths(stretches)
-    if sum(lengths) != len(x):
-        raise InputError("stretches", f"lengths that sum to {sum(lengths)}", f"{len(x)}, the number of samples")
+    lengths = as_lengths(stretches, "stretches", len(x))
     held = _last_parts(lengths, config.calibration)
     network = QuantileNetwork(x.shape[1], y.shape[1], config.levels, config.hidden, seed=int(rng.integers(2**31)))
     _set_scales(network, x, y)
     _descend(network, (x[~held], y[~held]), (x[held], y[held]), config, rng, progress)
     _calibrate(network, x[held], y[held])
     return network.eval()
-
-
-def _lengths(stretches: Sequence[int]) -> list[int]:
-    """Return the lengths of the stretches, each a positive integer."""
-    if not isinstance(stretches, (list, tuple, np.ndarray)):
-        raise InputError("stretches", repr(stretches)[:60], "a list of lengths")
-    return [check_count(length, "stretches") for length in stretches]
 
 
 def _last_parts(lengths: Sequence[int], fraction: float) -> NDArray[np.bool_]:

@@ -80,6 +80,11 @@ class Stepper:
         x_next, e, penalty = self.advance(x, e, u, self.drive(w[:, None])[:, 0])
         return x_next, e, self.rewards(x_next[None], u[None])[0] - sum(penalty)
 
+    def without_error(self, x0: Tensor) -> Tensor:
+        """The error before the first step from states (n, nx): none, and nothing remembered of steps before."""
+        discrepancy = self.problem.discrepancy
+        return x0.new_zeros(len(x0), x0.shape[-1] if discrepancy is None else discrepancy.error_size)
+
     def drive(self, w: Tensor) -> Tensor:
         """What a disturbance (n, T, nw) adds to the states, (n, T, nx); the noise itself where errors are learned."""
         return w if self.problem.discrepancy is not None else _times(self.E, w)
@@ -90,7 +95,8 @@ class Stepper:
         if discrepancy is None:
             return _plus_times(_plus_times(drive, self.A, x), self.B, u), e, ()
         e, penalty = discrepancy.advance(e, x, u, self.p, drive)
-        carried = e if self.carry is None else _times(self.carry, e[:, None])[:, 0]
+        error = e[..., : x.shape[-1]]  # the rest is what draws remember
+        carried = error if self.carry is None else _times(self.carry, error[:, None])[:, 0]
         return _plus_times(_plus_times(carried, self.A, x), self.B, u), e, (penalty,)
 
     def rewards(self, x_next: Tensor, u: Tensor) -> Tensor:

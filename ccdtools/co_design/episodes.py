@@ -96,7 +96,7 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
     steps = w.shape[1]
     nothing = torch.zeros(len(x0), dtype=torch.float64)
     running = torch.ones(len(x0), dtype=torch.bool)
-    progress = _Progress(x0, torch.zeros_like(x0), running, nothing, nothing, nothing, nothing)
+    progress = _Progress(x0, step.without_error(x0), running, nothing, nothing, nothing, nothing)
     recomputed = torch.is_grad_enabled() and steps > 2 * LONGEST_SEGMENT
     for part in w.split(math.isqrt(steps) if recomputed else LONGEST_SEGMENT, dim=1):
         if recomputed:

@@ -9,12 +9,13 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_choice, as_flag, as_instance, as_weight
+from ccdtools.checks import as_array, as_choice, as_flag, as_instance, as_weight
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import Transport
+from learning.copula import InnovationCopula
 from learning.quantile import QuantileNetwork, pinball
 
 NOISES = ("none", "quantiles", "replayed")
@@ -34,10 +35,13 @@ class Discrepancy(Immutable):
         of p; E(p) w and input gains that depend on p break that assumption.
     noise : {"none", "quantiles", "replayed"}
         What is added to the median. Nothing: the model is then deterministic. Draws from the learned distribution,
-        linear between and beyond the levels. Or given innovations: what the median left unexplained in the log,
-        replayed with its own correlation in time.
+        joint across the states. Or given innovations: what the median left unexplained in the log, replayed with its
+        own correlation in time.
     transport : Transport, optional
         From the design in whose coordinates the network works to any other. Without it e⁺ does not depend on p.
+    copula : InnovationCopula, optional
+        Distribution of the draws between and beyond the levels, their correlation between states and in time. Without
+        it they are linear between and beyond the levels, and independent.
     """
 
     network: QuantileNetwork
@@ -45,6 +49,7 @@ class Discrepancy(Immutable):
     design_as_feature: bool = False
     noise: str = "none"
     transport: Transport | None = None
+    copula: InnovationCopula | None = None
 
     def __post_init__(self) -> None:
         as_instance("network", self.network, QuantileNetwork, "a QuantileNetwork", "fit_quantiles makes one.")
@@ -53,6 +58,19 @@ class Discrepancy(Immutable):
         as_choice("noise", self.noise, NOISES)
         if self.transport is not None:
             as_instance("transport", self.transport, Transport, "a Transport or None")
+        self._check_draws()
+
+    def _check_draws(self) -> None:
+        """Raise an `InputError` unless draws can follow the quantiles, if draws are wanted."""
+        levels, states = len(self.network.levels), self.network.outputs
+        if self.copula is not None:
+            as_instance("copula", self.copula, InnovationCopula, "an InnovationCopula", "fit_copula makes one.")
+            if self.copula.outputs != states:
+                raise InputError("copula", f"{self.copula.outputs} states", f"{states}, as of the network")
+        elif self.noise == "quantiles":
+            object.__setattr__(self, "copula", InnovationCopula.independent(self.network))
+        if self.noise == "quantiles" and levels < 3:
+            raise InputError("noise", f"'quantiles' of {levels} level", "a network of at least three levels")
 
     def __repr__(self) -> str:
         levels = ", ".join(f"{level:g}" for level in self.network.levels)
@@ -72,25 +90,67 @@ class Discrepancy(Immutable):
             return self.network(self.features(e, x, u, p))[..., len(self.network.levels) // 2, :].double().numpy()
 
     def advance(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
-        """e⁺ (n, nx) and the width penalty (n,).
+        """e⁺ (n, nx) and the width penalty (n,); where draws are correlated in time, e⁺ carries what they remember.
 
-        `w` (n, nx) holds draws uniform in [0, 1] or innovations, as `noise` says; it is not used for "none".
+        Parameters
+        ----------
+        e : (n, nx) or (n, nx + memory) tensor
+            What the last step returned; `(n, nx)` zeros, or an error that was measured, at the first one.
+        x, u, p : (n, nx), (n, nu) and (np,) tensors
+        w : (n, nx) tensor
+            Draws uniform in [0, 1] or innovations, as `noise` says; it is not used for "none".
         """
-        quantiles = self.network(self.features(e, x, u, p))
+        nx = self.network.outputs
+        inputs = self.features(e[..., :nx], x, u, p)
+        quantiles = self.network(inputs)
         median = quantiles[..., len(self.network.levels) // 2, :]
         width = quantiles[..., -1, :] - quantiles[..., 0, :]
         weight = x.new_tensor(self.weight.tolist())
         penalty = ((width @ weight) * width).sum(-1)
         if self.noise == "quantiles":
-            return self._draw(quantiles, w), penalty
+            drawn, memory = self._copula.draw(quantiles, self.network.clipped(inputs), w, self._memory(e))
+            return torch.cat([drawn, memory], dim=-1), penalty
         return (median + w if self.noise == "replayed" else median), penalty
 
-    def _draw(self, quantiles: Tensor, w: Tensor) -> Tensor:
-        """The inverse distribution function at `w`, piecewise linear through the quantiles."""
-        levels = torch.tensor(self.network.levels, dtype=quantiles.dtype)
-        k = torch.searchsorted(levels, w.contiguous()).clamp(1, len(levels) - 1)
-        low, high = (quantiles.gather(-2, i.unsqueeze(-2)).squeeze(-2) for i in (k - 1, k))
-        return low + (w - levels[k - 1]) / (levels[k] - levels[k - 1]) * (high - low)
+    @property
+    def error_size(self) -> int:
+        """Columns of the error that `advance` returns."""
+        drawn = self.noise == "quantiles"
+        return self.network.outputs + (self._copula.memory if drawn else 0)
+
+    @property
+    def _copula(self) -> InnovationCopula:
+        """What draws with noise "quantiles" are made with."""
+        assert self.copula is not None
+        return self.copula
+
+    def _memory(self, e: Tensor) -> Tensor:
+        """What the draws remember (n, memory): zeros for an error without a past."""
+        kept = e[..., self.network.outputs :]
+        return kept if kept.shape[-1] else e.new_zeros(*e.shape[:-1], self._copula.memory)
+
+    def past(self, log: Residuals) -> Tensor:
+        """e along a log with what the draws remember of the steps before, (n, T, nx + memory), for `advance`.
+
+        Raises
+        ------
+        InputError
+            If the noise is not "quantiles".
+        """
+        if self.noise != "quantiles":
+            raise InputError("noise", f"{self.noise!r}", "'quantiles', which draws")
+        e, x, u, p = (torch.tensor(a, dtype=torch.float32) for a in (log.e, log.x, log.u, log.p))
+        if not self._copula.memory:
+            return e
+        with torch.no_grad():
+            inputs = self.features(e, x, u, p).flatten(0, 1)
+            quantiles = self._copula.shifted(self.network(inputs), self.network.clipped(inputs)).double().numpy()
+        flat = self._copula.scores(quantiles, log.e_next.reshape(-1, e.shape[-1]))
+        scores = torch.tensor(flat.reshape(log.e_next.shape), dtype=torch.float32)
+        memory = [e.new_zeros(log.runs, self._copula.memory)]
+        for k in range(log.steps - 1):
+            memory.append(self._copula.remember(scores[:, k], memory[-1]))
+        return torch.cat([e, torch.stack(memory, dim=1)], dim=-1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,16 +158,25 @@ class TwinPlant(Immutable):
     """The updated model as a plant to simulate: x⁺ = A(p) x + B(p) u + e⁺, with e⁺ from a discrepancy.
 
     Its disturbance w (nx,) is what the discrepancy's noise asks for.
+
+    Attributes
+    ----------
+    error : (n, nx + memory) array, optional
+        Error before the first step of each of n runs, from `Discrepancy.past`; none by default.
     """
 
     model: LinearModel
     discrepancy: Discrepancy
+    error: ArrayField | None = None
 
     def __post_init__(self) -> None:
         as_instance("model", self.model, LinearModel, "a LinearModel")
         as_instance("discrepancy", self.discrepancy, Discrepancy, "a Discrepancy")
         if self.discrepancy.network.outputs != self.model.nx:
             raise InputError("discrepancy", f"{self.discrepancy.network.outputs} states", f"{self.model.nx}")
+        if self.error is not None:
+            error = as_array("error", self.error, ("n", self.model.nx), ("n", self.discrepancy.error_size))
+            object.__setattr__(self, "error", error)
 
     def __repr__(self) -> str:
         return f"TwinPlant({self.model!r}, {self.discrepancy!r})"
@@ -138,7 +207,9 @@ class TwinPlant(Immutable):
         return self.model.design
 
     def stepper(self, p: Array, *, batch: int) -> TwinStepper:
-        """(x, u, w) → x⁺ at design `p` (np,), from e₀ = 0, remembering e."""
+        """(x, u, w) → x⁺ at design `p` (np,), from e₀ = 0 or the error given, remembering e."""
+        if self.error is not None and len(self.error) != batch:
+            raise InputError("error", f"those of {len(self.error)} runs", f"one for each of the {batch} runs")
         return TwinStepper(self, p, batch)
 
 
@@ -151,14 +222,14 @@ class TwinStepper:
         transport = plant.discrepancy.transport
         self._carry = np.eye(plant.nx) if transport is None else transport.matrix(E)
         self._p = torch.tensor(p, dtype=torch.float32)
-        self._e = np.zeros((batch, plant.nx))
+        self._e = np.zeros((batch, plant.nx)) if plant.error is None else plant.error
 
     def __call__(self, x: Array, u: Array, w: Array) -> Array:
         """Next states (n, nx) of states (n, nx), inputs (n, nu) and noise (n, nx)."""
         e, state, applied, drawn = (torch.tensor(a, dtype=torch.float32) for a in (self._e, x, u, w))
         with torch.no_grad():
             self._e = self._discrepancy.advance(e, state, applied, self._p, drawn)[0].double().numpy()
-        return x @ self._A.T + u @ self._B.T + self._e @ self._carry.T
+        return x @ self._A.T + u @ self._B.T + self._e[:, : x.shape[1]] @ self._carry.T
 
 
 @dataclass(frozen=True)

@@ -101,17 +101,22 @@ def check_log(model: LinearModel, log: Trajectory) -> None:
 
 
 def block_parts(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[Residuals]:
-    """The first (or the held-out last) part of every block of a log, in time order.
+    """The first (or the held-out last) part of every block of a log, in time order; see `block_spans`."""
+    return [log.part(runs, steps) for runs, steps in block_spans(log, held_out, blocks, last=last)]
+
+
+def block_spans(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[tuple[slice, slice]]:
+    """Runs and steps of the first (or the held-out last) part of every block of a log.
 
     A single long run is cut into blocks; several runs, one after the other, are one block of whole runs.
     """
     if log.runs > 1:
         cut = log.runs - max(1, round(held_out * log.runs))
-        return [log.part(slice(cut, None) if last else slice(None, cut), slice(None))]
+        return [(slice(cut, log.runs) if last else slice(0, cut), slice(0, log.steps))]
     edges = np.linspace(0, log.steps, blocks + 1).round().astype(int)
     cuts = edges[1:] - np.round(held_out * np.diff(edges)).astype(int)
     spans = zip(cuts, edges[1:]) if last else zip(edges[:-1], cuts)
-    return [log.part(slice(None), slice(a, b)) for a, b in spans]
+    return [(slice(0, 1), slice(int(a), int(b))) for a, b in spans]
 
 
 def stacked(parts: Sequence[Residuals]) -> list[Array]:

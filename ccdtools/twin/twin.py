@@ -15,6 +15,7 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
 from ccdtools.twin.transport import Transport, as_extent
+from learning.copula_fit import fit_copula
 from learning.quantile import QuantileConfig, fit_quantiles
 
 HELD_OUT = 0.2  # of every block of a log
@@ -113,8 +114,13 @@ class DigitalTwin(Immutable):
         inputs, tests = (np.hstack([part[i] for i in columns]) for part in (train, test))
         lengths = [part.runs * part.steps for part in parts]
         network = fit_quantiles(inputs, train[-1], stretches=lengths, rng=rng, config=config, progress=progress)
+        copula = None
+        if len(network.levels) > 1:
+            runs = [part.steps for part in parts for _ in range(part.runs)]
+            copula = fit_copula(network, inputs, train[-1], stretches=runs)
         return replace(
-            twin, discrepancy=Discrepancy(network, weight, design_as_feature, transport=twin.transport),
+            twin,
+            discrepancy=Discrepancy(network, weight, design_as_feature, transport=twin.transport, copula=copula),
             scores=score_quantiles(network, tests, test[-1], train[-1]),
         )  # fmt: skip
 

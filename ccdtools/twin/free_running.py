@@ -1,0 +1,192 @@
+"""Free-running bands: whether many steps of the updated model, without a look at the plant, cover what happened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.checks import as_count, as_generator, as_instance, as_share, shown
+from ccdtools.controllers.controllers import Controller
+from ccdtools.exceptions import InputError
+from ccdtools.simulation import simulate
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.discrepancy import TwinPlant
+from ccdtools.twin.residuals import Residuals, block_spans, residuals
+from ccdtools.twin.transport import Transport
+from ccdtools.twin.twin import BLOCKS, DigitalTwin
+
+STEPS = (10, 50, 100)
+LEVELS = (0.1, 0.9)  # of the bands
+RUNAWAY = 1e3  # draws are stopped where they exceed this many times the largest logged state
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FreeRunningBands(Immutable):
+    """Bands of the states that a twin draws from logged ones, and how well they cover what the plant did.
+
+    Attributes
+    ----------
+    steps : (H,) int array
+        How many steps after the start.
+    lower, upper, actual : (H, n, nx) arrays
+        The 10 % and 90 % quantiles of the draws of n windows, and the logged states.
+    coverage : (H, nx) array
+        Fraction of windows whose logged state lies within the band; 0.8 is right.
+    joint : (H,) array
+        Fraction of windows with every state within its band. Even right bands cover states that are not fully
+        correlated less often together than one by one.
+    spread : (H, nx) array
+        Root mean square deviation of the draws from their mean over that of the logged states from it; 1 is right.
+    """
+
+    steps: NDArray[np.int64]
+    lower: Array
+    upper: Array
+    actual: Array
+    coverage: Array
+    joint: Array
+    spread: Array
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "lower", "upper", "actual", "coverage", "joint", "spread"):
+            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name))))
+
+    def __repr__(self) -> str:
+        covered = "; ".join(
+            f"{step} steps {', '.join(f'{c:.0%}' for c in row)}" for step, row in zip(self.steps, self.coverage)
+        )
+        return f"FreeRunningBands({self.actual.shape[1]} windows, coverage of 80 %: {covered})"
+
+
+def free_running_bands(
+    twin: DigitalTwin,
+    log: Trajectory,
+    controller: Controller,
+    *,
+    rng: np.random.Generator,
+    steps: Sequence[int] = STEPS,
+    draws: int = 100,
+    windows: int = 200,
+    held_out: float | None = None,
+    blocks: int = BLOCKS,
+    since: int = 0,
+) -> FreeRunningBands:
+    """Bands of `twin` in closed loop, started from the states of a log and compared with what the log did next.
+
+    The draws know the state and the error at the start of a window, and nothing of what follows.
+
+    Parameters
+    ----------
+    twin : DigitalTwin
+        After `update`.
+    log : Trajectory
+        Of the plant under `controller`: one that the twin did not learn from, or the `held_out` parts of one that it did.
+    controller : Controller
+        Closes the loop of the draws, as it did that of the log.
+    rng : numpy.random.Generator
+    steps : sequence of int
+        Those longer than every window that the log offers are left out.
+    draws : int
+        Per window.
+    windows : int
+        At most so many, evenly spread over the log.
+    held_out : float, optional
+        As given to `update` (0.2 by default there): windows then lie within the parts that were held out of it.
+    blocks : int
+        As given to `update`.
+    since : int
+        Samples at the start of the log, run after run, to leave out: of a former policy, say.
+
+    Raises
+    ------
+    InputError
+        If the twin has learned nothing, the log is of another plant, or no window is as long as any of the steps.
+    """
+    as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
+    if twin.discrepancy is None:
+        raise InputError("twin", "one without a discrepancy", "one after `update`")
+    as_generator("rng", rng)
+    draws, windows = as_count("draws", draws, least=2), as_count("windows", windows)
+    errors = residuals(twin.model, log)
+    parts = [(slice(0, errors.runs), slice(0, errors.steps))]
+    if held_out is not None:
+        parts = block_spans(errors, as_share("held_out", held_out), as_count("blocks", blocks), last=True)
+    spans = [(run, k.start, k.stop) for runs, k in parts for run in range(runs.start, runs.stop)]
+    spans = _after(spans, as_count("since", since, least=0), errors.steps)
+    horizons = _fitting(steps, spans)
+    starts = _starts(spans, horizons[-1], windows)
+    drawn = _draws(twin, errors, controller, starts, horizons[-1], draws, rng)
+    states = np.concatenate([errors.x, _last(twin, errors)], axis=1)
+    return _compared(horizons, drawn, np.stack([states[starts[:, 0], starts[:, 1] + h] for h in horizons]))
+
+
+Span = tuple[int, int, int]  # run, first sample, one past the last
+
+
+def _after(spans: Sequence[Span], since: int, length: int) -> list[Span]:
+    """The spans without the first `since` samples of the runs of `length` samples, one after the other."""
+    run, sample = divmod(since, length)
+    cut = [(r, max(first, sample) if r == run else first, end) for r, first, end in spans if r >= run]
+    return [span for span in cut if span[1] < span[2]]
+
+
+def _fitting(steps: Sequence[int], spans: Sequence[Span]) -> NDArray[np.int64]:
+    """The steps that some span is long enough for, in increasing order."""
+    given = list(steps) if isinstance(steps, list | tuple | range | np.ndarray) else [steps]
+    wanted = sorted({as_count("steps", step) for step in given})
+    longest = max((end - first for _, first, end in spans), default=0)
+    kept = [step for step in wanted if step <= longest]
+    if not kept:
+        raise InputError("steps", shown(tuple(wanted)), f"at most {longest}, the longest stretch that the log offers")
+    return np.array(kept)
+
+
+def _starts(spans: Sequence[Span], length: int, windows: int) -> NDArray[np.int64]:
+    """Run and first sample (n, 2) of at most so many windows, evenly spread over all that the spans hold."""
+    every = np.array([(run, k) for run, first, end in spans for k in range(first, end - length + 1)])
+    return every[np.unique(np.linspace(0, len(every) - 1, min(windows, len(every))).round().astype(int))]
+
+
+def _draws(
+    twin: DigitalTwin, errors: Residuals, controller: Controller, starts: NDArray[np.int64], length: int, draws: int,
+    rng: np.random.Generator,
+) -> Array:  # fmt: skip
+    """Drawn states (n, draws, length + 1, nx) from the logged ones at the starts (n, 2)."""
+    assert twin.discrepancy is not None
+    discrepancy = replace(twin.discrepancy, noise="quantiles")
+    past = discrepancy.past(_as_learned(twin, errors))[starts[:, 0], starts[:, 1]].double().numpy()
+    plant = TwinPlant(twin.model, discrepancy, np.repeat(past, draws, axis=0))
+    x0 = np.repeat(errors.x[starts[:, 0], starts[:, 1]], draws, axis=0)
+    w = rng.random((len(x0), length, twin.model.nx))
+    limit = RUNAWAY * np.maximum(np.abs(errors.x).max(axis=(0, 1)), np.finfo(float).tiny)
+    run = simulate(plant, controller, x0=x0, steps=length, disturbance=w, design=errors.p, limit=limit)
+    return np.clip(run.states, -limit, limit).reshape(len(starts), draws, length + 1, -1)
+
+
+def _as_learned(twin: DigitalTwin, errors: Residuals) -> Residuals:
+    """The errors as they would be at the design of the twin's newest log, where its network works."""
+    assert twin.scale is not None
+    E = twin.model.matrices(twin.logs[-1].p)[2]
+    return errors.carried(Transport.at(twin.model, errors.p, twin.scale).matrix(E))
+
+
+def _last(twin: DigitalTwin, errors: Residuals) -> Array:
+    """The states (n, 1, nx) after the last step of every run."""
+    A, B, _ = twin.model.matrices(errors.p)
+    return errors.x[:, -1:] @ A.T + errors.u[:, -1:] @ B.T + errors.e_next[:, -1:]
+
+
+def _compared(horizons: NDArray[np.int64], drawn: Array, actual: Array) -> FreeRunningBands:
+    """Bands of the draws (n, draws, T + 1, nx) at the horizons, compared with the actual states (H, n, nx)."""
+    at = np.moveaxis(drawn[:, :, horizons], 2, 0)
+    lower, upper = np.quantile(at, LEVELS, axis=2, method="weibull")  # the share that draws as good as the truth cover
+    inside = (actual >= lower) & (actual <= upper)
+    own = np.sqrt(at.var(axis=2, ddof=1).mean(axis=1) * (1 + 1 / at.shape[2]))  # their mean is uncertain, too
+    true = np.sqrt(((actual - at.mean(axis=2)) ** 2).mean(axis=1))
+    spread = own / np.maximum(true, np.finfo(float).tiny)
+    joint = inside.all(axis=2).mean(axis=1)
+    return FreeRunningBands(horizons, lower, upper, actual, inside.mean(axis=1), joint, spread)

@@ -1,0 +1,192 @@
+"""Fitting the joint distribution of samples around their conditional quantiles.
+
+References
+----------
+Lütkepohl, "New Introduction to Multiple Time Series Analysis", Springer 2005, section 3.3 (Yule–Walker equations).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr, ndtri
+
+from learning.checks import ROUNDING, as_floats, as_lengths, check_instance
+from learning.copula import InnovationCopula, log_width, positions
+from learning.exceptions import InputError
+from learning.quantile import QuantileNetwork
+
+Array = NDArray[np.float64]
+
+KNOTS = 257  # of the margins, evenly spaced in the normal score
+WIDTHS = 6  # at most, for which margins are kept
+PER_WIDTH = 500  # samples that each of them needs
+COLLINEAR = 0.01  # smallest singular value of standardised inputs, relative to the largest, that the shift follows
+ORDERS = 3  # highest order of the autoregression that is tried
+JUDGED = 0.2  # last part of every stretch, on which the order is chosen
+FEWEST = 100  # judged samples below which no correlation in time is looked for
+SIGNIFICANT = 0.01  # of the total variance of the scores: components below it are taken as independent in time
+
+
+def fit_copula(
+    network: QuantileNetwork, inputs: ArrayLike, targets: ArrayLike, *, stretches: Sequence[int] | None = None
+) -> InnovationCopula:
+    """The joint distribution of `targets` around the conditional quantiles of a network.
+
+    Parameters
+    ----------
+    network : QuantileNetwork
+        Of at least three levels.
+    inputs : (n, d) array_like
+        In time order.
+    targets : (n, m) array_like
+    stretches : sequence of int, optional
+        Lengths of the contiguous stretches that make up the n samples; one stretch by default. The order of the
+        correlation in time is the smallest whose one-step error on the last part of each is not worse than the best
+        by more than two standard errors.
+
+    Raises
+    ------
+    InputError
+        On mismatched, too few (under 20) or non-finite samples, or a network of a single level.
+    """
+    network = check_instance(network, "network", QuantileNetwork)
+    x = as_floats(inputs, "inputs")
+    y = as_floats(targets, "targets")
+    if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
+        raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", "(n, d), (n, m), n ≥ 20")
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise InputError("inputs, targets", "values that are not finite", "finite samples")
+    if len(network.levels) < 3:
+        raise InputError("network", "a single level", "at least three, which draws can follow")
+    lengths = as_lengths(stretches, "stretches", len(x))
+    quantiles = network.predict(x)
+    margins = _margins(quantiles, y, x.shape[1])
+    slope, shift = _regression(x, y - margins.mean(torch.tensor(quantiles)).numpy())
+    quantiles = quantiles + ((x - x.mean(axis=0)) @ slope + shift)[:, None]
+    margins = _margins(quantiles, y, x.shape[1])
+    for name, value in (("centre", x.mean(axis=0)), ("slope", slope), ("shift", shift)):
+        getattr(margins, name).copy_(torch.tensor(value))
+    parts = np.split(margins.scores(quantiles, y), np.cumsum(lengths)[:-1])
+    return _joined(margins, parts, _order(parts))
+
+
+def _regression(x: Array, left: Array) -> tuple[Array, Array]:
+    """Return slope (d, m) and shift (m,) of what is left (n, m), in the directions that the inputs (n, d) fill."""
+    deviation = x.std(axis=0)
+    scale = np.where(deviation > ROUNDING * np.abs(x).max(axis=0), deviation, np.inf)
+    shift = left.mean(axis=0)
+    slope = np.linalg.lstsq((x - x.mean(axis=0)) / scale, left - shift, rcond=COLLINEAR)[0]
+    return slope / scale[:, None], shift
+
+
+def _margins(quantiles: Array, targets: Array, inputs: int) -> InnovationCopula:
+    """Return a copula with the margins of targets (n, m) among quantiles (n, levels, m), independent otherwise."""
+    samples = positions(quantiles, targets)
+    widths = log_width(torch.tensor(quantiles)).numpy()
+    n, outputs = samples.shape
+    count = int(np.clip(n // PER_WIDTH, 1, WIDTHS))
+    furthest = -ndtri(0.5 / n)
+    shares = ndtr(np.linspace(-furthest, furthest, KNOTS))
+    centres = np.quantile(widths, (np.arange(count) + 0.5) / count, axis=0)
+    copula = InnovationCopula(inputs, outputs, knots=KNOTS, widths=count, order=0)
+    copula.probabilities.copy_(torch.tensor(shares))
+    copula.widths.copy_(torch.tensor(centres))
+    for i in range(outputs):
+        for b, weight in enumerate(_nearness(widths[:, i], centres[:, i])):
+            copula.positions[b, :, i] = torch.tensor(_weighted_quantiles(samples[:, i], weight, shares))
+    return copula
+
+
+def _nearness(widths: Array, centres: Array) -> list[Array]:
+    """Return the weight (n,) of every sample at each centre: linear between neighbours, and all where they coincide."""
+    distinct, index = np.unique(centres, return_inverse=True)
+    hats = [np.interp(widths, distinct, np.eye(len(distinct))[b]) for b in range(len(distinct))]
+    return [hats[b] for b in index]
+
+
+def _weighted_quantiles(samples: Array, weight: Array, shares: Array) -> Array:
+    """Return the quantiles of weighted samples; each sample stands in the middle of its own share."""
+    order = np.argsort(samples, kind="stable")
+    total = np.cumsum(weight[order])
+    at = (total - weight[order] / 2) / total[-1]
+    return np.interp(shares, at, samples[order])
+
+
+def _joined(margins: InnovationCopula, parts: Sequence[Array], order: int) -> InnovationCopula:
+    """Return the copula of the margins whose scores (n, m) along the stretches are correlated as in `parts`."""
+    copula = InnovationCopula.from_shape(margins.shape() | {"order": order})
+    for name in ("probabilities", "positions", "widths", "centre", "slope", "shift"):
+        getattr(copula, name).copy_(getattr(margins, name))
+    variance = _autocovariance(parts, 0)
+    deviation = np.sqrt(np.maximum(np.diag(variance), np.finfo(float).tiny))
+    variance = variance / np.outer(deviation, deviation)  # the margins hold the spread
+    lagged = [_autocovariance(parts, i) / np.outer(deviation, deviation) for i in range(order + 1)]
+    for j in range(order + 1):
+        gains, left = _autoregression(lagged, j)
+        copula.factors[j] = torch.tensor(_root(left))
+        for i, gain in enumerate(gains):
+            copula.gains[j, i] = torch.tensor(gain)
+    return copula
+
+
+def _autocovariance(parts: Sequence[Array], lag: int) -> Array:
+    """Return E[z_k z_{k−lag}ᵀ] (m, m) along the stretches, divided by all samples so that it stays definite."""
+    products = [part[lag:].T @ part[: len(part) - lag] for part in parts if len(part) > lag]
+    return np.sum(products, axis=0) / sum(len(part) for part in parts)
+
+
+def _autoregression(lagged: Sequence[Array], order: int) -> tuple[list[Array], Array]:
+    """Return the gains (m, m) on the last `order` scores, and the covariance (m, m) of what they leave.
+
+    The Yule–Walker equations in the leading components of the scores: outputs that follow one signal have a covariance
+    that is singular but for rounding, and gains on its noise would mean nothing.
+    """
+    values, vectors = np.linalg.eigh(lagged[0])
+    kept = values > SIGNIFICANT * values.sum()
+    into = vectors[:, kept] / np.sqrt(values[kept])
+    back = vectors[:, kept] * np.sqrt(values[kept])
+    if order == 0 or not kept.any():
+        return [], lagged[0]
+    reduced = [into.T @ covariance @ into for covariance in lagged[: order + 1]]
+    toeplitz = np.block([
+        [reduced[j - i] if j >= i else reduced[i - j].T for j in range(order)] for i in range(order)
+    ])  # fmt: skip
+    solution = np.linalg.lstsq(toeplitz.T, np.hstack(reduced[1:]).T, rcond=1e-9)[0].T
+    gains = np.split(solution, order, axis=1)
+    explained = sum(gain @ covariance.T for gain, covariance in zip(gains, reduced[1:]))
+    return [back @ gain @ into.T for gain in gains], lagged[0] - back @ explained @ back.T
+
+
+def _root(covariance: Array) -> Array:
+    """Return the symmetric square root of a positive semidefinite matrix."""
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+
+
+def _order(parts: Sequence[Array]) -> int:
+    """Return the smallest order whose error on unseen scores is within two standard errors of the best."""
+    cuts = [len(part) - round(JUDGED * len(part)) for part in parts]
+    if sum(len(part) - cut for part, cut in zip(parts, cuts)) < FEWEST:
+        return 0
+    lagged = [_autocovariance([part[:cut] for part, cut in zip(parts, cuts)], i) for i in range(ORDERS + 1)]
+    errors = np.stack([_errors(parts, cuts, _autoregression(lagged, order)[0]) for order in range(ORDERS + 1)])
+    best = errors[errors.mean(axis=1).argmin()]
+    more = errors - best
+    standard = more.std(axis=1) / np.sqrt(errors.shape[1])
+    return int(np.flatnonzero(more.mean(axis=1) <= 2 * standard)[0])
+
+
+def _errors(parts: Sequence[Array], cuts: Sequence[int], gains: Sequence[Array]) -> Array:
+    """Return the squared one-step errors of an autoregression on the end of every stretch."""
+    found = []
+    for part, cut in zip(parts, cuts):
+        first = max(cut, ORDERS)
+        error = part[first:].copy()
+        for i, gain in enumerate(gains):
+            error -= part[first - 1 - i : len(part) - 1 - i] @ gain.T
+        found.append((error**2).sum(axis=1))
+    return np.concatenate(found)
