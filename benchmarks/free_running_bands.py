@@ -1,4 +1,4 @@
-"""Free-running bands of the updated model on drives it has not seen: do they cover 80 % per state, with the right spread?
+"""Free-running bands of the updated model on drives it has not seen: is 80 % covered per state, with the right spread?
 
 Four plants: the suspension's real plant on generated roads of both drivers, the illustrative real plant, and two made
 for this purpose: skewed innovations, correlated across the states, with a second-order memory; and two heavy-tailed
@@ -77,7 +77,7 @@ def memory_case() -> Case:
 
 
 def regimes_case() -> Case:
-    """Two carts on a nonlinear spring; two signals with Student's t₅ tails enter four states, calm or rough by turns."""
+    """Two carts on a nonlinear spring; two signals with Student's t₅ tails, calm or rough, enter four states."""
     x, u, w, p = ca.SX.sym("x", 4), ca.SX.sym("u"), ca.SX.sym("w", 2), ca.SX.sym("p")
     space = DesignSpace(["k"], [1.0], [4.0])
 

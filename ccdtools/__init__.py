@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from ccdtools.studies.study import RealPlant, Study
     from ccdtools.trajectory import Trajectory
     from ccdtools.twin.deployment import OnlineConfig, deploy, deploy_and_update
+    from ccdtools.twin.free_running import free_running_bands
     from ccdtools.twin.replay import replay_problem, updated_problem
     from ccdtools.twin.twin import DigitalTwin
 

@@ -175,6 +175,15 @@ class InnovationCopula(nn.Module):
         known = (memory[..., :1] + 1).clamp(max=self.order)
         return torch.cat([known, scores, memory[..., 1 : self.memory - self.outputs]], dim=-1)
 
+    def memories(self, scores: Tensor) -> Tensor:
+        """The memory (n, T, `memory`) before every step of runs with scores (n, T, m)."""
+        runs, steps, _ = scores.shape
+        if not self.order:
+            return scores.new_zeros(runs, steps, 0)
+        known = torch.arange(steps, dtype=scores.dtype).clamp(max=self.order).expand(runs, steps)
+        late = [nn.functional.pad(scores, (0, 0, i, 0))[:, :steps] for i in range(1, self.order + 1)]
+        return torch.cat([known.unsqueeze(-1), *late], dim=-1)
+
     def scores(self, quantiles: Array, targets: Array) -> Array:
         """Normal scores (n, m) of targets (n, m) among their quantiles (n, levels, m)."""
         width = log_width(torch.tensor(quantiles))

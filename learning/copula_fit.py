@@ -70,7 +70,7 @@ def fit_copula(
     margins = _margins(quantiles, y, x.shape[1])
     for name, value in (("centre", x.mean(axis=0)), ("slope", slope), ("shift", shift)):
         getattr(margins, name).copy_(torch.tensor(value))
-    parts = np.split(margins.scores(quantiles, y), np.cumsum(lengths)[:-1])
+    parts = np.split(_standard(margins.scores(quantiles, y)), np.cumsum(lengths)[:-1])
     return _joined(margins, parts, _order(parts))
 
 
@@ -121,10 +121,7 @@ def _joined(margins: InnovationCopula, parts: Sequence[Array], order: int) -> In
     copula = InnovationCopula.from_shape(margins.shape() | {"order": order})
     for name in ("probabilities", "positions", "widths", "centre", "slope", "shift"):
         getattr(copula, name).copy_(getattr(margins, name))
-    variance = _autocovariance(parts, 0)
-    deviation = np.sqrt(np.maximum(np.diag(variance), np.finfo(float).tiny))
-    variance = variance / np.outer(deviation, deviation)  # the margins hold the spread
-    lagged = [_autocovariance(parts, i) / np.outer(deviation, deviation) for i in range(order + 1)]
+    lagged = [_autocovariance(parts, i) for i in range(order + 1)]
     for j in range(order + 1):
         gains, left = _autoregression(lagged, j)
         copula.factors[j] = torch.tensor(_root(left))
@@ -133,10 +130,19 @@ def _joined(margins: InnovationCopula, parts: Sequence[Array], order: int) -> In
     return copula
 
 
+def _standard(scores: Array) -> Array:
+    """Return scores (n, m) of mean 0 and variance 1, which the margins hold already; 0 where an output is constant."""
+    deviation = scores.std(axis=0)
+    return (scores - scores.mean(axis=0)) / np.where(deviation > ROUNDING, deviation, np.inf)
+
+
 def _autocovariance(parts: Sequence[Array], lag: int) -> Array:
     """Return E[z_k z_{k−lag}ᵀ] (m, m) along the stretches, divided by all samples so that it stays definite."""
-    products = [part[lag:].T @ part[: len(part) - lag] for part in parts if len(part) > lag]
-    return np.sum(products, axis=0) / sum(len(part) for part in parts)
+    total = np.zeros((parts[0].shape[1], parts[0].shape[1]))
+    for part in parts:
+        if len(part) > lag:
+            total += part[lag:].T @ part[: len(part) - lag]
+    return total / sum(len(part) for part in parts)
 
 
 def _autoregression(lagged: Sequence[Array], order: int) -> tuple[list[Array], Array]:
@@ -150,7 +156,7 @@ def _autoregression(lagged: Sequence[Array], order: int) -> tuple[list[Array], A
     into = vectors[:, kept] / np.sqrt(values[kept])
     back = vectors[:, kept] * np.sqrt(values[kept])
     if order == 0 or not kept.any():
-        return [], lagged[0]
+        return [np.zeros_like(lagged[0])] * order, lagged[0]
     reduced = [into.T @ covariance @ into for covariance in lagged[: order + 1]]
     toeplitz = np.block([
         [reduced[j - i] if j >= i else reduced[i - j].T for j in range(order)] for i in range(order)
@@ -169,8 +175,8 @@ def _root(covariance: Array) -> Array:
 
 def _order(parts: Sequence[Array]) -> int:
     """Return the smallest order whose error on unseen scores is within two standard errors of the best."""
-    cuts = [len(part) - round(JUDGED * len(part)) for part in parts]
-    if sum(len(part) - cut for part, cut in zip(parts, cuts)) < FEWEST:
+    cuts = [max(ORDERS, len(part) - round(JUDGED * len(part))) for part in parts]
+    if sum(max(0, len(part) - cut) for part, cut in zip(parts, cuts)) < FEWEST:
         return 0
     lagged = [_autocovariance([part[:cut] for part, cut in zip(parts, cuts)], i) for i in range(ORDERS + 1)]
     errors = np.stack([_errors(parts, cuts, _autoregression(lagged, order)[0]) for order in range(ORDERS + 1)])
@@ -184,9 +190,7 @@ def _errors(parts: Sequence[Array], cuts: Sequence[int], gains: Sequence[Array])
     """Return the squared one-step errors of an autoregression on the end of every stretch."""
     found = []
     for part, cut in zip(parts, cuts):
-        first = max(cut, ORDERS)
-        error = part[first:].copy()
-        for i, gain in enumerate(gains):
-            error -= part[first - 1 - i : len(part) - 1 - i] @ gain.T
-        found.append((error**2).sum(axis=1))
+        if len(part) > cut:
+            past = [part[cut - 1 - i : len(part) - 1 - i] @ gain.T for i, gain in enumerate(gains)]
+            found.append(((part[cut:] - sum(past)) ** 2).sum(axis=1))
     return np.concatenate(found)

@@ -147,10 +147,7 @@ class Discrepancy(Immutable):
             quantiles = self._copula.shifted(self.network(inputs), self.network.clipped(inputs)).double().numpy()
         flat = self._copula.scores(quantiles, log.e_next.reshape(-1, e.shape[-1]))
         scores = torch.tensor(flat.reshape(log.e_next.shape), dtype=torch.float32)
-        memory = [e.new_zeros(log.runs, self._copula.memory)]
-        for k in range(log.steps - 1):
-            memory.append(self._copula.remember(scores[:, k], memory[-1]))
-        return torch.cat([e, torch.stack(memory, dim=1)], dim=-1)
+        return torch.cat([e, self._copula.memories(scores)], dim=-1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

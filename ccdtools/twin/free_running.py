@@ -84,7 +84,7 @@ def free_running_bands(
     twin : DigitalTwin
         After `update`.
     log : Trajectory
-        Of the plant under `controller`: one that the twin did not learn from, or the `held_out` parts of one that it did.
+        Of the plant under `controller`: one that the twin did not learn from, or with `held_out` one that it did.
     controller : Controller
         Closes the loop of the draws, as it did that of the log.
     rng : numpy.random.Generator
