@@ -82,7 +82,7 @@ class InnovationCopula(nn.Module):
         """Outputs and steps independent of each other, margins linear between the levels of a network and beyond."""
         levels = np.array(network.levels)
         edges = np.r_[0.0, levels, 1.0]
-        positions = np.interp(edges, levels, np.arange(len(levels)))
+        positions = np.asarray(np.interp(edges, levels, np.arange(len(levels))))
         if len(levels) > 1:
             positions[0] = -levels[0] / (levels[1] - levels[0])
             positions[-1] += (1 - levels[-1]) / (levels[-1] - levels[-2])
