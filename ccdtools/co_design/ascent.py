@@ -15,6 +15,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
+from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.reinforcement.ppo import PPOPart
 from ccdtools.co_design.result import History
@@ -35,8 +36,17 @@ class LimitPenalty(Protocol):
         """By how much the tolerance is exceeded; 0 where it is kept."""
         ...
 
-    def updated(self, episode: Episode) -> LimitPenalty:
-        """The penalty of the next block, after episodes of the present iterate."""
+    @property
+    def active(self) -> bool:
+        """Whether leaving X costs anything at present."""
+        ...
+
+    def updated(self, episode: Episode, v: Tensor, scenarios: Scenarios) -> LimitPenalty:
+        """The penalty of the next block, after the episodes of an evaluation at the point `v` of the unit box."""
+        ...
+
+    def outcome(self, episode: Episode) -> LimitsOutcome:
+        """How the iterate of these episodes keeps the limits."""
         ...
 
 
@@ -85,12 +95,15 @@ class Iterate:
         Of every evaluation run; a diverged one with its whole, huge cost.
     violation : float
         By how much the tolerance of the state limits is exceeded.
+    limits : LimitsOutcome or None
+        How it keeps them.
     """
 
     v: Tensor
     agent: ActorCritic
     returns: Array
     violation: float
+    limits: LimitsOutcome | None = None
 
     @property
     def score(self) -> float:
@@ -145,8 +158,13 @@ class Ascent:
         std = kept.std().item() if len(kept) > 1 else 0.0
         lost = seen.diverged.double().mean().item()
         self.rows.append((iteration, self.model_steps + self.ppo.env_steps, self._design(), mean, std, lost))
-        violation = 0.0 if self.limits is None else self.limits.violation(seen)
-        return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), seen.total.numpy(), violation)
+        violation = 0.0
+        outcome = None
+        if self.limits is not None:
+            self.limits = self.limits.updated(seen, self.v.detach(), self.evaluation)
+            violation = self.limits.violation(seen)
+            outcome = self.limits.outcome(seen)
+        return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), seen.total.numpy(), violation, outcome)
 
     def iterate(self, k: int) -> None:
         """One step of the policy and one of the design."""
@@ -171,13 +189,14 @@ class Ascent:
     def _follow_model(self, factor: float) -> Tensor:
         """The design's gradient of the relative return through the dynamics; the policy takes a step on its own."""
         task = self.task
+        limits = self.limits if self.limits is not None and self.limits.active else None
         scenarios = scenario_tensors(task.problem, fewer_runs(task.config.pathwise_runs, task.problem.steps), self.rng)
         self.model_steps += scenarios[1].shape[0] * scenarios[1].shape[1]
-        seen = episode_at(task.problem, self.agent, self.v, scenarios, depths=self.limits is not None)
+        seen = episode_at(task.problem, self.agent, self.v, scenarios, depths=limits is not None)
         cost = -seen.total.mean()
         size = cost.detach().abs()  # relative, so that a lost run's 1e8 today does not drown tomorrow's steps
-        if self.limits is not None:
-            cost = cost + self.limits.cost(seen).mean()
+        if limits is not None:
+            cost = cost + limits.cost(seen).mean()
         parameters = list(self.agent.mean_network.parameters()) if task.pathwise else []
         *gradients, design_gradient = torch.autograd.grad(cost / size, [*parameters, self.v])
         for parameter, gradient in zip(parameters, gradients):

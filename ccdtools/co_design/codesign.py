@@ -13,6 +13,8 @@ from ccdtools.checks import as_choice, as_generator, as_instance
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent, LimitPenalty, Task
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
+from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
+from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.reinforcement.gradients import check_gradients
 from ccdtools.co_design.result import CoDesignResult
@@ -50,7 +52,7 @@ def codesign(
         What the iterates are scored on, if not `problem` itself: for example replays of what was logged, where
         `problem` holds a learned model whose errors an optimiser may exploit.
     limits : optional
-        What leaving X costs, see `LimitPenalty`; by default nothing.
+        What leaving X costs, see `LimitPenalty`; by default what `judge.limit_tolerance` asks for.
     progress : bool
         Show a progress bar.
 
@@ -69,13 +71,17 @@ def codesign(
     check_agent(problem, agent)
     _check_judge(problem, judge)
     _check_objective(problem)
+    if limits is None and judge.limit_tolerance != "off":
+        limits = StateLimitPenalty(judge)
+        warn_of_unavoidable_depth(judge, design)
     task = Task(problem, judge, method, config, limits)
     gradients = check_gradients(problem, agent, design, rng=rng, ppo=config.ppo) if task.moving else None
     ascent = Ascent(task, copy.deepcopy(agent), design, rng)
     with tqdm(total=config.iterations, desc="co-design", disable=not progress, leave=False) as bar:
         best = ascent.run(bar)
     found = problem.design.from_unit(best.v.double().numpy())
-    return CoDesignResult(found, best.agent, problem.design.active_bounds(found), ascent.history(), gradients)
+    active = problem.design.active_bounds(found)
+    return CoDesignResult(found, best.agent, active, ascent.history(), gradients, best.limits)
 
 
 def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.limits import StateLimits
 from ccdtools.plants.linear_model import LinearModel
 
 
@@ -115,11 +116,9 @@ class Stepper:
 
     @cached_property
     def _facets(self) -> tuple[Tensor, Tensor]:
-        """X as F x ≤ g, each row divided by half the width of X's bounding box along it."""
-        X = self.problem.X
-        lower, upper = X.bounding_box()
-        half = np.abs(X.A) @ (upper - lower) / 2
-        return self.limit.new_tensor((X.A / half[:, None]).tolist()), self.limit.new_tensor((X.b / half).tolist())
+        """X as F x ≤ g, each row divided by the half-width of X along it."""
+        limits = StateLimits(self.problem.X)
+        return self.limit.new_tensor(limits.rows.tolist()), self.limit.new_tensor(limits.bounds.tolist())
 
 
 def _times(M: Tensor, x: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from ccdtools.checks import as_count, as_floats, as_instance, as_vector, finite,
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
+from ccdtools.limits import as_limit_tolerance
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.linear_model import LinearModel
 from invariant_sets import Polytope
@@ -88,6 +89,10 @@ class CoDesignProblem(Immutable):
         Length of an episode.
     discrepancy : Discrepancy, optional
         What a digital twin has learned; it replaces the model's disturbance.
+    limit_tolerance : "mpc", "off" or (fraction, depth)
+        How often and how far a co-designed policy may leave X: no more than about what MPC of the same design does on
+        the same scenarios; as it likes; or so large a fraction of the states, and so many half-widths of X in the mean
+        of the peaks of the runs.
 
     Raises
     ------
@@ -103,6 +108,7 @@ class CoDesignProblem(Immutable):
     scenarios: Scenarios
     steps: int = 100
     discrepancy: ErrorModel | None = None
+    limit_tolerance: str | tuple[float, float] = "mpc"
 
     def __post_init__(self) -> None:
         model = as_instance("model", self.model, LinearModel, "a LinearModel", "Pass discretise(plant).")
@@ -121,6 +127,7 @@ class CoDesignProblem(Immutable):
             if size != n:
                 raise InputError(f"objective.{name}", f"shape ({size}, {size})", f"({n}, {n})")
         object.__setattr__(self, "steps", as_count("steps", self.steps))
+        object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
         self._check_discrepancy()
         self._check_scenarios()
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.controllers.learned import LearnedPolicy
 from learning.networks import ActorCritic
 
@@ -100,6 +101,8 @@ class CoDesignResult(Immutable):
     history : History
     gradients : GradientCheck or None
         Before the first move; None when the design is frozen.
+    limits : LimitsOutcome or None
+        How often and how far X is left, beside what was granted; None where the limits were switched off.
     """
 
     design: Array
@@ -107,6 +110,7 @@ class CoDesignResult(Immutable):
     active_bounds: dict[str, str]
     history: History
     gradients: GradientCheck | None
+    limits: LimitsOutcome | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", frozen(np.array(self.design, dtype=float)))
