@@ -7,13 +7,15 @@ the co-design is what it would be without limits.
 
 References
 ----------
-Nocedal, Wright, "Numerical Optimization", 2006, section 17.4 (inequalities in an augmented Lagrangian).
+Bertsekas, "Constrained Optimization and Lagrange Multiplier Methods", 1982, chapter 5: the exponential method of
+multipliers, an augmented Lagrangian whose multipliers grow and shrink by factors, so that their size need not be known.
 Cotter, Jiang, Sridharan, "Two-player games for efficient non-convex constrained optimization", ALT 2019 (multipliers
 moved by the measure itself, gradients of a differentiable stand-in).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -25,14 +27,16 @@ from ccdtools.co_design.problem import CoDesignProblem
 from mpc import LinearMPC
 
 HORIZON = 20  # steps, of the MPC that sets the tolerance
-MPC_RUNS = 16  # episodes of 100 steps that it is measured on
+MPC_RUNS = 32  # episodes of 100 steps that it is measured on
 BESIDE_MPC = 1.25  # the tolerance relative to what MPC does: a network in its place has a resolution,
 FLOOR = 0.005  # of the states, or half-widths: and less than this is granted to it always
 AIM = 0.9  # of the tolerance: what the multipliers aim at, so that some iterates are within
+RESOLVED = 1e-4  # half-widths: smaller depths say nothing of how far the states outside X are
 MOVED = 0.03  # of the unit box: a design that moved further has a tolerance of its own
-WEIGHT = 5.0  # first quadratic weight, of the return a unit of the measure; it doubles while the excess does not halve,
-HEAVIEST = 320.0  # up to this
-LARGEST_EXCESS = 1.0  # that moves a multiplier at once: lost runs are hundreds of half-widths away
+FIRST_PRICE = 0.02  # of the return, for leaving X by once more than what is granted
+CHEAPEST = 0.001  # a smaller multiplier is zero
+STEP = 0.4  # a multiplier grows by exp(0.4) at an evaluation where twice as much as granted is left, or more
+DAMPING = 0.5  # by this part the price follows the excess of each batch at once
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class LimitsOutcome:
     source : str
         Where the tolerance comes from.
     multipliers : Pair
-        Price of each measure at the end, in parts of the return; zero where the limits never bound.
+        Price of each measure in parts of the return, for as much again as is granted; zero where no limit binds.
     """
 
     achieved: Pair
@@ -98,7 +102,7 @@ class StateLimitPenalty:
         The design, in the unit box, at which MPC was measured last.
     seen : Pair
         The measures at the last evaluation.
-    multipliers, weights : Pair
+    multipliers : Pair
     spread : float
         Mean depth of the states outside X at the last evaluation: what turns the mean depth into a fraction.
     """
@@ -109,29 +113,24 @@ class StateLimitPenalty:
     measured_at: Tensor | None = None
     seen: Pair = Pair(0.0, 0.0)
     multipliers: Pair = Pair(0.0, 0.0)
-    weights: Pair = Pair(WEIGHT, WEIGHT)
-    spread: float = 0.01
+    spread: float = 0.01  # until X is left for the first time
 
     @property
     def active(self) -> bool:
         """Whether leaving X costs anything at present."""
-        return any(multiplier > 0 for multiplier in self.multipliers.values()) or self.excess(self.seen, AIM) > 0
-
-    def excess(self, measured: Pair, part: float = 1.0) -> float:
-        """By how much the worse measure exceeds its tolerance, or a part of it; 0 where neither does."""
-        return max(0.0, *_excess(measured, self.tolerance, part))
+        return any(multiplier > 0 for multiplier in self.multipliers.values())
 
     def violation(self, episode: Episode) -> float:
         """By how much the tolerance is exceeded; 0 where it is kept."""
-        return self.excess(_measured(episode))
+        measured = _measured(episode).values()
+        return max(0.0, *(value - granted for value, granted in zip(measured, self.tolerance.values())))
 
     def cost(self, episode: Episode) -> Tensor:
         """What leaving X costs, (n,) in the units of the return; differentiable."""
+        excess = self._relative_excess(_measured(episode))
         prices = [
-            max(0.0, multiplier + weight * min(over, LARGEST_EXCESS))
-            for multiplier, weight, over in zip(
-                self.multipliers.values(), self.weights.values(), _excess(_measured(episode), self.tolerance, AIM)
-            )
+            multiplier * (1 + DAMPING * min(max(over, -1.0), 2.0)) / unit
+            for multiplier, over, unit in zip(self.multipliers.values(), excess, self._units)
         ]
         size = episode.total.detach().mean().abs()
         return size * (prices[0] / self.spread * episode.depth + prices[1] * episode.peak)
@@ -140,18 +139,20 @@ class StateLimitPenalty:
         """The penalty after an evaluation on `scenarios` at the point `v` of the unit box."""
         seen = _measured(episode)
         now = replace(self, seen=seen)._granted(v, scenarios)
-        before = _excess(self.seen, self.tolerance, AIM)
-        after = _excess(seen, now.tolerance, AIM)
-        spread = float(episode.depth[~episode.diverged].mean()) / max(seen.fraction, 1e-6) if seen.fraction > 0 else 0.0
-        multipliers = []
-        weights = []
-        for old, new, multiplier, weight in zip(before, after, self.multipliers.values(), self.weights.values()):
-            multipliers.append(max(0.0, multiplier + weight * min(new, LARGEST_EXCESS)))
-            stuck = multiplier > 0 and new > 0.5 * max(old, 0.0) and new > 0
-            weights.append(min(2 * weight, HEAVIEST) if stuck else weight)
-        return replace(
-            now, multipliers=Pair(*multipliers), weights=Pair(*weights), spread=spread if spread > 1e-4 else self.spread
-        )
+        pairs = zip(self.multipliers.values(), now._relative_excess(seen))
+        multipliers = Pair(*(_next_multiplier(multiplier, over) for multiplier, over in pairs))
+        depth = float(episode.depth[~episode.diverged].sum() / episode.outside[~episode.diverged].sum().clamp(min=1e-9))
+        return replace(now, multipliers=multipliers, spread=depth if depth > RESOLVED else self.spread)
+
+    @property
+    def _units(self) -> tuple[float, ...]:
+        """What counts as once more of each measure."""
+        return tuple(max(value, FLOOR) for value in self.tolerance.values())
+
+    def _relative_excess(self, measured: Pair) -> list[float]:
+        """By how much each measure exceeds what the multipliers aim at, relative to what is granted."""
+        values = zip(measured.values(), self.tolerance.values(), self._units)
+        return [(value - AIM * granted) / unit for value, granted, unit in values]
 
     def outcome(self, episode: Episode) -> LimitsOutcome:
         """How the iterate of these episodes keeps the limits."""
@@ -188,6 +189,8 @@ def _measured(episode: Episode) -> Pair:
     return Pair(float(episode.outside.detach().mean()), float(episode.peak.detach().mean()))
 
 
-def _excess(measured: Pair, tolerance: Pair, part: float) -> list[float]:
-    """By how much each measure exceeds a part of its tolerance; negative within."""
-    return [value - part * granted for value, granted in zip(measured.values(), tolerance.values())]
+def _next_multiplier(multiplier: float, over: float) -> float:
+    """The multiplier after an evaluation with a relative excess: larger above zero, smaller below."""
+    start = max(multiplier, FIRST_PRICE) if over > 0 else multiplier
+    moved = start * math.exp(STEP * min(max(over, -1.0), 1.0))
+    return moved if moved > CHEAPEST else 0.0
