@@ -142,6 +142,13 @@ class Recorded(Immutable):
         return self.signal[starts[:, None] + np.arange(steps)]
 
 
+def is_recorded(disturbance: Any) -> bool:
+    """Whether a disturbance, or a term of a sum, is a recording: a single run of it is always the same."""
+    if isinstance(disturbance, Sum):
+        return any(map(is_recorded, disturbance.terms))
+    return isinstance(disturbance, Recorded)
+
+
 def check_channels(argument: str, disturbance: Any, nw: int) -> None:
     """Raise an `InputError` unless `disturbance` draws sequences, of `nw` channels where it says how many."""
     has_method(argument, disturbance, "sample", "a disturbance, with a method sample(runs, steps, rng)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -183,6 +184,28 @@ class Evaluation:
         w = self.recorded(runs, "deployment" if runs == 1 else "real scenario")
         return Scenario(real.plant, np.tile(real.x0, (runs, 1)), w)
 
+    @cached_property
+    def held_out(self) -> dict[str, Scenario]:
+        """Fresh runs of the real plant by the name of their disturbance, which no generation has met."""
+        real = self.study.real
+        runs = self.config.held_out_runs
+        steps = min(self.config.held_out_steps, self.deployment_steps)
+        x0 = np.tile(real.x0, (runs, 1))
+        drawn = {name: one.sample(runs, steps, self.rng(f"held out: {name}")) for name, one in real.fresh.items()}
+        return {name: Scenario(real.plant, x0, w) for name, w in drawn.items()}
+
+    @cached_property
+    def _baselines(self) -> dict[bytes, dict[str, Controller]]:
+        """The baselines of the designs that were asked for, never used themselves."""
+        return {}
+
+    def baselines(self, design: Array) -> dict[str, Controller]:
+        """The baselines at a design; tuned once, and as new every time."""
+        key = np.asarray(design, dtype=float).tobytes()
+        if key not in self._baselines:
+            self._baselines[key] = baselines(self.problem, design, rng=self.rng("baselines"))
+        return deepcopy(self._baselines[key])
+
     def comparison(
         self,
         generation: int,
@@ -197,7 +220,7 @@ class Evaluation:
 
         On the model stands the policy as designed, on the real plant the one in service at the end.
         """
-        controllers = baselines(self.problem, design, rng=self.rng("baselines"))
+        controllers = self.baselines(design)
         model = model_name(judged_on)
         rows: list[dict[str, Any]] = []
         arrays: dict[str, Array] = {}
@@ -212,7 +235,7 @@ class Evaluation:
                 limit=self.problem.limit, few={"MPC": self.config.mpc_runs},
             )  # fmt: skip
             place = {"plant": plant, "model": name, "generation": generation}
-            rows += [place | self._row(design, score) for score in scores]
+            rows += [place | self.row(design, score) for score in scores]
             bands = self._bands(scenario, design, {"LQR": controllers["LQR"], "learned": policy})
             arrays |= {f"{plant}_{key}": band for key, band in bands.items()}
         return Stage({"rows": rows}, arrays)
@@ -232,7 +255,7 @@ class Evaluation:
             },
         })  # fmt: skip
 
-    def _row(self, design: Array, score: Score) -> dict[str, Any]:
+    def row(self, design: Array, score: Score) -> dict[str, Any]:
         """One controller's row of the tables."""
         space = self.problem.design
         return {

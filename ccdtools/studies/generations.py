@@ -12,6 +12,7 @@ import numpy as np
 from ccdtools.checks import as_count
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.studies.evaluation import Evaluation
+from ccdtools.studies.held_out import GenerationRecord
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.redesign import InService
 from ccdtools.studies.report.results import generation_entry, results
@@ -41,6 +42,7 @@ class _State:
     trust: Trust = field(default_factory=Trust)
     entries: tuple[dict[str, Any], ...] = ()
     rows: tuple[dict[str, Any], ...] = ()
+    history: tuple[GenerationRecord, ...] = ()
 
 
 class Generations:
@@ -82,6 +84,7 @@ class Generations:
         self.echo = echo
         self.evaluation = Evaluation(study, config, as_count("seed", seed, least=0))
         self.evaluation.deployment_steps  # noqa: B018  (raises if a recording is too short)
+        self.evaluation.held_out  # noqa: B018  (raises if fresh runs cannot be drawn)
         self.compute = LoopStages(self.evaluation, progress)
 
     def run(self) -> dict[str, Any]:
@@ -91,11 +94,12 @@ class Generations:
             state = self._next(generation, state)
         service = state.service
         config = self.evaluation.config
+        beyond = self._stage("held-out", "Roads that no generation has met", self.compute.held_out, state.history)
         notes = {"study": self.evaluation.study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
         contents = results(
             self.evaluation, initial=state.stages[0], generations=state.entries, comparison=state.rows,
-            stages=state.stages,
+            stages=(*state.stages, beyond), beyond=beyond,
         )  # fmt: skip
         self.folder.write_json("results.json", contents)
         return contents
@@ -110,7 +114,8 @@ class Generations:
         )
         rows = tuple(start.values["rows"])
         twin = DigitalTwin(study.model, scale=self.evaluation.problem.state_scale)
-        return _State(service, twin, (initial, start), rows=rows)
+        record = GenerationRecord(service, service)
+        return _State(service, twin, (initial, start), rows=rows, history=(record,))
 
     def _next(self, generation: int, state: _State) -> _State:
         """One more generation: design, deploy, learn, compare, evaluate."""
@@ -138,6 +143,7 @@ class Generations:
         returns = self._stage(
             f"evaluation-{generation}", f"{title}: evaluation", self.compute.evaluate, designed, known, twin
         )
+        tried = InService(found.networks["agent"], found.arrays["design"])
         entry = generation_entry(
             generation, self.evaluation, found=found, deployed=deployed, learned=learned, returns=returns,
             design=following.service.design,
@@ -145,6 +151,7 @@ class Generations:
         return replace(
             following, twin=twin, stages=(*state.stages, found, deployed, learned, compared, returns),
             entries=(*state.entries, entry), rows=(*state.rows, *compared.values["rows"]),
+            history=(*state.history, GenerationRecord(tried, following.service)),
         )  # fmt: skip
 
     def _in_service(

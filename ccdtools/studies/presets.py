@@ -39,6 +39,8 @@ class StudyConfig:
         Of them, those that online MPC sees.
     real_steps : int or None
         Cap on the length of a deployment.
+    held_out_runs, held_out_steps : int
+        Fresh runs of each held-out disturbance, and their length.
     network, cloning, codesign, redesign, online, quantile
         Configurations of the stages; `redesign` is the co-design on the updated model.
     """
@@ -52,6 +54,8 @@ class StudyConfig:
     real_runs: int = 4000
     mpc_runs: int = 100
     real_steps: int | None = None
+    held_out_runs: int = 20
+    held_out_steps: int = 1000
     network: NetworkConfig = field(default_factory=NetworkConfig)
     cloning: CloningConfig = field(default_factory=CloningConfig)
     codesign: CoDesignConfig = field(default_factory=CoDesignConfig)
@@ -129,6 +133,8 @@ def _quick(config: StudyConfig) -> StudyConfig:
         real_runs=400,
         mpc_runs=10,
         real_steps=3000,
+        held_out_runs=5,
+        held_out_steps=300,
         cloning=replace(config.cloning, steps=1000),
         codesign=fewer(config.codesign, 40),
         redesign=fewer(config.redesign, 20),

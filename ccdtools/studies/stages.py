@@ -14,6 +14,7 @@ from ccdtools.co_design.result import CoDesignResult
 from ccdtools.exceptions import InputError
 from ccdtools.studies.account import account, region_lines
 from ccdtools.studies.evaluation import Evaluation
+from ccdtools.studies.held_out import GenerationRecord, held_out_stage
 from ccdtools.studies.redesign import InService, RedesignDecision, judge_redesign, promised, same_design
 from ccdtools.studies.service import Served, judge_deployment, promise_of
 from ccdtools.studies.stage_storage import Stage
@@ -203,6 +204,10 @@ class LoopStages:
         return self.evaluation.comparison(
             generation, designed.design, designed=designed.agent, deployed=deployed.agent, judged_on=logs, rng=rng
         )
+
+    def held_out(self, rng: np.random.Generator, history: Sequence[GenerationRecord]) -> Stage:
+        """Every controller on roads that no generation has met, and what brought the gain, there and where deployed."""
+        return held_out_stage(self.evaluation, history)
 
     def evaluate(
         self, rng: np.random.Generator, designed: InService, logs: Sequence[Residuals], twin: DigitalTwin

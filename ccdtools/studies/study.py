@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_count, as_instance, as_vector, as_weight, has_method, shown
+from ccdtools.checks import as_count, as_instance, as_mapping, as_vector, as_weight, has_method, shown
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
-from ccdtools.disturbances.disturbance import Disturbance
+from ccdtools.disturbances.disturbance import Disturbance, is_recorded
 from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.linear_model import LinearModel
@@ -42,6 +43,10 @@ class RealPlant(Immutable):
         Runs logged in a deployment.
     steps : int
         Length of a run.
+    held_out : mapping of str to Disturbance, optional
+        Disturbances by name that no generation meets: fresh draws of each are driven at the end, beside the deployment.
+        By default `disturbance` drawn afresh, if a deployment is one run of it and it is no recording; of several runs
+        the comparison on the real plant is fresh already.
 
     Raises
     ------
@@ -54,6 +59,7 @@ class RealPlant(Immutable):
     x0: ArrayField
     runs: int
     steps: int
+    held_out: Mapping[str, Disturbance] | None = None
 
     def __post_init__(self) -> None:
         as_instance("real.plant", self.plant, Plant, "a ccdtools.Plant")
@@ -64,6 +70,15 @@ class RealPlant(Immutable):
             got = f"{self.runs} of {self.steps} steps"
             raise InputError("real.runs", got, f"at least {MINIMUM_LOG} samples to learn the discrepancy from")
         _check_disturbance("real.disturbance", self.disturbance, self.plant)
+        if self.held_out is not None:
+            object.__setattr__(self, "held_out", _checked_held_out(self.held_out, self.plant))
+
+    @property
+    def fresh(self) -> dict[str, Disturbance]:
+        """The held-out disturbances by name; none where nothing can be drawn afresh."""
+        if self.held_out is not None:
+            return dict(self.held_out)
+        return {} if self.runs > 1 or is_recorded(self.disturbance) else {"fresh draws": self.disturbance}
 
     def __repr__(self) -> str:
         return f"RealPlant({self.plant!r}, {self.runs} runs of {self.steps} steps)"
@@ -233,6 +248,16 @@ def _check_disturbance(argument: str, disturbance: Disturbance, plant: Plant) ->
         raise InputError(argument, got, f"{plant.nw}, one per disturbance of the plant")
     if drawn.dtype.kind not in "iuf" or not np.isfinite(drawn).all():
         raise InputError(argument, "a sample that is not a finite number", "finite samples")
+
+
+def _checked_held_out(held_out: Mapping[str, Disturbance], plant: Plant) -> dict[str, Disturbance]:
+    """The held-out disturbances, if each has a name of one line and draws samples for the plant."""
+    named = as_mapping("real.held_out", held_out, "a mapping of names to disturbances")
+    for name, disturbance in named.items():
+        if not isinstance(name, str) or not name.strip() or len(name.splitlines()) > 1:
+            raise InputError("real.held_out", shown(name), "names of one line")
+        _check_disturbance(f"real.held_out[{name!r}]", disturbance, plant)
+    return named
 
 
 def _check_finite(plant: Plant) -> None:

@@ -50,7 +50,10 @@ study = Study(
     disturbance=Gaussian(std=[0.3]),
     x0=[-0.1, -1.0, -0.1, -0.5],
     p0=[27692.0, 1906.5],
-    real=RealPlant(quarter_car(nonlinear=True), GeneratedRoad("mild"), x0=np.zeros(4), runs=1, steps=15000),
+    real=RealPlant(
+        quarter_car(nonlinear=True), GeneratedRoad("mild"), x0=np.zeros(4), runs=1, steps=15000,
+        held_out={"mild driver": GeneratedRoad("mild"), "aggressive driver": GeneratedRoad("aggressive")},
+    ),
     paper_networks=(16, 32, 32, 16),
     samples=1000,
     sampling_guard="ignore",  # the paper's dt: the wheel oscillates at 9.6 to 10.3 Hz, half the sampling rate is 10 Hz

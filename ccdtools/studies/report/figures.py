@@ -108,7 +108,7 @@ def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
         columns[f"{generation_name(g)}: {run.describe(run.designs[g])}"] = {
             name: _signals(arrays, f"{kind}_{name}", window) for name in ("LQR", "learned")
         }
-    length = next(iter(next(iter(columns.values())).values())).shape[1]
+    length = max(bands.shape[1] for controllers in columns.values() for bands in controllers.values())
     labels = [*plant.state_names, *plant.input_names]
     figure = style.blank(11, 0.9 + 1.45 * len(labels), quick=run.quick)
     plotting.plot_trajectories(

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ccdtools.studies.report.formatting import design_text, share, signed_percent
+from ccdtools.studies.report.gains import held_out_phrase
 from ccdtools.studies.report.verdicts import EQUAL, NOT_WORSE, outside_text, percent_of_reference, verdict
 
 Results = Mapping[str, Any]
@@ -17,7 +18,8 @@ def headline(results: Results) -> str:
     """Cost on the real plant before and after, where the change comes from, and what each generation did."""
     last = len(results["generations"])
     idle = _idle(results)
-    parts = [_cost(results, last), _policy(results, last), *([] if idle else _generations(results))]
+    changes = [] if idle else _generations(results)
+    parts = [_cost(results, last), held_out_phrase(results), _policy(results, last), *changes]
     text = "; ".join(part for part in parts if part) + "."
     quick = "QUICK run, not a result: " if results["quick"] else ""
     return quick + (f"{idle}. {text[:1].upper()}{text[1:]}" if idle else text)

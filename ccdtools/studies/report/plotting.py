@@ -103,7 +103,7 @@ def plot_trajectories(
     Parameters
     ----------
     columns : mapping of title to mapping of controller to (3, T, signals) array
-        Low, mean and high.
+        Low, mean and high; T of them where a column is shorter than `time`.
     limits : lower and upper (signals,) arrays
         Drawn dashed where they are in sight.
     title_colours : sequence of str
@@ -116,8 +116,9 @@ def plot_trajectories(
         for name, (low, mean, high) in controllers.items():
             for row in range(len(labels)):
                 ax = grid[row, c]
-                ax.fill_between(time, low[:, row], high[:, row], color=colours[name], alpha=0.15, lw=0)
-                ax.plot(time, mean[:, row], color=colours[name], label=name, **LINES.get(name, {}))
+                own = time[: len(mean)]
+                ax.fill_between(own, low[:, row], high[:, row], color=colours[name], alpha=0.15, lw=0)
+                ax.plot(own, mean[:, row], color=colours[name], label=name, **LINES.get(name, {}))
         grid[0, c].set_title(title, color=title_colours[c] if title_colours else "k")
         grid[-1, c].set_xlabel(time_label)
     for row, label in enumerate(labels):

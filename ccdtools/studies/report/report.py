@@ -27,6 +27,7 @@ from ccdtools.studies.report.formatting import (
     share,
     with_minus,
 )
+from ccdtools.studies.report.gains import gain_headings, gain_rows, held_out_rows
 from ccdtools.studies.report.tables import fewer_runs_notes, write_tables
 from ccdtools.studies.report.verdicts import difference_text, limit_notes, reference_of, saw_fewer_runs, verdict
 from ccdtools.studies.run_folder import RunFolder
@@ -74,6 +75,8 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         r=results, study=run.study, designs=_cards(run), gradients=_gradients(results), blocks=_blocks(results),
         figures={figure["name"]: figure for figure in shown}, signals=_signal_rows(run) + _design_rows(run),
         weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
+        gains={"headings": gain_headings(results), "rows": gain_rows(results),
+               "held_out": held_out_rows(results, run.study.steps)},
         sampling=sampling_note(run.study.plant),
         single=run.study.real.runs == 1, real_is_model=run.study.real.plant is run.study.plant,
         updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],

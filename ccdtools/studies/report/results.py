@@ -12,7 +12,7 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.stage_storage import Stage, jsonable
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
 
 
@@ -49,6 +49,7 @@ def results(
     generations: Sequence[dict[str, Any]],
     comparison: Sequence[dict[str, Any]],
     stages: Sequence[Stage],
+    beyond: Stage,
 ) -> dict[str, Any]:
     """Everything that the tables show, with what is needed to run it again."""
     study = evaluation.study
@@ -68,6 +69,8 @@ def results(
         "initialisation": {key: value for key, value in initial.values.items() if key != "report"},
         "generations": list(generations),
         "comparison": list(comparison),
+        "held_out": beyond.values["rows"],
+        "gains": beyond.values["gains"],
         "configuration": config.as_dict(),
         "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
     }  # fmt: skip

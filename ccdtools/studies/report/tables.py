@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ccdtools.studies.gains import SOURCES
 from ccdtools.studies.report.formatting import (
     active_bounds_text,
     design_text,
@@ -16,6 +17,7 @@ from ccdtools.studies.report.formatting import (
     place,
     share,
 )
+from ccdtools.studies.report.gains import console_lines
 from ccdtools.studies.report.verdicts import difference_text, limit_notes, reference_of, saw_fewer_runs
 from ccdtools.studies.run_folder import RunFolder
 
@@ -28,8 +30,10 @@ LIMIT_COLUMNS = ("violations", "depth_mean", "depth_peak", "depth_worst", "excee
 
 
 def write_tables(results: Mapping[str, Any], folder: RunFolder) -> list[Path]:
-    """Write comparison.csv, generations.csv and learning_curves.csv; their paths."""
+    """Write comparison.csv, held_out.csv, gains.csv, generations.csv and learning_curves.csv; their paths."""
     tables = {
+        "held_out.csv": comparison_rows(results, "held_out"),
+        "gains.csv": source_rows(results),
         "comparison.csv": comparison_rows(results),
         "generations.csv": generation_rows(results),
         "learning_curves.csv": learning_rows(results, folder),
@@ -37,8 +41,20 @@ def write_tables(results: Mapping[str, Any], folder: RunFolder) -> list[Path]:
     return [folder.write_text(name, _csv(rows)) for name, rows in tables.items()]
 
 
-def comparison_rows(results: Mapping[str, Any]) -> list[Row]:
-    """One row per plant, generation and controller."""
+def source_rows(results: Mapping[str, Any]) -> list[Row]:
+    """One row per place and source of a gain."""
+    rows = []
+    for where in results["gains"]:
+        own = _run_columns(results) | {name: where[name] for name in ("place", "runs", "steps", "left_out")}
+        for source in (*SOURCES[1:], "total"):
+            low, high = where[source]["ci95"]
+            gain = {"source": source, "gain": where[source]["mean"], "low95": low, "high95": high}
+            rows.append(own | gain | {"lqr_at_start": where["start"]})
+    return rows
+
+
+def comparison_rows(results: Mapping[str, Any], table: str = "comparison") -> list[Row]:
+    """One row per plant, generation and controller; `table` is "comparison" or "held_out"."""
     return [
         _run_columns(results)
         | {name: row[name] for name in ("plant", "model", "generation", "controller")}
@@ -52,7 +68,7 @@ def comparison_rows(results: Mapping[str, Any]) -> list[Row]:
         | dict(zip(("paired_low95", "paired_high95"), row["paired_to_lqr"]["ci95"]))
         | {name: row[name] for name in ("diverged", *LIMIT_COLUMNS)}
         | {"further_outside_than": ", ".join(row["further_outside_than"]), "step_time_us": row["step_time_us"]}
-        for row in results["comparison"]
+        for row in results[table]
     ]
 
 
@@ -115,7 +131,7 @@ def console_table(results: Mapping[str, Any]) -> str:
             title = _block_title(results, row)
             lines.append(title)
         lines.append(_line(cells, widths))
-    return "\n".join([*lines, *fewer_runs_notes(rows), *limit_notes(rows)])
+    return "\n".join([*lines, *fewer_runs_notes(rows), *limit_notes(rows), "", *console_lines(results)])
 
 
 def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -20,6 +20,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
 from ccdtools.studies.report import return_plots, style
 from ccdtools.studies.report.formatting import number, share, signed_percent
+from ccdtools.studies.report.gains import gain_text
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.report.report import write_report
 from ccdtools.studies.report.tables import console_table
@@ -400,3 +401,45 @@ def test_every_table_shows_how_far_outside_X_beside_how_often(illustrative):
     header = (folder.path / "comparison.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert {"violations", "depth_mean", "depth_peak", "depth_worst", "exceeded", "further_outside_than"} <= set(header)
     assert "<th>outside X</th><th>depth</th>" in (folder.path / "report.html").read_text(encoding="utf-8")
+
+
+def test_held_out_roads_stand_beside_the_deployed_drive_with_the_gains_by_source(masses):
+    folder, results = masses
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert [place["place"] for place in results["gains"]] == ["deployed drive", "fresh draws"]
+    assert {row["controller"] for row in results["held_out"]} == {"passive", "LQR", "PID", "MPC", "learned"}
+    assert {row["generation"] for row in results["held_out"]} == {0, 1}
+    assert "fresh draws (5 runs of 300 steps)" in page
+    assert "generation 1, learned" in page
+    for place in results["gains"]:
+        parts = [place[source]["mean"] for source in ("design", "policy", "updates", "redesign")]
+        assert sum(parts) == pytest.approx(place["total"]["mean"], abs=1e-9 * abs(place["start"]))
+        assert f"{place['place']} (" in console_table(results)
+        assert gain_text(place, "total") in page
+    assert "on 5 held-out runs each:" in results["headline"]
+    assert len(rows_of(folder, "held_out.csv")) == len(results["held_out"])
+    assert len(rows_of(folder, "gains.csv")) == 5 * len(results["gains"])
+
+
+def test_the_gain_on_the_deployed_drive_is_that_of_its_rows(masses):
+    results = masses[1]
+    rows = {(row["generation"], row["controller"]): row for row in results["comparison"] if row["plant"] == "real"}
+    drive = results["gains"][0]
+    assert drive["start"] == pytest.approx(rows[0, "LQR"]["mean"])
+    assert drive["design"]["mean"] == pytest.approx(rows[1, "LQR"]["mean"] - rows[0, "LQR"]["mean"])
+    assert drive["total"]["mean"] == pytest.approx(rows[1, "learned"]["mean"] - rows[0, "LQR"]["mean"])
+
+
+def test_a_plant_of_several_runs_says_that_its_comparison_is_fresh(illustrative):
+    folder, results = illustrative
+    assert results["held_out"] == []
+    assert [place["place"] for place in results["gains"]] == ["real plant"]
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert "the runs on the real plant are fresh in every comparison" in page
+
+
+def test_a_gain_without_an_interval_or_without_a_reference_says_so():
+    place = {"start": -50.0, "total": {"mean": 5.0, "ci95": [None, None]}, "design": {"mean": None, "ci95": [None] * 2}}
+    assert gain_text(place, "total") == "+10 % [no interval]"
+    assert gain_text(place, "design") == "n/a"
+    assert gain_text(place | {"start": 0.0}, "total") == "n/a"

@@ -1,0 +1,125 @@
+"""Roads that no generation has met, beside the one that trained: every controller there, and what brought the gain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.comparison.baselines import saturated_lqr
+from ccdtools.comparison.comparison import compare
+from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.scenario import Scenario
+from ccdtools.studies.evaluation import Evaluation
+from ccdtools.studies.gains import SOURCES, Step, gains_by_source
+from ccdtools.studies.redesign import InService, same_design
+from ccdtools.studies.stage_storage import Stage
+
+MPC_RUNS = 2  # of the held-out runs, those that online MPC sees
+REAL_RUNS = 500  # of a real plant of short runs, those that the gains are measured on
+
+
+@dataclass(frozen=True, eq=False)
+class GenerationRecord:
+    """A generation as it was designed, and what was in service after its deployment.
+
+    The start counts as a generation: both are the first policy at the first design.
+    """
+
+    designed: InService
+    after: InService
+
+
+def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
+    """The comparison on held-out runs at the first and the last design, and the gains by source in every place."""
+    first = history[0].after
+    last = history[-1].after
+    rows = held_out_rows(evaluation, 0, first) + held_out_rows(evaluation, len(history) - 1, last)
+    steps = steps_of(evaluation, history)
+    places = places_of(evaluation)
+    gains = [{"place": name} | gains_in(evaluation, scenario, steps) for name, scenario in places.items()]
+    return Stage({"rows": rows, "gains": gains})
+
+
+def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
+    """Where gains are measured: where the plant was deployed, or on runs like it, and on every held-out disturbance."""
+    deployed = evaluation.on_real()
+    single = evaluation.study.real.runs == 1
+    own = {"deployed drive": deployed} if single else {"real plant": deployed.first(REAL_RUNS)}
+    return own | evaluation.held_out
+
+
+def held_out_rows(evaluation: Evaluation, generation: int, service: InService) -> list[dict[str, Any]]:
+    """A row per held-out disturbance and controller at one design, as in the comparison."""
+    everyone = evaluation.baselines(service.design) | {"learned": LearnedPolicy(service.agent, service.design)}
+    rows = []
+    for name, scenario in evaluation.held_out.items():
+        scores = compare(
+            everyone, scenario, design=service.design, objective=evaluation.study.objective, X=evaluation.study.X,
+            limit=evaluation.problem.limit, few={"MPC": MPC_RUNS},
+        )  # fmt: skip
+        place = {"plant": f"held out: {name}", "model": name, "generation": generation}
+        rows += [place | evaluation.row(service.design, score) for score in scores]
+    return rows
+
+
+def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> list[Step]:
+    """From LQR at the first design to what is in service at the end: each step with the source that it is due to.
+
+    The first generation brings a design (LQR there against LQR at the start) and a policy (against that LQR). A later
+    one that went into service brings its redesign; updates while deployed come last. One that was taken back brings
+    nothing.
+    """
+    start = history[0].after.design
+    first = history[1]
+    steps = [_lqr(evaluation, SOURCES[0], start), _lqr(evaluation, "design", first.designed.design),
+             _learned("policy", first.designed), _learned("updates", first.after)]  # fmt: skip
+    before = first.after
+    for generation in history[2:]:
+        service = generation.after
+        if _same(service, before):
+            continue
+        if same_design(evaluation.problem.design, service.design, generation.designed.design):
+            steps.append(_learned("redesign", generation.designed))
+        steps.append(_learned("updates", service))
+        before = service
+    return steps
+
+
+def gains_in(evaluation: Evaluation, scenario: Scenario, steps: Sequence[Step]) -> dict[str, Any]:
+    """The gains by source on the runs of a scenario; see `gains_by_source`."""
+    known: dict[bytes, Any] = {}
+    for step in steps:
+        if step.key not in known:
+            known[step.key] = scenario.run(step.controller, design=step.design, limit=evaluation.problem.limit)
+    runs = [known[step.key] for step in steps]
+    kept = ~np.any([run.diverged for run in runs], axis=0)
+    rewards = [run.rewards(evaluation.study.objective)[kept] for run in runs]
+    gains = gains_by_source([step.source for step in steps], rewards, runs=len(scenario.x0))
+    return {"runs": len(scenario.x0), "steps": scenario.steps, "left_out": 1 - kept.mean()} | asdict(gains)
+
+
+def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:
+    """The step to LQR at a design."""
+    return Step(source, saturated_lqr(evaluation.problem, design), design, b"LQR" + design.tobytes())
+
+
+def _learned(source: str, service: InService) -> Step:
+    """The step to a policy at its design."""
+    policy: Controller = LearnedPolicy(service.agent, service.design)
+    return Step(source, policy, service.design, _key(service))
+
+
+def _key(service: InService) -> bytes:
+    """Bytes that only the same policy at the same design has."""
+    weights = [value.numpy(force=True).tobytes() for value in service.agent.state_dict().values()]
+    return b"".join([*weights, np.asarray(service.design, dtype=float).tobytes()])
+
+
+def _same(one: InService, other: InService) -> bool:
+    """Whether two services are the same policy at the same design."""
+    return _key(one) == _key(other)

@@ -1,0 +1,114 @@
+"""Where the gain comes from, and whether it holds on roads that no generation has met: tables and phrases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ccdtools.studies.gains import SOURCES
+from ccdtools.studies.report.formatting import generation_name, number, signed_percent, with_minus
+from ccdtools.studies.report.verdicts import percent_of_reference, reference_of, verdict
+
+Values = Mapping[str, Any]
+WORDS = {
+    "design": "design (LQR there against LQR at the start design)", "policy": "policy, as first designed, against LQR",
+    "updates": "updates while deployed", "redesign": "redesign on the updated model", "total": "together",
+}  # fmt: skip
+
+
+def gain_percent(place: Values, source: str) -> tuple[float, float | None, float | None] | None:
+    """A gain and its interval in per cent of LQR's return at the start design; None where there is none.
+
+    Parameters
+    ----------
+    place : mapping
+        An element of ``gains`` in results.json.
+    source : {"design", "policy", "updates", "redesign", "total"}
+    """
+    gain = place[source]
+    if gain["mean"] is None or not place["start"]:
+        return None
+    percent = [None if value is None else 100 * value / abs(place["start"]) for value in (gain["mean"], *gain["ci95"])]
+    return (percent[0] or 0.0, percent[1], percent[2])
+
+
+def gain_text(place: Values, source: str) -> str:
+    """A gain in per cent with its interval: "+23 % [+22 %, +24 %]"; "0 %" where nothing was changed."""
+    percent = gain_percent(place, source)
+    if percent is None:
+        return "n/a"
+    mean, low, high = percent
+    if low == high == 0:
+        return "0 %"
+    ends = "no interval" if low is None or high is None else f"{signed_percent(low)}, {signed_percent(high)}"
+    return f"{signed_percent(mean)} [{ends}]"
+
+
+def gain_rows(results: Values) -> list[list[str]]:
+    """The table of the gains: one row per source and a last one for all together, one column per place."""
+    sources = (*SOURCES[1:], "total")
+    return [[WORDS[source], *(gain_text(place, source) for place in results["gains"])] for source in sources]
+
+
+def gain_headings(results: Values) -> list[str]:
+    """A heading per place: its name, runs and steps, and the part of the runs left out where some diverged."""
+    return [_heading(place) for place in results["gains"]]
+
+
+def held_out_rows(results: Values, steps: int) -> list[dict[str, Any]]:
+    """The comparison of the start and the last design, a column per place.
+
+    Parameters
+    ----------
+    steps : int
+        Returns are scaled to so many, because the places have runs of different lengths.
+    """
+    lengths = {place["place"]: place["steps"] for place in results["gains"]}
+    names = list(lengths)
+    by_place = {names[0]: [row for row in results["comparison"] if row["plant"] == "real"]}
+    by_place |= {name: [row for row in results["held_out"] if row["model"] == name] for name in names[1:]}
+    shown = {(row["generation"], row["controller"]): None for name in names[1:] for row in by_place[name]}
+    return [
+        {"generation": generation_name(g), "controller": controller,
+         "cells": [_cell(by_place[name], g, controller, steps / lengths[name]) for name in names]}
+        for g, controller in shown
+    ]  # fmt: skip
+
+
+def held_out_phrase(results: Values) -> str:
+    """The change of the cost on every held-out disturbance, as a part of a sentence; nothing where there is none."""
+    changes = []
+    places = results.get("gains", ())[1:]
+    for place in places:
+        percent = gain_percent(place, "total")
+        changes.append(f"{'n/a' if percent is None else signed_percent(-percent[0])} ({place['place']})")
+    return f"on {places[0]['runs']} held-out runs each: {', '.join(changes)}" if changes else ""
+
+
+def console_lines(results: Values) -> list[str]:
+    """The gains by source as aligned plain text, with a line per place."""
+    lines = ["gain in return, in % of LQR at the start design, by source [95 % interval]"]
+    for heading, place in zip(gain_headings(results), results["gains"], strict=True):
+        parts = [f"{source} {gain_text(place, source)}" for source in (*SOURCES[1:], "total")]
+        lines.append(f"  {heading}: {'; '.join(parts)}")
+    return lines
+
+
+def _heading(place: Values) -> str:
+    """Of one place."""
+    runs = "one run" if place["runs"] == 1 else f"{place['runs']} runs"
+    lost = f", {signed_percent(100 * place['left_out'])[1:]} left out" if place["left_out"] else ""
+    return f"{place['place']} ({runs} of {place['steps']} steps{lost})"
+
+
+def _cell(rows: Sequence[Values], generation: int, controller: str, scale: float) -> dict[str, str] | None:
+    """Scaled return, difference to LQR in per cent and verdict of a row; None where there is no such row."""
+    own = next((row for row in rows if (row["generation"], row["controller"]) == (generation, controller)), None)
+    if own is None:
+        return None
+    reference = reference_of(rows, own)
+    percent = percent_of_reference(own, reference)
+    against = "" if own is reference or percent is None else signed_percent(percent[0])
+    mean = own["mean"]
+    shown = "n/a" if mean is None else with_minus(number(scale * mean))
+    return {"mean": shown, "against": against, "verdict": "reference" if own is reference else verdict(own, reference)}
