@@ -16,6 +16,7 @@ from ccdtools.studies.price import RedesignPrice
 PRESETS = ("default", "paper")
 EXPERTS = ("lqr", "mpc", "explicit")
 METHODS = ("pathwise", "ppo", "pathwise+ppo")
+SETS = ("auto", "lqr", "none")
 DESIGN_GRADIENTS = ("pathwise", "network_input")
 DRIVERS = ("mild", "aggressive")
 FILES = ("disturbance", "road", "speed")

@@ -1,0 +1,161 @@
+"""The states and designs that the expert's closed loops start from.
+
+Candidates (x, p) fill X × design box by Latin hypercube sampling. Accepted are those whose state lies in the set of their
+own design. Where these are few (the volume of a set shrinks with the number of states), the others are moved along their
+ray to the origin: a state at the fraction ρ of its ray to the boundary of X goes to the fraction ρ of the ray to the
+boundary of the set. A part of the loops begins where the episodes of the problem begin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import qmc
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.lqr_regions import LQRRegions
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.set_choice import Effort, SetCounts, affordable_designs, sets_in_time
+from ccdtools.exceptions import InputError
+from invariant_sets import ParametricSet, Polytope
+
+FEW = 0.25  # accepted candidates below which the others are moved into their sets
+CANDIDATES_PER_START = 4  # candidates for each loop that begins where the episodes begin
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Where the expert's loops begin.
+
+    Attributes
+    ----------
+    x, p : (n, nx) and (n, np) arrays
+        States and designs; the accepted candidates first.
+    sets : list of Polytope or None
+        X_fea of each design; None where it is not known, and nothing is filtered.
+    regions : LQRRegions
+        Model and LQR of each design.
+    candidates : int
+        How many of them are accepted candidates.
+    acceptance : float
+        Fraction of the candidates that lay in their set.
+    counts : SetCounts
+        How many designs got which set.
+    """
+
+    x: Array
+    p: Array
+    sets: list[Polytope | None]
+    regions: LQRRegions
+    candidates: int
+    acceptance: float
+    counts: SetCounts
+
+
+def starts(
+    problem: CoDesignProblem, family: ParametricSet, samples: int, distinct: int | None, effort: Effort,
+    rng: np.random.Generator,
+) -> Starts:  # fmt: skip
+    """Accepted candidates, and starts of episodes.
+
+    Raises
+    ------
+    InputError
+        If no candidate lies in a set, and none can be moved into one.
+    """
+    nx = problem.model.nx
+    reason = ""
+    if effort.option == "auto" and distinct is None:
+        distinct, reason = affordable_designs(problem, family, samples, effort)
+    shared = distinct or samples
+    lower, upper = problem.X.bounding_box()
+    cube = qmc.LatinHypercube(nx + problem.design.dim, rng=rng).random(samples)
+    x = lower + cube[:, :nx] * (upper - lower)
+    p = problem.design.from_unit(cube[:, nx:])
+    if shared < samples:
+        p = problem.design.latin_hypercube(shared, rng)[np.arange(samples) % shared]
+    pool = _Pool.of(problem, p, family, effort, reason)
+    everyone = np.arange(samples)
+    inside = pool.contains(x, everyone)
+    acceptance = float(inside.mean())
+    if acceptance < FEW:
+        outside = everyone[~inside]
+        x[outside] = pool.moved_in(x[outside], outside)
+        inside[outside] = pool.contains(x[outside], outside)
+    if not inside.any():
+        where = {"auto": "X_fea(p)", "lqr": "the region that LQR keeps", "none": "X at a design with an LQR"}
+        got = f"{samples} candidates of which none lies in {where[effort.option]}"
+        cure = "Take more samples, or check that X, U and the design bounds leave anything to control."
+        raise InputError("samples", got, "at least one", cure)
+    first = everyone[: -(-samples // CANDIDATES_PER_START)]
+    x0 = problem.scenarios.sample(len(first), 1, rng)[0]
+    begun = pool.may_begin(x0, first)
+    chosen = np.concatenate([everyone[inside], first[begun]])
+    sets = [pool.sets[i] for i in chosen]
+    return Starts(
+        np.concatenate([x[inside], x0[begun]]), p[chosen], sets, pool.regions.of_runs(chosen), int(inside.sum()),
+        acceptance, pool.counts,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Pool:
+    """All candidates: X_fea of each design where it is known, the region of LQR elsewhere, or else X alone."""
+
+    X: Polytope
+    sets: list[Polytope | None]
+    regions: LQRRegions
+    counts: SetCounts
+    by_region: bool  # whether a design without a set is limited to the region of LQR
+
+    @classmethod
+    def of(
+        cls, problem: CoDesignProblem, p: Array, family: ParametricSet, effort: Effort, reason: str
+    ) -> _Pool:  # fmt: skip
+        """The candidates with designs p (n, np); no set is computed if there is a reason against it."""
+        regions = LQRRegions.of(problem, p)
+        by_region = effort.option != "none" and regions.rows is not None
+        if effort.option == "auto" and not reason:
+            sets, counts = sets_in_time(family, p, effort)
+        else:
+            sets = [None] * len(p)
+            counts = SetCounts(effort.option, 0, len(np.unique(p, axis=0)), 0, reason or f'sets = "{effort.option}"')
+        if not by_region:
+            counts = replace(counts, lqr=0, limits=counts.lqr)
+        return cls(problem.X, sets, regions, counts, by_region)
+
+    def contains(self, x: Array, runs: Array) -> Array:
+        """Whether x[i] lies in the set of candidate runs[i], (k,)."""
+        inside = self.X.contains(x) & self.regions.stabilised[runs]
+        known = np.array([self.sets[i] is not None for i in runs], dtype=bool)
+        for k in np.flatnonzero(known & inside):
+            inside[k] = self.sets[runs[k]].contains(x[k])
+        if self.by_region:
+            inside[~known] &= self.regions.contains(x[~known], runs[~known])
+        return inside
+
+    def may_begin(self, x0: Array, runs: Array) -> Array:
+        """Whether the expert can be followed from x0[i]: within X_fea where it is known, else anywhere."""
+        allowed = self.regions.stabilised[runs]
+        for k in np.flatnonzero(allowed):
+            own = self.sets[runs[k]]
+            allowed[k] = own is None or own.contains(x0[k])
+        return allowed
+
+    def moved_in(self, x: Array, runs: Array) -> Array:
+        """Each state at the fraction of its ray to the boundary of its set that it had to the boundary of X."""
+        fraction = np.minimum(_gauge(self.X, x), 1.0)
+        reach = np.array([0.0 if self.sets[i] is None else 1 / _gauge(self.sets[i], row[None])[0]
+                          for i, row in zip(runs, x)])  # fmt: skip
+        unknown = np.array([self.sets[i] is None for i in runs], dtype=bool)
+        if self.by_region:
+            reach[unknown] = self.regions.reach(x[unknown], runs[unknown])
+        return np.minimum(fraction * reach, 1.0)[:, None] * x
+
+
+def _gauge(S: Polytope, x: Array) -> Array:
+    """The least factors (k,) by which S has to be scaled to hold the states (k, nx); inf where 0 is not inside S."""
+    if S.is_empty or len(S.b_eq) or not (S.b > 0).all():
+        return np.full(len(x), np.inf)
+    return np.maximum((x @ (S.A / S.b[:, None]).T).max(axis=1), np.finfo(float).tiny)

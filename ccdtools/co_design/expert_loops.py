@@ -1,0 +1,187 @@
+"""The expert's closed loops, one design each, and the filter that keeps their next states in X_fea(p)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.candidates import Starts
+from ccdtools.co_design.lqr_regions import times
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.controllers import Controller
+from ccdtools.progress import Echo, counted
+from invariant_sets import AdmissibleInputs, Polytope
+from mpc import LinearMPC
+
+VISITS = (0, 1, 2, 4, 8, 16, 32, 64)  # steps of each closed loop whose states join the data
+TAIL = 400  # further steps that the values look ahead; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated
+AT_ONCE = 2**21  # numbers of one product of rows and states, 16 MiB
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What the loops visited: states (v, n, nx), inputs (v, n, nu) and discounted returns (v, n) of v visits; NaN
+    where a run has diverged."""
+
+    states: Array
+    actions: Array
+    values: Array
+
+
+def follow(
+    problem: CoDesignProblem, loops: ExpertLoops, gamma: float, rng: np.random.Generator, *,
+    progress: bool = False, echo: Echo | None = None,
+) -> Followed:  # fmt: skip
+    """The loops under the disturbance of the problem's scenarios, looked at after `VISITS` steps."""
+    x = loops.starts.x
+    steps = VISITS[-1] + TAIL
+    w = problem.scenarios.sample(len(x), steps, rng)[1]
+    rewards = np.empty((steps, len(x)))
+    visited = []
+    actions = []
+    for k in counted(range(steps), "expert's closed loops", total=steps, progress=progress, echo=echo):
+        u = loops.inputs(x)
+        if k in VISITS:
+            visited.append(x)
+            actions.append(u)
+        x = loops.step(x, u, w[:, k])
+        x = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, np.nan)
+        rewards[k] = problem.objective.rewards(x, u)
+    future = rewards[-TAIL // 4 :].mean(axis=0) / (1 - gamma)  # stationary by then
+    values = []
+    for k in reversed(range(steps)):
+        future = rewards[k] + gamma * future
+        if k in VISITS:
+            values.append(future)
+    return Followed(np.array(visited), np.array(actions), np.array(values[::-1]))
+
+
+class ExpertLoops:
+    """LQR with its inputs filtered, or MPC, at the designs of the starts.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    starts : Starts
+    expert : {"lqr", "mpc", "explicit"}
+    horizon : int
+        Of the MPC experts.
+    progress, echo
+        As in `counted`.
+    """
+
+    def __init__(
+        self, problem: CoDesignProblem, starts: Starts, expert: str, horizon: int, *, progress: bool = False,
+        echo: Echo | None = None,
+    ) -> None:  # fmt: skip
+        self.starts = starts
+        self.filters = SetFilters(problem, starts)
+        self.controllers: list[Controller] | None = None
+        if expert != "lqr":
+            models = zip(starts.regions.A, starts.regions.B)
+            weights = {"Q": problem.objective.Q, "R": problem.objective.R}
+            laws = [LinearMPC(A, B, **weights, horizon=horizon, X=problem.X, U=problem.U) for A, B in models]
+            label = f"{expert} of every design"
+            made = counted(laws, label, total=len(laws), progress=progress, echo=echo)
+            self.controllers = [law.explicit() if expert == "explicit" else law for law in made]
+
+    def step(self, x: Array, u: Array, w: Array) -> Array:
+        """Next states (n, nx)."""
+        model = self.starts.regions
+        return times(model.A, x) + times(model.B, u) + times(model.E, w)
+
+    def inputs(self, x: Array) -> Array:
+        """The expert's inputs (n, nu); NaN where the state is."""
+        if self.controllers is None:
+            u = self.starts.regions.inputs(x, np.arange(len(x)))
+            return self.filters.filtered(x, u)
+        u = np.full((len(x), self.starts.regions.B.shape[2]), np.nan)
+        for i in np.flatnonzero(np.isfinite(x).all(axis=1)):
+            u[i] = self.controllers[i](x[i])
+        return u
+
+
+class SetFilters:
+    """Inputs that keep the next nominal state in X_fea of each run, where that set is known and holds the state.
+
+    Runs of one design share a filter, and products of all rows with all states are formed in pieces: with 300 facets
+    and 1000 runs they would not fit otherwise.
+    """
+
+    def __init__(self, problem: CoDesignProblem, starts: Starts) -> None:
+        self.U = problem.U
+        self.scale = problem.state_scale
+        self.model = starts.regions
+        guarded = [i for i, S in enumerate(starts.sets) if S is not None and not S.is_empty]
+        groups: dict[int, list[int]] = {}
+        for i in guarded:
+            groups.setdefault(id(starts.sets[i]), []).append(i)
+        self.groups = [np.array(runs) for runs in groups.values()]
+        self.sets: list[Polytope] = [S for runs in self.groups if (S := starts.sets[runs[0]]) is not None]
+        self._filters: dict[int, AdmissibleInputs] = {}
+
+    def filtered(self, x: Array, u: Array) -> Array:
+        """The inputs (n, nu), those that would leave a set replaced by the nearest ones that do not."""
+        u = u.copy()
+        for piece in self._pieces:
+            runs = piece.runs
+            after = piece.states @ x[runs].swapaxes(1, 2) + piece.inputs @ u[runs].swapaxes(1, 2)
+            leaving = (after > piece.limits[:, :, None]).any(axis=1)  # NaN is not
+            leaving &= piece.first & np.isfinite(x[runs]).all(axis=2)
+            for g in np.flatnonzero(leaving.any(axis=1)):
+                chosen = runs[g][leaving[g]]
+                chosen = chosen[self.sets[piece.begin + int(g)].contains(x[chosen])]  # outside nothing can be kept
+                if len(chosen) == 0:
+                    continue
+                u[chosen] = self._filter(piece.begin + int(g)).project(x[chosen], u[chosen])[0]
+        return u
+
+    def _filter(self, g: int) -> AdmissibleInputs:
+        """What keeps the next state of group g in its set."""
+        if g not in self._filters:
+            i = self.groups[g][0]
+            self._filters[g] = AdmissibleInputs(self.model.A[i], self.model.B[i], self.sets[g], self.U)
+        return self._filters[g]
+
+    @cached_property
+    def _pieces(self) -> list[_Piece]:
+        """The groups, as many at once as fit."""
+        if not self.groups:
+            return []
+        rows = max(len(S.b) for S in self.sets)
+        members = max(len(runs) for runs in self.groups)
+        width = rows * (self.model.A.shape[1] + self.model.B.shape[2] + 1 + members)
+        step = max(1, AT_ONCE // width)
+        return [self._piece(begin, min(begin + step, len(self.groups))) for begin in range(0, len(self.groups), step)]
+
+    def _piece(self, begin: int, end: int) -> _Piece:
+        """Groups from `begin` to `end`, rows scaled to the size of X."""
+        groups = self.groups[begin:end]
+        rows = max(len(S.b) for S in self.sets[begin:end])
+        members = max(len(runs) for runs in groups)
+        F = np.zeros((len(groups), rows, len(self.scale)))
+        limits = np.ones((len(groups), rows))
+        runs = np.array([np.resize(own, members) for own in groups])
+        first = np.arange(members) < np.array([len(own) for own in groups])[:, None]
+        for g, S in enumerate(self.sets[begin:end]):
+            size = np.abs(S.A) @ self.scale
+            F[g, : len(S.b)] = S.A / size[:, None]
+            limits[g, : len(S.b)] = S.b / size
+        A = self.model.A[runs[:, 0]]
+        B = self.model.B[runs[:, 0]]
+        return _Piece(begin, runs, first, F @ A, F @ B, limits)
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """Groups of runs padded to one size: runs (g, r), whether each is no repetition, and rows on x, on u, and right."""
+
+    begin: int
+    runs: Array
+    first: Array
+    states: Array
+    inputs: Array
+    limits: Array

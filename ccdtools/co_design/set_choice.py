@@ -1,0 +1,127 @@
+"""Which set each design gets: X_fea(p) as far as the time goes, else the region of saturated LQR, else X.
+
+The number of designs is chosen by the measured time of a few sets, on a coarse ladder. Time is that of this thread on the
+processor, so that other programs do not change the choice. Where the first sets say that a set for every
+candidate takes less than the limit, nothing depends on the clock.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.progress import Echo, counted
+from invariant_sets import ParametricSet, Polytope
+from invariant_sets.results import Status
+
+SETS = ("auto", "lqr", "none")
+LADDER = tuple(4**k for k in range(3, 12))  # numbers of designs that candidates share
+ONE_SET = 1 / 16  # of the time limit: longest computation of one set
+PROBES = 5  # sets that are computed to see how long one takes; the first is not counted, it loads what it needs
+USABLE = (Status.CONVERGED, Status.EMPTY)
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much may be spent on sets, and how to say so.
+
+    Attributes
+    ----------
+    option : {"auto", "lqr", "none"}
+    time_limit : float or None
+        Processor time for all sets [s].
+    progress : bool
+        Show progress bars.
+    echo : callable or None
+        Takes a line of text where there is no bar.
+    """
+
+    option: str
+    time_limit: float | None
+    progress: bool = False
+    echo: Echo | None = None
+
+    @property
+    def seconds(self) -> float:
+        """The time limit, infinite if there is none [s]."""
+        return np.inf if self.time_limit is None else self.time_limit
+
+
+@dataclass(frozen=True)
+class SetCounts:
+    """How many designs got which set, and why.
+
+    Attributes
+    ----------
+    option : str
+        What was asked for.
+    feasible, lqr, limits : int
+        Designs with X_fea(p); with the region of saturated LQR; with X itself.
+    reason : str
+        Why not all have X_fea(p); empty if all have.
+    seconds : float
+        Processor time of the sets [s].
+    """
+
+    option: str
+    feasible: int
+    lqr: int
+    limits: int
+    reason: str = ""
+    seconds: float = 0.0
+
+    def __str__(self) -> str:
+        named = {"X_fea(p)": self.feasible, "the region that saturated LQR keeps": self.lqr, "X": self.limits}
+        parts = [f"{name} of {count} designs" for name, count in named.items() if count]
+        return ", ".join(parts) + (f": {self.reason}" if self.reason else "")
+
+
+def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: int, effort: Effort) -> tuple[int, str]:
+    """How many designs can have a set in time, and if none can, why; `samples` if every candidate can have its own."""
+    if not np.isfinite(effort.seconds):
+        return samples, ""
+    taken = []
+    for design in problem.design.spread()[::-1][: min(PROBES, samples)]:
+        begun = time.thread_time()
+        status = sets.result(design).status
+        taken.append(time.thread_time() - begun if status in USABLE else np.inf)
+        if sum(taken) > effort.seconds / 4 or not np.isfinite(taken[-1]):
+            break
+    if not np.isfinite(taken[-1]):
+        return 0, f"X_fea(p) was not found within {effort.seconds * ONE_SET:.3g} s"
+    one = float(np.mean(taken[1:] or taken))
+    if one * samples <= effort.seconds:
+        return samples, ""
+    possible = [number for number in LADDER if number * one <= effort.seconds / 2]
+    return max(possible, default=0), "" if possible else f"X_fea(p) of {LADDER[0]} designs takes longer than allowed"
+
+
+def sets_in_time(sets: ParametricSet, designs: Array, effort: Effort) -> tuple[list[Polytope | None], SetCounts]:
+    """X_fea of each design (n, np), None where time or the recursion ended first, and what was counted."""
+    begun = time.thread_time()
+    unique, index = np.unique(designs, axis=0, return_inverse=True)
+    order = np.unique(index.ravel(), return_index=True)[1].argsort()  # as they come
+    known: dict[int, Polytope | None] = {}
+    for i in counted(order, "X_fea(p)", total=len(order), progress=effort.progress, echo=effort.echo):
+        late = time.thread_time() - begun > effort.seconds
+        result = None if late else sets.result(unique[i])
+        known[int(i)] = result.set if result is not None and result.status in USABLE else None
+    found = sum(one is not None for one in known.values())
+    seconds = time.thread_time() - begun
+    reason = ""
+    if found < len(known):
+        late = seconds > effort.seconds
+        reason = f"time limit of {effort.seconds:g} s reached" if late else "X_fea(p) was not found in time"
+    counts = SetCounts(effort.option, found, len(known) - found, 0, reason, seconds)
+    return [known[int(i)] for i in index.ravel()], counts
+
+
+def limited(sets: ParametricSet, effort: Effort) -> ParametricSet:
+    """The family with a time limit for each set; one that has a shorter limit keeps it."""
+    own = np.inf if sets.time_limit is None else sets.time_limit
+    limit = min(own, effort.seconds * ONE_SET)
+    return replace(sets, time_limit=limit) if limit < own else sets
