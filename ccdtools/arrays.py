@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
+Indices: TypeAlias = NDArray[np.integer[Any]]
+Mask: TypeAlias = NDArray[np.bool_]
 ArrayField: TypeAlias = Any
 """A dataclass field that takes any array_like and holds an `Array` once the object exists."""
 

@@ -18,7 +18,7 @@ import typer
 import ccdtools
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import CCDError, InputError
-from ccdtools.studies.options import Options, located, numbers, study_names, whole_number
+from ccdtools.studies.options import Options, located, numbers, one_number, study_names, whole_number
 from ccdtools.studies.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -63,6 +63,10 @@ def run(
     expert: Annotated[str, typer.Option(help="Imitated first: lqr (projected on X_fea), mpc, explicit.")] = "lqr",
     method: Annotated[str | None, typer.Option(help="Of the policy: pathwise, ppo, or pathwise+ppo.")] = None,
     design_gradient: Annotated[str | None, typer.Option(help="pathwise, or network_input (the paper's).")] = None,
+    sets: Annotated[str | None, typer.Option(help="X_fea for the expert's data: auto, lqr or none.")] = None,
+    sets_time_limit: Annotated[
+        str | None, typer.Option(metavar="SECONDS", help="Processor time for all sets of the initialisation.")
+    ] = None,
     x0: Annotated[str | None, typer.Option(help="Initial state, for example --x0=-3,0")] = None,
     p0: Annotated[str | None, typer.Option(help="Start design, for example --p0=0.8")] = None,
     disturbance: Annotated[
@@ -80,8 +84,9 @@ def run(
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report."""
     options = Options(
         located(study), whole_number("--generations", generations), whole_number("--seed", seed), quick, preset,
-        expert, method=method, design_gradient=design_gradient, x0=numbers("--x0", x0), p0=numbers("--p0", p0),
-        disturbance=disturbance, column=column, road=road, speed=speed, driver=driver,
+        expert, method=method, design_gradient=design_gradient, sets=sets,
+        sets_time_limit=one_number("--sets-time-limit", sets_time_limit), x0=numbers("--x0", x0),
+        p0=numbers("--p0", p0), disturbance=disturbance, column=column, road=road, speed=speed, driver=driver,
         redesign_price=redesign_price,
     )  # fmt: skip
     options.check_files()

@@ -1,9 +1,9 @@
 """The states and designs that the expert's closed loops start from.
 
-Candidates (x, p) fill X × design box by Latin hypercube sampling. Accepted are those whose state lies in the set of their
-own design. Where these are few (the volume of a set shrinks with the number of states), the others are moved along their
-ray to the origin: a state at the fraction ρ of its ray to the boundary of X goes to the fraction ρ of the ray to the
-boundary of the set. A part of the loops begins where the episodes of the problem begin.
+Candidates (x, p) fill X × design box by Latin hypercube sampling. Accepted are those whose state lies in the set of
+their own design. Where these are few (the volume of a set shrinks with the number of states), the others are moved
+along their ray to the origin: a state at the fraction ρ of its ray to the boundary of X goes to the fraction ρ of the
+ray to the boundary of the set. A part of the loops begins where the episodes of the problem begin.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import qmc
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.set_choice import Effort, SetCounts, affordable_designs, sets_in_time
@@ -80,7 +80,7 @@ def starts(
     inside = pool.contains(x, everyone)
     acceptance = float(inside.mean())
     if acceptance < FEW:
-        outside = everyone[~inside]
+        outside = np.flatnonzero(~inside)
         x[outside] = pool.moved_in(x[outside], outside)
         inside[outside] = pool.contains(x[outside], outside)
     if not inside.any():
@@ -125,17 +125,18 @@ class _Pool:
             counts = replace(counts, lqr=0, limits=counts.lqr)
         return cls(problem.X, sets, regions, counts, by_region)
 
-    def contains(self, x: Array, runs: Array) -> Array:
+    def contains(self, x: Array, runs: Indices) -> Mask:
         """Whether x[i] lies in the set of candidate runs[i], (k,)."""
         inside = self.X.contains(x) & self.regions.stabilised[runs]
-        known = np.array([self.sets[i] is not None for i in runs], dtype=bool)
-        for k in np.flatnonzero(known & inside):
-            inside[k] = self.sets[runs[k]].contains(x[k])
+        own = [self.sets[i] for i in runs]
+        known = np.array([S is not None for S in own], dtype=bool)
+        for k, S in enumerate(own):
+            inside[k] = inside[k] and (S is None or S.contains(x[k]))
         if self.by_region:
             inside[~known] &= self.regions.contains(x[~known], runs[~known])
         return inside
 
-    def may_begin(self, x0: Array, runs: Array) -> Array:
+    def may_begin(self, x0: Array, runs: Indices) -> Mask:
         """Whether the expert can be followed from x0[i]: within X_fea where it is known, else anywhere."""
         allowed = self.regions.stabilised[runs]
         for k in np.flatnonzero(allowed):
@@ -143,12 +144,12 @@ class _Pool:
             allowed[k] = own is None or own.contains(x0[k])
         return allowed
 
-    def moved_in(self, x: Array, runs: Array) -> Array:
+    def moved_in(self, x: Array, runs: Indices) -> Array:
         """Each state at the fraction of its ray to the boundary of its set that it had to the boundary of X."""
         fraction = np.minimum(_gauge(self.X, x), 1.0)
-        reach = np.array([0.0 if self.sets[i] is None else 1 / _gauge(self.sets[i], row[None])[0]
-                          for i, row in zip(runs, x)])  # fmt: skip
-        unknown = np.array([self.sets[i] is None for i in runs], dtype=bool)
+        own = [self.sets[i] for i in runs]
+        reach = np.array([0.0 if S is None else 1 / _gauge(S, row[None])[0] for S, row in zip(own, x)])
+        unknown = np.array([S is None for S in own], dtype=bool)
         if self.by_region:
             reach[unknown] = self.regions.reach(x[unknown], runs[unknown])
         return np.minimum(fraction * reach, 1.0)[:, None] * x

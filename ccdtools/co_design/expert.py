@@ -14,11 +14,12 @@ from functools import partial
 import numpy as np
 
 from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_positive, as_share
+from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_positive, as_share, shown
 from ccdtools.co_design.candidates import starts
 from ccdtools.co_design.expert_loops import ExpertLoops, follow
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.set_choice import SETS, Effort, SetCounts, limited
+from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.progress import Echo
 from invariant_sets import ParametricSet
@@ -113,8 +114,8 @@ def expert_dataset(
         Distinct designs among the candidates. By default every candidate has its own, unless X_fea(p) takes so long
         that fewer must do.
     sets : {"auto", "lqr", "none"} or ParametricSet
-        "auto": X_fea(p) as far as the time limit goes, elsewhere the region in which saturated LQR keeps the state within
-        X for ever; "lqr": that region everywhere; "none": X itself. Or X_fea, if already at hand.
+        "auto": X_fea(p) as far as the time limit goes, elsewhere the region in which saturated LQR keeps the state
+        within X for ever; "lqr": that region everywhere; "none": X itself. Or X_fea, if already at hand.
     time_limit : float, optional
         Processor time for all sets [s]; None for no limit.
     progress : bool
@@ -135,6 +136,8 @@ def expert_dataset(
     horizon = as_count("horizon", horizon)
     designs = None if designs is None else min(samples, as_count("designs", designs))
     limit = None if time_limit is None else as_positive("time_limit", time_limit, unit="s")
+    if echo is not None and not callable(echo):
+        raise InputError("echo", shown(echo), "a function that takes a line of text, or None")
     option = "auto" if isinstance(sets, ParametricSet) else as_choice("sets", sets, SETS)
     effort = Effort(option, limit, progress, echo)
     family = sets if isinstance(sets, ParametricSet) else limited(feasible_sets(problem), effort)

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.candidates import Starts
 from ccdtools.co_design.lqr_regions import times
 from ccdtools.co_design.problem import CoDesignProblem
@@ -23,8 +23,7 @@ AT_ONCE = 2**21  # numbers of one product of rows and states, 16 MiB
 
 @dataclass(frozen=True)
 class Followed:
-    """What the loops visited: states (v, n, nx), inputs (v, n, nu) and discounted returns (v, n) of v visits; NaN
-    where a run has diverged."""
+    """States (v, n, nx), inputs (v, n, nu) and discounted returns (v, n) of v visits; NaN where a run has diverged."""
 
     states: Array
     actions: Array
@@ -86,7 +85,12 @@ class ExpertLoops:
             laws = [LinearMPC(A, B, **weights, horizon=horizon, X=problem.X, U=problem.U) for A, B in models]
             label = f"{expert} of every design"
             made = counted(laws, label, total=len(laws), progress=progress, echo=echo)
-            self.controllers = [law.explicit() if expert == "explicit" else law for law in made]
+            self.controllers = [self._law(law, expert) for law in made]
+
+    @staticmethod
+    def _law(law: LinearMPC, expert: str) -> Controller:
+        """The law itself, or its explicit form."""
+        return law.explicit() if expert == "explicit" else law  # type: ignore[return-value]
 
     def step(self, x: Array, u: Array, w: Array) -> Array:
         """Next states (n, nx)."""
@@ -180,8 +184,8 @@ class _Piece:
     """Groups of runs padded to one size: runs (g, r), whether each is no repetition, and rows on x, on u, and right."""
 
     begin: int
-    runs: Array
-    first: Array
+    runs: Indices
+    first: Mask
     states: Array
     inputs: Array
     limits: Array

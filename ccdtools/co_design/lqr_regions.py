@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_lyapunov
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.problem import CoDesignProblem
 from mpc import MPCError, lqr
 
@@ -67,16 +67,16 @@ class LQRRegions:
                 shapes[i] = _ellipsoid(A[i] - B[i] @ K[i], limits, problem.state_scale)
         return cls(A, B, E, K, lower, upper, rows, shapes)
 
-    def of_runs(self, runs: Array) -> LQRRegions:
+    def of_runs(self, runs: Indices) -> LQRRegions:
         """The regions of some of the designs."""
         return replace(self, **{name: getattr(self, name)[runs] for name in ("A", "B", "E", "K", "shapes")})
 
     @property
-    def stabilised(self) -> Array:
+    def stabilised(self) -> Mask:
         """Which designs have an LQR, (n,)."""
-        return np.isfinite(self.K).all(axis=(1, 2))
+        return np.asarray(np.isfinite(self.K).all(axis=(1, 2)))
 
-    def contains(self, x: Array, runs: Array) -> Array:
+    def contains(self, x: Array, runs: Indices) -> Mask:
         """Whether x[i] (k, nx) lies in the region of design runs[i] (k,)."""
         inside = np.zeros(len(x), bool)
         if self.rows is None:
@@ -94,15 +94,15 @@ class LQRRegions:
             x[left] = self.step(x[left], self.inputs(x[left], runs[left]), runs[left])
         return inside
 
-    def inputs(self, x: Array, runs: Array) -> Array:
+    def inputs(self, x: Array, runs: Indices) -> Array:
         """Saturated LQR of states (k, nx) at the designs `runs`, (k, nu)."""
         return np.clip(-times(self.K[runs], x), self.lower, self.upper)
 
-    def step(self, x: Array, u: Array, runs: Array) -> Array:
+    def step(self, x: Array, u: Array, runs: Indices) -> Array:
         """Nominal next states (k, nx)."""
         return times(self.A[runs], x) + times(self.B[runs], u)
 
-    def reach(self, x: Array, runs: Array) -> Array:
+    def reach(self, x: Array, runs: Indices) -> Array:
         """Scales (k,) in [0, 1] at which scale · x lies in the region, about the largest ones; 0 where none is known.
 
         Geometric bisection between the ellipsoid and x.

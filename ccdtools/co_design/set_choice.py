@@ -1,14 +1,15 @@
 """Which set each design gets: X_fea(p) as far as the time goes, else the region of saturated LQR, else X.
 
-The number of designs is chosen by the measured time of a few sets, on a coarse ladder. Time is that of this thread on the
-processor, so that other programs do not change the choice. Where the first sets say that a set for every
-candidate takes less than the limit, nothing depends on the clock.
+The number of designs is chosen by the measured time of a few sets, on a coarse ladder. Time is that of this thread on
+the processor, so that other programs do not change the choice. Where the first sets say that a set for every candidate
+takes less than the limit, nothing depends on the clock.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -73,6 +74,11 @@ class SetCounts:
     limits: int
     reason: str = ""
     seconds: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """What results.json keeps: counts and reason, without what is measured in seconds."""
+        return {"option": self.option, "X_fea": self.feasible, "lqr": self.lqr, "X": self.limits,
+                "reason": self.reason, "text": str(self)}  # fmt: skip
 
     def __str__(self) -> str:
         named = {"X_fea(p)": self.feasible, "the region that saturated LQR keeps": self.lqr, "X": self.limits}

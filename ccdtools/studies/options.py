@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from ccdtools.checks import as_choice, as_count, shown
+from ccdtools.checks import as_choice, as_count, as_positive, shown
 from ccdtools.exceptions import InputError
 from ccdtools.studies.price import RedesignPrice
 
@@ -32,7 +32,7 @@ class Options:
     ----------
     study : str
         Name of a study, or the absolute path of its file.
-    generations, seed, quick, preset, expert, method, design_gradient
+    generations, seed, quick, preset, expert, method, design_gradient, sets, sets_time_limit
         As in `Generations` and `configuration`.
     x0, p0 : list of float or None
         Another initial state and first design.
@@ -55,6 +55,8 @@ class Options:
     expert: str = "lqr"
     method: str | None = None
     design_gradient: str | None = None
+    sets: str | None = None
+    sets_time_limit: float | None = None
     x0: list[float] | None = None
     p0: list[float] | None = None
     disturbance: str | None = None
@@ -76,6 +78,10 @@ class Options:
             as_choice("--method", self.method, METHODS)
         if self.design_gradient is not None:
             as_choice("--design-gradient", self.design_gradient, DESIGN_GRADIENTS)
+        if self.sets is not None:
+            as_choice("--sets", self.sets, SETS)
+        if self.sets_time_limit is not None:
+            as_positive("--sets-time-limit", self.sets_time_limit, unit="s")
         if self.driver is not None:
             as_choice("--driver", self.driver, DRIVERS)
         if self.redesign_price is not None:
@@ -146,6 +152,14 @@ def whole_number(argument: str, text: str) -> int:
     if not WHOLE.fullmatch(text):
         raise InputError(argument, repr(text[:50]), "a whole number of at most 40 digits")
     return int(text)
+
+
+def one_number(argument: str, text: str | None) -> float | None:
+    """The number that a text holds; None of None."""
+    found = numbers(argument, text)
+    if found is not None and len(found) != 1:
+        raise InputError(argument, repr(str(text)[:40]), "one number")
+    return None if found is None else found[0]
 
 
 def numbers(argument: str, text: str | None) -> list[float] | None:

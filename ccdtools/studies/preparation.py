@@ -94,7 +94,7 @@ def _prepared(options: Options, loaded: LoadedStudy, source: Disturbance | None)
             study = replace(study, real=replace(study.real, disturbance=source))
         config = configuration(
             study, preset=options.preset, quick=options.quick, expert=options.expert, method=options.method,
-            design_gradient=options.design_gradient,
+            design_gradient=options.design_gradient, sets=options.sets, sets_time_limit=options.sets_time_limit,
         )
         Evaluation(study, config, options.seed).check_recording()
     return PreparedRun(options, study, config, fingerprint(LoadedStudy(study, loaded.sources), config))

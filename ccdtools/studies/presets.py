@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from ccdtools.checks import as_choice
+from ccdtools.checks import as_choice, as_positive
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
-from ccdtools.studies.options import EXPERTS, PRESETS
+from ccdtools.studies.options import EXPERTS, PRESETS, SETS
 from ccdtools.studies.study import Study
 from ccdtools.twin.deployment import ONLINE_TRAINING, OnlineConfig
 from learning.networks import NetworkConfig
@@ -33,6 +33,10 @@ class StudyConfig:
         What moves the policy in a co-design.
     samples : int
         Latin hypercube samples of the initialisation.
+    sets : {"auto", "lqr", "none"}
+        Which sets they are taken from, as in `expert_dataset`.
+    sets_time_limit : float
+        Processor time for these sets [s].
     model_runs, real_runs : int
         Rollouts of a comparison on the model, and on a real plant of short runs.
     mpc_runs : int
@@ -50,6 +54,8 @@ class StudyConfig:
     expert: str = "lqr"
     method: str = "pathwise"
     samples: int = 1000
+    sets: str = "auto"
+    sets_time_limit: float = 20.0
     model_runs: int = 4000
     real_runs: int = 4000
     mpc_runs: int = 100
@@ -76,8 +82,12 @@ def configuration(
     expert: str = "lqr",
     method: str | None = None,
     design_gradient: str | None = None,
+    sets: str | None = None,
+    sets_time_limit: float | None = None,
 ) -> StudyConfig:
     """The configuration of a preset.
+
+    `sets` and `sets_time_limit` are those of the study unless given.
 
     ``paper`` takes the paper's networks, loss, rates, epochs and design gradient; what the paper leaves unsaid or
     what its code has wrong (advantages, discount, bounds, one optimiser) stays as in the default.
@@ -85,11 +95,15 @@ def configuration(
     Raises
     ------
     InputError
-        If `preset`, `expert`, `method` or `design_gradient` is unknown.
+        If `preset`, `expert`, `method`, `design_gradient` or `sets` is unknown, or the time limit is not above 0.
     """
     as_choice("preset", preset, PRESETS)
     as_choice("expert", expert, EXPERTS)
-    config = StudyConfig(preset=preset, expert=expert, samples=study.samples)
+    sets = study.sets if sets is None else as_choice("sets", sets, SETS)
+    limit = study.sets_time_limit if sets_time_limit is None else as_positive("sets_time_limit", sets_time_limit)
+    config = StudyConfig(
+        preset=preset, expert=expert, samples=study.samples, sets=sets, sets_time_limit=limit
+    )  # fmt: skip
     if preset == "paper":
         config = _paper(config, study)
     if method is not None:

@@ -12,6 +12,7 @@ from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.exceptions import InputError
+from ccdtools.progress import Echo
 from ccdtools.studies.account import account, region_lines
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, held_out_stage
@@ -38,10 +39,13 @@ class LoopStages:
         The study, its configuration, and what the stages are measured on.
     progress : bool
         Show progress bars.
+    echo : callable, optional
+        Takes a line of text now and then where there are no bars.
     """
 
     evaluation: Evaluation
     progress: bool
+    echo: Echo | None = None
 
     def initialise(self, rng: np.random.Generator) -> Stage:
         """The first policy: a network trained to imitate the expert."""
@@ -49,8 +53,11 @@ class LoopStages:
         problem = self.evaluation.problem
         data = expert_dataset(
             problem, samples=config.samples, rng=rng, expert=config.expert, gamma=config.codesign.ppo.gamma,
-            progress=self.progress,
+            sets=config.sets, time_limit=config.sets_time_limit, progress=self.progress, echo=self.echo,
         )  # fmt: skip
+        assert data.sets is not None
+        if self.echo is not None:
+            self.echo(f"    {len(data.inputs)} samples; imitation takes {config.cloning.steps} steps")
         agent = fit_actor_critic(
             data.inputs, data.actions, data.values, action_bounds=problem.input_bounds,
             input_bounds=problem.observation_bounds, rng=rng, network=config.network, config=config.cloning,
@@ -58,9 +65,10 @@ class LoopStages:
         )  # fmt: skip
         values = {
             "expert": config.expert, "candidates": config.samples, "samples": len(data.inputs),
-            "acceptance": data.acceptance, "diverged": data.diverged,
+            "acceptance": data.acceptance, "diverged": data.diverged, "sets": data.sets.as_dict(),
         }  # fmt: skip
-        report = [f"{data.acceptance:.0%} of {config.samples} candidates feasible, {len(data.inputs)} samples imitated"]
+        report = [f"{data.sets} ({data.sets.seconds:.2g} s)",
+                  f"{data.acceptance:.0%} of {config.samples} candidates feasible, {len(data.inputs)} samples imitated"]
         return Stage(values | {"report": report}, networks={"agent": agent})
 
     def co_design(self, rng: np.random.Generator, current: InService, twin: DigitalTwin, trust: Trust) -> Stage:

@@ -11,7 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_count, as_instance, as_mapping, as_vector, as_weight, has_method, shown
+from ccdtools.checks import (
+    as_choice,
+    as_count,
+    as_instance,
+    as_mapping,
+    as_positive,
+    as_vector,
+    as_weight,
+    has_method,
+    shown,
+)
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.disturbances.disturbance import Disturbance, is_recorded
@@ -19,6 +29,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
+from ccdtools.studies.options import SETS
 from ccdtools.studies.price import DEFAULT_PRICE, RedesignPrice
 from ccdtools.twin.transport import check_disturbance_enters
 from invariant_sets import Polytope
@@ -112,6 +123,10 @@ class Study(Immutable):
         Hidden layers of the preset ``paper``.
     samples : int
         Latin hypercube samples of the initialisation.
+    sets : {"auto", "lqr", "none"}
+        Sets that the samples are taken from: X_fea(p) as far as the time goes; what saturated LQR keeps within X; X.
+    sets_time_limit : float
+        Processor time for these sets [s].
     redesign_price : str
         The gain that a redesign must promise: "0.5 %" of the return in service, or "12 return", in units of the return
         of an evaluation.
@@ -141,6 +156,8 @@ class Study(Immutable):
     samples: int = 1000
     redesign_price: str = DEFAULT_PRICE
     sampling_guard: str = "warn"
+    sets: str = "auto"
+    sets_time_limit: float = 20.0
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {self.plant!r}, {self.steps} steps, start {self.plant.design.describe(self.p0)})"
@@ -175,6 +192,10 @@ class Study(Immutable):
         as_instance("objective", self.objective, QuadraticObjective, "a QuadraticObjective")
         object.__setattr__(self, "steps", as_count("steps", self.steps))
         object.__setattr__(self, "samples", as_count("samples", self.samples))
+        as_choice("sets", self.sets, SETS)
+        object.__setattr__(
+            self, "sets_time_limit", as_positive("sets_time_limit", self.sets_time_limit, unit="s")
+        )  # fmt: skip
         if not isinstance(self.paper_networks, list | tuple):
             raise InputError("paper_networks", shown(self.paper_networks), "the widths of the hidden layers")
         widths = tuple(as_count("paper_networks", width) for width in self.paper_networks)

@@ -39,6 +39,7 @@ from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
 from invariant_sets.tolerances import GAP_ROUNDING, INVARIANT, MISSING, STOP
 
 Array = np.ndarray
+_FIRST_SHARE = 0.1  # of the time limit: a recursion that ends within it needs no inner set in reserve
 _OUTER_SHARE = 0.5  # of the time limit for the outer recursion; the rest is for inner sets and their certificate
 _INNER_SHARE = 0.6  # of the time left for inner sets; the rest is for the certificate
 _RESERVE_SHARE = 0.3  # of the time limit for a first inner set, which is kept in reserve
@@ -97,6 +98,7 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     iterations = 0
     widest = _extent(X)
     reserve: _Inner | None = None
+    first_deadline = limits.deadline.part(_FIRST_SHARE)
     outer_deadline = limits.deadline.part(_OUTER_SHARE)
     for _ in range(4 * nx + 8):
         localised = localise(task.system, X, task.U, widest)
@@ -112,10 +114,14 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
         if guess is not None and start.shape is Shape.SOLID:
             start = _guessed(problem, start, guess)
             guess = None
-        if reserve is None and np.isfinite(limits.deadline.end) and len(problem.dynamics.A) >= _SLOW_DIM:
-            reserve = _reserve(task, problem, start)
         steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
-        outcome = _recursion(problem, start, replace(limits.caps(STOP, max(steps, 1)), deadline=outer_deadline))
+        caps = limits.caps(STOP, max(steps, 1))
+        slow = np.isfinite(limits.deadline.end) and len(problem.dynamics.A) >= _SLOW_DIM
+        outcome = _recursion(problem, start, replace(caps, deadline=first_deadline if slow else outer_deadline))
+        if slow and outcome.limit is not None:
+            reserve = _reserve(task, problem, start) if reserve is None else reserve
+            if outcome.limit is Status.TIME_LIMIT:
+                outcome = _continued(problem, outcome, replace(caps, deadline=outer_deadline))
         iterations += outcome.iterations
         region = outcome.region if outcome.limit is not None else outcome.region.tidy()
         if region.shape is Shape.EMPTY:
@@ -135,6 +141,12 @@ def _recursion(problem: LocalProblem, start: Region, caps: Caps) -> Outcome:
     if start.shape is not Shape.SOLID or start.is_small:
         return Outcome(start, 0)
     return iterate(start, predecessor_of(problem, deadline=caps.deadline), caps)
+
+
+def _continued(problem: LocalProblem, outcome: Outcome, caps: Caps) -> Outcome:
+    """Return how a recursion that was stopped ends with more time."""
+    later = _recursion(problem, outcome.region, caps)
+    return replace(later, iterations=outcome.iterations + later.iterations)
 
 
 def _unfinished(limits: Limits, bounded: bool) -> Status:

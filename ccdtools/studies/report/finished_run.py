@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +15,8 @@ from ccdtools.co_design.result import History
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 from invariant_sets import ParametricSet
+
+SET_SECONDS = 3.0  # longest computation of one set that is only drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +44,8 @@ class FinishedRun:
 
     @cached_property
     def sets(self) -> ParametricSet:
-        """X_fea(p)."""
-        return feasible_sets(self.problem)
+        """X_fea(p), each within `SET_SECONDS`."""
+        return replace(feasible_sets(self.problem), time_limit=SET_SECONDS)
 
     @cached_property
     def designs(self) -> list[Array]:

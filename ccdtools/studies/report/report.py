@@ -15,7 +15,7 @@ from ccdtools.arrays import Array
 from ccdtools.plants.sampling_guard import sampling_note
 from ccdtools.studies.report import style
 from ccdtools.studies.report.figures import figures
-from ccdtools.studies.report.finished_run import FinishedRun
+from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun
 from ccdtools.studies.report.formatting import (
     active_bounds_text,
     axis_label,
@@ -77,10 +77,18 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
         gains={"headings": gain_headings(results), "rows": gain_rows(results),
                "held_out": held_out_rows(results, run.study.steps)},
-        sampling=sampling_note(run.study.plant),
+        sampling=sampling_note(run.study.plant), no_sets=_no_sets(run),
         single=run.study.real.runs == 1, real_is_model=run.study.real.plant is run.study.plant,
         updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],
     )  # fmt: skip
+
+
+def _no_sets(run: FinishedRun) -> str:
+    """Why there is no figure of X_fea(p), where there is none."""
+    option = run.results["configuration"]["sets"]
+    if option != "auto":
+        return f'the run was asked for sets = "{option}"'
+    return f"none was found within {SET_SECONDS:g} s a design"
 
 
 def _cards(run: FinishedRun) -> list[dict[str, Any]]:

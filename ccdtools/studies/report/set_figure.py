@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -10,18 +11,21 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.studies.report import plotting, style
-from ccdtools.studies.report.finished_run import FinishedRun
+from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun
 from ccdtools.studies.report.formatting import generation_name
 from ccdtools.studies.report.report_figure import ReportFigure
 from invariant_sets import Polytope
+from invariant_sets.results import Status
 
+_Cut = tuple[Callable[[Polytope, tuple[int, int]], Polytope], str]  # the planar set of a pair of states, its title
 SHOWN_DESIGNS = 4
+MOST_PROJECTED = 4  # states of a set whose projections are drawn
 
 
 def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
     """X_fea at different designs."""
     nx = run.study.plant.nx
-    if nx < 2:
+    if nx < 2 or run.results["configuration"]["sets"] != "auto":
         return []
     shown = _shown_sets(run)
     if not shown.sets:
@@ -30,11 +34,16 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
         "X_fea(p), the largest set of states from which the limits can be kept for ever, at different designs; "
         "shaded: the final design. "
     )
+    if shown.inner:
+        caption += (
+            f"Not the largest, but a part of it that the limits can be kept in, as far as {SET_SECONDS:g} s went: "
+            f"{'; '.join(shown.inner)}. "
+        )
     if shown.missing:
         caption += f"There is none to show at {'; '.join(shown.missing)}. "
     pairs = [(0, 1)] if nx == 2 else _telling_pairs(shown.sets, nx)
-    cuts = [(_projected, "")] if nx == 2 else [(_projected, "projection"), (_sliced, "slice, other states 0")]
-    figure = style.blank(7, 5.2, quick=run.quick) if nx == 2 else style.blank(9, 8.2, quick=run.quick)
+    cuts = _cuts(nx)
+    figure = style.blank(7, 5.2, quick=run.quick) if nx == 2 else style.blank(9, 4.1 * len(cuts), quick=run.quick)
     grid = figure.subplots(len(cuts), len(pairs), squeeze=False)
     names = run.study.plant.state_names
     for c, pair in enumerate(pairs):
@@ -48,21 +57,22 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
             if (r, c) == (0, 0):
                 figure.legend(handles=artists, loc="outside lower center", ncols=2, frameon=False)
     if nx > 2:
-        caption += (
-            f"The sets have {nx} dimensions; shown are the state pairs on which the designs differ most: above the "
-            "projections, below the slices through zero. "
-        )
+        drawn = "above the projections, below the slices through zero" if len(cuts) > 1 else "slices through zero"
+        caption += f"The sets have {nx} dimensions; shown are the pairs of states on which they differ most: {drawn}. "
     return [ReportFigure("feasible_sets", "Feasible sets", caption + "The dashed frame is X.", figure)]
 
 
 @dataclass(frozen=True, eq=False)
 class _ShownSets:
-    """Sets by label with their (colour, line style), the label of the final design, and designs without a set."""
+    """Sets by label with their (colour, line style), the label of the final design, and the labels of designs without
+    a set and of those whose set is not the largest.
+    """
 
     sets: dict[str, Polytope]
     lines: dict[str, tuple[str, Any]]
     final: str
     missing: list[str]
+    inner: list[str]
 
 
 def _shown_sets(run: FinishedRun) -> _ShownSets:
@@ -74,7 +84,7 @@ def _shown_sets(run: FinishedRun) -> _ShownSets:
     lines = {generation_name(g): (style.generation_colour(g), "-") for g in (0, run.last)}
     lines |= dict(zip(places, style.OTHER_DESIGNS))
     seen: list[Array] = []
-    shown = _ShownSets({}, {}, f"{generation_name(run.last)}: {run.describe(run.designs[-1])}", [])
+    shown = _ShownSets({}, {}, f"{generation_name(run.last)}: {run.describe(run.designs[-1])}", [], [])
     for label, design in candidates:
         unit = space.to_unit(design)
         title = f"{label}: {run.describe(design)}"
@@ -87,6 +97,8 @@ def _shown_sets(run: FinishedRun) -> _ShownSets:
         else:
             shown.sets[title] = result.set
             shown.lines[title] = lines[label]
+            if result.status is not Status.CONVERGED:
+                shown.inner.append(title)
     return shown
 
 
@@ -97,12 +109,21 @@ def _telling_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
     def spread(pair: tuple[int, int]) -> float:
         """How much the areas of the projected and the sliced sets differ, relative to the largest."""
         total = 0.0
-        for cut in (_projected, _sliced):
+        for cut, _ in _cuts(nx):
             areas = [cut(S, pair).volume for S in sets.values()]
             total += (max(areas) - min(areas)) / max(max(areas), 1e-300)
         return total
 
     return sorted(sorted(pairs, key=spread)[-2:])
+
+
+def _cuts(nx: int) -> list[_Cut]:
+    """What is drawn of sets of so many states; no projection beyond four states, where it can take hours."""
+    projected: _Cut = (_projected, "" if nx == 2 else "projection")
+    sliced: _Cut = (_sliced, "slice, other states 0")
+    if nx == 2:
+        return [projected]
+    return [projected, sliced] if nx <= MOST_PROJECTED else [sliced]
 
 
 def _projected(S: Polytope, pair: tuple[int, int]) -> Polytope:

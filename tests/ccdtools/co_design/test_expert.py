@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from ccdtools import InputError, expert_dataset
-from ccdtools.co_design.expert import VISITS, feasible_sets
+from ccdtools.co_design.candidates import CANDIDATES_PER_START
+from ccdtools.co_design.expert import feasible_sets
+from ccdtools.co_design.expert_loops import VISITS
 from invariant_sets import Polytope
 from mpc import lqr
 
@@ -65,7 +67,7 @@ def test_designs_cover_the_whole_box(study, expert_data):
 def test_closed_loop_states_join_the_data_near_the_origin(study, expert_data):
     data, nx = expert_data(study), study.model.nx
     n = round(data.acceptance * 150)
-    assert n < len(data.inputs) <= n * len(VISITS)
+    assert n < len(data.inputs) <= (n + 150 // CANDIDATES_PER_START + 1) * len(VISITS)
     size = np.abs(data.inputs[:, :nx] / study.problem().state_scale).max(axis=1)
     assert np.median(size[-n:]) < 0.5 * np.median(size[:n])
 
@@ -132,7 +134,8 @@ def test_bad_arguments_are_refused(illustrative):
         expert_dataset(problem, samples=0, rng=np.random.default_rng(0))
 
 
-def test_no_feasible_sample_is_an_error_with_advice(illustrative):
-    hopeless = replace(illustrative.problem(), X=Polytope.from_bounds([-1e4, -1e4], [1e4, 1e4]))
+def test_a_design_box_without_any_feasible_state_is_an_error_with_advice(illustrative):
+    X = Polytope.from_bounds([-0.01, -0.01], [0.01, 0.01])
+    hopeless = replace(illustrative.problem(), X=X, U=Polytope.from_bounds([5.0], [6.0]))
     with pytest.raises(InputError, match=r"samples: got 5 candidates of which none lies in X_fea\(p\)"):
         expert_dataset(hopeless, samples=5, rng=np.random.default_rng(0))

@@ -1,6 +1,7 @@
 """How thoroughly a study runs."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -38,6 +39,13 @@ def test_the_gradient_is_an_option(study):
     assert config.codesign.design_gradient == config.redesign.design_gradient == "network_input"
 
 
+def test_sets_and_their_time_limit_come_from_the_study_unless_they_are_given(illustrative):
+    study = replace(illustrative, sets="lqr", sets_time_limit=7)
+    assert (configuration(study).sets, configuration(study).sets_time_limit) == ("lqr", 7.0)
+    other = configuration(study, sets="none", sets_time_limit=3.0)
+    assert (other.sets, other.sets_time_limit) == ("none", 3.0)
+
+
 @pytest.mark.parametrize("preset", ["default", "paper"])
 def test_a_configuration_is_plain_values(study, preset):
     values = configuration(study, preset=preset, quick=True).as_dict()
@@ -51,6 +59,8 @@ def test_a_configuration_is_plain_values(study, preset):
         ({"preset": "fast"}, "preset: got 'fast', expected one of default, paper"),
         ({"expert": "pid"}, "expert: got 'pid', expected one of lqr, mpc"),
         ({"design_gradient": "magic"}, "design_gradient: got 'magic'"),
+        ({"sets": "some"}, "sets: got 'some', expected one of auto, lqr, none"),
+        ({"sets_time_limit": 0.0}, "sets_time_limit: got 0.0"),
     ],
 )
 def test_unknown_options_are_refused(study, options, message):
