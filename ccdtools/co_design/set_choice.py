@@ -23,6 +23,7 @@ SETS = ("auto", "lqr", "none")
 LADDER = tuple(4**k for k in range(3, 12))  # numbers of designs that candidates share
 ONE_SET = 1 / 16  # of the time limit: longest computation of one set
 PROBES = 5  # sets that are computed to see how long one takes; the first is not counted, it loads what it needs
+LONGER = (4, 16)  # times the limit of one set, where other programs took the processor
 USABLE = (Status.CONVERGED, Status.EMPTY)
 
 
@@ -93,8 +94,8 @@ def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: i
     taken = []
     for design in problem.design.spread()[::-1][: min(PROBES, samples)]:
         begun = time.thread_time()
-        status = sets.result(design).status
-        taken.append(time.thread_time() - begun if status in USABLE else np.inf)
+        S = _set_in_time(sets, design)
+        taken.append(time.thread_time() - begun if S is not None else np.inf)
         if sum(taken) > effort.seconds / 4 or not np.isfinite(taken[-1]):
             break
     if not np.isfinite(taken[-1]):
@@ -114,8 +115,7 @@ def sets_in_time(sets: ParametricSet, designs: Array, effort: Effort) -> tuple[l
     known: dict[int, Polytope | None] = {}
     for i in counted(order, "X_fea(p)", total=len(order), progress=effort.progress, echo=effort.echo):
         late = time.thread_time() - begun > effort.seconds
-        result = None if late else sets.result(unique[i])
-        known[int(i)] = result.set if result is not None and result.status in USABLE else None
+        known[int(i)] = None if late else _set_in_time(sets, unique[i])
     found = sum(one is not None for one in known.values())
     seconds = time.thread_time() - begun
     reason = ""
@@ -124,6 +124,24 @@ def sets_in_time(sets: ParametricSet, designs: Array, effort: Effort) -> tuple[l
         reason = f"time limit of {effort.seconds:g} s reached" if late else "X_fea(p) was not found in time"
     counts = SetCounts(effort.option, found, len(known) - found, 0, reason, seconds)
     return [known[int(i)] for i in index.ravel()], counts
+
+
+def _set_in_time(sets: ParametricSet, design: Array) -> Polytope | None:
+    """X_fea of a design, None if it was not found within the time limit of the family.
+
+    That limit is on the clock on the wall: where this thread had less than half of the processor, it is extended.
+    """
+    for longer in (1, *LONGER):
+        family = sets if longer == 1 or sets.time_limit is None else replace(sets, time_limit=longer * sets.time_limit)
+        wall = time.perf_counter()
+        processor = time.thread_time()
+        result = family.result(design)
+        if result.status in USABLE:
+            return result.set
+        starved = time.thread_time() - processor < (time.perf_counter() - wall) / 2
+        if not starved or result.status is not Status.TIME_LIMIT:
+            break
+    return None
 
 
 def limited(sets: ParametricSet, effort: Effort) -> ParametricSet:
