@@ -145,14 +145,17 @@ class _Pool:
         return allowed
 
     def moved_in(self, x: Array, runs: Indices) -> Array:
-        """Each state at the fraction of its ray to the boundary of its set that it had to the boundary of X."""
+        """Each state at the fraction of its ray to the boundary of its set that it had to the boundary of X; the state
+        itself where the set is flat or empty.
+        """
         fraction = np.minimum(_gauge(self.X, x), 1.0)
         own = [self.sets[i] for i in runs]
         reach = np.array([0.0 if S is None else 1 / _gauge(S, row[None])[0] for S, row in zip(own, x)])
         unknown = np.array([S is None for S in own], dtype=bool)
         if self.by_region:
             reach[unknown] = self.regions.reach(x[unknown], runs[unknown])
-        return np.minimum(fraction * reach, 1.0)[:, None] * x
+        scale = np.where(reach > 0, np.minimum(fraction * reach, 1.0), 1.0)
+        return scale[:, None] * x
 
 
 def _gauge(S: Polytope, x: Array) -> Array:

@@ -1,11 +1,20 @@
 """Step 0: feasible samples, inputs that keep them feasible, and values that are those of the same controller."""
 
-from dataclasses import replace
-
+import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import InputError, expert_dataset
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    Plant,
+    QuadraticObjective,
+    discretise,
+    expert_dataset,
+)
 from ccdtools.co_design.candidates import CANDIDATES_PER_START
 from ccdtools.co_design.expert import feasible_sets
 from ccdtools.co_design.expert_loops import VISITS
@@ -134,8 +143,11 @@ def test_bad_arguments_are_refused(illustrative):
         expert_dataset(problem, samples=0, rng=np.random.default_rng(0))
 
 
-def test_a_design_box_without_any_feasible_state_is_an_error_with_advice(illustrative):
-    X = Polytope.from_bounds([-0.01, -0.01], [0.01, 0.01])
-    hopeless = replace(illustrative.problem(), X=X, U=Polytope.from_bounds([5.0], [6.0]))
+def test_a_design_box_without_any_feasible_state_is_an_error_with_advice():
+    x, u, w, p = (ca.SX.sym(name) for name in "xuwp")
+    model = discretise(Plant(x, u, w, p, 1.2 * x + w, DesignSpace(["p"], [0.0], [1.0]), dt=1.0, continuous=False))
+    limits = Polytope.from_bounds([-1.0], [1.0])
+    objective = QuadraticObjective([[1.0]], [[1.0]])
+    hopeless = CoDesignProblem(model, limits, limits, objective, FixedStart([0.0], Gaussian([0.1])))
     with pytest.raises(InputError, match=r"samples: got 5 candidates of which none lies in X_fea\(p\)"):
         expert_dataset(hopeless, samples=5, rng=np.random.default_rng(0))
