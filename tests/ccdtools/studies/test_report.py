@@ -4,6 +4,7 @@ import csv
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -18,14 +19,16 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
 from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
-from ccdtools.studies.report import return_plots, style
+from ccdtools.studies.report import return_plots, set_figure, style
+from ccdtools.studies.report.finished_run import FinishedRun
 from ccdtools.studies.report.formatting import number, share, signed_percent
 from ccdtools.studies.report.gains import gain_text
 from ccdtools.studies.report.headline import headline
-from ccdtools.studies.report.report import write_report
+from ccdtools.studies.report.report import render, write_report
+from ccdtools.studies.report.set_figure import feasible_set_figure
 from ccdtools.studies.report.tables import console_table
 from ccdtools.studies.report.verdicts import limit_notes, verdict
-from invariant_sets import Polytope
+from invariant_sets import Certificate, Polytope, SetResult, Status
 
 
 def two_masses() -> Study:
@@ -443,3 +446,37 @@ def test_a_gain_without_an_interval_or_without_a_reference_says_so():
     assert gain_text(place, "total") == "+10 % [no interval]"
     assert gain_text(place, "design") == "n/a"
     assert gain_text(place | {"start": 0.0}, "total") == "n/a"
+
+def test_the_page_and_the_results_say_which_sets_the_samples_came_from(illustrative, masses):
+    for folder, results in (illustrative, masses):
+        sets = results["initialisation"]["sets"]
+        assert sets["X_fea"] + sets["lqr"] + sets["X"] > 0
+        assert f"Sets: {sets['text']}." in (folder.path / "report.html").read_text(encoding="utf-8")
+
+
+def asked_for_no_sets(folder, results):
+    """The same run, had it been asked for no sets."""
+    return FinishedRun(
+        two_masses(), folder, results | {"configuration": results["configuration"] | {"sets": "none"}}
+    )
+
+
+def test_a_run_without_sets_draws_none_and_says_why(masses, monkeypatch):
+    run = asked_for_no_sets(*masses)
+    monkeypatch.setattr(FinishedRun, "sets", property(lambda self: pytest.fail("a set was asked for")))
+    assert feasible_set_figure(run) == []
+    assert 'No figure of X_fea(p): the run was asked for sets = &#34;none&#34;.' in render(run, [])
+
+
+def test_a_figure_of_inner_sets_says_so(masses, monkeypatch):
+    box = Polytope.from_bounds([-1.0] * 4, [1.0] * 4)
+    inner = SetResult(box, box, Status.TIME_LIMIT, 1, Certificate(0.0, 1.0, 16))
+    monkeypatch.setattr(FinishedRun, "sets", property(lambda self: SimpleNamespace(result=lambda design: inner)))
+    (figure,) = feasible_set_figure(FinishedRun(two_masses(), *masses))
+    assert "Not the largest, but a part of it" in figure.caption
+
+
+def test_no_projection_is_drawn_of_sets_in_many_dimensions():
+    assert [title for _, title in set_figure._cuts(2)] == [""]
+    assert [title for _, title in set_figure._cuts(4)] == ["projection", "slice, other states 0"]
+    assert [title for _, title in set_figure._cuts(8)] == ["slice, other states 0"]
