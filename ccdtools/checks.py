@@ -16,6 +16,7 @@ from ccdtools.arrays import Array, frozen
 from ccdtools.exceptions import InputError
 
 LONGEST = 60  # characters of a value in a message
+TOLERANCES = ("mpc", "off")  # of the state limits, in words
 
 
 def shown(value: Any) -> str:
@@ -137,6 +138,19 @@ def as_choice(argument: str, value: Any, choices: Sequence[str]) -> str:
     if not isinstance(value, str) or value not in choices:
         raise InputError(argument, shown(value), f"one of {', '.join(choices)}")
     return value
+
+
+def as_limit_tolerance(argument: str, value: Any) -> str | tuple[float, float]:
+    """The words "mpc" or "off", or a fraction of the states and a depth in half-widths, both ≥ 0."""
+    expected = "mpc, off, or (fraction of the states outside X, peak depth in half-widths of X), both ≥ 0"
+    if isinstance(value, str):
+        if value not in TOLERANCES:
+            raise InputError(argument, shown(value), expected)
+        return value
+    if not isinstance(value, list | tuple | np.ndarray) or len(value) != 2:
+        raise InputError(argument, shown(value), expected)
+    fraction = as_number(argument, value[0], expected=expected, low=0.0, high=1.0)
+    return (fraction, as_number(argument, value[1], expected=expected, low=0.0))
 
 
 def as_names(argument: str, value: Any, size: int) -> tuple[str, ...]:

@@ -79,6 +79,10 @@ def run(
     redesign_price: Annotated[
         str | None, typer.Option(help='Gain that a redesign must promise: "0.5 %" (of the return) or "12 return".')
     ] = None,
+    limits: Annotated[
+        str | None, typer.Option(help="How far X may be left: mpc (as MPC does), off, or fraction,depth as 0.01,0.05.")
+    ] = None,
+    filter: Annotated[str | None, typer.Option(help="Behind the policy in service: none, or admissible.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in the output folder.")] = False,
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report."""
@@ -87,7 +91,7 @@ def run(
         expert, method=method, design_gradient=design_gradient, sets=sets,
         sets_time_limit=one_number("--sets-time-limit", sets_time_limit), x0=numbers("--x0", x0),
         p0=numbers("--p0", p0), disturbance=disturbance, column=column, road=road, speed=speed, driver=driver,
-        redesign_price=redesign_price,
+        redesign_price=redesign_price, limits=limits, filter=filter,
     )  # fmt: skip
     options.check_files()
     if output is not None:

@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_array, as_floats, as_instance, as_names, as_number, shown
+from ccdtools.checks import as_array, as_floats, as_instance, as_names
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import paired_difference
 from invariant_sets import Polytope
 
 FLAT = 1e-9  # of the range of a row over the box around X: below this, X has no width along the row
 TERMS = 3  # a row of X with more states than this is named by its number
-TOLERANCES = ("mpc", "off")
 FURTHER = 0.01  # half-widths of the peak, or fraction of the states: smaller differences do not matter,
 FURTHER_PART = 0.05  # nor does a twentieth of what the other controller does
 
@@ -182,24 +181,6 @@ def further_outside(own: Excursions, other: Excursions) -> bool:
         if difference.ci95[0] > 0 and difference.mean > needed:
             return True
     return False
-
-
-def as_limit_tolerance(argument: str, value: Any) -> str | tuple[float, float]:
-    """The words "mpc" or "off", or a fraction of the states and a depth in half-widths, both ≥ 0."""
-    expected = "mpc, off, or (fraction of the states outside X, peak depth in half-widths of X), both ≥ 0"
-    if isinstance(value, str):
-        if value not in TOLERANCES:
-            raise InputError(argument, shown(value), expected)
-        return value
-    if not isinstance(value, list | tuple | np.ndarray) or len(value) != 2:
-        raise InputError(argument, shown(value), expected)
-    fraction = as_number(argument, _plain(value[0]), expected=expected, low=0.0, high=1.0)
-    return (fraction, as_number(argument, _plain(value[1]), expected=expected, low=0.0))
-
-
-def _plain(value: Any) -> Any:
-    """A NumPy number as a Python one."""
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from ccdtools.checks import as_instance, shown
-from ccdtools.co_design.expert import feasible_sets
+from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.exceptions import InputError
-from invariant_sets import AdmissibleInputs, Polytope
+from invariant_sets import AdmissibleInputs, Polytope, maximal_control_invariant_set
+
+TIME_LIMIT = 60.0  # s, of the set; what is invariant by then is taken
 
 
 def admissible_inputs(problem: CoDesignProblem, design: ArrayLike, *, into: Polytope | None = None) -> AdmissibleInputs:
@@ -19,20 +20,22 @@ def admissible_inputs(problem: CoDesignProblem, design: ArrayLike, *, into: Poly
     problem : CoDesignProblem
     design : (np,) array_like
     into : Polytope, optional
-        Another set for the next state; by default X_fea(p), the maximal control invariant set of the design.
+        Another set for the next state; by default X_fea(p), the maximal control invariant set of the design, or as
+        much of it as is certified within a minute.
 
     Raises
     ------
     InputError
-        If the design lies outside its box, or X_fea(p) is empty: no state can be kept within the limits for ever.
+        If the design lies outside its box, or no control invariant set in X is found there.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
-    if into is None:
-        into = feasible_sets(problem).at(p)
-        if into.is_empty:
-            got = f"{problem.design.describe(p)}, where no state can be kept within X for ever"
-            raise InputError("design", got, "one with a control invariant set in X", "Widen X or U.")
-    as_instance("into", into, Polytope, f"a Polytope, not {shown(into)}")
     A, B, _ = problem.model.matrices(p)
+    if into is None:
+        found = maximal_control_invariant_set(A, B, problem.X, problem.U, time_limit=TIME_LIMIT)
+        into = found.set
+        if into.is_empty:
+            got = f"{problem.design.describe(p)}, where no control invariant set in X was found ({found.status.name})"
+            raise InputError("design", got, "a design at which some states can be kept within X", found.status.advice)
+    as_instance("into", into, Polytope, "a Polytope or None")
     return AdmissibleInputs(A, B, into, problem.U)

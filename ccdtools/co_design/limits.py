@@ -29,7 +29,7 @@ from mpc import LinearMPC
 HORIZON = 20  # steps, of the MPC that sets the tolerance
 MPC_RUNS = 32  # episodes of 100 steps that it is measured on
 BESIDE_MPC = 1.25  # the tolerance relative to what MPC does: a network in its place has a resolution,
-FLOOR = 0.005  # of the states, or half-widths: and less than this is granted to it always
+FLOOR = 0.002  # of the states, or half-widths: and less than this is granted to it always
 AIM = 0.9  # of the tolerance: what the multipliers aim at, so that some iterates are within
 RESOLVED = 1e-4  # half-widths: smaller depths say nothing of how far the states outside X are
 MOVED = 0.03  # of the unit box: a design that moved further has a tolerance of its own

@@ -8,11 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_count, as_floats, as_instance, as_vector, finite, has_method, shown
+from ccdtools.checks import as_count, as_floats, as_instance, as_limit_tolerance, as_vector, finite, has_method, shown
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
-from ccdtools.limits import as_limit_tolerance
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.linear_model import LinearModel
 from invariant_sets import Polytope

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.admissible import admissible_inputs
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.comparison.baselines import baselines, saturated_lqr
 from ccdtools.comparison.comparison import Score, compare
@@ -24,11 +25,13 @@ from ccdtools.statistics import summarise
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import MINIMUM_LOG, Study
+from ccdtools.twin.deployment import served
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
+from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
 
 MOSTLY = 0.5  # of the samples outside X: then the recording is not one of this plant
@@ -229,16 +232,38 @@ class Evaluation:
             ("real", "real", self.on_real(), deployed),
         ):
             policy = LearnedPolicy(agent, design)
-            everyone = {**controllers, "learned": policy, "learned (sampled)": policy.sampled(rng)}
+            admissible = self.admissible(design) if plant == "real" else None
+            in_service = policy if admissible is None else self.in_service(agent, design)
+            everyone = {**controllers, "learned": in_service, "learned (sampled)": policy.sampled(rng)}
+            if admissible is not None:
+                everyone["learned, no filter"] = policy
             scores = compare(
                 everyone, scenario, design=design, objective=self.study.objective, X=self.study.X,
                 limit=self.problem.limit, few={"MPC": self.config.mpc_runs},
             )  # fmt: skip
             place = {"plant": plant, "model": name, "generation": generation}
             rows += [place | self.row(design, score) for score in scores]
-            bands = self._bands(scenario, design, {"LQR": controllers["LQR"], "learned": policy})
+            bands = self._bands(scenario, design, {"LQR": controllers["LQR"], "learned": in_service})
             arrays |= {f"{plant}_{key}": band for key, band in bands.items()}
         return Stage({"rows": rows}, arrays)
+
+    def admissible(self, design: Array) -> AdmissibleInputs | None:
+        """The filter behind the policy in service at a design; None where the study asks for none."""
+        if self.study.filter == "none":
+            return None
+        key = np.asarray(design, dtype=float).tobytes()
+        if key not in self._filters:
+            self._filters[key] = admissible_inputs(self.problem, design)
+        return self._filters[key]
+
+    @cached_property
+    def _filters(self) -> dict[bytes, AdmissibleInputs]:
+        """The filters of the designs that were asked for."""
+        return {}
+
+    def in_service(self, agent: ActorCritic, design: Array) -> Controller:
+        """A policy as it would be in service on the real plant, behind the study's filter if there is one."""
+        return served(agent, design, self.admissible(design))
 
     def returns(
         self, agent: ActorCritic, design: Array, *, judged_on: Sequence[Residuals], learned: Discrepancy

@@ -11,8 +11,6 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.comparison.baselines import saturated_lqr
 from ccdtools.comparison.comparison import compare
-from ccdtools.controllers.controllers import Controller
-from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.scenario import Scenario
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import SOURCES, Step, gains_by_source
@@ -55,7 +53,7 @@ def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
 
 def held_out_rows(evaluation: Evaluation, generation: int, service: InService) -> list[dict[str, Any]]:
     """A row per held-out disturbance and controller at one design, as in the comparison."""
-    everyone = evaluation.baselines(service.design) | {"learned": LearnedPolicy(service.agent, service.design)}
+    everyone = evaluation.baselines(service.design) | {"learned": evaluation.in_service(service.agent, service.design)}
     rows = []
     for name, scenario in evaluation.held_out.items():
         scores = compare(
@@ -77,15 +75,15 @@ def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> lis
     start = history[0].after.design
     first = history[1]
     steps = [_lqr(evaluation, SOURCES[0], start), _lqr(evaluation, "design", first.designed.design),
-             _learned("policy", first.designed), _learned("updates", first.after)]  # fmt: skip
+             _learned(evaluation, "policy", first.designed), _learned(evaluation, "updates", first.after)]  # fmt: skip
     before = first.after
     for generation in history[2:]:
         service = generation.after
         if _same(service, before):
             continue
         if same_design(evaluation.problem.design, service.design, generation.designed.design):
-            steps.append(_learned("redesign", generation.designed))
-        steps.append(_learned("updates", service))
+            steps.append(_learned(evaluation, "redesign", generation.designed))
+        steps.append(_learned(evaluation, "updates", service))
         before = service
     return steps
 
@@ -108,10 +106,9 @@ def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:
     return Step(source, saturated_lqr(evaluation.problem, design), design, b"LQR" + design.tobytes())
 
 
-def _learned(source: str, service: InService) -> Step:
+def _learned(evaluation: Evaluation, source: str, service: InService) -> Step:
     """The step to a policy at its design."""
-    policy: Controller = LearnedPolicy(service.agent, service.design)
-    return Step(source, policy, service.design, _key(service))
+    return Step(source, evaluation.in_service(service.agent, service.design), service.design, _key(service))
 
 
 def _key(service: InService) -> bytes:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from ccdtools.checks import as_choice, as_count, as_positive, shown
+from ccdtools.checks import TOLERANCES, as_choice, as_count, as_limit_tolerance, as_positive, shown
 from ccdtools.exceptions import InputError
 from ccdtools.studies.price import RedesignPrice
 
@@ -18,6 +18,7 @@ EXPERTS = ("lqr", "mpc", "explicit")
 METHODS = ("pathwise", "ppo", "pathwise+ppo")
 SETS = ("auto", "lqr", "none")
 DESIGN_GRADIENTS = ("pathwise", "network_input")
+FILTERS = ("none", "admissible")
 DRIVERS = ("mild", "aggressive")
 FILES = ("disturbance", "road", "speed")
 WHOLE = re.compile(r"[+-]?[0-9]{1,40}")
@@ -36,8 +37,10 @@ class Options:
         As in `Generations` and `configuration`.
     x0, p0 : list of float or None
         Another initial state and first design.
-    redesign_price : str or None
+    redesign_price, filter : str or None
         As in `Study`; the study's own where None.
+    limits : str or None
+        The `limit_tolerance` of the study: mpc, off, or two numbers "0.01,0.05".
     disturbance, column, road, speed, driver : str or None
         Files of a recorded disturbance, or the driver of a generated one.
 
@@ -65,6 +68,8 @@ class Options:
     speed: str | None = None
     driver: str | None = None
     redesign_price: str | None = None
+    limits: str | None = None
+    filter: str | None = None
 
     def __post_init__(self) -> None:
         _check_study(self.study)
@@ -86,6 +91,9 @@ class Options:
             as_choice("--driver", self.driver, DRIVERS)
         if self.redesign_price is not None:
             RedesignPrice.parse(self.redesign_price, "--redesign-price")
+        self.limit_tolerance()
+        if self.filter is not None:
+            as_choice("--filter", self.filter, FILTERS)
         for name in ("x0", "p0"):
             _check_numbers(f"--{name}", getattr(self, name))
         for name in (*FILES, "column"):
@@ -109,6 +117,16 @@ class Options:
     def sources(self) -> list[str]:
         """Names of the options that say where the disturbance comes from."""
         return [name for name in ("disturbance", "road", "driver") if getattr(self, name) is not None]
+
+    def limit_tolerance(self) -> str | tuple[float, float] | None:
+        """The tolerance of the state limits that `limits` asks for; None for the study's own."""
+        if self.limits is None or self.limits in TOLERANCES:
+            return self.limits
+        expected = "mpc, off, or two numbers: fraction of the states outside X, peak depth in half-widths"
+        parts = self.limits.split(",") if isinstance(self.limits, str) else []
+        if len(parts) != 2 or not all(NUMBER.fullmatch(part.strip()) for part in parts):
+            raise InputError("--limits", shown(self.limits), expected)
+        return as_limit_tolerance("--limits", tuple(float(part) for part in parts))
 
     def check_files(self) -> None:
         """Raise unless the files of a recording are there; a resumed run has its own copy and needs them no more."""

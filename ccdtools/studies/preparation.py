@@ -88,6 +88,11 @@ def _prepared(options: Options, loaded: LoadedStudy, source: Disturbance | None)
         study = study.started(x0=_array(options.x0), p0=_array(options.p0))
     if options.redesign_price is not None:
         study = replace(study, redesign_price=options.redesign_price)
+    tolerance = options.limit_tolerance()
+    if tolerance is not None:
+        study = replace(study, limit_tolerance=tolerance)
+    if options.filter is not None:
+        study = replace(study, filter=options.filter)
     given = options.sources()
     with blamed_on_options({"real.disturbance": f"--{given[0]}", "disturbance": f"--{given[0]}"} if given else {}):
         if source is not None:

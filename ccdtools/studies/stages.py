@@ -137,10 +137,12 @@ class LoopStages:
         active = space.active_bounds(chosen.design)
         named = ", ".join(f"{name} at its {side} bound" for name, side in active.items())
         report.append(f"{space.describe(chosen.design)}; active bounds: {named or 'none'}")
+        if result.limits is not None:
+            report.append(str(result.limits))
         promise = promised(self.evaluation, chosen, twin.logs)
         report.append(f"promised return of the deployment {promise.mean:.4g}")
         values = {"active_bounds": active, "gradient_check": check, "redesign": redesign, "promised": asdict(promise),
-                  "report": report}  # fmt: skip
+                  "limits": _limits(result), "report": report}  # fmt: skip
         return Stage(values, {"design": chosen.design, **arrays}, {"agent": chosen.agent})
 
     def deploy(
@@ -154,6 +156,7 @@ class LoopStages:
             evaluation.problem, real.plant, current.agent, current.design, x0=np.tile(real.x0, (real.runs, 1)),
             disturbance=evaluation.deployment(generation), rng=rng,
             config=replace(evaluation.config.online, window=evaluation.window), progress=self.progress,
+            admissible=evaluation.admissible(current.design),
         )  # fmt: skip
         log = deployment.log
         if former is None and log.diverged.all():
@@ -223,6 +226,13 @@ class LoopStages:
         """Returns of the policy as designed, on every model."""
         assert twin.discrepancy is not None
         return self.evaluation.returns(designed.agent, designed.design, judged_on=logs, learned=twin.discrepancy)
+
+
+def _limits(result: CoDesignResult) -> dict[str, Any] | None:
+    """How a co-design kept its state limits, as plain values; None where they were switched off."""
+    if result.limits is None:
+        return None
+    return asdict(result.limits) | {"kept": result.limits.kept, "text": str(result.limits)}
 
 
 def packed(log: Trajectory) -> dict[str, Any]:

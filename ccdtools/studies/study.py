@@ -15,6 +15,7 @@ from ccdtools.checks import (
     as_choice,
     as_count,
     as_instance,
+    as_limit_tolerance,
     as_mapping,
     as_positive,
     as_vector,
@@ -29,7 +30,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
-from ccdtools.studies.options import SETS
+from ccdtools.studies.options import FILTERS, SETS
 from ccdtools.studies.price import DEFAULT_PRICE, RedesignPrice
 from ccdtools.twin.transport import check_disturbance_enters
 from invariant_sets import Polytope
@@ -127,6 +128,11 @@ class Study(Immutable):
         Sets that the samples are taken from: X_fea(p) as far as the time goes; what saturated LQR keeps within X; X.
     sets_time_limit : float
         Processor time for these sets [s].
+    limit_tolerance : "mpc", "off" or (fraction, depth)
+        How often and how far the co-designed policy may leave X, see `CoDesignProblem`.
+    filter : {"none", "admissible"}
+        What stands behind the policy in service on the real plant: nothing, or a filter that keeps the next state of
+        the nominal model in X_fea(p).
     redesign_price : str
         The gain that a redesign must promise: "0.5 %" of the return in service, or "12 return", in units of the return
         of an evaluation.
@@ -155,6 +161,8 @@ class Study(Immutable):
     paper_networks: tuple[int, ...] = (32, 32, 16, 16)
     samples: int = 1000
     redesign_price: str = DEFAULT_PRICE
+    limit_tolerance: str | tuple[float, float] = "mpc"
+    filter: str = "none"
     sampling_guard: str = "warn"
     sets: str = "auto"
     sets_time_limit: float = 20.0
@@ -202,6 +210,8 @@ class Study(Immutable):
         object.__setattr__(self, "paper_networks", widths)
 
         RedesignPrice.parse(self.redesign_price)
+        object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
+        as_choice("filter", self.filter, FILTERS)
 
     def _check_limits(self) -> None:
         """Raise unless X and U can be regulated in, and the start lies within X."""
@@ -241,7 +251,9 @@ class Study(Immutable):
     def problem(self) -> CoDesignProblem:
         """The co-design problem on the nominal model, from the evaluation's start."""
         scenarios = FixedStart(self.x0, self.disturbance)
-        return CoDesignProblem(self.model, self.X, self.U, self.objective, scenarios, self.steps)
+        return CoDesignProblem(
+            self.model, self.X, self.U, self.objective, scenarios, self.steps, limit_tolerance=self.limit_tolerance
+        )
 
     def started(self, *, x0: ArrayLike | None = None, p0: ArrayLike | None = None) -> Study:
         """The same study from another state or design; a real start equal to the old x0 moves along."""

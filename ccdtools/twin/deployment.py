@@ -15,6 +15,7 @@ from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
@@ -23,6 +24,7 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.replay import Replay, replay_problem
 from ccdtools.twin.residuals import Residuals, residuals
 from ccdtools.twin.transport import ErrorSplit
+from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
 from learning.ppo import PPOConfig
 
@@ -144,6 +146,7 @@ def deploy_and_update(
     disturbance: Array,
     rng: np.random.Generator,
     config: OnlineConfig | None = None,
+    admissible: AdmissibleInputs | None = None,
     progress: bool = False,
 ) -> Deployment:
     """A deployment in stretches, with an update of the policy after each but the last.
@@ -163,6 +166,8 @@ def deploy_and_update(
     disturbance : (n, T, nw) array
         One long run is cut in time, several are dealt out in groups. A deployment too short to judge so many
         updates gets fewer, or none.
+    admissible : AdmissibleInputs, optional
+        A filter behind the policy in service, see `Filtered`; it is judged with the filter, too.
     """
     config = OnlineConfig() if config is None else config
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
@@ -171,7 +176,9 @@ def deploy_and_update(
     as_generator("rng", rng)
     design = problem.design.check_one(design)
     whole = Scenario(plant, x0, disturbance)
-    return _Service(problem, whole, design, agent, rng, config).run(progress)
+    if admissible is not None:
+        as_instance("admissible", admissible, AdmissibleInputs, "an AdmissibleInputs or None")
+    return _Service(problem, whole, design, agent, rng, config, admissible).run(progress)
 
 
 class _Service:
@@ -185,7 +192,7 @@ class _Service:
 
     def __init__(
         self, problem: CoDesignProblem, whole: Scenario, design: Array, agent: ActorCritic, rng: np.random.Generator,
-        config: OnlineConfig,
+        config: OnlineConfig, admissible: AdmissibleInputs | None,
     ) -> None:  # fmt: skip
         self.problem = problem
         self.whole = whole
@@ -193,6 +200,7 @@ class _Service:
         self.agent = agent
         self.rng = rng
         self.config = config
+        self.admissible = admissible
         self.pieces: list[Trajectory] = []
         self.updates: list[OnlineUpdate] = []
         self.train: list[Residuals] = []
@@ -212,8 +220,9 @@ class _Service:
     def _serve(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
         """The log of the policy in service on one part of the deployment, from where the last one ended."""
         x0 = self.pieces[-1].states[:, -1] if self.pieces and steps.start > 0 else self.whole.x0[runs]
+        controller = served(self.agent, self.design, self.admissible)
         return deploy(
-            self.whole.plant, LearnedPolicy(self.agent, self.design), self.design, self.whole.disturbance[runs, steps],
+            self.whole.plant, controller, self.design, self.whole.disturbance[runs, steps],
             x0=x0, limit=self.problem.limit, progress=progress,
         )  # fmt: skip
 
@@ -246,13 +255,18 @@ class _Service:
         x0, w = Replay(tuple(self.test), split).disjoint(window)
         chosen = self.rng.permutation(len(x0))[: self.config.judged]
         scenario = Scenario(split.replayed_model, x0[chosen], w[chosen])
-        returns = [
-            scenario.run(LearnedPolicy(agent, self.design), design=self.design, limit=self.problem.limit).returns(
-                self.problem.objective
-            )
-            for agent in (candidate, self.agent)
-        ]
+        returns = []
+        for agent in (candidate, self.agent):
+            controller = served(agent, self.design, self.admissible)
+            run = scenario.run(controller, design=self.design, limit=self.problem.limit)
+            returns.append(run.returns(self.problem.objective))
         return paired_difference(*returns)
+
+
+def served(agent: ActorCritic, design: Array, admissible: AdmissibleInputs | None) -> Controller:
+    """The policy as it is in service: behind the filter, if there is one."""
+    policy = LearnedPolicy(agent, design)
+    return policy if admissible is None else Filtered(policy, admissible)
 
 
 def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:

@@ -82,6 +82,10 @@ WRONG = [
     ([*RUN, "--generations", "2.0"], "--generations: got '2.0'"),
     ([*RUN, "--generations", "inf"], "--generations: got 'inf'"),
     # Choices
+    ([*RUN, "--filter", "safe"], "--filter: got 'safe', expected one of none, admissible"),
+    ([*RUN, "--limits", "lqr"], "--limits: got 'lqr', expected mpc, off, or two numbers"),
+    ([*RUN, "--limits", "0.1"], "--limits: got '0.1', expected mpc, off, or two numbers"),
+    ([*RUN, "--limits=-0.1,0.1"], "--limits: got -0.1"),
     ([*RUN, "--preset", "papr"], "--preset: got 'papr', expected one of default, paper"),
     ([*RUN, "--preset", ""], "--preset: got ''"),
     ([*RUN, "--preset", "PAPER"], "--preset: got 'PAPER'"),

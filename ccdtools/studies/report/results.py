@@ -39,6 +39,7 @@ def generation_entry(
         "quantiles": learned.values["scores"],
         "gradient_check": found.values["gradient_check"],
         "redesign": found.values["redesign"],
+        "limits": found.values["limits"],
     }
 
 
