@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
@@ -66,14 +68,16 @@ def unavoidable_text(here: float, anywhere: float) -> str:
     return f"no controller keeps X from the start at this design: it is left by {here:.3g} half-widths at least{where}"
 
 
-def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> float:
-    """The least depth at the design where training begins, with a `LimitWarning` if it is above 0."""
-    import warnings
+def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> None:
+    """Give a `LimitWarning` if a problem's fixed start forces every controller outside X at a design.
 
+    Starts that were logged may lie anywhere, and are what they are.
+    """
+    if not isinstance(problem.scenarios, FixedStart):
+        return
     here, anywhere = unavoidable_depth(problem, design)
     if here > 0:
         warnings.warn(unavoidable_text(here, anywhere), LimitWarning, stacklevel=3)
-    return here
 
 
 def _starts(problem: CoDesignProblem) -> Array:
