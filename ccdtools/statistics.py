@@ -178,6 +178,28 @@ def paired_returns(a: ArrayLike, b: ArrayLike, *, runs: int | None = None) -> Pa
     return PairedDifference(summary.mean, summary.ci95)
 
 
+def change_of_level(change: ArrayLike, base: ArrayLike, *, runs: int | None = None) -> PairedDifference:
+    """Mean return of a change, with the interval of its ratio to the return of `base`, both with rewards (n, T).
+
+    How rough a road is moves all returns alike and their ratio hardly. The interval is given in units of return, at the
+    level that `base` has on these runs: divided by its return it is that of the ratio (to first order in the rest,
+    change − ratio · base). It does not cover the change on rougher or calmer runs. No interval where rewards of
+    `base` have both signs.
+    """
+    changed = _rewards("change", change)
+    level = _rewards("base", base)
+    if changed.shape != level.shape:
+        raise InputError("change, base", f"shapes {changed.shape} and {level.shape}", "as many of each")
+    whole = float(level.sum())
+    rest = changed - (float(changed.sum()) / whole if whole else 0.0) * level
+    summary = summarise_returns(rest, runs=runs)
+    mean = float(changed.sum(axis=1).mean()) if len(changed) else float("nan")
+    if (level > 0).any() and (level < 0).any():
+        return PairedDifference(mean, (np.nan, np.nan))
+    low, high = (mean + end - summary.mean for end in summary.ci95)
+    return PairedDifference(mean, (low, high))
+
+
 def _rewards(argument: str, value: ArrayLike) -> Array:
     """Rewards (n, T), n of them possibly none."""
     rewards = finite(argument, as_floats(argument, value))

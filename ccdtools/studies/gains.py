@@ -11,7 +11,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
-from ccdtools.statistics import PairedDifference, paired_returns
+from ccdtools.statistics import PairedDifference, change_of_level
 
 SOURCES = ("start", "design", "policy", "updates", "redesign")
 
@@ -35,7 +35,8 @@ class Gains:
     start : float
         Mean return at the first step.
     design, policy, updates, redesign : PairedDifference
-        What each source has changed; their means add up to `total`.
+        What each source has changed, with the interval at the level of these runs (`change_of_level`): divided by
+        |start| it is that of a part of the first return. The means add up to `total`.
     total : PairedDifference
         Last step minus first.
     """
@@ -59,7 +60,7 @@ def gains_by_source(sources: Sequence[str], rewards: Sequence[Array], *, runs: i
     rewards : sequence of (n, T) arrays
         Of each of them.
     runs : int, optional
-        Runs that were begun, where some have been left out; see `paired_returns`.
+        Runs that were begun, where some have been left out; see `summarise_returns`.
 
     Raises
     ------
@@ -74,9 +75,9 @@ def gains_by_source(sources: Sequence[str], rewards: Sequence[Array], *, runs: i
     nothing = np.zeros_like(first)
     changes = [after - before for before, after in pairwise(rewards)]
     parts = {
-        name: paired_returns(sum((c for s, c in zip(sources[1:], changes, strict=True) if s == name), nothing),
-                             nothing, runs=runs)
+        name: change_of_level(sum((c for s, c in zip(sources[1:], changes, strict=True) if s == name), nothing),
+                              first, runs=runs)
         for name in SOURCES[1:]
     }  # fmt: skip
     start = float(first.sum(axis=1).mean()) if len(first) else float("nan")
-    return Gains(start, **parts, total=paired_returns(rewards[-1], first, runs=runs))
+    return Gains(start, **parts, total=change_of_level(rewards[-1] - first, first, runs=runs))

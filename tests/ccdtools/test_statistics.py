@@ -6,7 +6,14 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from ccdtools import InputError
-from ccdtools.statistics import mean_interval, paired_difference, paired_returns, summarise, summarise_returns
+from ccdtools.statistics import (
+    change_of_level,
+    mean_interval,
+    paired_difference,
+    paired_returns,
+    summarise,
+    summarise_returns,
+)
 
 
 def test_a_summary_agrees_with_students_t():
@@ -170,6 +177,38 @@ def test_the_one_run_of_many_that_did_not_diverge_has_no_interval():
     rewards = np.random.default_rng(11).standard_normal((1, 300))
     assert np.isnan(summarise_returns(rewards, runs=4000).ci95).all()
     assert np.isnan(summarise_returns(rewards[:0], runs=1).mean)
+
+
+def rough(runs, steps, rng):
+    """Costs on roads whose roughness differs from road to road, and twice their part of a tenth, with noise."""
+    level = -np.exp(rng.standard_normal((runs, 1))) * rng.chisquare(3, (runs, steps))
+    return level, 0.1 * level * (1 + 0.5 * rng.standard_normal((runs, steps)))
+
+
+def test_a_change_that_is_a_part_of_the_level_is_known_better_than_the_level():
+    level, change = rough(20, 200, np.random.default_rng(12))
+    relative, absolute = change_of_level(change, level), paired_returns(change, 0 * change)
+    assert relative.mean == pytest.approx(absolute.mean)
+    assert np.diff(relative.ci95) < 0.2 * np.diff(absolute.ci95)
+
+
+@pytest.mark.parametrize("runs", [1, 20])
+def test_the_interval_of_a_change_of_level_covers_the_ratio_as_often_as_it_says(runs):
+    rng = np.random.default_rng(13)
+    covered = 0
+    for _ in range(400):
+        level, change = rough(runs, 300, rng)
+        low, high = sorted(end / level.sum(axis=1).mean() for end in change_of_level(change, level).ci95)
+        covered += low < 0.1 < high
+    assert 0.92 <= covered / 400 <= 0.98
+
+
+def test_a_change_of_nothing_or_of_a_level_of_both_signs():
+    level = np.ones((1, 100))
+    assert change_of_level(0 * level, level).ci95 == (0.0, 0.0)
+    assert change_of_level(0 * level, 0 * level).ci95 == (0.0, 0.0)
+    level[0, :50] = -1.0
+    assert np.isnan(change_of_level(level, level).ci95).all()
 
 
 def test_series_and_rewards_are_checked():
