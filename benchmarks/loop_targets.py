@@ -187,8 +187,13 @@ def worst_row(results: dict) -> float:
     A recording whose level drifts has no interval; then the difference itself counts.
     """
     rows = {(r["plant"], r["generation"], r["controller"]): r for r in results["comparison"]}
+
+    def lowest(gain: dict) -> float:
+        """The lower end of a gain, or the gain where there is no interval."""
+        return gain["mean"] if gain["ci95"][0] is None else gain["ci95"][0]
+
     return min(
-        (row["paired_to_lqr"]["mean"] if (low := row["paired_to_lqr"]["ci95"][0]) is None else low) / abs(rows[plant, generation, "LQR"]["mean"])
+        lowest(row["paired_to_lqr"]) / abs(rows[plant, generation, "LQR"]["mean"])
         for (plant, generation, controller), row in rows.items()
         if controller == "learned"
     )

@@ -183,20 +183,19 @@ def change_of_level(change: ArrayLike, base: ArrayLike, *, runs: int | None = No
 
     How rough a road is moves all returns alike and their ratio hardly. The interval is given in units of return, at the
     level that `base` has on these runs: divided by its return it is that of the ratio (to first order in the rest,
-    change − ratio · base). It does not cover the change on rougher or calmer runs. No interval where rewards of
-    `base` have both signs.
+    change − ratio · base). It does not cover the change on rougher or calmer runs. Where rewards of `base` have both
+    signs there is no level, and the interval is that of the change alone.
     """
     changed = _rewards("change", change)
     level = _rewards("base", base)
     if changed.shape != level.shape:
         raise InputError("change, base", f"shapes {changed.shape} and {level.shape}", "as many of each")
     whole = float(level.sum())
-    rest = changed - (float(changed.sum()) / whole if whole else 0.0) * level
-    summary = summarise_returns(rest, runs=runs)
+    one_sign = not ((level > 0).any() and (level < 0).any())
+    ratio = float(changed.sum()) / whole if one_sign and whole != 0 else 0.0
+    rest = summarise_returns(changed - ratio * level, runs=runs)
     mean = float(changed.sum(axis=1).mean()) if len(changed) else float("nan")
-    if (level > 0).any() and (level < 0).any():
-        return PairedDifference(mean, (np.nan, np.nan))
-    low, high = (mean + end - summary.mean for end in summary.ci95)
+    low, high = (mean + end - rest.mean for end in rest.ci95)
     return PairedDifference(mean, (low, high))
 
 

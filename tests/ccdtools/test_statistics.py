@@ -181,7 +181,7 @@ def test_the_one_run_of_many_that_did_not_diverge_has_no_interval():
 
 def rough(runs, steps, rng):
     """Costs on roads whose roughness differs from road to road, and twice their part of a tenth, with noise."""
-    level = -np.exp(rng.standard_normal((runs, 1))) * rng.chisquare(3, (runs, steps))
+    level = -np.exp(0.3 * rng.standard_normal((runs, 1))) * rng.chisquare(3, (runs, steps))
     return level, 0.1 * level * (1 + 0.5 * rng.standard_normal((runs, steps)))
 
 
@@ -189,7 +189,7 @@ def test_a_change_that_is_a_part_of_the_level_is_known_better_than_the_level():
     level, change = rough(20, 200, np.random.default_rng(12))
     relative, absolute = change_of_level(change, level), paired_returns(change, 0 * change)
     assert relative.mean == pytest.approx(absolute.mean)
-    assert np.diff(relative.ci95) < 0.2 * np.diff(absolute.ci95)
+    assert np.diff(relative.ci95) < 0.3 * np.diff(absolute.ci95)
 
 
 @pytest.mark.parametrize("runs", [1, 20])
@@ -207,8 +207,9 @@ def test_a_change_of_nothing_or_of_a_level_of_both_signs():
     level = np.ones((1, 100))
     assert change_of_level(0 * level, level).ci95 == (0.0, 0.0)
     assert change_of_level(0 * level, 0 * level).ci95 == (0.0, 0.0)
-    level[0, :50] = -1.0
-    assert np.isnan(change_of_level(level, level).ci95).all()
+    level[0, ::2] = -1.0
+    change = np.random.default_rng(14).standard_normal((1, 100))
+    np.testing.assert_allclose(change_of_level(change, level).ci95, paired_returns(change, 0 * change).ci95)
 
 
 def test_series_and_rewards_are_checked():
