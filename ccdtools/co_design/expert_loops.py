@@ -18,6 +18,7 @@ from mpc import LinearMPC
 
 VISITS = (0, 1, 2, 4, 8, 16, 32, 64)  # steps of each closed loop whose states join the data
 TAIL = 400  # further steps that the values look ahead; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated
+NEAR = 0.1  # of the set's range along a row: a state that the noise carried out is led back, one far outside is not
 AT_ONCE = 2**21  # numbers of one product of rows and states, 16 MiB
 
 
@@ -109,7 +110,7 @@ class ExpertLoops:
 
 
 class SetFilters:
-    """Inputs that keep the next nominal state in X_fea of each run, where that set is known and holds the state.
+    """Inputs that keep the next nominal state in X_fea of each run, where the set is known and the state in or near it.
 
     Runs of one design share a filter, and products of all rows with all states are formed in pieces: with 300 facets
     and 1000 runs they would not fit otherwise.
@@ -137,7 +138,7 @@ class SetFilters:
             leaving &= piece.first & np.isfinite(x[runs]).all(axis=2)
             for g in np.flatnonzero(leaving.any(axis=1)):
                 chosen = runs[g][leaving[g]]
-                chosen = chosen[self.sets[piece.begin + int(g)].contains(x[chosen])]  # outside nothing can be kept
+                chosen = chosen[self.sets[piece.begin + int(g)].contains(x[chosen], NEAR)]
                 if len(chosen) == 0:
                     continue
                 u[chosen] = self._filter(piece.begin + int(g)).project(x[chosen], u[chosen])[0]

@@ -160,3 +160,10 @@ def test_a_tolerance_of_another_kind_is_refused(value):
 
 def test_a_tolerance_may_be_of_numpy():
     assert rail(limit_tolerance=np.array([0.1, 0.2])).limit_tolerance == (0.1, 0.2)
+
+
+def test_the_clone_of_the_projected_expert_leaves_X_no_further_than_noise_carries_it(agent):
+    problem = rail()
+    x0, w = problem.scenarios.sample(30, problem.steps, np.random.default_rng(9))
+    run = cc.Scenario(problem.model, x0, w).run(cc.LearnedPolicy(agent, [1.5]), design=[1.5], limit=problem.limit)
+    assert cc.excursions(run.states[:, 1:], problem.X).peak.mean() < 0.1  # 0.76 where LQR takes over outside X_fea
