@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ccdtools.plants.plant import Plant
     from ccdtools.scenario import Scenario
     from ccdtools.simulation import simulate
+    from ccdtools.statistics import mean_interval
     from ccdtools.studies.loading import load_study
     from ccdtools.studies.study import RealPlant, Study
     from ccdtools.trajectory import Trajectory
@@ -87,6 +88,7 @@ __all__ = [
     "least_depth",
     "load_policy",
     "load_study",
+    "mean_interval",
     "read_disturbance",
     "read_road",
     "read_speed",
@@ -142,6 +144,7 @@ _HOMES = {
     "least_depth": "co_design.least_depth",
     "load_policy": "controllers.learned",
     "load_study": "studies.loading",
+    "mean_interval": "statistics",
     "read_disturbance": "disturbances.recordings",
     "read_road": "disturbances.recordings",
     "read_speed": "disturbances.recordings",
