@@ -8,6 +8,7 @@ ray to the boundary of the set. A part of the loops begins where the episodes of
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,8 +67,10 @@ def starts(
     """
     nx = problem.model.nx
     reason = ""
+    begun = time.thread_time()
     if effort.option == "auto" and distinct is None:
         distinct, reason = affordable_designs(problem, family, samples, effort)
+    probing = time.thread_time() - begun
     shared = distinct or samples
     lower, upper = problem.X.bounding_box()
     cube = qmc.LatinHypercube(nx + problem.design.dim, rng=rng).random(samples)
@@ -95,7 +98,7 @@ def starts(
     sets = [pool.sets[i] for i in chosen]
     return Starts(
         np.concatenate([x[inside], x0[begun]]), p[chosen], sets, pool.regions.of_runs(chosen), int(inside.sum()),
-        acceptance, pool.counts,
+        acceptance, replace(pool.counts, seconds=pool.counts.seconds + probing),
     )  # fmt: skip
 
 

@@ -115,7 +115,8 @@ def expert_dataset(
         that fewer must do.
     sets : {"auto", "lqr", "none"} or ParametricSet
         "auto": X_fea(p) as far as the time limit goes, elsewhere the region in which saturated LQR keeps the state
-        within X for ever; "lqr": that region everywhere; "none": X itself. Or X_fea, if already at hand.
+        within X for ever; "lqr": that region everywhere; "none": X itself. Or X_fea, if already at hand, with a
+        time limit of its own for each set.
     time_limit : float, optional
         Processor time for all sets [s]; None for no limit.
     progress : bool

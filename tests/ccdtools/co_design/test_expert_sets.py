@@ -141,6 +141,7 @@ def test_a_chain_of_eight_states_has_data_from_the_lqr_region_and_from_the_start
     assert data.sets.lqr == 40
     assert data.sets.feasible == 0
     assert "X_fea(p) was not found within" in data.sets.reason
+    assert data.sets.seconds > 0.0
     assert data.acceptance < 0.5
     assert data.diverged == 0.0
     x0 = problem.scenarios.x0
