@@ -67,10 +67,10 @@ def starts(
     """
     nx = problem.model.nx
     reason = ""
-    begun = time.thread_time()
+    clock = time.thread_time()
     if effort.option == "auto" and distinct is None:
         distinct, reason = affordable_designs(problem, family, samples, effort)
-    probing = time.thread_time() - begun
+    probing = time.thread_time() - clock
     shared = distinct or samples
     lower, upper = problem.X.bounding_box()
     cube = qmc.LatinHypercube(nx + problem.design.dim, rng=rng).random(samples)
