@@ -140,8 +140,10 @@ def judge_deployment(
 
 def _agreement(promised: Summary, returns: Summary) -> JudgeStatus:
     """How a promise and what was delivered agree: apart if their intervals are."""
+    if np.isfinite(promised.mean) and not np.isfinite(returns.mean):
+        return JudgeStatus.LESS
     if not np.isfinite([*promised.ci95, *returns.ci95]).all():
-        return JudgeStatus.OPEN if np.isfinite(returns.mean) else JudgeStatus.LESS
+        return JudgeStatus.OPEN
     if returns.ci95[1] < promised.ci95[0]:
         return JudgeStatus.LESS
     return JudgeStatus.MORE if returns.ci95[0] > promised.ci95[1] else JudgeStatus.AGREED

@@ -12,7 +12,7 @@ PLACES = {"nominal": "nominal model", "real": "real plant"}
 
 def number(value: float | None, digits: int = 4) -> str:
     """A number to so many significant digits, as a power of ten only where it is very small or large."""
-    if value is None:
+    if value is None or not math.isfinite(value):
         return "n/a"
     if value != 0 and not 1e-3 <= abs(value) < 1e6:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
