@@ -164,6 +164,7 @@ class Generations:
         service, speaks = after_deployment(
             status, served, deployed.networks["agent"], state.service, state.served,
             redesigned=redesign is not None and redesign["accepted"],
+            updated=any(update["accepted"] for update in deployed.values["updates"]),
         )  # fmt: skip
         return replace(state, service=service, served=speaks, trust=Trust(**deployed.values["trust"]))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -58,7 +58,7 @@ class JudgeStatus(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Served:
-    """A generation in service: its number, what was deployed, and the log of its deployment."""
+    """A generation in service: its number, what was deployed, and the log of its newest deployment."""
 
     generation: int
     designed: InService
@@ -190,15 +190,19 @@ def _status(change: PairedDifference, floor: float, *, redesigned: bool) -> Serv
 
 def after_deployment(
     status: ServiceStatus, deployed: Served, agent_at_end: Any, before: InService, former: Served | None,
-    *, redesigned: bool,
+    *, redesigned: bool, updated: bool,
 ) -> tuple[InService, Served]:  # fmt: skip
     """What is in service after a deployment, and the deployment that speaks for it.
+
+    A generation that changed nothing serves under the number of the one that it repeats.
 
     Where a redesign fell short, that is what was in service before. Where nothing but updates of the policy came
     between two deployments and the later one is worse, it is the policy that the former deployment began with.
     """
     if status.replaces or former is None:
-        return InService(agent_at_end, deployed.designed.design), deployed
+        idle = former is not None and not redesigned and not updated
+        speaks = replace(deployed, generation=former.generation) if idle and former is not None else deployed
+        return InService(agent_at_end, deployed.designed.design), speaks
     return (before if redesigned else former.designed), former
 
 

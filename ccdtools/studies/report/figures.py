@@ -146,7 +146,8 @@ def _liveliest(states: Array, scale: Array) -> slice:
 
 def _quantiles(run: FinishedRun) -> list[ReportFigure]:
     """The learned quantiles with the errors at the end of every deployment."""
-    return [_quantiles_of(run, g) for g in range(1, run.last + 1)]
+    taught = [g["generation"] for g in run.results["generations"] if g["deployed_diverged"] < 1]
+    return [_quantiles_of(run, generation) for generation in taught]
 
 
 def _quantiles_of(run: FinishedRun, generation: int) -> ReportFigure:

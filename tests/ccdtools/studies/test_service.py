@@ -112,15 +112,18 @@ def test_what_fell_short_is_taken_back_and_updates_that_hurt_too():
     first = Served(1, InService(SimpleNamespace(name="designed in 1"), np.ones(1)), log())
     second = Served(2, InService(SimpleNamespace(name="designed in 2"), 2 * np.ones(1)), log())
     end = SimpleNamespace(name="at the end of 2")
-    service, speaks = after_deployment(ServiceStatus.BETTER, second, end, before, first, redesigned=True)
+    service, speaks = after_deployment(ServiceStatus.BETTER, second, end, before, first, redesigned=True, updated=False)
     assert service.agent is end
     assert service.design == 2
     assert speaks is second
-    service, speaks = after_deployment(ServiceStatus.WORSE, second, end, before, first, redesigned=True)
+    service, speaks = after_deployment(ServiceStatus.WORSE, second, end, before, first, redesigned=True, updated=False)
     assert service is before
     assert speaks is first
-    service, _ = after_deployment(ServiceStatus.WORSE, second, end, before, first, redesigned=False)
+    service, _ = after_deployment(ServiceStatus.WORSE, second, end, before, first, redesigned=False, updated=True)
     assert service is first.designed
+    _, speaks = after_deployment(ServiceStatus.NOT_WORSE, second, end, before, first, redesigned=False, updated=False)
+    assert speaks.generation == 1
+    assert speaks.log is second.log
 
 
 # ── the sentence of a generation ──
