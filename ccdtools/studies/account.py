@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ccdtools.studies.report.formatting import number, percent_interval, with_minus
+from ccdtools.studies.report.formatting import number, percent_interval, share, with_minus
 from ccdtools.studies.service import JudgeStatus, ServiceStatus
 
 Values = Mapping[str, Any]
@@ -51,11 +51,11 @@ def refusal(redesign: Values) -> str:
     return f"{best} promised {decision['promise']}, {decision['reason']}"
 
 
-def region_lines(region: Values) -> list[str]:
-    """The trust region of a redesign, as a line of text; none where it is not limited."""
+def region_line(region: Values) -> str:
+    """How far a redesign may go, and why."""
     if region["radius"] is None:
-        return []
-    return [f"redesign limited to ±{region['radius']:.0%} of the box around what is in service: {region['text']}"]
+        return f"redesign over the whole box: {region['text']}"
+    return f"redesign limited to ±{share(region['radius'])} of the box around what is in service: {region['text']}"
 
 
 def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> str:

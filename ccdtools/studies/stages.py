@@ -13,7 +13,7 @@ from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.exceptions import InputError
 from ccdtools.progress import Echo
-from ccdtools.studies.account import account, region_lines
+from ccdtools.studies.account import account, region_line
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, held_out_stage
 from ccdtools.studies.redesign import InService, RedesignDecision, judge_redesign, promised, same_design
@@ -87,11 +87,12 @@ class LoopStages:
             return self._co_designed(first, InService(first.agent, first.design), twin, None)
         doubt = doubt_of(twin, problem.state_scale)
         limited = trust.limits(doubt)
-        region = within(problem, current.design, trust.radius) if limited else problem
+        training, judge = updated_problem(problem, twin), replay_problem(problem, twin.logs, self.evaluation.window)
+        if limited:  # only now: a log may be from outside the region
+            training, judge = (within(one, current.design, trust.radius) for one in (training, judge))
         result = codesign(
-            updated_problem(region, twin), agent=current.agent, design=current.design, rng=rng,
-            method=config.method, config=config.redesign, progress=self.progress,
-            judge=replay_problem(region, twin.logs, self.evaluation.window),
+            training, agent=current.agent, design=current.design, rng=rng, method=config.method,
+            config=config.redesign, judge=judge, progress=self.progress,
         )  # fmt: skip
         decisions: dict[str, RedesignDecision] = {}
         chosen = current
@@ -132,7 +133,7 @@ class LoopStages:
         check = None if result.gradients is None else asdict(result.gradients)
         report = [*str(result.gradients).splitlines()] if result.gradients is not None else []
         if redesign is not None:
-            report += [*region_lines(redesign["region"]), f"proposed: {space.describe(result.design)}",
+            report += [region_line(redesign["region"]), f"proposed: {space.describe(result.design)}",
                        *redesign["texts"]]  # fmt: skip
         active = space.active_bounds(chosen.design)
         named = ", ".join(f"{name} at its {side} bound" for name, side in active.items())

@@ -9,6 +9,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.studies.report.formatting import share
 from ccdtools.twin.transport import Transport, full_rank
 from ccdtools.twin.twin import DigitalTwin
 
@@ -45,8 +46,8 @@ class Doubt:
         """Why a redesign is limited, or not."""
         if not self.identified:
             return "E(p) is not of full column rank everywhere"
-        shares = f"{self.rest:.0%} of the errors' energy does not enter through E(p)"
-        return f"{shares}, {self.explained:.0%} depends on state and input"
+        shares = f"{share(self.rest)} of the errors' energy does not enter through E(p)"
+        return f"{shares}, {share(self.explained)} depends on state and input"
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_runs import tiny
 
-from ccdtools import DesignSpace, Gaussian, Plant, QuadraticObjective, RealPlant, Study, load_policy
+from ccdtools import DesignSpace, Gaussian, InputError, Plant, QuadraticObjective, RealPlant, Study, load_policy
 from ccdtools.statistics import PairedDifference
 from ccdtools.studies import Generations, RunFolder, configuration, stages
 from ccdtools.studies.redesign import InService, RedesignDecision, RedesignStatus
@@ -29,6 +29,16 @@ def damped() -> Study:
         U=Polytope.from_bounds([-0.2], [0.2]), objective=QuadraticObjective(np.eye(2), [[0.1]]), disturbance=noise,
         x0=[0.5, 0], p0=[1.5], real=RealPlant(real, noise, x0=[0.5, 0], runs=20, steps=40), steps=40, samples=20,
     )  # fmt: skip
+
+
+def test_a_disturbance_that_enters_nowhere_and_a_price_without_a_unit_are_refused_before_anything_runs():
+    study = damped()
+    model = study.plant
+    still = Plant(model.x, model.u, model.w, model.p, ca.substitute(model.dynamics, model.w, 0), model.design, dt=0.3)
+    with pytest.raises(InputError, match=r"plant: got an E\(p\) of rank zero: the disturbance w enters nowhere"):
+        replace(study, plant=still, real=None)
+    with pytest.raises(InputError, match=r"redesign_price: got '0\.5'"):
+        replace(study, redesign_price="0.5")
 
 
 def run_with(monkeypatch, path, design, generations=2):
@@ -71,6 +81,7 @@ def test_a_redesign_that_fails_on_the_plant_is_taken_back(monkeypatch, tmp_path,
     assert results["headline"].startswith("QUICK run, not a result: generation 2 moved the design to c = ")
     assert "stay in service" in results["headline"].split(". ")[0]
     assert any("stay in service" in line for line in lines)
+    assert any("redesign over the whole box: " in line or "redesign limited to ±25 %" in line for line in lines)
     rows = [row for row in results["comparison"] if row["generation"] == 2]
     assert all(row["design"] == first["design"] for row in rows)
     assert write_report(study, folder).is_file()
