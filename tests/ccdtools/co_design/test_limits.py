@@ -168,3 +168,27 @@ def test_the_clone_of_the_projected_expert_leaves_X_no_further_than_noise_carrie
     x0, w = problem.scenarios.sample(30, problem.steps, np.random.default_rng(9))
     run = cc.Scenario(problem.model, x0, w).run(cc.LearnedPolicy(agent, [1.5]), design=[1.5], limit=problem.limit)
     assert cc.excursions(run.states[:, 1:], problem.X).peak.mean() < 0.1  # 0.76 where LQR takes over outside X_fea
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_whole_co_design_keeps_the_limit_as_mpc_does_at_no_loss(seed):
+    problem = rail()
+    rng = np.random.default_rng(seed)
+    data = cc.expert_dataset(problem, samples=200, rng=rng)
+    agent = fit_actor_critic(
+        data.inputs, data.actions, data.values, rng=rng, action_bounds=problem.input_bounds,
+        input_bounds=problem.observation_bounds,
+    )  # fmt: skip
+    found = cc.codesign(problem, agent=agent, design=[1.5], rng=rng)
+    A, B, _ = problem.model.matrices(found.design)
+    mpc = LinearMPC(A, B, Q=problem.objective.Q, R=problem.objective.R, horizon=20, X=problem.X, U=problem.U)
+    x0, w = problem.scenarios.sample(60, problem.steps, np.random.default_rng(9))
+    table = cc.compare(
+        {"LQR": cc.saturated_lqr(problem, found.design), "MPC": mpc, "learned": found.policy},
+        cc.Scenario(problem.model, x0, w), design=found.design, objective=problem.objective, X=problem.X,
+    )  # fmt: skip
+    assert table["learned"].depth_peak <= 1.5 * table["MPC"].depth_peak
+    assert table["learned"].violations <= 1.5 * table["MPC"].violations
+    assert table["learned"].summary.mean >= 1.02 * table["MPC"].summary.mean
+    assert "LQR" not in table["learned"].further_outside_than
