@@ -29,7 +29,7 @@ def linear_return(s: Statement, p: Array) -> float:
 
 
 def highest_linear_return(s: Statement, p: Array) -> float:
-    """Expected return of the best causal policy at a design without input limits: the finite-horizon Riccati equation."""
+    """Expected return of the best causal policy without input limits at a design: the Riccati difference equation."""
     A, B, E = s.sampled(p)
     W = E @ np.diag(s.std**2) @ E.T
     P = np.zeros_like(A)
@@ -48,15 +48,15 @@ def model_step(s: Statement, p: Array) -> Callable[[Array, Array, Array], Array]
     return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T
 
 
-def real_step(s: Statement, p: Array) -> Callable[[Array, Array, Array], Array]:
+def real_step(s: Statement, p: Array, substeps: int = SUBSTEPS) -> Callable[[Array, Array, Array], Array]:
     """(x, u, w) → x⁺ of the real plant, by Runge–Kutta 4."""
     if s.real is None:
         return model_step(s, p)
     f = s.real
-    h = s.dt / SUBSTEPS
+    h = s.dt / substeps
 
     def step(x: Array, u: Array, w: Array) -> Array:
-        for _ in range(SUBSTEPS):
+        for _ in range(substeps):
             k1 = f(x, u, w, p)
             k2 = f(x + h / 2 * k1, u, w, p)
             k3 = f(x + h / 2 * k2, u, w, p)

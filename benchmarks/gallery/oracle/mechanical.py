@@ -174,7 +174,7 @@ def rail_mass() -> Statement:
         return second_order(p.reshape(1, 1), np.array([[0.4]]), np.array([[0.0]]), force, force)
 
     return Statement(
-        matrices, Q=[1.0, 0.1], R=[0.5], std=[0.4], x0=[-1.5, 0.0], p0=[2.0], lower=[0.4], upper=[3.0],
+        matrices, Q=[1.0, 0.1], R=[0.5], std=[0.7], x0=[-1.5, 0.0], p0=[2.0], lower=[0.3], upper=[3.0],
         x_max=[2.0, 0.5], u_max=[2.0], dt=0.1,
     )  # fmt: skip
 

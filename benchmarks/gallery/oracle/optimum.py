@@ -13,6 +13,7 @@ from gallery.oracle.statement import Array, Statement
 
 POINTS = {1: 201, 2: 41, 3: 13}
 SAME = 0.02  # of the box: two optima nearer than this are one
+EXACT = 1e-5  # of the box, to which an optimum is polished
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,6 @@ def _polished(s: Statement, value: Callable[[Array], float], v: Array, radius: f
     start = np.vstack([v, *(np.clip(v + radius * (0.5 - (v > 0.5)) * 2 * e, 0, 1) for e in np.eye(len(v)))])
     found = minimize(
         lambda z: -value(s.from_unit(z)), v, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(v),
-        options={"initial_simplex": start, "xatol": 1e-5, "fatol": 1e-9 * abs(value(s.from_unit(v)))},
+        options={"initial_simplex": start, "xatol": EXACT, "fatol": 1e-9 * abs(value(s.from_unit(v)))},
     )  # fmt: skip
     return np.clip(found.x, 0.0, 1.0), -float(found.fun)

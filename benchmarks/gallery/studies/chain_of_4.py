@@ -23,9 +23,7 @@ def chain(*, hardening: float = 0.0) -> Plant:
     forces = [u - links[0] + links[1], links[2] - links[1], links[3] - links[2], (w - links[3]) / last]
     design = DesignSpace(["k", "m_4"], lower=[20.0, 0.3], upper=[200.0, 2.0], units=["N/m", "kg"])
     names = [f"position {i} [m]" for i in (1, 2, 3, 4)] + [f"velocity {i} [m/s]" for i in (1, 2, 3, 4)]
-    return Plant(
-        x, u, w, p, ca.vertcat(v, *forces), design, dt=0.05, state_names=names, input_names=["force [N]"]
-    )
+    return Plant(x, u, w, p, ca.vertcat(v, *forces), design, dt=0.05, state_names=names, input_names=["force [N]"])
 
 
 noise = Gaussian(std=[2.0])

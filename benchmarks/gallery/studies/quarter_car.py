@@ -48,8 +48,6 @@ study = Study(
     disturbance=Gaussian(std=[0.25]),
     x0=[0.0, 0.0, 0.05, 0.0],
     p0=[3e4, 800.0, 2.5e5],
-    real=RealPlant(
-        quarter_car(real=True), Gaussian(std=[0.25]), x0=[0.0, 0.0, 0.05, 0.0], runs=200, steps=100
-    ),
+    real=RealPlant(quarter_car(real=True), Gaussian(std=[0.25]), x0=[0.0, 0.0, 0.05, 0.0], runs=200, steps=100),
     samples=800,
 )

@@ -1,0 +1,180 @@
+"""One finished run measured: its policies driven again on common random numbers, beside the independent optimum."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdtools.comparison.baselines import saturated_lqr
+from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.simulation import simulate
+from ccdtools.studies import RunFolder, Study, load_study
+from ccdtools.trajectory import Trajectory
+from gallery.oracle.cost import linear_return, saturated_return
+from gallery.oracle.receding_horizon import RecedingHorizon
+from gallery.reference import CLIPPED, LIMITED, reference, statement
+
+RUNS = 2000
+LIMITED_RUNS = 100
+SEED = 20_262
+NORMAL = 1.96
+STUDIES = Path(__file__).resolve().parent / "studies"
+
+
+@dataclass(frozen=True)
+class Step:
+    """From one generation to the next on the real plant: paired difference of returns, and its 95 % interval."""
+
+    difference: float
+    low: float
+    high: float
+
+    @property
+    def verdict(self) -> str:
+        """Worse, better or neither, beyond the interval."""
+        if self.high < 0:
+            return "worse"
+        return "better" if self.low > 0 else "equal"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a run has reached.
+
+    Attributes
+    ----------
+    design : dict
+        Of the first co-design, by parameter.
+    shortfall, shortfall_error : float
+        Return of the first co-design below the independent optimum, and its standard error [% of the optimum].
+    valley : int
+        Number of the local optimum whose design is nearest, 0 for the best.
+    status : str
+        What the first co-design says of itself.
+    deployed : tuple of float
+        Mean return on the real plant of what was deployed in each generation.
+    steps : tuple of Step
+    depth, mpc_depth : float
+        Mean over runs of the deepest excursion from X [half-widths], of the first co-design and of MPC at its design.
+    beside_mpc : float
+        Return relative to that of MPC at the same design [%]; NaN where no limit binds.
+    """
+
+    design: dict[str, float]
+    shortfall: float
+    shortfall_error: float
+    valley: int
+    status: str
+    deployed: tuple[float, ...]
+    steps: tuple[Step, ...]
+    depth: float
+    mpc_depth: float
+    beside_mpc: float
+
+
+def measured(study_name: str, folder: Path) -> Measured:
+    """The measurements of one finished run."""
+    study = load_study(STUDIES / f"{study_name}.py")
+    run = RunFolder(folder)
+    results = json.loads((folder / "results.json").read_text())
+    first = run.read_stage("codesign-1")
+    policy = LearnedPolicy(first.networks["agent"], first.arrays["design"])
+    shortfall, error = _shortfall(study_name, study, policy)
+    on_model = _driven(study, policy, real=False, runs=LIMITED_RUNS)
+    mpc_depth, beside = _mpc(study_name, study, policy, on_model) if study_name in LIMITED else (np.nan, np.nan)
+    count = len(results["generations"])
+    returns = [_deployed_returns(study, run, g) for g in range(1, count + 1)]
+    return Measured(
+        design={name: float(value) for name, value in zip(study.plant.design.names, policy.design)},
+        shortfall=shortfall, shortfall_error=error, valley=_valley(study_name, study, policy.design),
+        status=status_of(results["generations"][0]),
+        deployed=tuple(float(r.mean()) for r in returns),
+        steps=tuple(_step(after, before) for before, after in pairwise(returns)),
+        depth=_depth(study, on_model), mpc_depth=mpc_depth, beside_mpc=beside,
+    )  # fmt: skip
+
+
+def status_of(generation: dict[str, Any]) -> str:
+    """What a generation's co-design says of how it ended; a dash where it says nothing."""
+    status = generation.get("status", "–")
+    return str(status.get("name", status)) if isinstance(status, dict) else str(status)
+
+
+def _driven(study: Study, policy: Any, *, real: bool, runs: int = RUNS) -> Trajectory:
+    """Runs of a policy at its design, on common random numbers."""
+    rng = np.random.default_rng(SEED)
+    source = study.real if real else study
+    steps = source.steps
+    w = source.disturbance.sample(runs, steps, rng)
+    plant = study.real.plant if real else study.model
+    return simulate(
+        plant, policy, x0=source.x0, steps=steps, disturbance=w, design=policy.design, limit=study.problem().limit
+    )
+
+
+class _At:
+    """A controller together with the design it is for."""
+
+    def __init__(self, controller: Any, design: Any) -> None:
+        self.controller = controller
+        self.design = design
+
+    def __call__(self, x: Any) -> Any:
+        """Inputs (n, nu)."""
+        return self.controller(x)
+
+
+def _shortfall(name: str, study: Study, policy: LearnedPolicy) -> tuple[float, float]:
+    """Per cent below the optimum, and the standard error: exact return of LQR plus the paired difference to it."""
+    s = statement(name)
+    best = reference(name)["returns"][0]
+    own = _driven(study, policy, real=False).returns(study.objective)
+    lqr = _At(saturated_lqr(study.problem(), policy.design), policy.design)
+    difference = own - _driven(study, lqr, real=False).returns(study.objective)
+    clipped = name in CLIPPED + LIMITED
+    exact = saturated_return(s, policy.design, s.disturbance(20_000, 5)) if clipped else linear_return(s, policy.design)
+    scale = 100 / abs(best)
+    error = difference.std(ddof=1) / np.sqrt(len(difference))
+    return float(scale * (best - exact - difference.mean())), float(scale * error)
+
+
+def _valley(name: str, study: Study, design: Any) -> int:
+    """Number of the nearest local optimum."""
+    unit = study.plant.design.to_unit
+    distances = [np.abs(unit(design) - unit(np.array(other))).max() for other in reference(name)["designs"]]
+    return int(np.argmin(distances))
+
+
+def _deployed_returns(study: Study, run: RunFolder, generation: int) -> Any:
+    """Returns (n,) on the real plant of what a generation left in service."""
+    stage = run.read_stage(f"deployment-{generation}")
+    design = run.read_stage(f"codesign-{generation}").arrays["design"]
+    return _driven(study, LearnedPolicy(stage.networks["agent"], design), real=True).returns(study.objective)
+
+
+def _step(after: Any, before: Any) -> Step:
+    """The paired difference of returns (n,)."""
+    difference = after - before
+    half = NORMAL * difference.std(ddof=1) / np.sqrt(len(difference))
+    return Step(float(difference.mean()), float(difference.mean() - half), float(difference.mean() + half))
+
+
+def _depth(study: Study, trajectory: Trajectory) -> float:
+    """Mean over the runs of the deepest excursion from the box X, in half-widths of it."""
+    lower, upper = study.X.bounding_box()
+    half = (upper - lower) / 2
+    x = trajectory.states[:, 1:]
+    return float((np.maximum(x - upper, lower - x) / half).max(axis=(1, 2)).clip(min=0).mean())
+
+
+def _mpc(name: str, study: Study, policy: LearnedPolicy, own: Trajectory) -> tuple[float, float]:
+    """Depth of MPC at the design of a policy, and the policy's return relative to MPC's [%]."""
+    mpc = _At(RecedingHorizon(statement(name), policy.design), policy.design)
+    run = _driven(study, mpc, real=False, runs=LIMITED_RUNS)
+    mine, theirs = (trajectory.returns(study.objective).mean() for trajectory in (own, run))
+    return _depth(study, run), float(100 * (mine - theirs) / abs(theirs))

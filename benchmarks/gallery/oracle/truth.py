@@ -1,0 +1,84 @@
+"""What knowing the real plant is worth: the best clipped affine feedback and design found on the real plant itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from gallery.oracle.cost import real_step, simulated
+from gallery.oracle.statement import Array, Statement
+
+RUNS = 100
+SUBSTEPS = 3
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Returns on the real plant.
+
+    Attributes
+    ----------
+    deployed : float
+        Of the model's LQR at the model's best design.
+    policy_alone : float
+        Of the best feedback at that design.
+    design : (np,) array
+        Best design together with its best feedback.
+    both : float
+        Their return.
+    """
+
+    deployed: float
+    policy_alone: float
+    design: Array
+    both: float
+
+
+def truth(s: Statement, best: Array, seed: int = 11) -> Truth:
+    """What the model's best design brings on the real plant, and what policy and design made for that plant bring."""
+    w = s.disturbance(RUNS, seed)
+    A, B, _ = s.sampled(best)
+    deployed = _affine_return(s, best, s.gain(A, B), np.zeros(len(s.R)), w)
+    v = (best - s.lower) / (s.upper - s.lower)
+    feedback = np.zeros(len(s.R) * (len(s.x0) + 1))
+    alone = _climb(lambda z: _around_lqr(s, best, z, w), feedback, 0.1)
+    start = np.r_[v, alone.x]
+    both = _climb(lambda z: _around_lqr(s, s.from_unit(z[: len(v)]), z[len(v) :], w), start, 0.1, box=len(v))
+    return Truth(deployed, -float(alone.fun), s.from_unit(both.x[: len(v)]), -float(both.fun))
+
+
+def _around_lqr(s: Statement, p: Array, z: Array, w: Array) -> float:
+    """Return of u = u_0 − K x, with K and u_0 as parts z of the LQR of the real plant at rest and of the limits."""
+    K = s.gain(*_linearised(s, p))
+    relative = z.reshape(len(s.R), -1)
+    return _affine_return(s, p, K * (1 + relative[:, :-1]), relative[:, -1] * s.u_max, w)
+
+
+def _linearised(s: Statement, p: Array) -> tuple[Array, Array]:
+    """A and B of the sampled real plant, from differences over some hundredths of the limits."""
+    step = real_step(s, p, SUBSTEPS)
+    nx = len(s.x0)
+    h = np.r_[0.1 * s.x_max, 0.1 * s.u_max]
+    z = np.vstack([np.diag(h), -np.diag(h)])
+    moved = step(z[:, :nx], z[:, nx:], np.zeros((len(z), len(s.std))))
+    J = ((moved[: len(h)] - moved[len(h) :]) / (2 * h[:, None])).T
+    return J[:, :nx], J[:, nx:]
+
+
+def _affine_return(s: Statement, p: Array, K: Array, offset: Array, w: Array) -> float:
+    """Mean return on the real plant."""
+    return float(simulated(s, real_step(s, p, SUBSTEPS), lambda x: offset - x @ K.T, w)[0].mean())
+
+
+def _climb(value, start: Array, size: float, *, box: int = 0):
+    """A local maximum of `value` by Nelder and Mead; the first `box` coordinates stay in [0, 1]."""
+    simplex = np.vstack([start, start + size * np.eye(len(start))])
+    inside = simplex[:, :box]
+    simplex[:, :box] = np.where(inside > 1, inside - 2 * size, inside)
+    bounds = [(0.0, 1.0)] * box + [(None, None)] * (len(start) - box)
+    return minimize(
+        lambda z: -value(z), start, method="Nelder-Mead", bounds=bounds,
+        options={"initial_simplex": simplex, "maxfev": 60 * len(start), "xatol": 1e-3, "fatol": 1e-4, "adaptive": True},
+    )  # fmt: skip
