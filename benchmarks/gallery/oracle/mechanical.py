@@ -85,8 +85,8 @@ def pendulum() -> Statement:
         return np.stack([x[:, 1], gravity / length * np.sin(x[:, 0]) + torque / inertia], axis=1)
 
     return Statement(
-        matrices, Q=[50.0, 5.0], R=[0.4], std=[1.0], x0=[0.4, 0.0], p0=[0.7, 0.6], lower=[0.3, 0.2],
-        upper=[1.0, 1.5], x_max=[1.0, 3.0], u_max=[25.0], dt=0.05, real=real,
+        matrices, Q=[50.0, 5.0], R=[0.4], std=[1.0], x0=[0.4, 0.0], p0=[0.7, 0.6], lower=[0.3, 0.3],
+        upper=[1.0, 1.5], x_max=[1.0, 3.0], u_max=[12.0], dt=0.05, real=real,
     )  # fmt: skip
 
 

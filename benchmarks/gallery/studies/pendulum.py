@@ -22,7 +22,7 @@ def pendulum(*, real: bool = False) -> Plant:
         torque = MOTOR * u + length * w - FRICTION * velocity + mass * GRAVITY * length * ca.sin(angle)
         torque -= DRY_FRICTION * ca.tanh(velocity / 0.05)
     dynamics = ca.vertcat(velocity, torque / (mass * length**2))
-    design = DesignSpace(["l", "m"], lower=[0.3, 0.2], upper=[1.0, 1.5], units=["m", "kg"])
+    design = DesignSpace(["l", "m"], lower=[0.3, 0.3], upper=[1.0, 1.5], units=["m", "kg"])
     names = ["angle [rad]", "angular velocity [rad/s]"]
     return Plant(x, u, w, p, dynamics, design, dt=0.05, state_names=names, input_names=["torque [N·m]"])
 
@@ -32,7 +32,7 @@ study = Study(
     title="Inverted pendulum, linearised",
     plant=pendulum(),
     X=Polytope.from_bounds([-1.0, -3.0], [1.0, 3.0]),
-    U=Polytope.from_bounds([-25.0], [25.0]),
+    U=Polytope.from_bounds([-12.0], [12.0]),
     objective=QuadraticObjective(Q=np.diag([50.0, 5.0]), R=[[0.4]]),
     disturbance=Gaussian(std=[1.0]),
     x0=[0.4, 0.0],
