@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,8 @@ from ccdtools.comparison.baselines import saturated_lqr
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.simulation import simulate
 from ccdtools.studies import RunFolder, Study, load_study
+from ccdtools.studies.service import ServiceStatus
+from ccdtools.studies.stage_storage import Stage
 from ccdtools.trajectory import Trajectory
 from gallery.oracle.cost import linear_return, saturated_return
 from gallery.oracle.receding_horizon import RecedingHorizon
@@ -28,11 +29,15 @@ STUDIES = Path(__file__).resolve().parent / "studies"
 
 @dataclass(frozen=True)
 class Step:
-    """From one generation to the next on the real plant: paired difference of returns, and its 95 % interval."""
+    """A deployed generation less what was in service before it, on the real plant: paired, with its 95 % interval.
+
+    `kept` is whether the loop left it in service.
+    """
 
     difference: float
     low: float
     high: float
+    kept: bool = True
 
     @property
     def verdict(self) -> str:
@@ -59,6 +64,9 @@ class Measured:
     deployed : tuple of float
         Mean return on the real plant of what was deployed in each generation.
     steps : tuple of Step
+        Of the later generations.
+    at_the_end : Step or None
+        What is in service after the last generation, less the first.
     depth, mpc_depth : float
         Mean over runs of the deepest excursion from X [half-widths], of the first co-design and of MPC at its design.
     beside_mpc : float
@@ -75,33 +83,50 @@ class Measured:
     depth: float
     mpc_depth: float
     beside_mpc: float
+    at_the_end: Step | None = None
 
 
 def measured(study_name: str, folder: Path) -> Measured:
     """The measurements of one finished run."""
-    study = load_study(STUDIES / f"{study_name}.py")
+    study = study_of(study_name)
     run = RunFolder(folder)
-    results = json.loads((folder / "results.json").read_text())
-    first = run.read_stage("codesign-1")
-    policy = LearnedPolicy(first.networks["agent"], first.arrays["design"])
-    shortfall, error = _shortfall(study_name, study, policy)
-    on_model = _driven(study, policy, real=False, runs=LIMITED_RUNS)
-    mpc_depth, beside = _mpc(study_name, study, policy, on_model) if study_name in LIMITED else (np.nan, np.nan)
-    count = len(results["generations"])
-    returns = [_deployed_returns(study, run, g) for g in range(1, count + 1)]
-    return Measured(
-        design={name: float(value) for name, value in zip(study.plant.design.names, policy.design)},
-        shortfall=shortfall, shortfall_error=error, valley=_valley(study_name, study, policy.design),
-        status=status_of(results["generations"][0]),
-        deployed=tuple(float(r.mean()) for r in returns),
-        steps=tuple(_step(after, before) for before, after in pairwise(returns)),
-        depth=_depth(study, on_model), mpc_depth=mpc_depth, beside_mpc=beside,
+    generations = json.loads((folder / "results.json").read_text())["generations"]
+    returns = [_deployed_returns(study, run, entry["generation"]) for entry in generations]
+    service = returns[0]
+    steps = []
+    for entry, deployed in zip(generations[1:], returns[1:]):
+        kept = ServiceStatus(entry["delivery"]["status"]).replaces
+        steps.append(_step(deployed, service, kept))
+        service = deployed if kept else service
+    return replace(
+        measured_first(study_name, run.read_stage("codesign-1")), deployed=tuple(float(r.mean()) for r in returns),
+        steps=tuple(steps), at_the_end=_step(service, returns[0], True),
     )  # fmt: skip
 
 
-def status_of(generation: dict[str, Any]) -> str:
-    """What a generation's co-design says of how it ended; a dash where it says nothing."""
-    status = generation.get("status", "–")
+def measured_first(study_name: str, found: Stage) -> Measured:
+    """The measurements of a first co-design alone."""
+    study = study_of(study_name)
+    policy = LearnedPolicy(found.networks["agent"], found.arrays["design"])
+    shortfall, error = _shortfall(study_name, study, policy)
+    on_model = _driven(study, policy, real=False, runs=LIMITED_RUNS)
+    mpc_depth, beside = _mpc(study_name, study, policy, on_model) if study_name in LIMITED else (np.nan, np.nan)
+    return Measured(
+        design={name: float(value) for name, value in zip(study.plant.design.names, policy.design)},
+        shortfall=shortfall, shortfall_error=error, valley=_valley(study_name, study, policy.design),
+        status=status_of(found.values), deployed=(), steps=(), depth=_depth(study, on_model), mpc_depth=mpc_depth,
+        beside_mpc=beside,
+    )  # fmt: skip
+
+
+def study_of(name: str) -> Study:
+    """The study that a file of the gallery declares."""
+    return load_study(STUDIES / f"{name}.py")
+
+
+def status_of(values: dict[str, Any]) -> str:
+    """What a co-design says of how it ended, from what its stage has kept; a dash where it says nothing."""
+    status = values.get("status", "–")
     return str(status.get("name", status)) if isinstance(status, dict) else str(status)
 
 
@@ -157,11 +182,11 @@ def _deployed_returns(study: Study, run: RunFolder, generation: int) -> Any:
     return _driven(study, LearnedPolicy(stage.networks["agent"], design), real=True).returns(study.objective)
 
 
-def _step(after: Any, before: Any) -> Step:
+def _step(after: Any, before: Any, kept: bool) -> Step:
     """The paired difference of returns (n,)."""
     difference = after - before
     half = NORMAL * difference.std(ddof=1) / np.sqrt(len(difference))
-    return Step(float(difference.mean()), float(difference.mean() - half), float(difference.mean() + half))
+    return Step(float(difference.mean()), float(difference.mean() - half), float(difference.mean() + half), kept)
 
 
 def _depth(study: Study, trajectory: Trajectory) -> float:

@@ -12,13 +12,15 @@ from gallery.reference import LIMITED, reference
 if TYPE_CHECKING:
     from gallery.run import Run
 
+Row = tuple["Run", Measured, dict[str, Any]]  # with the note of how it ended
+
 NEAR = 0.5  # % below the optimum that count as reached
 WORTH = 2.0  # % that knowing the truth must bring before a generation has to be better
 
 
 def markdown(runs: Iterable[Run]) -> str:
     """The table of all finished runs, a line for every one that is not, and the summary."""
-    finished: list[tuple[Run, Measured, dict[str, Any]]] = []
+    finished: list[Row] = []
     broken: list[str] = []
     for run in runs:
         note = run.folder.with_suffix(".json")
@@ -29,13 +31,18 @@ def markdown(runs: Iterable[Run]) -> str:
             finished.append((run, measured(run.study, run.folder), ended))
         else:
             broken.append(f"- {run.study}, seed {run.seed}, from the {run.start}: exit {ended['exit']}")
+    return table_of(finished, broken)
+
+
+def table_of(finished: Sequence[Row], broken: Sequence[str] = ()) -> str:
+    """The table of runs that have been measured, those that broke, and the summary."""
     if not finished:
         return "\n".join(["Nothing has finished.", *broken])
     parts = [_rows(finished), "\n".join(broken), "\n".join(f"- {line}" for line in summary(finished))]
     return "\n\n".join(part for part in parts if part)
 
 
-def _rows(finished: Sequence[tuple[Run, Measured, dict[str, Any]]]) -> str:
+def _rows(finished: Sequence[Row]) -> str:
     """One line per run."""
     head = ["study", "start", "seed", "first design", "below the optimum", "status", "deployed, generation after "
             "generation", "outside X, deepest (MPC)", "time", "memory"]  # fmt: skip
@@ -55,14 +62,14 @@ def _rows(finished: Sequence[tuple[Run, Measured, dict[str, Any]]]) -> str:
 
 def _deployed(found: Measured) -> str:
     """The deployed returns, each with its verdict against the one before."""
-    texts = [f"{found.deployed[0]:.4g}"]
+    texts = [f"{value:.4g}" for value in found.deployed[:1]]
     for value, step in zip(found.deployed[1:], found.steps):
         mark = {"worse": " ▼", "better": " ▲", "equal": ""}[step.verdict]
-        texts.append(f"{value:.4g}{mark}")
+        texts.append(f"{value:.4g}{mark}{'' if step.kept else ' (taken back)'}")
     return " → ".join(texts)
 
 
-def summary(finished: Sequence[tuple[Run, Measured, dict[str, Any]]]) -> list[str]:
+def summary(finished: Sequence[Row]) -> list[str]:
     """What had to be reached, and in how many runs it was."""
     near = [found.shortfall - 2 * found.shortfall_error <= NEAR for _, found, _ in finished]
     missed = [f"{run.study} from the {run.start}, seed {run.seed}: {found.shortfall:.2f} %, “{found.status}”"
@@ -71,12 +78,17 @@ def summary(finished: Sequence[tuple[Run, Measured, dict[str, Any]]]) -> list[st
     lines += [f"not: {text}" for text in missed]
     steps = [(run, number + 2, step) for run, found, _ in finished for number, step in enumerate(found.steps)]
     worse = [entry for entry in steps if entry[2].verdict == "worse"]
-    lines.append(f"generations worse than the one before beyond the interval: {len(worse)} of {len(steps)}")
+    lines.append(f"deployed and worse beyond the interval than what was in service: {len(worse)} of {len(steps)}")
     lines += [
         f"worse: {run.study} from the {run.start}, seed {run.seed}, generation {number}: {step.difference:+.3g} "
-        f"[{step.low:.3g}, {step.high:.3g}]"
+        f"[{step.low:.3g}, {step.high:.3g}]{'' if step.kept else ', taken back'}"
         for run, number, step in worse
     ]
+    ends = [(run, found.at_the_end) for run, found, _ in finished if found.steps and found.at_the_end is not None]
+    lost = [entry for entry in ends if entry[1].verdict == "worse"]
+    lines.append(f"in service at the end and worse beyond the interval than generation 1: {len(lost)} of {len(ends)}")
+    lines += [f"worse at the end: {run.study} from the {run.start}, seed {run.seed}: {step.difference:+.3g}"
+              for run, step in lost]  # fmt: skip
     lines += _where_truth_pays(finished)
     limited = [(run, found) for run, found, _ in finished if run.study in LIMITED]
     lines += [
@@ -87,16 +99,17 @@ def summary(finished: Sequence[tuple[Run, Measured, dict[str, Any]]]) -> list[st
     return lines
 
 
-def _where_truth_pays(finished: Sequence[tuple[Run, Measured, dict[str, Any]]]) -> list[str]:
-    """How often the last generation was better than the first where knowing the real plant is worth something."""
+def _where_truth_pays(finished: Sequence[Row]) -> list[str]:
+    """How often what is in service at the end is better than the first, where knowing the real plant pays."""
     lines = []
     for study in sorted({run.study for run, _, _ in finished}):
         worth = reference(study).get("truth", {}).get("worth_percent", 0.0)
         rows = [found for run, found, _ in finished if run.study == study and found.steps]
         if worth < WORTH or not rows:
             continue
-        gains = [100 * (found.deployed[-1] - found.deployed[0]) / abs(found.deployed[0]) for found in rows]
-        better = sum(any(step.verdict == "better" for step in found.steps) for found in rows)
+        ends = [found.at_the_end for found in rows if found.at_the_end is not None]
+        gains = [100 * end.difference / abs(found.deployed[0]) for end, found in zip(ends, rows)]
+        better = sum(end.verdict == "better" for end in ends)
         lines.append(
             f"{study}, where knowing the real plant is worth {worth:.1f} %: better in {better} of {len(rows)} runs, "
             f"by {min(gains):.1f} to {max(gains):.1f} % from the first to the last generation"

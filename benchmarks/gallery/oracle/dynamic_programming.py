@@ -12,8 +12,8 @@ from gallery.oracle.cost import simulated
 from gallery.oracle.statement import Array, Statement
 
 EXTENT = 2.0  # half-widths of X that the grid covers
-POINTS = 121  # per state
-INPUTS = 41
+POINTS = 91  # per state
+INPUTS = 31
 NODES = 5  # of the quadrature per disturbance
 
 

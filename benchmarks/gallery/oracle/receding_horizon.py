@@ -10,7 +10,7 @@ from scipy.linalg import solve_discrete_are
 from gallery.oracle.cost import simulated
 from gallery.oracle.statement import Array, Statement
 
-PRICE = 1e3  # of a half-width outside X, linear, relative to the cost of a step at the limit
+PRICE = 1e2  # of a half-width outside X, linear, relative to the cost of a step at the limit
 
 
 class RecedingHorizon:

@@ -80,5 +80,5 @@ def _climb(value, start: Array, size: float, *, box: int = 0):
     bounds = [(0.0, 1.0)] * box + [(None, None)] * (len(start) - box)
     return minimize(
         lambda z: -value(z), start, method="Nelder-Mead", bounds=bounds,
-        options={"initial_simplex": simplex, "maxfev": 60 * len(start), "xatol": 1e-3, "fatol": 1e-4, "adaptive": True},
+        options={"initial_simplex": simplex, "maxfev": 40 * len(start), "xatol": 1e-3, "fatol": 1e-4, "adaptive": True},
     )  # fmt: skip

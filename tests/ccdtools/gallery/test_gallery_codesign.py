@@ -47,7 +47,7 @@ def test_a_small_budget_reaches_the_optimum_from_the_worst_corner(name):
     corner = np.array(reference(name)["worst_corner"])
     below, design = below_the_optimum(
         name, corner, 0, samples=150, cloning=replace(CloningConfig(), steps=1200),
-        config=CoDesignConfig(iterations=60, pathwise_runs=64, evaluation_runs=300),
+        config=CoDesignConfig(pathwise_runs=64, evaluation_runs=300),
     )  # fmt: skip
     assert below < NEAR
     unit = statement(name)

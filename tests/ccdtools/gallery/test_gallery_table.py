@@ -19,7 +19,10 @@ def a_run(root, study="servo", start="study", seed=0, exit_code=0):
 
 def a_measurement(shortfall=0.1, *, error=0.01, steps=(), deployed=(-40.0,), valley=0, beside=np.nan):
     """What a run might have reached."""
-    return Measured({"n": 20.0}, shortfall, error, valley, "converged", deployed, tuple(steps), 0.0, np.nan, beside)
+    end = Step(steps[-1].difference, steps[-1].low, steps[-1].high) if steps else None
+    return Measured(
+        {"n": 20.0}, shortfall, error, valley, "converged", deployed, tuple(steps), 0.0, np.nan, beside, at_the_end=end
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -43,11 +46,24 @@ def test_a_run_counts_as_near_only_within_half_a_per_cent(table_of):
 
 
 def test_a_worse_generation_is_named_with_its_interval(table_of):
-    steps = [Step(-2.0, -3.0, -1.0), Step(0.5, -0.5, 1.5), Step(2.0, 1.0, 3.0)]
+    steps = [Step(-2.0, -3.0, -1.0, kept=False), Step(0.5, -0.5, 1.5), Step(2.0, 1.0, 3.0)]
     text = table_of(a_measurement(steps=steps, deployed=(-40.0, -42.0, -41.5, -39.5)))
-    assert "generations worse than the one before beyond the interval: 1 of 3" in text
-    assert "worse: servo from the study, seed 0, generation 2: -2 [-3, -1]" in text
-    assert "-40 → -42 ▼ → -41.5 → -39.5 ▲" in text
+    assert "deployed and worse beyond the interval than what was in service: 1 of 3" in text
+    assert "worse: servo from the study, seed 0, generation 2: -2 [-3, -1], taken back" in text
+    assert "in service at the end and worse beyond the interval than generation 1: 0 of 1" in text
+    assert "-40 → -42 ▼ (taken back) → -41.5 → -39.5 ▲" in text
+
+
+def test_what_is_in_service_at_the_end_is_named_if_it_is_worse_than_the_first(table_of):
+    text = table_of(a_measurement(steps=[Step(-2.0, -3.0, -1.0)], deployed=(-40.0, -42.0)), a_measurement())
+    assert "in service at the end and worse beyond the interval than generation 1: 1 of 1" in text
+    assert "worse at the end: servo from the study, seed 0: -2" in text
+
+
+def test_where_the_truth_pays_the_gain_is_counted(table_of):
+    steps = [Step(3.0, 2.0, 4.0)]
+    text = table_of(a_measurement(steps=steps, deployed=(-80.0, -77.0)), study="pendulum")
+    assert "better in 1 of 1 runs, by 3.8 to 3.8 %" in text
 
 
 def test_a_run_that_broke_is_listed_and_not_counted(table_of):
