@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from gallery.oracle.statement import Array, Statement
 
-POINTS = {1: 201, 2: 41, 3: 13}
+POINTS = {1: 201, 2: 41, 3: 9}
 SAME = 0.02  # of the box: two optima nearer than this are one
 EXACT = 1e-5  # of the box, to which an optimum is polished
 
