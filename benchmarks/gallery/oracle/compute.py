@@ -62,6 +62,7 @@ def _lqr(s: Statement, p: Array, study: str) -> float:
 def _by_dynamic_programming(s: Statement) -> Landscape:
     """The landscape of the best policy where inputs saturate; its worst corner is that of the clipped LQR."""
     w = s.disturbance(CLIPPED_RUNS, SEED)
+    few = w[:SEARCH_RUNS]
 
     @cache
     def value(*p: float) -> float:

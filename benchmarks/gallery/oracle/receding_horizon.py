@@ -41,7 +41,7 @@ class RecedingHorizon:
         upper = self.upper.copy()
         lower[: len(x)] = upper[: len(x)] = self.A @ x
         self.solver.update(l=lower, u=upper)
-        return self.solver.solve().x
+        return self.solver.solve(raise_error=True).x
 
 
 def _costs(s: Statement, A: Array, B: Array, N: int) -> tuple[sparse.csc_matrix, Array]:
