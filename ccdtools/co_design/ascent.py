@@ -1,177 +1,248 @@
-"""One co-design from one start: policy and design climb together, block by block, while it pays."""
+"""One co-design from one start: policy and design climb together, block by block, while it pays.
+
+Along the gradient through the model, a block is a climb by L-BFGS-B on a fixed set of scenarios, on which the return is
+a smooth function of policy and design; the next block draws another set, so that nothing is fitted to one. With PPO
+beside it, or while runs diverge, Adam takes its steps on fresh scenarios instead, its rates falling along a cosine. The
+gain of a block is measured on further scenarios, the same for all, and the next one starts from the best iterate.
+
+References
+----------
+Kim, Pasupathy and Henderson, "A guide to sample average approximation", Handbook of Simulation Optimization, 2015;
+Byrd, Lu, Nocedal and Zhu, SIAM J. Sci. Comput. 16, 1995 (L-BFGS-B, in SciPy); Loshchilov and Hutter, "SGDR", ICLR 2017.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import copy
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import torch
+from scipy.optimize import minimize
 from torch import Tensor
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.co_design.design_gradients import FEW, differences, standard_error
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
-from ccdtools.co_design.limits import LimitsOutcome
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.reinforcement.gradients import check_gradients
 from ccdtools.co_design.reinforcement.ppo import PPOPart
-from ccdtools.co_design.result import History
+from ccdtools.co_design.result import Convergence, History
+from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.task import Iterate, Task
+from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic
 from learning.ppo import decay_exploration
 
 Scenarios = tuple[Tensor, Tensor]
 
-
-class LimitPenalty(Protocol):
-    """What keeps a co-design within its state limits: a cost whose multipliers grow while they are not kept."""
-
-    def cost(self, episode: Episode) -> Tensor:
-        """What leaving X costs, (n,) in the units of the return; differentiable, zero within the tolerance."""
-        ...
-
-    def violation(self, episode: Episode) -> float:
-        """By how much the tolerance is exceeded; 0 where it is kept."""
-        ...
-
-    @property
-    def active(self) -> bool:
-        """Whether leaving X costs anything at present."""
-        ...
-
-    def updated(self, episode: Episode, v: Tensor, scenarios: Scenarios) -> LimitPenalty:
-        """The penalty of the next block, after the episodes of an evaluation at the point `v` of the unit box."""
-        ...
-
-    def outcome(self, episode: Episode) -> LimitsOutcome:
-        """How the iterate of these episodes keeps the limits."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What is optimised, and how.
-
-    Attributes
-    ----------
-    problem, judge : CoDesignProblem
-        What the gradients come from, and what iterates are scored on.
-    method : {"pathwise", "ppo", "pathwise+ppo"}
-    config : CoDesignConfig
-    limits : LimitPenalty or None
-    """
-
-    problem: CoDesignProblem
-    judge: CoDesignProblem
-    method: str
-    config: CoDesignConfig
-    limits: LimitPenalty | None = None
-
-    @property
-    def pathwise(self) -> bool:
-        """Whether the policy follows its gradient through the model."""
-        return "pathwise" in self.method and self.config.policy_rate > 0
-
-    @property
-    def ppo(self) -> bool:
-        """Whether the policy follows PPO."""
-        return "ppo" in self.method
-
-    @property
-    def moving(self) -> bool:
-        """Whether the design moves."""
-        return self.config.design_rate > 0
-
-
-@dataclass(frozen=True, eq=False)
-class Iterate:
-    """A design and its policy, with what the fixed scenarios say of them.
-
-    Attributes
-    ----------
-    returns : (n,) array
-        Of every evaluation run; a diverged one with its whole, huge cost.
-    violation : float
-        By how much the tolerance of the state limits is exceeded.
-    limits : LimitsOutcome or None
-        How it keeps them.
-    """
-
-    v: Tensor
-    agent: ActorCritic
-    returns: Array
-    violation: float
-    limits: LimitsOutcome | None = None
-
-    @property
-    def score(self) -> float:
-        """Mean return over the evaluation runs."""
-        return float(self.returns.mean())
-
-    def beats(self, other: Iterate) -> bool:
-        """Whether it is preferred: limits kept before limits broken, then by its violation or its return."""
-        if self.violation > 0 or other.violation > 0:
-            return self.violation < other.violation
-        return self.score > other.score
+SLOPE_RUNS = 512  # scenarios of the slope that a status rests on
+SIGNIFICANT = 3.0  # standard errors of a slope that is not chance
+QUIET_LIMITED = 3  # the same while multipliers of the state limits move
+AHEAD = 0.1  # of the box: over this distance a slope must promise a gain that matters
+QUIET = {"pathwise": 1, "ppo": 2, "pathwise+ppo": 1}  # blocks without a gain that end it; PPO's first may only train V
+MEMORY = 20  # pairs that L-BFGS keeps
+STEEPEST = 1e3  # relative gradients are clipped here: a step into lost runs has 1e17
+UNRESOLVED = 0.05  # of the return over the distance ahead: a slope with such an error says nothing
 
 
 class Ascent:
-    """The moving parts of one co-design; the agent handed over is trained in place."""
+    """The moving parts of one co-design; the agent handed over is trained in place.
 
-    def __init__(self, task: Task, agent: ActorCritic, design: Array, rng: np.random.Generator) -> None:
+    Parameters
+    ----------
+    evaluation : tensors (n, nx) and (n, T, nw)
+        Fixed scenarios of the judge that iterates are scored on.
+    """
+
+    def __init__(
+        self, task: Task, agent: ActorCritic, design: Array, rng: np.random.Generator, evaluation: Scenarios
+    ) -> None:
         config = task.config
         self.task = task
         self.agent = agent
         self.rng = rng
+        self.start = design
+        self.evaluation = evaluation
         self.limits = task.limits
         self.v = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32).requires_grad_(True)
+        self.check = check_gradients(task.problem, agent, design, rng=rng, ppo=config.ppo) if task.moving else None
         self.ppo = PPOPart(task.problem, agent, self._p(), rng, config)
         self.first_std = agent.log_std.exp().mean().item()
         self.design_optimiser = torch.optim.Adam([self.v], lr=config.design_rate or 1.0, betas=(0.8, 0.9))
         self.policy_optimiser = torch.optim.Adam(agent.mean_network.parameters(), lr=config.policy_rate or 1.0)
-        self.evaluation = scenario_tensors(task.judge, fewer_runs(config.evaluation_runs, task.judge.steps), rng)
         self.model_steps = 0
+        self.iterations = 0
+        self.blocks = 0
+        self.quiet = 0
         self.rows: list[tuple] = []
-        self.best = self._evaluated(0)
+        self.best = self.evaluated()
+        self.gain = PairedDifference(float("nan"), (float("nan"), float("nan")))
+        self.slope = np.zeros((2, len(self.v)))
+        self.status: CoDesignStatus | None = None
 
-    def run(self, bar: tqdm) -> Iterate:
-        """All iterations; the best iterate that was evaluated."""
+    @property
+    def ended(self) -> bool:
+        """Whether it has settled, or spent its budget."""
+        return self.status is not None
+
+    @property
+    def limited(self) -> bool:
+        """Whether leaving X costs anything at present."""
+        return self.limits is not None and self.limits.active
+
+    @property
+    def by_differences(self) -> bool:
+        """Whether the design follows finite differences in the place of the gradient through the model."""
+        wrong = self.check is not None and not self.check.trusted
+        return wrong and len(self.v) <= FEW and self.task.config.design_gradient == "pathwise"
+
+    def block(self, bar: tqdm) -> None:
+        """One block of iterations, and what it brought."""
         config = self.task.config
-        for k in range(config.iterations):
-            self.iterate(k)
-            bar.update()
-            if (k + 1) % config.evaluate_every == 0 or k + 1 == config.iterations:
-                iterate = self._evaluated(k + 1)
-                self.best = iterate if iterate.beats(self.best) else self.best
-        return self.best
+        before = self.best
+        length = min(config.block, config.iterations - self.iterations)
+        if self.task.smooth and before.lost == 0 and not self.limited:
+            self._climb(length, bar)
+        else:
+            self._follow(length, bar)
+        self._return_to_best()
+        self.blocks += 1
+        self.gain = paired_difference(self.best.returns, before.returns)
+        self._judge(before)
 
-    def _evaluated(self, iteration: int) -> Iterate:
-        """The present iterate on the fixed scenarios, with a row of the history."""
+    def _judge(self, before: Iterate) -> None:
+        """Set the status, if this was the last block."""
+        improving = self._improved(before)
+        self.quiet = 0 if improving else self.quiet + 1
+        spent = self.iterations >= self.task.config.iterations
+        if not spent and self.quiet < (QUIET_LIMITED if self.limited else QUIET[self.task.method]):
+            return
+        climbing = self._climbs() if self.task.moving else False
+        if climbing and not spent:
+            self.quiet = 0
+            return
+        self.status = self._verdict(improving, climbing)
+
+    def _verdict(self, improving: bool, climbing: bool) -> CoDesignStatus:
+        """How it ended."""
+        space = self.task.problem.design
+        if self.best.lost > 0:
+            return CoDesignStatus.DIVERGING
+        if self.best.violation > 0:
+            return CoDesignStatus.LIMITS_BROKEN
+        if self.task.moving and self._untrusted():
+            return CoDesignStatus.GRADIENT_UNTRUSTED
+        if improving:
+            return CoDesignStatus.STILL_IMPROVING
+        if climbing:
+            return CoDesignStatus.BUDGET_SPENT
+        held = self.task.moving and space.active_bounds(space.from_unit(self.best.v.double().numpy()))
+        return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
+
+    def _improved(self, before: Iterate) -> bool:
+        """Whether the block brought a gain that is not chance and that matters, or fewer lost runs or violations."""
+        best = self.best
+        if best.lost < before.lost or best.violation < (1 - AHEAD) * before.violation:
+            return True
+        return bool(self.gain.ci95[0] > 0 and self.gain.mean > self.task.config.tolerance * abs(best.score))
+
+    def _climbs(self) -> bool:
+        """Whether the return still rises along the design, by finite differences inside the box."""
+        best = self.best
+        scenarios = self._drawn(SLOPE_RUNS)
+        by_run = differences(self.task.problem, best.agent, best.v, scenarios)
+        slope = by_run.mean(0).numpy()
+        error = standard_error(by_run).numpy()
+        v = best.v.double().numpy()
+        room = np.where(slope > 0, 1.0 - v, v)
+        self.slope = np.where(room > 0, np.stack([slope, error]), 0.0)
+        promised = np.abs(slope) * np.minimum(room, AHEAD) / 2  # a slope that falls to zero over that distance
+        needed = 2 * self.task.config.tolerance * abs(best.score)
+        return bool(((np.abs(slope) > SIGNIFICANT * error) & (promised > needed)).any())
+
+    def _untrusted(self) -> bool:
+        """Whether no estimate of the design gradient could be trusted."""
+        if self.check is None or self.check.trusted or self.task.config.design_gradient != "pathwise":
+            return False
+        error = self.slope[1]
+        noisy = bool((error * AHEAD > UNRESOLVED * abs(self.best.score)).any() or not np.isfinite(error).all())
+        return noisy or not self.by_differences
+
+    def _drawn(self, runs: int) -> Scenarios:
+        """Fresh scenarios of the problem."""
+        return scenario_tensors(self.task.problem, fewer_runs(runs, self.task.problem.steps), self.rng)
+
+    def keep(self, iterate: Iterate) -> None:
+        """Remember an iterate if it beats the best so far."""
+        self.best = iterate if iterate.beats(self.best) else self.best
+
+    def _return_to_best(self) -> None:
+        """Go on from the best iterate."""
+        self.agent.load_state_dict(self.best.agent.state_dict())
         with torch.no_grad():
-            seen = episode_at(
-                self.task.judge, self.agent, self.v.detach(), self.evaluation, depths=self.limits is not None
-            )
+            self.v.copy_(self.best.v)
+
+    def _climb(self, length: int, bar: tqdm) -> None:
+        """At most so many evaluations of L-BFGS-B on one set of scenarios."""
+        cost = _SampleCost(self, self._drawn(self.task.config.pathwise_runs), length, bar)
+        options = {"maxfun": 10 * length, "maxiter": length, "maxcor": MEMORY, "ftol": 1e-7, "gtol": 1e-5}
+        with np.errstate(all="ignore"), contextlib.suppress(_SpentError):
+            minimize(cost, cost.z, jac=True, method="L-BFGS-B", bounds=cost.bounds, options=options)
+        cost.set(cost.z)
+        if cost.changed:
+            self.keep(self.evaluated())
+
+    def _follow(self, length: int, bar: tqdm) -> None:
+        """So many steps of Adam, and of PPO where it has a part, on fresh scenarios."""
+        for k in range(length):
+            self.iterate(k, length)
+            self.count(bar)
+            if (k + 1) % self.task.config.evaluate_every == 0 or k + 1 == length:
+                self.keep(self.evaluated())
+
+    def count(self, bar: tqdm) -> None:
+        """One more iteration."""
+        self.iterations += 1
+        bar.update()
+
+    def cost(self, v: Tensor, scenarios: Scenarios) -> Tensor:
+        """Mean cost at a point of the unit box, with what leaving X costs; differentiable."""
+        seen = episode_at(self.task.problem, self.agent, v, scenarios, depths=self.limited)
+        cost = -seen.total.mean()
+        return cost + self.limits.cost(seen).mean() if self.limits is not None and self.limited else cost
+
+    @torch.no_grad()
+    def _seen(self, iterate: Iterate | Ascent) -> Episode:
+        """An iterate on the fixed scenarios."""
+        v = iterate.v.detach()
+        return episode_at(self.task.judge, iterate.agent, v, self.evaluation, depths=self.limits is not None)
+
+    def evaluated(self) -> Iterate:
+        """The present iterate on the fixed scenarios, with a row of the history."""
+        seen = self._seen(self)
         kept = seen.total[~seen.diverged]
         mean = kept.mean().item() if len(kept) else float("nan")
         std = kept.std().item() if len(kept) > 1 else 0.0
         lost = seen.diverged.double().mean().item()
-        self.rows.append((iteration, self.model_steps + self.ppo.env_steps, self._design(), mean, std, lost))
+        steps = self.model_steps + self.ppo.env_steps
+        self.rows.append((self.iterations, steps, self._design(), mean, std, lost))
         violation = 0.0
         outcome = None
         if self.limits is not None:
             self.limits = self.limits.updated(seen, self.v.detach(), self.evaluation)
             violation = self.limits.violation(seen)
             outcome = self.limits.outcome(seen)
-        return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), seen.total.numpy(), violation, outcome)
+        return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), seen.total.numpy(), violation, lost, outcome)
 
-    def iterate(self, k: int) -> None:
-        """One step of the policy and one of the design."""
+    def iterate(self, k: int, length: int) -> None:
+        """One step of the policy and one of the design; the rates are those of iteration k of a block."""
         task = self.task
         config = task.config
-        factor = 1.0 if config.constant_rates else 0.5 * (1 + np.cos(np.pi * k / config.iterations))
-        decay_exploration(self.agent, self.first_std, config.ppo.final_std, k / max(config.iterations - 1, 1))
+        factor = 1.0 if config.constant_rates else 0.5 * (1 + np.cos(np.pi * k / length))
+        explored = 1.0 if self.blocks else k / max(length - 1, 1)
+        decay_exploration(self.agent, self.first_std, config.ppo.final_std, explored)
         by_network_input = task.moving and config.design_gradient == "network_input"
         gradient: Tensor | None = None
         if task.ppo or by_network_input:
@@ -179,7 +250,7 @@ class Ascent:
             if by_network_input:
                 gradient = self.ppo.network_input_gradient(rollout, self.v)
             if task.ppo:
-                self.ppo.update(rollout, factor=factor, actor=k >= config.ppo.critic_only)
+                self.ppo.update(rollout, factor=factor, actor=self.iterations >= config.ppo.critic_only)
         if task.pathwise or (task.moving and not by_network_input):
             through_model = self._follow_model(factor)
             gradient = through_model if gradient is None else gradient
@@ -189,14 +260,10 @@ class Ascent:
     def _follow_model(self, factor: float) -> Tensor:
         """The design's gradient of the relative return through the dynamics; the policy takes a step on its own."""
         task = self.task
-        limits = self.limits if self.limits is not None and self.limits.active else None
-        scenarios = scenario_tensors(task.problem, fewer_runs(task.config.pathwise_runs, task.problem.steps), self.rng)
+        scenarios = self._drawn(task.config.pathwise_runs)
         self.model_steps += scenarios[1].shape[0] * scenarios[1].shape[1]
-        seen = episode_at(task.problem, self.agent, self.v, scenarios, depths=limits is not None)
-        cost = -seen.total.mean()
+        cost = self.cost(self.v, scenarios)
         size = cost.detach().abs()  # relative, so that a lost run's 1e8 today does not drown tomorrow's steps
-        if limits is not None:
-            cost = cost + limits.cost(seen).mean()
         parameters = list(self.agent.mean_network.parameters()) if task.pathwise else []
         *gradients, design_gradient = torch.autograd.grad(cost / size, [*parameters, self.v])
         for parameter, gradient in zip(parameters, gradients):
@@ -204,6 +271,9 @@ class Ascent:
         if parameters and torch.nn.utils.clip_grad_norm_(parameters, 1.0).isfinite():
             _set_rate(self.policy_optimiser, task.config.policy_rate * factor)
             self.policy_optimiser.step()
+        if self.by_differences and task.moving:
+            by_run = differences(task.problem, self.agent, self.v.detach(), scenarios)
+            return (by_run.mean(0) / size).to(design_gradient.dtype)
         return -design_gradient
 
     def _move_design(self, gradient: Tensor, factor: float) -> None:
@@ -228,6 +298,92 @@ class Ascent:
     def history(self) -> History:
         """The evaluations so far."""
         return History(*(np.array(column) for column in zip(*self.rows)))
+
+    def convergence(self) -> Convergence:
+        """What the status rests on."""
+        slope, error = self.slope
+        return Convergence(self.gain, slope, error, self.by_differences, self.blocks, self.iterations)
+
+
+class _SpentError(Exception):
+    """The evaluations of a block are spent."""
+
+
+class _SampleCost:
+    """Relative cost on fixed scenarios as a function of policy and design, the lowest point so far, and the bounds.
+
+    Attributes
+    ----------
+    z : (m,) array
+        The lowest point: weights of the policy if it moves, then the point of the unit box if the design moves.
+    changed : bool
+        Whether that point has not been evaluated yet.
+    """
+
+    def __init__(self, ascent: Ascent, scenarios: Scenarios, length: int, bar: tqdm) -> None:
+        self.ascent = ascent
+        self.scenarios = scenarios
+        self.left = length
+        self.bar = bar
+        task = ascent.task
+        self.weights = list(ascent.agent.mean_network.parameters()) if task.pathwise else []
+        self.designs = len(ascent.v) if task.moving else 0
+        parts = [weight.detach().ravel() for weight in self.weights] + [ascent.v.detach()] * task.moving
+        self.z = torch.cat(parts).double().numpy()
+        self.bounds = [(None, None)] * (len(self.z) - self.designs) + [(0.0, 1.0)] * self.designs
+        self.scale = abs(ascent.best.score) or 1.0
+        self.lowest = float("inf")
+        self.changed = False
+
+    def __call__(self, z: Array) -> tuple[float, Array]:
+        """Cost and gradient (m,), as parts of the return."""
+        if self.left == 0:
+            raise _SpentError
+        self.left -= 1
+        value, gradient = self._differentiated(z)
+        if value < self.lowest:
+            self.changed = self.changed or np.isfinite(self.lowest)
+            self.lowest = value
+            self.z = z.copy()
+        self.ascent.count(self.bar)
+        if self.ascent.iterations % self.ascent.task.config.evaluate_every == 0 or self.left == 0:
+            self._evaluate()
+        return value, gradient
+
+    def set(self, z: Array) -> None:
+        """Let policy and design be those of `z`."""
+        values = torch.tensor(z, dtype=torch.float32)
+        sizes = [weight.numel() for weight in self.weights]
+        with torch.no_grad():
+            for weight, part in zip(self.weights, values[: sum(sizes)].split(sizes) if sizes else []):
+                weight.copy_(part.reshape(weight.shape))
+            if self.designs:
+                self.ascent.v.copy_(values[-self.designs :])
+
+    def _differentiated(self, z: Array) -> tuple[float, Array]:
+        """Cost and its clipped gradient at a point; a cost that is not finite is very large, and level."""
+        ascent = self.ascent
+        self.set(z)
+        ascent.model_steps += self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
+        cost = ascent.cost(ascent.v, self.scenarios)
+        wanted = [*self.weights, ascent.v] if self.designs else self.weights
+        gradients = [gradient.double().ravel() for gradient in torch.autograd.grad(cost, wanted)]
+        if self.designs and ascent.by_differences:
+            by_run = differences(ascent.task.problem, ascent.agent, ascent.v.detach(), self.scenarios)
+            gradients[-1] = -by_run.mean(0)
+        gradient = torch.cat(gradients).numpy() / self.scale
+        length = float(np.linalg.norm(gradient))
+        if not (np.isfinite(cost.item()) and np.isfinite(length)):
+            return 1e9, np.zeros_like(gradient)
+        return cost.item() / self.scale, gradient * min(1.0, STEEPEST / max(length, STEEPEST))
+
+    def _evaluate(self) -> None:
+        """Score the lowest point."""
+        self.set(self.z)
+        self.changed = False
+        self.ascent.keep(self.ascent.evaluated())
+        if self.ascent.limited:
+            raise _SpentError  # the cost has changed: Adam follows a moving one
 
 
 def _set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import copy
+from dataclasses import replace
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from tqdm import tqdm
 
+from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_generator, as_instance
 from ccdtools.co_design.agents import check_agent
-from ccdtools.co_design.ascent import Ascent, LimitPenalty, Task
+from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
+from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.reinforcement.gradients import check_gradients
-from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.result import CoDesignResult, Valley
+from ccdtools.co_design.starts import chosen_valleys, race, start_designs
+from ccdtools.co_design.task import LimitPenalty, Task
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
 
@@ -75,13 +77,46 @@ def codesign(
         limits = StateLimitPenalty(judge)
         warn_of_unavoidable_depth(judge, design)
     task = Task(problem, judge, method, config, limits)
-    gradients = check_gradients(problem, agent, design, rng=rng, ppo=config.ppo) if task.moving else None
-    ascent = Ascent(task, copy.deepcopy(agent), design, rng)
-    with tqdm(total=config.iterations, desc="co-design", disable=not progress, leave=False) as bar:
-        best = ascent.run(bar)
-    found = problem.design.from_unit(best.v.double().numpy())
-    active = problem.design.active_bounds(found)
-    return CoDesignResult(found, best.agent, active, ascent.history(), gradients, best.limits)
+    found = chosen_valleys(task, design, rng)
+    ascents = race(task, agent, start_designs(task, design, found), rng, progress=progress)
+    return _result(task, ascents, agent, design, found)
+
+
+def _result(
+    task: Task, ascents: list[Ascent], agent: ActorCritic, design: Array, found: tuple[Valley, ...]
+) -> CoDesignResult:
+    """The winner of the race, with what the others came to."""
+    winner = ascents[0]
+    space = task.problem.design
+    best = space.from_unit(winner.best.v.double().numpy())
+    assert winner.status is not None
+    return CoDesignResult(
+        best, winner.best.agent, space.active_bounds(best), winner.history(), winner.check, winner.best.limits,
+        winner.status, task.method, _gains(task, winner, agent, design), winner.convergence(),
+        _with_ends(found, ascents, task),
+    )  # fmt: skip
+
+
+@torch.no_grad()
+def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dict[str, float]:
+    """What design and policy gained, one after the other, on the evaluation scenarios."""
+    first = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32)
+    before, moved = (
+        episode_at(task.judge, agent, v, winner.evaluation).total.mean().item() for v in (first, winner.best.v)
+    )
+    return {"design": moved - before, "policy": winner.best.score - moved}
+
+
+def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], task: Task) -> tuple[Valley, ...]:
+    """The valleys, with where the co-design from each of them ended."""
+    named = []
+    for valley in found:
+        begun = [one for one in ascents if np.array_equal(one.start, valley.design)]
+        for one in begun:
+            end = task.problem.design.from_unit(one.best.v.double().numpy())
+            valley = replace(valley, found=end, found_return=one.best.score)
+        named.append(valley)
+    return tuple(named)
 
 
 def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from ccdtools.checks import as_choice, as_count, as_flag, as_instance, as_number
+from ccdtools.checks import as_choice, as_count, as_flag, as_instance, as_number, as_share
 from learning.ppo import PPOConfig
 
 METHODS = ("pathwise", "ppo", "pathwise+ppo")
@@ -18,7 +18,15 @@ class CoDesignConfig:
     Attributes
     ----------
     iterations : int
-        Each is one step of the policy and one of the design.
+        The budget of one start; each is one gradient of policy and design.
+    block : int
+        Iterations after which the gain is measured. Another block follows while it is significant and matters, or the
+        design has not settled.
+    tolerance : float
+        Part of the return that a block must gain for another to follow.
+    starts : int or None
+        Designs that are climbed from: the given one, and the best of the landscape's other valleys. By default three of
+        up to three parameters, two of more; 1 leaves out the landscape.
     runs : int
         Parallel episodes of a PPO rollout.
     pathwise_runs : int
@@ -26,11 +34,11 @@ class CoDesignConfig:
     design_gradient : {"pathwise", "network_input"}
         Through the dynamics, or the paper's.
     design_rate : float
-        Adam's first rate for the design in the unit box; 0 freezes the design.
+        0 freezes the design; else Adam's first rate in the unit box, where Adam is used.
     policy_rate : float
-        Adam's first rate for the policy's own gradient through the dynamics.
+        0 keeps the policy from its gradient through the dynamics; else Adam's first rate, where Adam is used.
     constant_rates : bool
-        Keep every rate; by default they fall along a cosine to zero.
+        Keep Adam's rates; by default they fall along a cosine to zero in every block.
     evaluate_every : int
         Iterations between evaluations of the current iterate.
     evaluation_runs : int
@@ -41,14 +49,17 @@ class CoDesignConfig:
     samples, but no fewer than 16.
     """
 
-    iterations: int = 120
+    iterations: int = 400
+    block: int = 40
+    tolerance: float = 5e-4
+    starts: int | None = None
     runs: int = 128
-    pathwise_runs: int = 128
+    pathwise_runs: int = 256
     design_gradient: str = "pathwise"
     design_rate: float = 0.03
     policy_rate: float = 1e-3
     constant_rates: bool = False
-    evaluate_every: int = 4
+    evaluate_every: int = 10
     evaluation_runs: int = 1000
     ppo: PPOConfig = field(
         default_factory=lambda: PPOConfig(learning_rate=1e-4, kl_limit=0.005, passes=2, final_std=0.02)
@@ -56,8 +67,11 @@ class CoDesignConfig:
 
     def __post_init__(self) -> None:
         as_choice("design_gradient", self.design_gradient, DESIGN_GRADIENTS)
-        for name in ("iterations", "runs", "pathwise_runs", "evaluate_every", "evaluation_runs"):
+        for name in ("iterations", "block", "runs", "pathwise_runs", "evaluate_every", "evaluation_runs"):
             as_count(name, getattr(self, name))
+        if self.starts is not None:
+            as_count("starts", self.starts)
+        as_share("tolerance", self.tolerance)
         for name in ("design_rate", "policy_rate"):
             as_number(name, getattr(self, name), expected="a number ≥ 0", low=0.0)
         as_flag("constant_rates", self.constant_rates)

@@ -71,10 +71,20 @@ class Stepper:
     @classmethod
     def at(cls, problem: CoDesignProblem, p: Tensor) -> Stepper:
         """The model at design `p` (np,) or (n, np), differentiable in it."""
-        A, B, E = matrices(problem.model, p)
+        return cls._of(problem, p, matrices(problem.model, p))
+
+    @classmethod
+    def for_each(cls, problem: CoDesignProblem, designs: Tensor, runs: int) -> Stepper:
+        """The model at designs (m, np), `runs` runs for each in turn: m · runs in all."""
+        A, B, E = (M.repeat_interleave(runs, dim=0) for M in matrices(problem.model, designs))
+        return cls._of(problem, designs.repeat_interleave(runs, dim=0), (A, B, E))
+
+    @classmethod
+    def _of(cls, problem: CoDesignProblem, p: Tensor, at: tuple[Tensor, Tensor, Tensor]) -> Stepper:
+        """The model of a problem with its matrices at `p`."""
         transport = None if problem.discrepancy is None else problem.discrepancy.transport
-        carry = None if transport is None else transport.matrix(E)
-        return cls(problem, A, B, E, p, p.new_tensor(problem.limit.tolist()), carry)
+        carry = None if transport is None else transport.matrix(at[2])
+        return cls(problem, *at, p, p.new_tensor(problem.limit.tolist()), carry)
 
     def __call__(self, x: Tensor, e: Tensor, u: Tensor, w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Next states (n, nx), next errors (n, nx) and rewards (n,)."""

@@ -65,7 +65,7 @@ class StudyConfig:
     network: NetworkConfig = field(default_factory=NetworkConfig)
     cloning: CloningConfig = field(default_factory=CloningConfig)
     codesign: CoDesignConfig = field(default_factory=CoDesignConfig)
-    redesign: CoDesignConfig = field(default_factory=lambda: CoDesignConfig(iterations=80, policy_rate=3e-4))
+    redesign: CoDesignConfig = field(default_factory=lambda: CoDesignConfig(iterations=200, policy_rate=3e-4))
     online: OnlineConfig = field(default_factory=OnlineConfig)
     quantile: QuantileConfig = field(default_factory=QuantileConfig)
 
@@ -120,7 +120,8 @@ def configuration(
 def _paper(config: StudyConfig, study: Study) -> StudyConfig:
     """The configuration with the paper's networks, rates, epochs and design gradient."""
     codesign = CoDesignConfig(
-        iterations=PAPER_EPOCHS, runs=1, design_gradient="network_input", design_rate=PAPER_RATE, policy_rate=0.0,
+        iterations=PAPER_EPOCHS, block=PAPER_EPOCHS, starts=1, runs=1, design_gradient="network_input",
+        design_rate=PAPER_RATE, policy_rate=0.0,
         constant_rates=True, evaluate_every=200, ppo=PPOConfig(
             passes=1, minibatch=32, learning_rate=PAPER_RATE, value_rate=PAPER_RATE, kl_limit=float("inf"),
             critic_only=0,
@@ -136,8 +137,9 @@ def _quick(config: StudyConfig) -> StudyConfig:
     def fewer(codesign: CoDesignConfig, iterations: int) -> CoDesignConfig:
         """A co-design of at most so many iterations."""
         iterations = min(iterations, codesign.iterations)
-        return replace(codesign, iterations=iterations, runs=min(64, codesign.runs), pathwise_runs=64,
-                       evaluation_runs=300, evaluate_every=max(1, iterations // 10))  # fmt: skip
+        block = max(1, iterations // 2)
+        return replace(codesign, iterations=iterations, block=block, runs=min(64, codesign.runs), pathwise_runs=64,
+                       evaluation_runs=300, evaluate_every=max(1, iterations // 8))  # fmt: skip
 
     return replace(
         config,

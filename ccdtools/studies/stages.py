@@ -132,6 +132,7 @@ class LoopStages:
         arrays = {f"history_{name}": getattr(history, name) for name in history.__dataclass_fields__}
         check = None if result.gradients is None else asdict(result.gradients)
         report = [*str(result.gradients).splitlines()] if result.gradients is not None else []
+        report += result.describe()
         if redesign is not None:
             report += [region_line(redesign["region"]), f"proposed: {space.describe(result.design)}",
                        *redesign["texts"]]  # fmt: skip
@@ -142,8 +143,8 @@ class LoopStages:
             report.append(str(result.limits))
         promise = promised(self.evaluation, chosen, twin.logs)
         report.append(f"promised return of the deployment {promise.mean:.4g}")
-        values = {"active_bounds": active, "gradient_check": check, "redesign": redesign, "promised": asdict(promise),
-                  "limits": _limits(result), "report": report}  # fmt: skip
+        values = {"active_bounds": active, "gradient_check": check, "ended": result.as_dict(), "redesign": redesign,
+                  "promised": asdict(promise), "limits": _limits(result), "report": report}  # fmt: skip
         return Stage(values, {"design": chosen.design, **arrays}, {"agent": chosen.agent})
 
     def deploy(

@@ -1,4 +1,4 @@
-"""Three estimates of how the return changes with the design, in the unit box."""
+"""The paper's design gradient, and every design gradient beside finite differences."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_generator, as_instance, as_positive
+from ccdtools.checks import as_count, as_generator, as_instance, as_number
 from ccdtools.co_design.agents import check_agent
+from ccdtools.co_design.design_gradients import STEP, differences, inside, pathwise_by_run, standard_error
 from ccdtools.co_design.differentiable_model import observe, scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
-from ccdtools.co_design.episodes import episode_at
+from ccdtools.co_design.episodes import episode_at, fewer_runs
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import GradientCheck
 from learning.networks import ActorCritic
@@ -26,7 +27,7 @@ def check_gradients(
     *,
     rng: np.random.Generator,
     runs: int = 512,
-    step: float = 1e-2,
+    step: float = STEP,
     ppo: PPOConfig | None = None,
 ) -> GradientCheck:
     """Every design gradient beside finite differences, on the same scenarios.
@@ -34,50 +35,35 @@ def check_gradients(
     Parameters
     ----------
     design : (np,) array_like
-        Where to compare, in physical units.
+        Where to compare, in physical units; closer than `step` to a bound, the comparison is made at that distance.
     runs : int
-        Scenarios.
+        Scenarios of 100 steps; of longer ones fewer are taken.
     step : float
         Step of the central differences in the unit box.
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind or out of range.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     check_agent(problem, agent)
     as_generator("rng", rng)
     as_count("runs", runs)
-    as_positive("step", step)
+    as_number("step", step, expected="a number between 0 and 0.5", low=0.0, high=0.5, strict=True)
     design = problem.design.check_one(design)
-    v = torch.tensor(problem.design.to_unit(design), dtype=torch.float32)
-    scenarios = scenario_tensors(problem, runs, rng)
-    differences = finite_differences(problem, agent, v, scenarios, step)
-    pathwise = pathwise_gradient(problem, agent, v, scenarios)[0]
-    network = network_input_gradient(problem, agent, v, rng=rng, runs=runs, config=ppo or PPOConfig())
-    return GradientCheck(tuple(problem.design.names), differences, pathwise.double().numpy(), network.double().numpy())
-
-
-def finite_differences(
-    problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: tuple[Tensor, Tensor], step: float
-) -> Array:
-    """Central differences of the mean return in the unit box, (np,)."""
-    differences = []
-    for i in range(len(v)):
-        ends = []
-        for sign in (1, -1):
-            moved = v.clone()
-            moved[i] += sign * step
-            with torch.no_grad():
-                ends.append(episode_at(problem, agent, moved, scenarios).total.mean().item())
-        differences.append((ends[0] - ends[1]) / (2 * step))
-    return np.array(differences)
-
-
-def pathwise_gradient(
-    problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: tuple[Tensor, Tensor]
-) -> tuple[Tensor, Tensor]:
-    """∂/∂v of the mean return through dynamics, policy and reward, (np,); and the mean return."""
-    v = v.detach().clone().requires_grad_(True)
-    mean = episode_at(problem, agent, v, scenarios).total.mean()
-    (gradient,) = torch.autograd.grad(mean, v)
-    return gradient, mean.detach()
+    v = inside(torch.tensor(problem.design.to_unit(design), dtype=torch.float32), step)
+    scenarios = scenario_tensors(problem, fewer_runs(runs, problem.steps), rng)
+    by_difference = differences(problem, agent, v, scenarios, step)
+    pathwise = pathwise_by_run(problem, agent, v, scenarios)
+    network = network_input_gradient(problem, agent, v, rng=rng, runs=len(pathwise), config=ppo or PPOConfig())
+    with torch.no_grad():
+        scale = episode_at(problem, agent, v, scenarios).total.mean().abs().item()
+    return GradientCheck(
+        tuple(problem.design.names), by_difference.mean(0).numpy(), pathwise.mean(0).numpy(), network.double().numpy(),
+        standard_error(by_difference).numpy(), standard_error(pathwise).numpy(),
+        standard_error(pathwise - by_difference).numpy(), scale,
+    )  # fmt: skip
 
 
 def network_input_gradient(

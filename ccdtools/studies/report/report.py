@@ -127,12 +127,19 @@ def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
         gradients = {label: np.array(check[name], dtype=float) for name, label in labels.items()}
         reference = gradients["finite differences"]
         rows = [
-            {"label": label, "values": values.tolist(), "cosine": _cosine(values, reference),
+            {"label": label, "values": values.tolist(), "errors": _errors(check, label, labels),
+             "cosine": _cosine(values, reference),
              "length": _ratio(np.linalg.norm(values), np.linalg.norm(reference))}
             for label, values in gradients.items()
         ]  # fmt: skip
         tables.append({"generation": generation["generation"], "names": check["names"], "rows": rows})
     return tables
+
+
+def _errors(check: dict[str, Any], label: str, labels: dict[str, str]) -> list[float | None]:
+    """Standard errors of the gradient with that label; None where none was estimated."""
+    name = next(name for name, own in labels.items() if own == label)
+    return check.get(f"{name}_error") or [None] * len(check["names"])
 
 
 def _cosine(values: Array, reference: Array) -> float | None:

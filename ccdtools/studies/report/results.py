@@ -38,6 +38,7 @@ def generation_entry(
         "online_updates": deployed.values["updates"],
         "quantiles": learned.values["scores"],
         "gradient_check": found.values["gradient_check"],
+        "codesign": found.values["ended"],
         "redesign": found.values["redesign"],
         "limits": found.values["limits"],
     }

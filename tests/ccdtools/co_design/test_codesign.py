@@ -8,13 +8,14 @@ import pytest
 import torch
 
 from ccdtools import InputError, codesign, simulate
-from ccdtools.co_design.ascent import Ascent, Task
+from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.reinforcement import CoDesignConfig
+from ccdtools.co_design.task import Task
 from learning.ppo import PPOConfig
 
 TINY = CoDesignConfig(
-    iterations=12, runs=16, pathwise_runs=32, evaluation_runs=100, evaluate_every=3, design_rate=0.1,
+    iterations=12, runs=16, pathwise_runs=32, evaluation_runs=100, evaluate_every=3, design_rate=0.1, starts=1,
     ppo=PPOConfig(learning_rate=1e-4, kl_limit=0.005, passes=1, critic_only=2),
 )  # fmt: skip
 
@@ -40,7 +41,8 @@ def run(problem, agent, design=(1.0,), seed=0, judge=None, method="pathwise", **
 
 def ascent(problem, agent, config=TINY, method="pathwise"):
     task = Task(problem, problem, method, config)
-    return Ascent(task, copy.deepcopy(agent), np.array([1.0]), np.random.default_rng(0))
+    evaluation = scenario_tensors(problem, 20, np.random.default_rng(1))
+    return Ascent(task, copy.deepcopy(agent), np.array([1.0]), np.random.default_rng(0), evaluation)
 
 
 def same(a, b):
@@ -83,7 +85,8 @@ def test_the_policy_returned_is_a_controller_at_the_design_found(result, problem
 def test_a_design_that_only_gets_worse_gives_back_the_start(problem, illustrative, clone):
     # A hasty rate in the wrong direction: the first iterate stays the best.
     agent = clone(illustrative)
-    wrecked = run(problem, agent, design=[3.0], policy_rate=10.0, design_rate=1e-9, iterations=2)
+    hasty = {"method": "pathwise+ppo", "policy_rate": 10.0, "design_rate": 1e-9}
+    wrecked = run(problem, agent, design=[3.0], iterations=2, **hasty)
     history = wrecked.history
     assert not (history.model_return[1:] >= history.model_return[0]).any()
     assert same(wrecked.agent, agent)
@@ -127,7 +130,7 @@ def test_active_bounds_are_named(problem, illustrative, clone):
 def test_only_the_methods_with_ppo_train_the_critic(problem, illustrative, clone, method, trained):
     agent = clone(illustrative)
     moving = ascent(problem, agent, method=method)
-    moving.iterate(0)
+    moving.iterate(0, 12)
     own = moving.agent.value_network.state_dict().values()
     assert any((a != b).any() for a, b in zip(own, agent.value_network.state_dict().values())) == trained
 
@@ -157,7 +160,7 @@ def test_iterates_are_scored_on_the_judge(problem, illustrative, clone):
 def test_the_optimisers_live_as_long_as_the_training(problem, illustrative, clone):
     moving = ascent(problem, clone(illustrative))
     for k in range(3):
-        moving.iterate(k)
+        moving.iterate(k, 12)
     assert moving.design_optimiser.state[moving.v]["step"].item() == 3
     (first, *_) = moving.policy_optimiser.state.values()
     assert first["step"].item() == 3
@@ -169,7 +172,7 @@ def test_rates_fall_along_a_cosine_unless_they_are_constant(problem, illustrativ
         moving = ascent(problem, clone(illustrative), config)
         out = []
         for k in (0, 6, 11):
-            moving.iterate(k)
+            moving.iterate(k, 12)
             out.append(moving.design_optimiser.param_groups[0]["lr"])
         return out
 

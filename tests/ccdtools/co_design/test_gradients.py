@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import InputError
+from ccdtools import InputError, QuadraticObjective
+from ccdtools.co_design.design_gradients import differences, pathwise_by_run, pathwise_gradient
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.reinforcement import CoDesignConfig, check_gradients
-from ccdtools.co_design.reinforcement.gradients import (
-    loss_gradient,
-    network_input_gradient,
-    pathwise_gradient,
-)
+from ccdtools.co_design.reinforcement.gradients import loss_gradient, network_input_gradient
 from ccdtools.co_design.result import GradientCheck
 from ccdtools.twin.discrepancy import Discrepancy
 from learning.ppo import PPOConfig, ppo_loss, prepare
@@ -52,8 +49,71 @@ def test_the_check_shows_the_pathwise_gradient_to_be_right(study, clone):
     assert check.cosine("pathwise") > 0.9999
     assert check.names == study.plant.design.names
     lines = str(check).splitlines()
+    assert check.trusted
     assert [line.split("  ")[0] for line in lines[1:]] == ["finite differences", "pathwise", "network input (paper)"]
     assert all(name in lines[0] for name in check.names)
+
+
+def test_the_gradients_of_single_runs_add_up_to_that_of_their_mean(study, clone):
+    problem, agent = study.problem(), clone(study)
+    v = torch.tensor(problem.design.to_unit(INTERIOR[study.name]), dtype=torch.float32)
+    scenarios = scenario_tensors(problem, 24, np.random.default_rng(0))
+    by_run = pathwise_by_run(problem, agent, v, scenarios)
+    assert by_run.shape == (24, problem.design.dim)
+    np.testing.assert_allclose(by_run.mean(0), pathwise_gradient(problem, agent, v, scenarios)[0], rtol=1e-3)
+    apart = by_run - differences(problem, agent, v, scenarios)  # a run whose input saturates has a kink
+    assert (apart.abs().median(0).values < 0.02 * by_run.abs().mean(0)).all()
+
+
+def test_at_a_bound_the_gradients_are_compared_inside_the_box(illustrative, clone, monkeypatch):
+    problem = illustrative.problem()
+    asked = []
+    original = type(problem.model).function.func
+
+    def watched(model):
+        function = original(model)
+
+        def call(p):
+            asked.append(float(np.asarray(p).ravel()[0]))
+            return function(p)
+
+        return call
+
+    monkeypatch.setattr(type(problem.model), "function", property(watched))
+    check = check_gradients(problem, clone(illustrative), [3.0], rng=np.random.default_rng(0), runs=64)
+    assert check.trusted
+    assert 0.5 <= min(asked) <= max(asked) <= 3.0 + 1e-6
+
+
+class Detached(QuadraticObjective):
+    """Three times the reward, of which the gradient sees a third: as if it had been computed outside of torch."""
+
+    def rewards(self, x_next, u):
+        hidden = super().rewards(x_next, u)
+        return super().rewards(x_next, u) + 2.0 * (hidden.detach() if torch.is_tensor(hidden) else hidden)
+
+
+def test_a_gradient_that_misses_part_of_the_reward_is_not_trusted(illustrative, clone):
+    problem = illustrative.started(x0=np.array([-2.0, -2.0])).problem()
+    problem = replace(problem, objective=Detached(problem.objective.Q, problem.objective.R))
+    check = check_gradients(problem, clone(illustrative), [1.5], rng=np.random.default_rng(0))
+    assert abs(check.finite_difference[0]) > 5 * check.finite_difference_error[0]
+    assert not check.trusted
+    assert "differs from finite differences by more than chance" in str(check)
+
+
+@pytest.mark.parametrize(
+    ("pathwise", "deviation", "trusted"),
+    [(2.6, 0.01, True), (6.0, 0.01, False), (-2.6, 0.01, False), (6.0, 5.0, False), (2.9, 0.2, True),
+     (np.inf, 0.01, False), (np.nan, 0.01, False)],
+)  # fmt: skip
+def test_with_one_parameter_length_and_sign_decide(pathwise, deviation, trusted):
+    check = GradientCheck(("m",), [2.6], [pathwise], [0.0], [0.1], [0.1], [deviation], 70.0)
+    assert check.trusted == trusted
+
+
+def test_a_slope_that_does_not_matter_is_trusted_whatever_its_sign():
+    assert GradientCheck(("m",), [0.02], [-0.03], [0.0], [1e-4], [1e-4], [1e-4], 70.0).trusted
 
 
 def test_the_gradient_on_a_learned_model_equals_finite_differences(illustrative, clone):
@@ -123,6 +183,7 @@ def test_gradients_leave_the_agent_and_the_point_alone(illustrative, clone):
 
 def test_a_cosine_compares_directions():
     check = GradientCheck(("a", "b"), np.array([1.0, 0.0]), np.array([2.0, 0.0]), np.array([0.0, -3.0]))
+    assert check.length("pathwise") == pytest.approx(2.0)
     assert check.cosine("pathwise") == pytest.approx(1.0)
     assert check.cosine("network_input") == pytest.approx(0.0)
     nothing = GradientCheck(("a",), np.zeros(1), np.zeros(1), np.zeros(1))

@@ -1,0 +1,169 @@
+"""The return of saturated LQR over the box of designs: a cheap map of where a co-design may start.
+
+LQR at each design is the optimum where no input saturates, and close to it where inputs saturate little, so that its
+map J(p) has the valleys of the co-design itself. (A valley is one of the cost, a hill of the return.)
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+from scipy.stats import qmc
+from torch import Tensor
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_count, as_generator, as_instance
+from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, to_design
+from ccdtools.co_design.episodes import fewer_runs, simulated
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import Valley
+from mpc import MPCError, lqr
+
+RUNS = 96  # scenarios that every design is simulated on, the same for all
+ROWS = 6000  # runs simulated side by side
+POINTS = {1: 32, 2: 64, 3: 128}  # designs of the first map, by number of parameters
+MANY = 128  # the same for more parameters
+MOST = 6  # hills of the first map that are climbed
+FIRST_STEP = 0.1  # of the climb, in the unit box,
+LAST_STEP = 0.01  # and where it ends
+ROUNDS = 60  # of the climb at most
+PATH = 9  # designs between two hilltops that are looked at
+RIDGE = 2e-3  # of the return: two hills that are parted by less are one
+
+
+class Landscape:
+    """Mean returns of saturated LQR at designs of the unit box, all on the same scenarios.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        Its discrepancy or replayed errors are part of it.
+    rng : numpy.random.Generator
+        Draws the scenarios, once.
+    runs : int
+        Scenarios of 100 steps; of longer ones fewer are taken.
+    """
+
+    def __init__(self, problem: CoDesignProblem, rng: np.random.Generator, *, runs: int = RUNS) -> None:
+        self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+        as_generator("rng", rng)
+        self._x0, self._w = scenario_tensors(problem, fewer_runs(as_count("runs", runs), problem.steps), rng)
+
+    def returns(self, points: ArrayLike) -> Array:
+        """Mean returns (n,) at points (n, np) of the unit box; −inf where LQR has no solution."""
+        V: Array = np.clip(np.atleast_2d(np.asarray(points, dtype=float)), 0.0, 1.0)
+        gains = [self._gain(design) for design in self.problem.design.from_unit(V)]
+        known = np.array([gain is not None for gain in gains])
+        out = np.full(len(V), -np.inf)
+        K = np.array([gain for gain in gains if gain is not None])
+        values = [
+            self._simulated(V[known][i : i + self._batch], K[i : i + self._batch])
+            for i in range(0, len(K), self._batch)
+        ]
+        if values:
+            out[known] = np.concatenate(values)
+        return out
+
+    @property
+    def _batch(self) -> int:
+        """Designs simulated side by side."""
+        return max(1, ROWS // len(self._x0))
+
+    def _gain(self, design: Array) -> Array | None:
+        """K at one design (np,); None where there is none."""
+        A, B, _ = self.problem.model.matrices(design)
+        try:
+            return lqr(A, B, Q=self.problem.objective.Q, R=self.problem.objective.R)[0]
+        except MPCError:
+            return None
+
+    @torch.no_grad()
+    def _simulated(self, V: Array, K: Array) -> Array:
+        """Mean returns (n,) of the gains `K` (n, nu, nx) at points `V` (n, np)."""
+        runs = len(self._x0)
+        low, high = (torch.tensor(bound, dtype=torch.float32) for bound in self.problem.input_bounds)
+        gains = torch.tensor(K, dtype=torch.float32).repeat_interleave(runs, dim=0)
+        designs = to_design(self.problem, torch.tensor(V, dtype=torch.float32))
+        step = Stepper.for_each(self.problem, designs, runs)
+
+        def law(x: Tensor) -> Tensor:
+            """Inputs (n · runs, nu)."""
+            return torch.clamp(-torch.bmm(gains, x[:, :, None])[:, :, 0], low, high)
+
+        scenarios = (self._x0.repeat(len(V), 1), self._w.repeat(len(V), 1, 1))
+        return simulated(step, law, scenarios).total.reshape(len(V), runs).mean(1).numpy()
+
+
+def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> tuple[Valley, ...]:
+    """The distinct local optima of the landscape, best first; the one that `design` (np,) leads to is among them.
+
+    A space-filling set of designs is simulated with its corners (of up to three parameters); the hills among them are
+    climbed by compass search, and hilltops that no ridge parts are one. Of more than three parameters the best sample
+    alone is climbed.
+
+    References
+    ----------
+    Kolda, Lewis and Torczon, SIAM Review 45(3), 2003 (compass search).
+    """
+    landscape = Landscape(problem, rng)
+    few = problem.design.dim in POINTS
+    given = problem.design.to_unit(problem.design.check_one(design))
+    V = np.vstack([given, _spread(problem.design.dim, rng)])
+    J = landscape.returns(V)
+    chosen = _hilltops(V, J)[:MOST] if few else [int(np.argmax(J))]
+    tops, heights = _climbed(landscape, V[[0, *chosen]], J[[0, *chosen]])
+    distinct: list[int] = []
+    for i in np.argsort(-heights, kind="stable"):
+        if np.isfinite(heights[i]) and not any(_same_hill(landscape, tops[k], tops[i], heights[i]) for k in distinct):
+            distinct.append(int(i))
+    return tuple(Valley(problem.design.from_unit(tops[i]), float(heights[i])) for i in distinct)
+
+
+def _spread(size: int, rng: np.random.Generator) -> Array:
+    """Points of the unit box (n, size): a Sobol sequence, and the corners where they are few."""
+    points = qmc.Sobol(size, rng=rng).random(POINTS.get(size, MANY))
+    return np.vstack([points, list(product((0.0, 1.0), repeat=size))]) if size in POINTS else points
+
+
+def _hilltops(V: Array, J: Array) -> list[int]:
+    """Indices of the points that are higher than all their neighbours, highest first."""
+    neighbours = min(len(V), 2 * V.shape[1] + 2)
+    _, near = cKDTree(V).query(V, k=neighbours)
+    tops = [i for i in range(len(V)) if np.isfinite(J[i]) and J[i] >= J[near[i]].max()]
+    return sorted(tops, key=lambda i: -J[i])
+
+
+def _climbed(landscape: Landscape, V: Array, J: Array) -> tuple[Array, Array]:
+    """Where compass search from each point (n, np) ends, and the returns there."""
+    V = V.copy()
+    J = J.copy()
+    size = V.shape[1]
+    compass = np.vstack([np.eye(size), -np.eye(size)])
+    step = np.full(len(V), FIRST_STEP)
+    for _ in range(ROUNDS):
+        climbing = np.flatnonzero(step >= LAST_STEP)
+        if not len(climbing):
+            break
+        tried = np.clip(V[climbing][:, None] + step[climbing][:, None, None] * compass, 0.0, 1.0)
+        returns = landscape.returns(tried.reshape(-1, size)).reshape(len(climbing), -1)
+        best = returns.argmax(axis=1)
+        for row, i in enumerate(climbing):
+            if returns[row, best[row]] > J[i]:
+                V[i] = tried[row, best[row]]
+                J[i] = returns[row, best[row]]
+            else:
+                step[i] /= 2
+    return V, J
+
+
+def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float) -> bool:
+    """Whether the straight path between two hilltops never falls below the lower one by a ridge's depth."""
+    if np.abs(higher - lower).max() <= 2 * LAST_STEP:
+        return True
+    shares = np.linspace(0, 1, PATH + 2)[1:-1, None]
+    between = landscape.returns(lower + shares * (higher - lower))
+    return bool(between.min() >= height - RIDGE * abs(height))

@@ -1,0 +1,90 @@
+"""Where a co-design starts from, and the race of the starts."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+from tqdm import tqdm
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.ascent import Ascent
+from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.landscape import valleys
+from ccdtools.co_design.result import Valley
+from ccdtools.co_design.task import Task
+from ccdtools.statistics import paired_difference
+from learning.networks import ActorCritic
+
+SAME_PLACE = 0.02  # of the box: two starts this close are one
+HOPEFUL = 0.2  # of the best valley's return: one that is worse by more is named, and not climbed from
+FEW = 3  # parameters, up to which a second valley of the landscape is climbed from by default
+
+
+def chosen_valleys(task: Task, design: Array, rng: np.random.Generator) -> tuple[Valley, ...]:
+    """The valleys of the landscape; none where the design is frozen or one start is asked for."""
+    if not task.moving or task.config.starts == 1:
+        return ()
+    return valleys(task.problem, design, rng=rng)
+
+
+def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[Array]:
+    """The given design, and the bottoms of the best valleys that lie elsewhere."""
+    space = task.problem.design
+    most = task.config.starts or (3 if space.dim <= FEW else 2)
+    starts = [np.asarray(design, dtype=float)]
+    for valley in found:
+        hopeful = valley.lqr_return >= found[0].lqr_return - HOPEFUL * abs(found[0].lqr_return)
+        elsewhere = all(_apart(space.to_unit(valley.design), space.to_unit(one)) for one in starts)
+        if len(starts) < most and hopeful and elsewhere:
+            starts.append(valley.design)
+    return starts
+
+
+def race(
+    task: Task, agent: ActorCritic, starts: list[Array], rng: np.random.Generator, *, progress: bool
+) -> list[Ascent]:
+    """The ascents from every start, the best first.
+
+    They climb a block at a time. One is given up when it has come to the place of a better one, or is behind it by more
+    than its last block gained and than chance explains. Each draws from a generator of its own, and all are scored on
+    the same scenarios.
+    """
+    config = task.config
+    evaluation = scenario_tensors(task.judge, fewer_runs(config.evaluation_runs, task.judge.steps), rng)
+    ascents = [
+        Ascent(task, copy.deepcopy(agent), design, np.random.default_rng(rng.integers(2**63, size=4)), evaluation)
+        for design in starts
+    ]
+    climbing = list(ascents)
+    with tqdm(total=config.iterations, desc="co-design", disable=not progress, leave=False) as bar:
+        while climbing:
+            for ascent in climbing:
+                ascent.block(bar)
+            leader = _leader(ascents)
+            climbing = [one for one in climbing if not one.ended and (one is leader or _hopeful(one, leader))]
+    leader = _leader(ascents)
+    return [leader, *(one for one in ascents if one is not leader)]
+
+
+def _leader(ascents: list[Ascent]) -> Ascent:
+    """The ascent with the best iterate."""
+    leader = ascents[0]
+    for one in ascents[1:]:
+        leader = one if one.best.beats(leader.best) else leader
+    return leader
+
+
+def _hopeful(one: Ascent, leader: Ascent) -> bool:
+    """Whether an ascent may still overtake the leader from elsewhere."""
+    if not _apart(one.best.v.numpy(), leader.best.v.numpy()):
+        return False
+    behind = paired_difference(leader.best.returns, one.best.returns)
+    gained = one.gain.mean if np.isfinite(one.gain.mean) else 0.0
+    return not (behind.ci95[0] > 0 and behind.mean > gained)
+
+
+def _apart(v: Array, other: Array) -> bool:
+    """Whether two points of the unit box are different places."""
+    return bool(np.abs(v - other).max() > SAME_PLACE)

@@ -1,0 +1,41 @@
+"""How a co-design ended, and what to do about it."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class CoDesignStatus(Enum):
+    """How a co-design ended."""
+
+    CONVERGED = "converged"
+    AT_BOUND = "converged, with the design at a bound"
+    STILL_IMPROVING = "still improving"
+    BUDGET_SPENT = "budget spent before the design settled"
+    GRADIENT_UNTRUSTED = "design gradient untrusted"
+    DIVERGING = "runs diverge"
+    LIMITS_BROKEN = "state limits broken"
+
+    @property
+    def settled(self) -> bool:
+        """Whether more iterations are not expected to gain anything."""
+        return self in (CoDesignStatus.CONVERGED, CoDesignStatus.AT_BOUND)
+
+    @property
+    def advice(self) -> str:
+        """What to do next, in one sentence."""
+        return _ADVICE[self]
+
+
+_ADVICE = {
+    CoDesignStatus.CONVERGED: "Nothing to do: the last block gained nothing that matters, and the design is level.",
+    CoDesignStatus.AT_BOUND: "Widen the named bounds if the plant allows it: the return still rises across them.",
+    CoDesignStatus.STILL_IMPROVING: "Raise CoDesignConfig.iterations: the last block still gained significantly.",
+    CoDesignStatus.BUDGET_SPENT: "Raise CoDesignConfig.iterations: the return still rises along the design.",
+    CoDesignStatus.GRADIENT_UNTRUSTED: (
+        "Check that the objective is differentiable, or raise pathwise_runs: neither the gradient through the model "
+        "nor finite differences could be trusted."
+    ),
+    CoDesignStatus.DIVERGING: "Check x0 and U: with this design and policy some runs cannot be recovered.",
+    CoDesignStatus.LIMITS_BROKEN: "Raise the tolerance of the limits or CoDesignConfig.iterations: X is left too far.",
+}

@@ -1,0 +1,118 @@
+"""What a co-design optimises, and the iterates it compares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from torch import Tensor
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.co_design.episodes import Episode
+from ccdtools.co_design.limits import LimitsOutcome
+from ccdtools.co_design.problem import CoDesignProblem
+from learning.networks import ActorCritic
+
+Scenarios = tuple[Tensor, Tensor]
+
+
+class LimitPenalty(Protocol):
+    """What keeps a co-design within its state limits: a cost whose multipliers grow while they are not kept."""
+
+    def cost(self, episode: Episode) -> Tensor:
+        """What leaving X costs, (n,) in the units of the return; differentiable, zero within the tolerance."""
+        ...
+
+    def violation(self, episode: Episode) -> float:
+        """By how much the tolerance is exceeded; 0 where it is kept."""
+        ...
+
+    @property
+    def active(self) -> bool:
+        """Whether leaving X costs anything at present."""
+        ...
+
+    def updated(self, episode: Episode, v: Tensor, scenarios: Scenarios) -> LimitPenalty:
+        """The penalty of the next steps, after the episodes of an evaluation at the point `v` of the unit box."""
+        ...
+
+    def outcome(self, episode: Episode) -> LimitsOutcome:
+        """How the iterate of these episodes keeps the limits."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is optimised, and how.
+
+    Attributes
+    ----------
+    problem, judge : CoDesignProblem
+        What the gradients come from, and what iterates are scored on.
+    method : {"pathwise", "ppo", "pathwise+ppo"}
+    config : CoDesignConfig
+    limits : LimitPenalty or None
+    """
+
+    problem: CoDesignProblem
+    judge: CoDesignProblem
+    method: str
+    config: CoDesignConfig
+    limits: LimitPenalty | None = None
+
+    @property
+    def pathwise(self) -> bool:
+        """Whether the policy follows its gradient through the model."""
+        return "pathwise" in self.method and self.config.policy_rate > 0
+
+    @property
+    def ppo(self) -> bool:
+        """Whether the policy follows PPO."""
+        return "ppo" in self.method
+
+    @property
+    def smooth(self) -> bool:
+        """Whether policy and design both follow gradients through the model alone, and at least one of them moves."""
+        alone = self.method == "pathwise" and self.config.design_gradient == "pathwise"
+        return alone and (self.pathwise or self.moving)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the design moves."""
+        return self.config.design_rate > 0
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """A design and its policy, with what the fixed scenarios say of them.
+
+    Attributes
+    ----------
+    returns : (n,) array
+        Of every evaluation run; a diverged one with its whole, huge cost.
+    violation : float
+        By how much the tolerance of the state limits is exceeded.
+    lost : float
+        Fraction of the runs that diverged.
+    limits : LimitsOutcome or None
+        How it keeps the state limits.
+    """
+
+    v: Tensor
+    agent: ActorCritic
+    returns: Array
+    violation: float
+    lost: float
+    limits: LimitsOutcome | None = None
+
+    @property
+    def score(self) -> float:
+        """Mean return over the evaluation runs."""
+        return float(self.returns.mean())
+
+    def beats(self, other: Iterate) -> bool:
+        """Whether it is preferred: limits kept before limits broken, then by its violation or its return."""
+        if self.violation > 0 or other.violation > 0:
+            return self.violation < other.violation
+        return self.score > other.score

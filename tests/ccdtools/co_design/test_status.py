@@ -1,0 +1,125 @@
+"""How a co-design ends: at the independent optimum, or with a status that says why not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_plants import best_design, clone_of, exact_return, mass, two_valleys
+
+from ccdtools import CoDesignConfig, FixedStart, Gaussian, QuadraticObjective, codesign
+from ccdtools.co_design.status import CoDesignStatus
+from invariant_sets import Polytope
+
+SMALL = CoDesignConfig(evaluation_runs=400, iterations=160, pathwise_runs=128)
+
+
+@pytest.fixture(scope="module")
+def mass_and_clone():
+    """Return the mass and a rough clone of its LQR."""
+    problem = mass()
+    return problem, clone_of(problem)
+
+
+@pytest.fixture(scope="module")
+def valleys_and_clone():
+    """Return the plant of two valleys and a rough clone of its LQR."""
+    problem = two_valleys()
+    return problem, clone_of(problem)
+
+
+def run(problem, agent, design, seed=0, **changes):
+    return codesign(
+        problem, agent=agent, design=design, rng=np.random.default_rng(seed), config=replace(SMALL, **changes)
+    )
+
+
+@pytest.mark.parametrize("starts", [1, None])
+@pytest.mark.parametrize("design", [0.2, 3.0])
+def test_the_independent_optimum_is_reached_from_either_end(mass_and_clone, design, starts):
+    problem, agent = mass_and_clone
+    best, expected = best_design(problem)
+    found = run(problem, agent, [design], starts=starts)
+    assert 0.3 < best[0] < 2.9
+    assert exact_return(problem, found.design) >= expected - 0.002 * abs(expected)
+    assert found.status is CoDesignStatus.CONVERGED
+    policy = found.history.model_return.max()
+    assert policy >= expected - 0.02 * abs(expected)  # 400 runs
+
+
+def test_from_the_basin_of_the_lesser_valley_the_better_one_is_found_and_the_lesser_one_named(valleys_and_clone):
+    problem, agent = valleys_and_clone
+    _, expected = best_design(problem)
+    trapped = run(problem, agent, [0.05], starts=1)
+    assert exact_return(problem, trapped.design) < 1.02 * expected
+    found = run(problem, agent, [0.05])
+    assert exact_return(problem, found.design) >= expected - 0.002 * abs(expected)
+    better, lesser = found.valleys
+    np.testing.assert_allclose(lesser.design, trapped.design, atol=0.03)
+    np.testing.assert_allclose(better.found, found.design)
+    assert any("local optimum" in line for line in found.describe())
+
+
+def test_a_design_at_a_bound_says_so(illustrative, clone):
+    found = run(replace(illustrative.problem(), steps=40), clone(illustrative), [1.0])
+    assert found.status is CoDesignStatus.AT_BOUND
+    assert found.status.settled
+    assert "bounds" in found.status.advice
+    assert found.convergence.slope[0] == 0.0  # what remains points out of the box
+
+
+def test_a_budget_that_ends_while_the_return_rises_says_so(mass_and_clone):
+    problem, agent = mass_and_clone
+    found = run(problem, agent, [3.0], iterations=3, starts=1)
+    assert found.status is CoDesignStatus.STILL_IMPROVING
+    assert found.convergence.gain.ci95[0] > 0
+    assert "iterations" in found.status.advice
+
+
+def test_the_budget_grows_while_the_gain_is_significant(mass_and_clone):
+    problem, agent = mass_and_clone
+    found = run(problem, agent, [3.0], block=5, starts=1)
+    assert found.convergence.blocks > 2
+    assert found.convergence.iterations < SMALL.iterations
+    assert found.status.settled
+
+
+def test_what_did_the_work_adds_up_to_the_whole_gain(mass_and_clone):
+    problem, agent = mass_and_clone
+    found = run(problem, agent, [3.0], starts=1)
+    gained = found.history.model_return.max() - found.history.model_return[0]
+    assert sum(found.gains.values()) == pytest.approx(gained, rel=1e-4)
+    assert found.gains["design"] > 5 * found.gains["policy"]
+    assert found.method == "pathwise"
+
+
+class Detached(QuadraticObjective):
+    """The reward with the sign of its gradient turned round."""
+
+    def rewards(self, x_next, u):
+        seen = super().rewards(x_next, u)
+        return seen if isinstance(seen, np.ndarray) else 2.0 * seen.detach() - seen
+
+
+def test_where_the_gradient_is_wrong_the_design_follows_finite_differences(mass_and_clone):
+    problem, agent = mass_and_clone
+    _, expected = best_design(problem)
+    wrong = replace(problem, objective=Detached(problem.objective.Q, problem.objective.R))
+    found = run(wrong, agent, [3.0], starts=1, policy_rate=0.0)
+    assert not found.gradients.trusted
+    assert found.convergence.by_differences
+    assert exact_return(problem, found.design) >= expected - 0.02 * abs(expected)
+    assert any("finite differences" in line for line in found.describe())
+
+
+def test_runs_that_nothing_can_recover_are_named(illustrative, clone):
+    problem = illustrative.problem()
+    lost = replace(
+        problem, scenarios=FixedStart([-9.0, -5.0], Gaussian([0.1, 0.2])), U=Polytope.from_bounds([-1.0], [1.0])
+    )
+    found = run(lost, clone(illustrative), [1.0], iterations=4, starts=1, evaluation_runs=50)
+    assert found.status is CoDesignStatus.DIVERGING
+    assert not found.status.settled
+
+
+def test_every_status_has_advice():
+    assert all(len(status.advice) > 20 for status in CoDesignStatus)
