@@ -76,6 +76,7 @@ class Ascent:
         self.iterations = 0
         self.blocks = 0
         self.quiet = 0
+        self.longer = 1
         self.rows: list[tuple] = []
         self.best = self.evaluated()
         self.gain = PairedDifference(float("nan"), (float("nan"), float("nan")))
@@ -102,7 +103,7 @@ class Ascent:
         """One block of iterations, and what it brought."""
         config = self.task.config
         before = self.best
-        length = min(config.block, config.iterations - self.iterations)
+        length = min(self.longer * config.block, config.iterations - self.iterations)
         if self.task.smooth and before.lost == 0 and not self.limited:
             self._climb(length, bar)
         else:
@@ -122,6 +123,7 @@ class Ascent:
         climbing = self._climbs() if self.task.moving else False
         if climbing and not spent:
             self.quiet = 0
+            self.longer *= 2  # a slope that the block was too short to follow
             return
         self.status = self._verdict(improving, climbing)
 

@@ -26,12 +26,10 @@ from ccdtools.twin.residuals import Residuals, residuals
 from ccdtools.twin.transport import ErrorSplit
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
-from learning.ppo import PPOConfig
 
 ONLINE_TRAINING = CoDesignConfig(
-    iterations=20, runs=64, pathwise_runs=64, design_rate=0.0, policy_rate=3e-4, evaluate_every=5,
-    evaluation_runs=200, ppo=PPOConfig(learning_rate=1e-4, kl_limit=0.005, passes=2, critic_only=3),
-)  # fmt: skip
+    iterations=20, pathwise_runs=256, design_rate=0.0, policy_rate=3e-4, evaluate_every=5, evaluation_runs=200
+)
 
 
 @dataclass(frozen=True)

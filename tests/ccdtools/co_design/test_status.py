@@ -8,6 +8,7 @@ from small_plants import best_design, clone_of, exact_return, mass, two_valleys
 
 from ccdtools import CoDesignConfig, FixedStart, Gaussian, QuadraticObjective, codesign
 from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.exceptions import LimitWarning
 from invariant_sets import Polytope
 
 SMALL = CoDesignConfig(evaluation_runs=400, iterations=160, pathwise_runs=128)
@@ -75,14 +76,6 @@ def test_a_budget_that_ends_while_the_return_rises_says_so(mass_and_clone):
     assert "iterations" in found.status.advice
 
 
-def test_the_budget_grows_while_the_gain_is_significant(mass_and_clone):
-    problem, agent = mass_and_clone
-    found = run(problem, agent, [3.0], block=5, starts=1)
-    assert found.convergence.blocks > 2
-    assert found.convergence.iterations < SMALL.iterations
-    assert found.status.settled
-
-
 def test_what_did_the_work_adds_up_to_the_whole_gain(mass_and_clone):
     problem, agent = mass_and_clone
     found = run(problem, agent, [3.0], starts=1)
@@ -116,7 +109,8 @@ def test_runs_that_nothing_can_recover_are_named(illustrative, clone):
     lost = replace(
         problem, scenarios=FixedStart([-9.0, -5.0], Gaussian([0.1, 0.2])), U=Polytope.from_bounds([-1.0], [1.0])
     )
-    found = run(lost, clone(illustrative), [1.0], iterations=4, starts=1, evaluation_runs=50)
+    with pytest.warns(LimitWarning, match="no controller keeps X"):
+        found = run(lost, clone(illustrative), [1.0], iterations=4, starts=1, evaluation_runs=50)
     assert found.status is CoDesignStatus.DIVERGING
     assert not found.status.settled
 
