@@ -24,6 +24,7 @@ RUNS = 2000
 LIMITED_RUNS = 100
 SEED = 20_262
 NORMAL = 1.96
+SAME_VALLEY = 0.05  # of the box
 STUDIES = Path(__file__).resolve().parent / "studies"
 
 
@@ -61,6 +62,8 @@ class Measured:
         Number of the local optimum whose design is nearest, 0 for the best.
     status : str
         What the first co-design says of itself.
+    names_best : bool
+        Whether it names the best valley, wherever it ended.
     deployed : tuple of float
         Mean return on the real plant of what was deployed in each generation.
     steps : tuple of Step
@@ -78,6 +81,7 @@ class Measured:
     shortfall_error: float
     valley: int
     status: str
+    names_best: bool
     deployed: tuple[float, ...]
     steps: tuple[Step, ...]
     depth: float
@@ -114,7 +118,8 @@ def measured_first(study_name: str, found: Stage) -> Measured:
     return Measured(
         design={name: float(value) for name, value in zip(study.plant.design.names, policy.design)},
         shortfall=shortfall, shortfall_error=error, valley=_valley(study_name, study, policy.design),
-        status=status_of(found.values), deployed=(), steps=(), depth=_depth(study, on_model), mpc_depth=mpc_depth,
+        status=status_of(found.values), names_best=_names_best_valley(study_name, study, found.values), deployed=(),
+        steps=(), depth=_depth(study, on_model), mpc_depth=mpc_depth,
         beside_mpc=beside,
     )  # fmt: skip
 
@@ -126,8 +131,15 @@ def study_of(name: str) -> Study:
 
 def status_of(values: dict[str, Any]) -> str:
     """What a co-design says of how it ended, from what its stage has kept; a dash where it says nothing."""
-    status = values.get("status", "–")
-    return str(status.get("name", status)) if isinstance(status, dict) else str(status)
+    return values.get("ended", {}).get("meaning", "–")
+
+
+def _names_best_valley(name: str, study: Study, values: dict[str, Any]) -> bool:
+    """Whether one of the local optima that a co-design names is the independent optimum."""
+    unit = study.plant.design.to_unit
+    best = unit(np.array(reference(name)["designs"][0]))
+    named = [valley[key] for valley in values.get("ended", {}).get("valleys", ()) for key in ("design", "found")]
+    return any(np.abs(unit(np.array(design)) - best).max() < SAME_VALLEY for design in named if design is not None)
 
 
 def _driven(study: Study, policy: Any, *, real: bool, runs: int = RUNS) -> Trajectory:

@@ -73,6 +73,7 @@ def summary(finished: Sequence[Row]) -> list[str]:
     """What had to be reached, and in how many runs it was."""
     near = [found.shortfall - 2 * found.shortfall_error <= NEAR for _, found, _ in finished]
     missed = [f"{run.study} from the {run.start}, seed {run.seed}: {found.shortfall:.2f} %, “{found.status}”"
+              + (", the best valley is named" if found.names_best and found.valley else "")
               for (run, found, _), reached in zip(finished, near) if not reached]  # fmt: skip
     lines = [f"first co-design within {NEAR} % of the independent optimum: {sum(near)} of {len(near)}"]
     lines += [f"not: {text}" for text in missed]

@@ -21,7 +21,7 @@ def a_measurement(shortfall=0.1, *, error=0.01, steps=(), deployed=(-40.0,), val
     """What a run might have reached."""
     end = Step(steps[-1].difference, steps[-1].low, steps[-1].high) if steps else None
     return Measured(
-        {"n": 20.0}, shortfall, error, valley, "converged", deployed, tuple(steps), 0.0, np.nan, beside, at_the_end=end
+        {"n": 20.0}, shortfall, error, valley, "converged", True, deployed, tuple(steps), 0.0, np.nan, beside, at_the_end=end
     )  # fmt: skip
 
 
@@ -73,16 +73,17 @@ def test_a_run_that_broke_is_listed_and_not_counted(table_of):
 
 
 def test_the_other_valley_is_named(table_of):
-    assert "(valley 2)" in table_of(a_measurement(40.0, valley=1), study="beam")
+    text = table_of(a_measurement(40.0, valley=1), study="beam")
+    assert "(valley 2)" in text
+    assert "40.00 %, “converged”, the best valley is named" in text
 
 
 def test_nothing_finished_is_said_so(tmp_path):
     assert markdown([Run("servo", "study", 0, 3, False, tmp_path)]) == "Nothing has finished."
 
 
-def test_the_status_is_read_whether_it_is_text_or_a_name():
-    assert status_of({"status": "converged"}) == "converged"
-    assert status_of({"status": {"name": "at a bound"}}) == "at a bound"
+def test_the_status_is_the_sentence_that_the_stage_has_kept():
+    assert status_of({"ended": {"status": "AT_BOUND", "meaning": "at a bound"}}) == "at a bound"
     assert status_of({}) == "–"
 
 
