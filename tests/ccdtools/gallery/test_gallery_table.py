@@ -21,7 +21,8 @@ def a_measurement(shortfall=0.1, *, error=0.01, steps=(), deployed=(-40.0,), val
     """What a run might have reached."""
     end = Step(steps[-1].difference, steps[-1].low, steps[-1].high) if steps else None
     return Measured(
-        {"n": 20.0}, shortfall, error, valley, "converged", True, deployed, tuple(steps), 0.0, np.nan, beside, at_the_end=end
+        {"n": 20.0}, shortfall, error, valley, "converged", True, deployed, tuple(steps), 0.0, np.nan, beside,
+        at_the_end=end,
     )  # fmt: skip
 
 
