@@ -22,13 +22,12 @@ from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
+from ccdtools.statistics import ROUNDING, PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.trajectory import Trajectory
 from invariant_sets import Polytope
 
 MPC_RUNS = 100
 TIMED_CALLS = 50
-ROUNDING = 1e-6  # part of LQR's return: smaller differences are rounding and the tolerances of solvers
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ class StudyConfig:
     mpc_runs: int = 100
     real_steps: int | None = None
     held_out_runs: int = 20
-    held_out_steps: int = 1000
+    held_out_steps: int = 500
     network: NetworkConfig = field(default_factory=NetworkConfig)
     cloning: CloningConfig = field(default_factory=CloningConfig)
     codesign: CoDesignConfig = field(default_factory=CoDesignConfig)

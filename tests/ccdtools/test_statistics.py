@@ -173,6 +173,14 @@ def test_several_runs_are_taken_run_by_run():
     assert paired_returns(rewards, 0 * rewards) == paired_difference(rewards.sum(axis=1), np.zeros(7))
 
 
+def test_a_difference_of_rounding_is_bounded_and_not_taken_for_a_process():
+    rewards = np.cumsum(np.random.default_rng(15).standard_normal((1, 3000)), axis=1)
+    difference = paired_returns(rewards * (1 + 1e-12), rewards)
+    assert difference.ci95[0] == -difference.ci95[1]
+    assert 0 < difference.ci95[1] <= 1e-11 * np.abs(rewards).sum()
+    assert np.isnan(paired_returns(1.1 * rewards, rewards).ci95).all()
+
+
 def test_the_one_run_of_many_that_did_not_diverge_has_no_interval():
     rewards = np.random.default_rng(11).standard_normal((1, 300))
     assert np.isnan(summarise_returns(rewards, runs=4000).ci95).all()

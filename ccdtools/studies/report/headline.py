@@ -84,12 +84,24 @@ def _policy(results: Results, last: int) -> str:
     percent = percent_of_reference(row, reference)
     word = verdict(row, reference)
     only = word.endswith(" in return only")
+    if percent is None and word == "open":
+        return _without_interval(row)
     sentence = _return_beside_lqr(word.removesuffix(" in return only"), percent)
     if not (only and sentence):
         return sentence
     if word.startswith("worse"):
         return f"{sentence}, which leaves X further ({outside_text(reference, results['comparison'])})"
     return f"{sentence}, but leaves X further ({outside_text(row, results['comparison'])})"
+
+
+def _without_interval(row: Mapping[str, Any]) -> str:
+    """The learned policy beside LQR where a run is too short, or drifts too much, to say what the next would bring."""
+    percent = -100 * row["paired_to_lqr"]["mean"] / abs(row["lqr_mean"])
+    if abs(percent) < NOT_WORSE:
+        costs = f"as much as LQR within {NOT_WORSE:g} %"
+    else:
+        costs = f"{signed_percent(abs(percent)).removeprefix('+')} {'more' if percent > 0 else 'less'} than LQR"
+    return f"the learned policy costs {costs} here, without an interval (the run is too short, or drifts)"
 
 
 def _return_beside_lqr(word: str, percent: tuple[float, float, float] | None) -> str:

@@ -278,6 +278,20 @@ def test_the_headline_says_what_came_out(results, sentence):
     assert headline(results) == sentence
 
 
+@pytest.mark.parametrize(
+    ("cost", "said"),
+    [(82.0, "the learned policy costs 2.5 % more than LQR here"),
+     (80.1, "the learned policy costs as much as LQR within 0.5 % here"),
+     (72.0, "the learned policy costs 10 % less than LQR here")],
+)  # fmt: skip
+def test_the_headline_claims_nothing_of_a_run_without_an_interval(cost, said):
+    results = outcome(100, 80, cost)
+    row = next(r for r in results["comparison"] if (r["generation"], r["controller"]) == (2, "learned"))
+    row["paired_to_lqr"] = {"mean": 80.0 - cost, "ci95": [None, None]}
+    assert f"{said}, without an interval (the run is too short, or drifts)" in headline(results)
+    assert verdict(row, row) == "open"
+
+
 def test_the_headline_comes_first(illustrative):
     folder, results = illustrative
     page = (folder.path / "report.html").read_text(encoding="utf-8")
