@@ -29,6 +29,7 @@ def account(generation: int, deployed: Values, redesign: Values | None, place: s
     accepted = sum(update["accepted"] for update in deployed["updates"])
     if redesign is None:
         return "; ".join([f"{name} designed {place} on the nominal model", _returns(delivery, deployed),
+                          *(["the judge, here the nominal model, was wrong"] if _fell_short(delivery) else []),
                           _updates(accepted, deployed["updates"], "the policy is as designed")])  # fmt: skip
     if redesign["accepted"]:
         parts = [_redesigned(name, redesign, delivery, place), *_verdict(delivery)]
@@ -75,10 +76,15 @@ def _verdict(delivery: Values) -> list[str]:
 
 def _judged(delivery: Values) -> list[str]:
     """That the judge was wrong, where it was, with both returns."""
-    if JudgeStatus(delivery["judge"]) is not JudgeStatus.LESS:
+    if not _fell_short(delivery):
         return []
     promised = with_minus(number(delivery["promised"]["mean"]))
     return [f"the judge was wrong: it promised a deployed return of {promised}"]
+
+
+def _fell_short(delivery: Values) -> bool:
+    """Whether a deployment delivered less than was promised, beyond both intervals."""
+    return JudgeStatus(delivery["judge"]) is JudgeStatus.LESS
 
 
 def _returns(delivery: Values, deployed: Values) -> str:

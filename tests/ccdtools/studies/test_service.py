@@ -164,6 +164,17 @@ def test_a_redesign_taken_back_says_what_it_promised_and_delivered_and_that_the_
     )
 
 
+@pytest.mark.parametrize("judge", [JudgeStatus.AGREED, JudgeStatus.LESS])
+def test_the_first_generation_names_a_nominal_model_that_was_wrong(judge):
+    delivery = {"former": None, "judge": judge.value, "promised": {"mean": -40.0}}
+    values = {"delivery": delivery, "updates": [], "deployed_return": {"mean": -51.0}}
+    wrong = "; the judge, here the nominal model, was wrong" if judge is JudgeStatus.LESS else ""
+    assert account(1, values, None, "m = 1 kg") == (
+        "generation 1 designed m = 1 kg on the nominal model; promised a deployed return of −40.00 and delivered "
+        f"−51.00{wrong}; no update was tried; the policy is as designed"
+    )
+
+
 def test_updates_alone_are_named_as_what_did_it():
     text = said(ServiceStatus.BETTER, updates=(True, False))
     assert "changed the policy only, by updates while deployed" in text
