@@ -131,7 +131,7 @@ class Generations:
         )  # fmt: skip
         log = unpacked(deployed, self.evaluation.study.plant.dt)
         learned = self._stage(
-            f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, state.twin, log
+            f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, state.twin, log, deployed
         )
         twin = self.compute.learned_twin(state.twin, log, learned)
         following = self._in_service(generation, state, found, deployed, log)
@@ -154,9 +154,7 @@ class Generations:
             history=(*state.history, GenerationRecord(tried, following.service)),
         )  # fmt: skip
 
-    def _in_service(
-        self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory
-    ) -> _State:
+    def _in_service(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:
         """The state after a deployment: what was deployed is in service, or what was before it again."""
         redesign = found.values["redesign"]
         served = Served(generation, InService(found.networks["agent"], found.arrays["design"]), log)

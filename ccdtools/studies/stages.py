@@ -11,6 +11,7 @@ import numpy as np
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.progress import Echo
 from ccdtools.studies.account import account, region_line
@@ -23,6 +24,7 @@ from ccdtools.studies.trust_region import Trust, doubt_of, within
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
+from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.replay import replay_problem, updated_problem
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
@@ -181,12 +183,12 @@ class LoopStages:
         sentence = account(generation, values, redesign, space.describe(current.design))
         return Stage(values | {"account": sentence, "report": [sentence]}, packed(log), {"agent": deployment.agent})
 
-    def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory) -> Stage:
-        """The quantiles of the one-step errors of the nominal model along all logs."""
+    def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory, deployed: Stage) -> Stage:
+        """The quantiles of the one-step errors of the nominal model along all logs, and how well draws hold."""
         if log.diverged.all() and twin.discrepancy is not None and twin.scores is not None:
             report = ["every run diverged: nothing was learned from them"]
-            networks = {"quantiles": twin.discrepancy.network}
-            return Stage({"scores": asdict(twin.scores), "report": report}, networks=networks)
+            values = {"scores": asdict(twin.scores), "free_running": None, "report": report}
+            return Stage(values, networks=_networks(twin.discrepancy))
         updated = twin.update(
             log, weight=self.evaluation.study.weight, rng=rng, config=self.evaluation.config.quantile,
             progress=self.progress,
@@ -194,10 +196,14 @@ class LoopStages:
         assert updated.discrepancy is not None
         assert updated.scores is not None
         scores = updated.scores
-        coverage = ", ".join(f"{c:.0%}" for c in scores.coverage)
-        report = [f"held-out coverage {coverage} (nominal {scores.nominal_coverage:.0%})"]
-        networks = {"quantiles": updated.discrepancy.network}
-        return Stage({"scores": asdict(scores), "report": report}, networks=networks)
+        report = [f"held-out coverage {_shares(scores.coverage)} (nominal {scores.nominal_coverage:.0%})"]
+        policy = LearnedPolicy(deployed.networks["agent"], log.design)
+        since = max((update["after"] for update in deployed.values["updates"] if update["accepted"]), default=0)
+        bands = held_out_bands(updated, log, policy, rng=rng, since=since)
+        if bands is not None:
+            report += [f"free-running bands of {bands.steps[-1]} steps: coverage {_shares(bands.coverage[-1])} of 80%"]
+        values = {"scores": asdict(scores), "free_running": None if bands is None else bands.summary()}
+        return Stage(values | {"report": report}, networks=_networks(updated.discrepancy))
 
     def learned_twin(self, twin: DigitalTwin, log: Trajectory, learned: Stage) -> DigitalTwin:
         """The twin that `learn` has left behind."""
@@ -205,7 +211,8 @@ class LoopStages:
             return twin
         taught = twin.remembering(log)
         discrepancy = Discrepancy(
-            learned.networks["quantiles"], self.evaluation.study.weight, transport=taught.transport
+            learned.networks["quantiles"], self.evaluation.study.weight, transport=taught.transport,
+            copula=learned.networks.get("copula"),
         )  # fmt: skip
         return replace(taught, discrepancy=discrepancy, scores=QuantileScores(**learned.values["scores"]))
 
@@ -235,6 +242,17 @@ def _limits(result: CoDesignResult) -> dict[str, Any] | None:
     if result.limits is None:
         return None
     return asdict(result.limits) | {"kept": result.limits.kept, "text": str(result.limits)}
+
+
+def _networks(discrepancy: Discrepancy) -> dict[str, Any]:
+    """What is kept of a discrepancy."""
+    parts = {"quantiles": discrepancy.network, "copula": discrepancy.copula}
+    return {name: part for name, part in parts.items() if part is not None}
+
+
+def _shares(values: Sequence[float]) -> str:
+    """Whole per cents, one after the other."""
+    return ", ".join(f"{value:.0%}" for value in values)
 
 
 def packed(log: Trajectory) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.residuals import Residuals, block_spans, residuals
 from ccdtools.twin.transport import Transport
-from ccdtools.twin.twin import BLOCKS, DigitalTwin
+from ccdtools.twin.twin import BLOCKS, HELD_OUT, DigitalTwin
 
 STEPS = (10, 50, 100)
 LEVELS = (0.1, 0.9)  # of the bands
@@ -60,6 +61,11 @@ class FreeRunningBands(Immutable):
             f"{step} steps {', '.join(f'{c:.0%}' for c in row)}" for step, row in zip(self.steps, self.coverage)
         )
         return f"FreeRunningBands({self.actual.shape[1]} windows, coverage of 80 %: {covered})"
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values: the measures without the bands."""
+        measures = {name: getattr(self, name).tolist() for name in ("steps", "coverage", "joint", "spread")}
+        return measures | {"windows": self.actual.shape[1]}
 
 
 def free_running_bands(
@@ -112,11 +118,10 @@ def free_running_bands(
     as_generator("rng", rng)
     draws, windows = as_count("draws", draws, least=2), as_count("windows", windows)
     errors = residuals(twin.model, log)
-    parts = [(slice(0, errors.runs), slice(0, errors.steps))]
+    since = as_count("since", since, least=0)
     if held_out is not None:
-        parts = block_spans(errors, as_share("held_out", held_out), as_count("blocks", blocks), last=True)
-    spans = [(run, k.start, k.stop) for runs, k in parts for run in range(runs.start, runs.stop)]
-    spans = _after(spans, as_count("since", since, least=0), errors.steps)
+        held_out = as_share("held_out", held_out)
+    spans = _spans(log, errors, held_out, as_count("blocks", blocks), since)
     horizons = _fitting(steps, spans)
     starts = _starts(spans, horizons[-1], windows)
     drawn = _draws(twin, errors, controller, starts, horizons[-1], draws, rng)
@@ -124,14 +129,33 @@ def free_running_bands(
     return _compared(horizons, drawn, np.stack([states[starts[:, 0], starts[:, 1] + h] for h in horizons]))
 
 
+def held_out_bands(
+    twin: DigitalTwin, log: Trajectory, controller: Controller, *, rng: np.random.Generator, since: int = 0
+) -> FreeRunningBands | None:
+    """Bands on the stretches that `DigitalTwin.update` held out of its newest log; None where they are too short."""
+    spans = _spans(log, twin.logs[-1], HELD_OUT, BLOCKS, since)
+    if max((end - first for _, first, end in spans), default=0) < STEPS[0]:
+        return None
+    return free_running_bands(twin, log, controller, rng=rng, windows=150, held_out=HELD_OUT, since=since)
+
+
 Span = tuple[int, int, int]  # run, first sample, one past the last
 
 
-def _after(spans: Sequence[Span], since: int, length: int) -> list[Span]:
-    """The spans without the first `since` samples of the runs of `length` samples, one after the other."""
-    run, sample = divmod(since, length)
-    cut = [(r, max(first, sample) if r == run else first, end) for r, first, end in spans if r >= run]
-    return [span for span in cut if span[1] < span[2]]
+def _spans(log: Trajectory, errors: Residuals, held_out: float | None, blocks: int, since: int) -> list[Span]:
+    """Stretches of the errors to start windows in, without the first `since` samples of the log, run after run."""
+    parts = [(slice(0, errors.runs), slice(0, errors.steps))]
+    if held_out is not None:
+        parts = block_spans(errors, held_out, blocks, last=True)
+    run, sample = divmod(since, errors.steps)
+    later = np.flatnonzero(~log.diverged) - run  # the errors are those of the runs that did not diverge
+    spans = []
+    for runs, steps in parts:
+        for kept in range(runs.start, runs.stop):
+            first = max(steps.start, sample) if later[kept] == 0 else steps.start
+            if later[kept] >= 0 and first < steps.stop:
+                spans.append((kept, first, steps.stop))
+    return spans
 
 
 def _fitting(steps: Sequence[int], spans: Sequence[Span]) -> NDArray[np.int64]:

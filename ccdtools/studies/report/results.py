@@ -37,6 +37,7 @@ def generation_entry(
         "trust": deployed.values["trust"],
         "online_updates": deployed.values["updates"],
         "quantiles": learned.values["scores"],
+        "free_running": learned.values["free_running"],
         "gradient_check": found.values["gradient_check"],
         "codesign": found.values["ended"],
         "redesign": found.values["redesign"],

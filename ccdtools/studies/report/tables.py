@@ -94,8 +94,19 @@ def generation_rows(results: Mapping[str, Any]) -> list[Row]:
         scores = generation["quantiles"]
         for name in ("rmse", "nominal_rmse", "pinball", "constant_pinball", "coverage"):
             row |= {f"{name}_{i + 1}": value for i, value in enumerate(scores[name])}
+        row |= _free_running_columns(generation["free_running"])
         rows.append(row)
     return rows
+
+
+def _free_running_columns(bands: Mapping[str, Any] | None) -> Row:
+    """Coverage and spread of the free-running bands, per number of steps and state; nothing where none was measured."""
+    return {
+        f"free_running_{name}_{step}_{i + 1}": value
+        for name in ("coverage", "spread") if bands is not None
+        for step, values in zip(bands["steps"], bands[name])
+        for i, value in enumerate(values)
+    }  # fmt: skip
 
 
 def learning_rows(results: Mapping[str, Any], folder: RunFolder) -> list[Row]:
