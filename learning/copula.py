@@ -3,12 +3,12 @@
 Every sample is seen by its *position* among the conditional quantiles: 0 at the lowest level, 1 at the next, …, linear
 between them and beyond. The positions of a data set have a distribution of their own, which says what happens between
 the levels and beyond the outer ones. It is kept for several widths of the levels, because the tails beyond wide ones
-are often shorter in proportion. Its normal scores are correlated between the outputs and, where that pays on unseen
-samples, in time.
+are often shorter in proportion. Its normal scores are correlated between the outputs and, where asked for, in time.
 
 Quantiles are fitted to ranks, and a simulation lives on moments: a mean that is off by a hundredth of the noise, but
 always in the direction of a slow state, changes the spread of that state by a tenth. The draws are therefore shifted by
-what a linear regression finds in the samples less the mean of their draws.
+what a linear regression finds in the samples less the mean of their draws, and they stay in
+the subspace that the samples fill: a simulation that leaves it amplifies what the network says where it has seen nothing.
 
 References
 ----------
@@ -44,6 +44,8 @@ class InnovationCopula(nn.Module):
         distance between the outer levels; linear between the knots and between the widths.
     centre (d,), slope (d, m), shift (m,)
         What is added to the quantiles before a draw: slopeᵀ (inputs − centre) + shift.
+    origin (m,), subspace (m, m)
+        A draw y becomes origin + subspace (y − origin): the identity but for directions that the samples hardly fill.
     gains (order + 1, order, m, m), factors (order + 1, m, m)
         Scores z = Σᵢ gains[j, i] zᵢ + factors[j] ε from the j last scores that are known: j grows from 0 to the order,
         so that a run without a past starts in the stationary distribution.
@@ -55,6 +57,8 @@ class InnovationCopula(nn.Module):
     centre: Tensor
     slope: Tensor
     shift: Tensor
+    origin: Tensor
+    subspace: Tensor
     gains: Tensor
     factors: Tensor
 
@@ -69,6 +73,8 @@ class InnovationCopula(nn.Module):
         self.register_buffer("centre", torch.zeros(inputs))
         self.register_buffer("slope", torch.zeros(inputs, outputs))
         self.register_buffer("shift", torch.zeros(outputs))
+        self.register_buffer("origin", torch.zeros(outputs))
+        self.register_buffer("subspace", torch.eye(outputs))
         self.register_buffer("gains", torch.zeros(order + 1, order, outputs, outputs))
         self.register_buffer("factors", torch.eye(outputs).repeat(order + 1, 1, 1))
 
@@ -106,15 +112,16 @@ class InnovationCopula(nn.Module):
             Zeros for a run without a past.
         """
         scores = self._scores(torch.special.ndtri(uniform.clamp(EDGE, 1 - EDGE)), memory)
-        drawn = self._at(self.shifted(quantiles, inputs), torch.special.ndtr(scores))
-        return drawn, self.remember(scores, memory)
+        drawn = self.at(self.shifted(quantiles, inputs), torch.special.ndtr(scores))
+        origin = self.origin.to(drawn.dtype)
+        return origin + (drawn - origin) @ self.subspace.T.to(drawn.dtype), self.remember(scores, memory)
 
     def shifted(self, quantiles: Tensor, inputs: Tensor) -> Tensor:
         """Quantiles (n, levels, m) at inputs (n, d), moved so that the draws have the right mean."""
         moved = (inputs - self.centre.to(inputs.dtype)) @ self.slope.to(inputs.dtype) + self.shift.to(inputs.dtype)
         return quantiles + moved.unsqueeze(-2)
 
-    def _at(self, quantiles: Tensor, share: Tensor) -> Tensor:
+    def at(self, quantiles: Tensor, share: Tensor) -> Tensor:
         """Values (n, m) below which shares (n, m) of the draws lie."""
         position = self._positions(share, log_width(quantiles))
         below = position.floor().clamp(0, quantiles.shape[-2] - 2)
@@ -128,7 +135,7 @@ class InnovationCopula(nn.Module):
         mass = torch.diff(edges) / (edges[-1] - edges[0])
         shares = ((edges[1:] + edges[:-1]) / 2).to(quantiles.dtype)
         like = quantiles[..., 0, :]
-        return sum((m.item() * self._at(quantiles, torch.full_like(like, s)) for m, s in zip(mass, shares)), 0 * like)
+        return sum((m.item() * self.at(quantiles, torch.full_like(like, s)) for m, s in zip(mass, shares)), 0 * like)
 
     def _scores(self, shocks: Tensor, memory: Tensor) -> Tensor:
         """Correlated scores (n, m) from independent shocks, by as many past scores as are known."""

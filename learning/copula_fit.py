@@ -14,7 +14,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from learning.checks import ROUNDING, as_floats, as_lengths, check_instance
+from learning.checks import ROUNDING, as_floats, as_lengths, check_count, check_instance
 from learning.copula import InnovationCopula, log_width, positions
 from learning.exceptions import InputError
 from learning.quantile import QuantileNetwork
@@ -25,14 +25,19 @@ KNOTS = 257  # of the margins, evenly spaced in the normal score
 WIDTHS = 6  # at most, for which margins are kept
 PER_WIDTH = 500  # samples that each of them needs
 COLLINEAR = 0.01  # smallest singular value of standardised inputs, relative to the largest, that the shift follows
-ORDERS = 3  # highest order of the autoregression that is tried
+NARROW = 0.05  # of the largest variance of standardised outputs: directions that follow the samples' own variance
 JUDGED = 0.2  # last part of every stretch, on which the order is chosen
 FEWEST = 100  # judged samples below which no correlation in time is looked for
 SIGNIFICANT = 0.01  # of the total variance of the scores: components below it are taken as independent in time
 
 
 def fit_copula(
-    network: QuantileNetwork, inputs: ArrayLike, targets: ArrayLike, *, stretches: Sequence[int] | None = None
+    network: QuantileNetwork,
+    inputs: ArrayLike,
+    targets: ArrayLike,
+    *,
+    stretches: Sequence[int] | None = None,
+    orders: int = 0,
 ) -> InnovationCopula:
     """The joint distribution of `targets` around the conditional quantiles of a network.
 
@@ -44,9 +49,11 @@ def fit_copula(
         In time order.
     targets : (n, m) array_like
     stretches : sequence of int, optional
-        Lengths of the contiguous stretches that make up the n samples; one stretch by default. The order of the
-        correlation in time is the smallest whose one-step error on the last part of each is not worse than the best
-        by more than two standard errors.
+        Lengths of the contiguous stretches that make up the n samples; one stretch by default.
+    orders : int
+        Highest order of a correlation in time that is tried. The smallest is taken whose one-step error on the last
+        part of each stretch is not worse than the best by more than two standard errors. Leave it at 0 where the inputs
+        hold the past, as those of a twin do: what they explain already would be counted twice.
 
     Raises
     ------
@@ -54,6 +61,7 @@ def fit_copula(
         On mismatched, too few (under 20) or non-finite samples, or a network of a single level.
     """
     network = check_instance(network, "network", QuantileNetwork)
+    orders = check_count(orders, "orders", 0)
     x = as_floats(inputs, "inputs")
     y = as_floats(targets, "targets")
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
@@ -62,6 +70,10 @@ def fit_copula(
         raise InputError("inputs, targets", "values that are not finite", "finite samples")
     if len(network.levels) < 3:
         raise InputError("network", "a single level", "at least three, which draws can follow")
+    sizes = (len(network.input_offset), network.outputs)
+    if (x.shape[1], y.shape[1]) != sizes:
+        got = f"{x.shape[1]} and {y.shape[1]} columns"
+        raise InputError("inputs, targets", got, f"{sizes[0]} and {sizes[1]}, as the network")
     lengths = as_lengths(stretches, "stretches", len(x))
     quantiles = network.predict(x)
     margins = _margins(quantiles, y, x.shape[1])
@@ -70,8 +82,12 @@ def fit_copula(
     margins = _margins(quantiles, y, x.shape[1])
     for name, value in (("centre", x.mean(axis=0)), ("slope", slope), ("shift", shift)):
         getattr(margins, name).copy_(torch.tensor(value))
-    parts = np.split(_standard(margins.scores(quantiles, y)), np.cumsum(lengths)[:-1])
-    return _joined(margins, parts, _order(parts))
+    scores = _standard(margins.scores(quantiles, y))
+    origin, subspace = _subspace(y, _exchanged(margins, quantiles, scores))
+    margins.origin.copy_(torch.tensor(origin))
+    margins.subspace.copy_(torch.tensor(subspace))
+    parts = np.split(scores, np.cumsum(lengths)[:-1])
+    return _joined(margins, parts, _order(parts, orders))
 
 
 def _regression(x: Array, left: Array) -> tuple[Array, Array]:
@@ -119,7 +135,7 @@ def _weighted_quantiles(samples: Array, weight: Array, shares: Array) -> Array:
 def _joined(margins: InnovationCopula, parts: Sequence[Array], order: int) -> InnovationCopula:
     """Return the copula of the margins whose scores (n, m) along the stretches are correlated as in `parts`."""
     copula = InnovationCopula.from_shape(margins.shape() | {"order": order})
-    for name in ("probabilities", "positions", "widths", "centre", "slope", "shift"):
+    for name in ("probabilities", "positions", "widths", "centre", "slope", "shift", "origin", "subspace"):
         getattr(copula, name).copy_(getattr(margins, name))
     lagged = [_autocovariance(parts, i) for i in range(order + 1)]
     for j in range(order + 1):
@@ -128,6 +144,29 @@ def _joined(margins: InnovationCopula, parts: Sequence[Array], order: int) -> In
         for i, gain in enumerate(gains):
             copula.gains[j, i] = torch.tensor(gain)
     return copula
+
+
+def _exchanged(margins: InnovationCopula, quantiles: Array, scores: Array) -> Array:
+    """Return draws (n, m) at the samples' quantiles, each with the scores of the sample half a data set later."""
+    shares = torch.tensor(ndtr(np.roll(scores, len(scores) // 2, axis=0)))
+    return margins.at(torch.tensor(quantiles), shares).numpy()
+
+
+def _subspace(y: Array, draws: Array) -> tuple[Array, Array]:
+    """Return the mean (m,) of samples, and the map (m, m) that takes draws to their variance in narrow directions.
+
+    Directions are the principal ones of samples of variance 1; nothing is stretched, and wide ones stay as they are.
+    """
+    origin = y.mean(axis=0)
+    deviation = y.std(axis=0)
+    scale = np.where(deviation > ROUNDING * np.abs(y).max(axis=0), deviation, np.inf)
+    values, vectors = np.linalg.eigh(np.cov((y - origin).T / scale[:, None]).reshape(len(origin), -1))
+    drawn = ((((draws - origin) / scale) @ vectors) ** 2).mean(axis=0)
+    narrow = values < NARROW * values.max()
+    ratio = np.sqrt(np.maximum(values, 0.0) / np.maximum(drawn, np.finfo(float).tiny))
+    kept = np.where(narrow, np.minimum(ratio, 1.0), 1.0)
+    finite = np.where(np.isfinite(scale), scale, 1.0)
+    return origin, (finite[:, None] * (vectors * kept)) @ vectors.T / finite
 
 
 def _standard(scores: Array) -> Array:
@@ -173,13 +212,13 @@ def _root(covariance: Array) -> Array:
     return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
 
 
-def _order(parts: Sequence[Array]) -> int:
+def _order(parts: Sequence[Array], orders: int) -> int:
     """Return the smallest order whose error on unseen scores is within two standard errors of the best."""
-    cuts = [max(ORDERS, len(part) - round(JUDGED * len(part))) for part in parts]
-    if sum(max(0, len(part) - cut) for part, cut in zip(parts, cuts)) < FEWEST:
+    cuts = [max(orders, len(part) - round(JUDGED * len(part))) for part in parts]
+    if orders == 0 or sum(max(0, len(part) - cut) for part, cut in zip(parts, cuts)) < FEWEST:
         return 0
-    lagged = [_autocovariance([part[:cut] for part, cut in zip(parts, cuts)], i) for i in range(ORDERS + 1)]
-    errors = np.stack([_errors(parts, cuts, _autoregression(lagged, order)[0]) for order in range(ORDERS + 1)])
+    lagged = [_autocovariance([part[:cut] for part, cut in zip(parts, cuts)], i) for i in range(orders + 1)]
+    errors = np.stack([_errors(parts, cuts, _autoregression(lagged, order)[0]) for order in range(orders + 1)])
     best = errors[errors.mean(axis=1).argmin()]
     more = errors - best
     standard = more.std(axis=1) / np.sqrt(errors.shape[1])

@@ -69,7 +69,7 @@ def fit_actor_critic(
     actions : (n, nu) array_like
         The expert's actions, within `action_bounds`.
     values : (n,) array_like
-        Discounted returns of the expert (negative for costs); NaN where unknown.
+        Discounted returns of the expert (negative for costs); NaN where unknown, but not everywhere.
     action_bounds : (lower, upper), each (nu,)
     input_bounds : (lower, upper), each (n_obs,), optional
         Range for the normalisation; that of the data by default.
@@ -84,7 +84,8 @@ def fit_actor_critic(
     Raises
     ------
     InputError
-        On empty, mismatched or non-finite data, bounds of another size, or a configuration of another kind.
+        On empty, mismatched or non-finite data, values of which none is known, bounds of another size, or a
+        configuration of another kind.
     """
     config = check_instance(CloningConfig() if config is None else config, "config", CloningConfig)
     shape = check_instance(NetworkConfig() if network is None else network, "network", NetworkConfig)
@@ -94,9 +95,8 @@ def fit_actor_critic(
     least, largest = as_bounds(action_bounds, "action_bounds", u.shape[1])
     agent = ActorCritic(lower, upper, least, largest, config=shape, seed=int(rng.integers(2**31)))
     known = np.isfinite(v)
-    if known.any():
-        agent.value_offset.fill_(float(np.median(v[known])))
-        agent.value_scale.fill_(_spread(v[known]))
+    agent.value_offset.fill_(float(np.median(v[known])))
+    agent.value_scale.fill_(_spread(v[known]))
     X, U, V = (torch.tensor(a, dtype=torch.float32) for a in (x, u, np.nan_to_num(v)))
     K = torch.tensor(known)
     parameters = [*agent.mean_network.parameters(), *agent.value_network.parameters()]
@@ -125,6 +125,9 @@ def _checked(inputs: ArrayLike, actions: ArrayLike, values: ArrayLike) -> tuple[
         raise InputError("inputs, actions, values", shapes, "(n, n_obs), (n, nu), (n,)")
     if not (np.isfinite(x).all() and np.isfinite(u).all()):
         raise InputError("inputs, actions", "values that are not finite", "finite samples")
+    if not np.isfinite(v).any():
+        cure = "Every run of the expert was lost, or pass zeros to imitate its actions alone."
+        raise InputError("values", f"{len(v)} of which none is finite", "at least one known return", cure)
     return x, u, v
 
 

@@ -114,10 +114,8 @@ class DigitalTwin(Immutable):
         inputs, tests = (np.hstack([part[i] for i in columns]) for part in (train, test))
         lengths = [part.runs * part.steps for part in parts]
         network = fit_quantiles(inputs, train[-1], stretches=lengths, rng=rng, config=config, progress=progress)
-        copula = None
-        if len(network.levels) > 1:
-            runs = [part.steps for part in parts for _ in range(part.runs)]
-            copula = fit_copula(network, inputs, train[-1], stretches=runs)
+        drawable = len(network.levels) > 1
+        copula = fit_copula(network, inputs, train[-1]) if drawable else None  # without memory: e and x hold the past
         return replace(
             twin,
             discrepancy=Discrepancy(network, weight, design_as_feature, transport=twin.transport, copula=copula),

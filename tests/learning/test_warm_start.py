@@ -55,8 +55,12 @@ def test_unknown_values_are_left_out_of_the_critic_only():
     agent = cloned(x, u, v, config=CloningConfig(steps=50))
     assert all(torch.isfinite(p).all() for p in agent.parameters())
     assert agent.value_scale.item() == pytest.approx(np.nanstd(v), rel=1e-5)
-    nothing = cloned(x, u, np.full(400, np.nan), config=CloningConfig(steps=5))
-    assert nothing.value_scale.item() == 1.0
+
+
+def test_a_critic_that_nothing_is_known_for_is_refused():
+    x, u, _ = data(400)
+    with pytest.raises(InputError, match="values: got 400 of which none is finite, expected at least one known return"):
+        cloned(x, u, np.full(400, np.nan), config=CloningConfig(steps=5))
 
 
 def test_the_same_generator_gives_the_same_clone():
