@@ -8,7 +8,7 @@ are often shorter in proportion. Its normal scores are correlated between the ou
 Quantiles are fitted to ranks, and a simulation lives on moments: a mean that is off by a hundredth of the noise, but
 always in the direction of a slow state, changes the spread of that state by a tenth. The draws are therefore shifted by
 what a linear regression finds in the samples less the mean of their draws, and they stay in
-the subspace that the samples fill: a simulation that leaves it amplifies what the network says where it has seen nothing.
+the subspace that the samples fill: outside it, a simulation amplifies what the network says where it has seen nothing.
 
 References
 ----------
