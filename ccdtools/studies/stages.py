@@ -11,7 +11,6 @@ import numpy as np
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.result import CoDesignResult
-from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.progress import Echo
 from ccdtools.studies.account import account, region_line
@@ -197,7 +196,7 @@ class LoopStages:
         assert updated.scores is not None
         scores = updated.scores
         report = [f"held-out coverage {_shares(scores.coverage)} (nominal {scores.nominal_coverage:.0%})"]
-        policy = LearnedPolicy(deployed.networks["agent"], log.design)
+        policy = self.evaluation.in_service(deployed.networks["agent"], log.design)
         since = max((update["after"] for update in deployed.values["updates"] if update["accepted"]), default=0)
         bands = held_out_bands(updated, log, policy, rng=rng, since=since)
         if bands is not None:
