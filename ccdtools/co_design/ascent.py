@@ -233,7 +233,8 @@ class Ascent:
         violation = 0.0
         outcome = None
         if self.limits is not None:
-            self.limits = self.limits.updated(seen, self.v.detach(), self.evaluation)
+            if lost == 0:  # of runs that are lost, neither MPC nor a multiplier says anything
+                self.limits = self.limits.updated(seen, self.v.detach(), self.evaluation)
             violation = self.limits.violation(seen)
             outcome = self.limits.outcome(seen)
         return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), seen.total.numpy(), violation, lost, outcome)

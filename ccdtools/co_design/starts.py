@@ -48,8 +48,8 @@ def race(
     """The ascents from every start, the best first.
 
     They climb a block at a time. One is given up when it has come to the place of a better one, loses runs that a better
-    one keeps, or is behind it by more than its last block gained and than chance explains. Each draws from a generator of its own, and all are scored on
-    the same scenarios.
+    one keeps, or is behind it by more than its last block gained and than chance explains. Each draws from a generator
+    of its own, and all are scored on the same scenarios.
     """
     config = task.config
     evaluation = scenario_tensors(task.judge, fewer_runs(config.evaluation_runs, task.judge.steps), rng)
@@ -77,7 +77,7 @@ def _leader(ascents: list[Ascent]) -> Ascent:
 
 
 def _hopeful(one: Ascent, leader: Ascent) -> bool:
-    """Whether an ascent may still overtake the leader from elsewhere; not while it loses runs that the leader keeps."""
+    """Whether an ascent may still overtake the leader from elsewhere, and loses no run that the leader keeps."""
     if one.best.lost > leader.best.lost:
         return False
     if not _apart(one.best.v.numpy(), leader.best.v.numpy()):
