@@ -47,9 +47,9 @@ def race(
 ) -> list[Ascent]:
     """The ascents from every start, the best first.
 
-    They climb a block at a time. One is given up when it has come to the place of a better one, loses runs that a better
-    one keeps, or is behind it by more than its last block gained and than chance explains. Each draws from a generator
-    of its own, and all are scored on the same scenarios.
+    They climb a block at a time. One is given up when it has come to the place of a better one, loses runs that a
+    better one keeps, or is behind it by more than its last block gained and than chance explains. Each draws from a
+    generator of its own, and all are scored on the same scenarios.
     """
     config = task.config
     evaluation = scenario_tensors(task.judge, fewer_runs(config.evaluation_runs, task.judge.steps), rng)
