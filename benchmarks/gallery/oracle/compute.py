@@ -69,10 +69,11 @@ def _by_dynamic_programming(s: Statement) -> Landscape:
         return float(clipped_optimum(s, np.array(p)).returns(few).mean())
 
     found = landscape(s, lambda p: value(*np.round(p, 3)), points=CLIPPED_POINTS)
-    returns = np.array([clipped_optimum(s, p).returns(w).mean() for p in found.designs])
+    best = found.designs[:1]  # where runs are lost, the cost beyond the grid is not known, and no other optimum is one
+    returns = clipped_optimum(s, best[0]).returns(w).mean(keepdims=True)
     corners = [saturated_return(s, p, few) for p in s.corners()]
     worst = int(np.argmin(corners))
-    return Landscape(found.designs, returns, s.corners()[worst], corners[worst])
+    return Landscape(best, returns, s.corners()[worst], corners[worst])
 
 
 def _by_receding_horizon(s: Statement) -> Landscape:

@@ -130,6 +130,11 @@ def test_dynamic_programming_is_the_riccati_equation_where_no_input_saturates():
     assert abs(returns.mean() - highest_linear_return(s, p)) < 4 * returns.std() / np.sqrt(len(w))
 
 
+def test_dynamic_programming_is_better_than_the_clipped_lqr_where_inputs_saturate():
+    kept = reference("two_unstable_modes")
+    assert kept["returns"][0] > 0.9 * kept["lqr"] > kept["lqr"]
+
+
 def test_the_mpc_of_the_oracle_is_lqr_inside_the_limits_and_keeps_them_near_the_edge():
     s = statement("rail_mass")
     p = np.array([1.0])
