@@ -24,7 +24,7 @@ STATEMENTS = {
     "heated_room": other.heated_room,
 }
 STUDIES = tuple(STATEMENTS)
-CLIPPED = ("two_unstable_modes",)  # inputs saturate: dynamic programming
+CLIPPED = ("two_unstable_modes",)  # inputs saturate: the best clipped linear feedback, by search
 LIMITED = ("rail_mass",)  # a state limit binds: MPC
 OPTIMA = Path(__file__).with_name("optima.json")
 

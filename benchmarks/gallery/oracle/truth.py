@@ -41,12 +41,22 @@ def truth(s: Statement, best: Array, seed: int = 11) -> Truth:
     w = s.disturbance(RUNS, seed)
     A, B, _ = s.sampled(best)
     deployed = _affine_return(s, best, s.gain(A, B), np.zeros(len(s.R)), w)
-    v = (best - s.lower) / (s.upper - s.lower)
-    feedback = np.zeros(len(s.R) * (len(s.x0) + 1))
-    alone = _climb(lambda z: _around_lqr(s, best, z, w), feedback, 0.1)
+    alone, design, feedback = best_feedback(s, best, w)
+    return Truth(deployed, alone, design, _around_lqr(s, design, feedback, w))
+
+
+def best_feedback(s: Statement, first: Array, w: Array) -> tuple[float, Array, Array]:
+    """Return of the best feedback at a design; the best design near it with its own best feedback."""
+    v = (first - s.lower) / (s.upper - s.lower)
+    alone = _climb(lambda z: _around_lqr(s, first, z, w), np.zeros(len(s.R) * (len(s.x0) + 1)), 0.1)
     start = np.r_[v, alone.x]
     both = _climb(lambda z: _around_lqr(s, s.from_unit(z[: len(v)]), z[len(v) :], w), start, 0.1, box=len(v))
-    return Truth(deployed, -float(alone.fun), s.from_unit(both.x[: len(v)]), -float(both.fun))
+    return -float(alone.fun), s.from_unit(both.x[: len(v)]), both.x[len(v) :]
+
+
+def feedback_return(s: Statement, p: Array, feedback: Array, w: Array) -> float:
+    """Mean return of what `best_feedback` has found, under other disturbances."""
+    return _around_lqr(s, p, feedback, w)
 
 
 def _around_lqr(s: Statement, p: Array, z: Array, w: Array) -> float:
