@@ -384,11 +384,11 @@ def _leaves(case: Case, x: Array, margin: float, back: float) -> bool:
 # --- tables ----------------------------------------------------------------------------------------------------
 
 
-def table(name: str, verdicts: list[tuple[int, str, str]], slowest: float) -> None:
+def table(name: str, verdicts: list[tuple[int, str, str]], seconds: float) -> None:
     """Print how many of each verdict there are."""
     wrong = [(seed, said) for seed, said, _ in verdicts if said]
     statuses = dict(Counter(status for _, _, status in verdicts))
-    print(f"{name}: {len(verdicts)} cases, {len(wrong)} wrong, slowest {slowest:.1f} s, {statuses}")
+    print(f"{name}: {len(verdicts)} cases, {len(wrong)} wrong, {seconds:.1f} s in all, {statuses}")
     for seed, said in wrong[:40]:
         print(f"    seed {seed}: {said}")
 
