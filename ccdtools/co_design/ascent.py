@@ -23,12 +23,13 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_gradients import FEW, differences, standard_error
+from ccdtools.co_design.design_gradients import FEW, Slope, differences
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
 from ccdtools.co_design.reinforcement.gradients import check_gradients
 from ccdtools.co_design.reinforcement.ppo import PPOPart
 from ccdtools.co_design.result import Convergence, History
+from ccdtools.co_design.sample_average import SampleAverage
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.task import Iterate, Task
 from ccdtools.statistics import PairedDifference, paired_difference
@@ -37,14 +38,11 @@ from learning.ppo import decay_exploration
 
 Scenarios = tuple[Tensor, Tensor]
 
+LESS = 0.9  # of a violation is left where a block was worth it
 SLOPE_RUNS = 512  # scenarios of the slope that a status rests on
-SIGNIFICANT = 3.0  # standard errors of a slope that is not chance
 QUIET_LIMITED = 3  # the same while multipliers of the state limits move
-AHEAD = 0.1  # of the box: over this distance a slope must promise a gain that matters
 QUIET = {"pathwise": 1, "ppo": 2, "pathwise+ppo": 1}  # blocks without a gain that end it; PPO's first may only train V
 MEMORY = 20  # pairs that L-BFGS keeps
-STEEPEST = 1e3  # relative gradients are clipped here: a step into lost runs has 1e17
-UNRESOLVED = 0.05  # of the return over the distance ahead: a slope with such an error says nothing
 
 
 class Ascent:
@@ -70,6 +68,8 @@ class Ascent:
         self.check = check_gradients(task.problem, agent, design, rng=rng, ppo=config.ppo) if task.moving else None
         self.ppo = PPOPart(task.problem, agent, self._p(), rng, config)
         self.first_std = agent.log_std.exp().mean().item()
+        if task.smooth:  # nothing is explored, and the sampled policy is reported too
+            decay_exploration(agent, self.first_std, config.ppo.final_std, 1.0)
         self.design_optimiser = torch.optim.Adam([self.v], lr=config.design_rate or 1.0, betas=(0.8, 0.9))
         self.policy_optimiser = torch.optim.Adam(agent.mean_network.parameters(), lr=config.policy_rate or 1.0)
         self.model_steps = 0
@@ -80,7 +80,7 @@ class Ascent:
         self.rows: list[tuple] = []
         self.best = self.evaluated()
         self.gain = PairedDifference(float("nan"), (float("nan"), float("nan")))
-        self.slope = np.zeros((2, len(self.v)))
+        self.slope = Slope.none(len(self.v))
         self.status: CoDesignStatus | None = None
 
     @property
@@ -146,33 +146,25 @@ class Ascent:
     def _improved(self, before: Iterate) -> bool:
         """Whether the block brought a gain that is not chance and that matters, or fewer lost runs or violations."""
         best = self.best
-        if best.lost < before.lost or best.violation < (1 - AHEAD) * before.violation:
+        if best.lost < before.lost or best.violation < LESS * before.violation:
             return True
         return bool(self.gain.ci95[0] > 0 and self.gain.mean > self.task.config.tolerance * abs(best.score))
 
     def _climbs(self) -> bool:
-        """Whether the return still rises along the design, by finite differences inside the box."""
+        """Whether the return that iterates are scored by still rises along the design, inside the box."""
         best = self.best
-        scenarios = self._drawn(SLOPE_RUNS)
-        by_run = differences(self.task.problem, best.agent, best.v, scenarios)
-        slope = by_run.mean(0).numpy()
-        error = standard_error(by_run).numpy()
-        v = best.v.double().numpy()
-        room = np.where(slope > 0, 1.0 - v, v)
-        self.slope = np.where(room > 0, np.stack([slope, error]), 0.0)
-        promised = np.abs(slope) * np.minimum(room, AHEAD) / 2  # a slope that falls to zero over that distance
-        needed = 2 * self.task.config.tolerance * abs(best.score)
-        return bool(((np.abs(slope) > SIGNIFICANT * error) & (promised > needed)).any())
+        judge = self.task.judge
+        scenarios = scenario_tensors(judge, fewer_runs(SLOPE_RUNS, judge.steps), self.rng)
+        self.slope = Slope.measured(judge, best.agent, best.v, scenarios)
+        return self.slope.promises(2 * self.task.config.tolerance * abs(best.score))
 
     def _untrusted(self) -> bool:
         """Whether no estimate of the design gradient could be trusted."""
         if self.check is None or self.check.trusted or self.task.config.design_gradient != "pathwise":
             return False
-        error = self.slope[1]
-        noisy = bool((error * AHEAD > UNRESOLVED * abs(self.best.score)).any() or not np.isfinite(error).all())
-        return noisy or not self.by_differences
+        return self.slope.unresolved(abs(self.best.score)) or not self.by_differences
 
-    def _drawn(self, runs: int) -> Scenarios:
+    def drawn(self, runs: int) -> Scenarios:
         """Fresh scenarios of the problem."""
         return scenario_tensors(self.task.problem, fewer_runs(runs, self.task.problem.steps), self.rng)
 
@@ -188,12 +180,13 @@ class Ascent:
 
     def _climb(self, length: int, bar: tqdm) -> None:
         """At most so many evaluations of L-BFGS-B on one set of scenarios."""
-        cost = _SampleCost(self, self._drawn(self.task.config.pathwise_runs), length, bar)
+        climb = _Climb(self, length, bar)
         options = {"maxfun": 10 * length, "maxiter": length, "maxcor": MEMORY, "ftol": 1e-7, "gtol": 1e-5}
+        first = climb.average.first
         with np.errstate(all="ignore"), contextlib.suppress(_SpentError):
-            minimize(cost, cost.z, jac=True, method="L-BFGS-B", bounds=cost.bounds, options=options)
-        cost.set(cost.z)
-        if cost.changed:
+            minimize(climb, first, jac=True, method="L-BFGS-B", bounds=climb.average.bounds, options=options)
+        climb.average.put(climb.lowest)
+        if climb.changed:
             self.keep(self.evaluated())
 
     def _follow(self, length: int, bar: tqdm) -> None:
@@ -263,7 +256,7 @@ class Ascent:
     def _follow_model(self, factor: float) -> Tensor:
         """The design's gradient of the relative return through the dynamics; the policy takes a step on its own."""
         task = self.task
-        scenarios = self._drawn(task.config.pathwise_runs)
+        scenarios = self.drawn(task.config.pathwise_runs)
         self.model_steps += scenarios[1].shape[0] * scenarios[1].shape[1]
         cost = self.cost(self.v, scenarios)
         size = cost.detach().abs()  # relative, so that a lost run's 1e8 today does not drown tomorrow's steps
@@ -304,38 +297,40 @@ class Ascent:
 
     def convergence(self) -> Convergence:
         """What the status rests on."""
-        slope, error = self.slope
-        return Convergence(self.gain, slope, error, self.by_differences, self.blocks, self.iterations)
+        slope = self.slope
+        return Convergence(self.gain, slope.mean, slope.error, self.by_differences, self.blocks, self.iterations)
 
 
 class _SpentError(Exception):
     """The evaluations of a block are spent."""
 
 
-class _SampleCost:
-    """Relative cost on fixed scenarios as a function of policy and design, the lowest point so far, and the bounds.
+class _Climb:
+    """What L-BFGS-B calls: the cost on one set of scenarios, counted, and the lowest point so far.
 
     Attributes
     ----------
-    z : (m,) array
-        The lowest point: weights of the policy if it moves, then the point of the unit box if the design moves.
+    lowest : (m,) array
+        Weights of the policy if it moves, then the point of the unit box if the design moves.
     changed : bool
         Whether that point has not been evaluated yet.
     """
 
-    def __init__(self, ascent: Ascent, scenarios: Scenarios, length: int, bar: tqdm) -> None:
+    def __init__(self, ascent: Ascent, length: int, bar: tqdm) -> None:
+        scenarios = ascent.drawn(ascent.task.config.pathwise_runs)
         self.ascent = ascent
-        self.scenarios = scenarios
         self.left = length
         self.bar = bar
-        task = ascent.task
-        self.weights = list(ascent.agent.mean_network.parameters()) if task.pathwise else []
-        self.designs = len(ascent.v) if task.moving else 0
-        parts = [weight.detach().ravel() for weight in self.weights] + [ascent.v.detach()] * task.moving
-        self.z = torch.cat(parts).double().numpy()
-        self.bounds = [(None, None)] * (len(self.z) - self.designs) + [(0.0, 1.0)] * self.designs
-        self.scale = abs(ascent.best.score) or 1.0
-        self.lowest = float("inf")
+        self.samples = scenarios[1].shape[0] * scenarios[1].shape[1]
+        self.average = SampleAverage(
+            lambda: ascent.cost(ascent.v, scenarios),
+            weights=list(ascent.agent.mean_network.parameters()) if ascent.task.pathwise else [],
+            v=ascent.v if ascent.task.moving else None,
+            scale=abs(ascent.best.score) or 1.0,
+            slope=(lambda: self._slope(scenarios)) if ascent.by_differences else None,
+        )
+        self.lowest = self.average.first
+        self.value = float("inf")
         self.changed = False
 
     def __call__(self, z: Array) -> tuple[float, Array]:
@@ -343,50 +338,29 @@ class _SampleCost:
         if self.left == 0:
             raise _SpentError
         self.left -= 1
-        value, gradient = self._differentiated(z)
-        if value < self.lowest:
-            self.changed = self.changed or np.isfinite(self.lowest)
-            self.lowest = value
-            self.z = z.copy()
+        self.ascent.model_steps += self.samples
+        value, gradient = self.average(z)
+        if value < self.value:
+            self.changed = self.changed or np.isfinite(self.value)
+            self.value = value
+            self.lowest = z.copy()
         self.ascent.count(self.bar)
         if self.ascent.iterations % self.ascent.task.config.evaluate_every == 0 or self.left == 0:
-            self._evaluate()
+            self.evaluate()
         return value, gradient
 
-    def set(self, z: Array) -> None:
-        """Let policy and design be those of `z`."""
-        values = torch.tensor(z, dtype=torch.float32)
-        sizes = [weight.numel() for weight in self.weights]
-        with torch.no_grad():
-            for weight, part in zip(self.weights, values[: sum(sizes)].split(sizes) if sizes else []):
-                weight.copy_(part.reshape(weight.shape))
-            if self.designs:
-                self.ascent.v.copy_(values[-self.designs :])
-
-    def _differentiated(self, z: Array) -> tuple[float, Array]:
-        """Cost and its clipped gradient at a point; a cost that is not finite is very large, and level."""
-        ascent = self.ascent
-        self.set(z)
-        ascent.model_steps += self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
-        cost = ascent.cost(ascent.v, self.scenarios)
-        wanted = [*self.weights, ascent.v] if self.designs else self.weights
-        gradients = [gradient.double().ravel() for gradient in torch.autograd.grad(cost, wanted)]
-        if self.designs and ascent.by_differences:
-            by_run = differences(ascent.task.problem, ascent.agent, ascent.v.detach(), self.scenarios)
-            gradients[-1] = -by_run.mean(0)
-        gradient = torch.cat(gradients).numpy() / self.scale
-        length = float(np.linalg.norm(gradient))
-        if not (np.isfinite(cost.item()) and np.isfinite(length)):
-            return 1e9, np.zeros_like(gradient)
-        return cost.item() / self.scale, gradient * min(1.0, STEEPEST / max(length, STEEPEST))
-
-    def _evaluate(self) -> None:
+    def evaluate(self) -> None:
         """Score the lowest point."""
-        self.set(self.z)
+        self.average.put(self.lowest)
         self.changed = False
         self.ascent.keep(self.ascent.evaluated())
         if self.ascent.limited:
             raise _SpentError  # the cost has changed: Adam follows a moving one
+
+    def _slope(self, scenarios: Scenarios) -> Tensor:
+        """The design's gradient of the mean return by finite differences, (np,)."""
+        ascent = self.ascent
+        return differences(ascent.task.problem, ascent.agent, ascent.v.detach(), scenarios).mean(0)
 
 
 def _set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:

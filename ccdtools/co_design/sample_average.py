@@ -1,0 +1,74 @@
+"""A mean cost on fixed scenarios as a smooth function of one vector: the weights of a policy, and a design."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ccdtools.arrays import Array
+
+STEEPEST = 1e3  # relative gradients are clipped here: a step into lost runs has 1e17
+LOST = 1e9  # relative cost where there is no finite one
+
+
+class SampleAverage:
+    """Relative cost and its gradient at a vector z (m,); the weights and the design are set to it.
+
+    Parameters
+    ----------
+    cost : callable
+        Mean cost of policy and design as they stand, a tensor that is differentiable in both.
+    weights : list of tensors
+        Of the policy; empty where it stays.
+    v : (np,) tensor or None
+        The point of the unit box; None where the design stays.
+    scale : float
+        What costs are divided by.
+    slope : callable, optional
+        The design's gradient of the mean return, in the place of the one through the model.
+
+    Attributes
+    ----------
+    first : (m,) array
+        Where weights and design are at first.
+    bounds : list of pairs
+        The unit box for the design, nothing for the weights.
+    """
+
+    def __init__(
+        self, cost: Callable[[], Tensor], *, weights: list[Tensor], v: Tensor | None, scale: float,
+        slope: Callable[[], Tensor] | None = None,
+    ) -> None:  # fmt: skip
+        self._cost = cost
+        self._weights = weights
+        self._moving = v is not None
+        self._scale = scale
+        self._slope = slope
+        self._parts = weights if v is None else [*weights, v]
+        self.first: Array = torch.cat([part.detach().ravel() for part in self._parts]).double().numpy()
+        designs = 0 if v is None else len(v)
+        free: list[tuple[float | None, float | None]] = [(None, None)] * (len(self.first) - designs)
+        self.bounds = free + [(0.0, 1.0)] * designs
+
+    def put(self, z: Array) -> None:
+        """Let policy and design be those of `z`."""
+        values = torch.tensor(z, dtype=torch.float32).split([part.numel() for part in self._parts])
+        with torch.no_grad():
+            for part, value in zip(self._parts, values):
+                part.copy_(value.reshape(part.shape))
+
+    def __call__(self, z: Array) -> tuple[float, Array]:
+        """Cost and its clipped gradient (m,); a cost that is not finite is very large, and level."""
+        self.put(z)
+        cost = self._cost()
+        gradients = [gradient.double().ravel() for gradient in torch.autograd.grad(cost, self._parts)]
+        if self._moving and self._slope is not None:
+            gradients[-1] = -self._slope()
+        gradient: Array = torch.cat(gradients).numpy() / self._scale
+        length = float(np.linalg.norm(gradient))
+        if not (np.isfinite(cost.item()) and np.isfinite(length)):
+            return LOST, np.zeros_like(gradient)
+        return cost.item() / self._scale, gradient * min(1.0, STEEPEST / max(length, STEEPEST))
