@@ -54,10 +54,15 @@ def _rows(finished: Sequence[Row]) -> str:
         cells = [
             run.study, run.start, str(run.seed), design + valley,
             f"{found.shortfall:+.2f} ± {2 * found.shortfall_error:.2f} %", found.status, _deployed(found),
-            f"{found.depth:.3f}{mpc}", f"{ended['seconds']:.0f} s", f"{ended['peak_bytes'] / 2**20:.0f} MiB",
+            f"{found.depth:.3f}{mpc}", f"{ended['seconds']:.0f} s", _memory(ended["peak_bytes"]),
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _memory(peak: int) -> str:
+    """Peak memory; a dash where the run was not a process of its own."""
+    return f"{peak / 2**20:.0f} MiB" if peak else "–"
 
 
 def _deployed(found: Measured) -> str:
@@ -66,7 +71,7 @@ def _deployed(found: Measured) -> str:
     for value, step in zip(found.deployed[1:], found.steps):
         mark = {"worse": " ▼", "better": " ▲", "equal": ""}[step.verdict]
         texts.append(f"{value:.4g}{mark}{'' if step.kept else ' (taken back)'}")
-    return " → ".join(texts)
+    return " → ".join(texts) or "–"
 
 
 def summary(finished: Sequence[Row]) -> list[str]:
