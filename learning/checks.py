@@ -91,3 +91,14 @@ def check_generator(rng: Any, name: str = "rng") -> np.random.Generator:
     if not isinstance(rng, np.random.Generator):
         raise InputError(name, repr(rng), "a numpy.random.Generator", "Pass numpy.random.default_rng(0).")
     return rng
+
+
+def as_samples(inputs: Any, targets: Any) -> tuple[Array, Array]:
+    """Return inputs (n, d) and targets (n, m) as finite float arrays of at least 20 samples."""
+    x = as_floats(inputs, "inputs")
+    y = as_floats(targets, "targets")
+    if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
+        raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", "(n, d), (n, m), n ≥ 20")
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise InputError("inputs, targets", "values that are not finite", "finite samples")
+    return x, y

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from learning.checks import ROUNDING, as_floats, as_lengths, check_count, check_instance
+from learning.checks import ROUNDING, as_lengths, as_samples, check_count, check_instance
 from learning.copula import InnovationCopula, log_width, positions
 from learning.exceptions import InputError
 from learning.quantile import QuantileNetwork
@@ -62,12 +62,7 @@ def fit_copula(
     """
     network = check_instance(network, "network", QuantileNetwork)
     orders = check_count(orders, "orders", 0)
-    x = as_floats(inputs, "inputs")
-    y = as_floats(targets, "targets")
-    if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
-        raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", "(n, d), (n, m), n ≥ 20")
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise InputError("inputs, targets", "values that are not finite", "finite samples")
+    x, y = as_samples(inputs, targets)
     if len(network.levels) < 3:
         raise InputError("network", "a single level", "at least three, which draws can follow")
     sizes = (len(network.input_offset), network.outputs)

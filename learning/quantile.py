@@ -21,6 +21,7 @@ from learning.checks import (
     ROUNDING,
     as_floats,
     as_lengths,
+    as_samples,
     as_sizes,
     check_count,
     check_generator,
@@ -182,12 +183,7 @@ def fit_quantiles(
     """
     config = check_instance(QuantileConfig() if config is None else config, "config", QuantileConfig)
     rng = check_generator(rng)
-    x = as_floats(inputs, "inputs")
-    y = as_floats(targets, "targets")
-    if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
-        raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", "(n, d), (n, m), n ≥ 20")
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise InputError("inputs, targets", "values that are not finite", "finite samples")
+    x, y = as_samples(inputs, targets)
     lengths = as_lengths(stretches, "stretches", len(x))
     held = _last_parts(lengths, config.calibration)
     network = QuantileNetwork(x.shape[1], y.shape[1], config.levels, config.hidden, seed=int(rng.integers(2**31)))
