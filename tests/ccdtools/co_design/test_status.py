@@ -115,5 +115,11 @@ def test_runs_that_nothing_can_recover_are_named(illustrative, clone):
     assert not found.status.settled
 
 
+def test_along_the_gradient_through_the_model_nothing_is_explored(mass_and_clone):
+    problem, agent = mass_and_clone
+    found = run(problem, agent, [1.0], iterations=10, block=10, starts=1)
+    np.testing.assert_allclose(found.agent.log_std.exp().detach().numpy(), SMALL.ppo.final_std, rtol=1e-5)
+
+
 def test_every_status_has_advice():
     assert all(len(status.advice) > 20 for status in CoDesignStatus)
