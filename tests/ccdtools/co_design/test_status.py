@@ -115,6 +115,21 @@ def test_runs_that_nothing_can_recover_are_named(illustrative, clone):
     assert not found.status.settled
 
 
+def test_a_design_that_the_judge_finds_level_has_settled_whatever_the_training_model_promises(mass_and_clone):
+    judge, agent = mass_and_clone
+    best, _ = best_design(judge)
+    objective = judge.objective
+    problem = replace(judge, objective=QuadraticObjective(Q=objective.Q, R=100 * objective.R))
+    assert abs(best_design(problem)[0][0] - best[0]) > 0.1  # the training alone would go elsewhere
+    first = run(judge, agent, best, starts=1)
+    found = codesign(
+        problem, agent=first.agent, design=first.design, rng=np.random.default_rng(1), judge=judge,
+        config=replace(SMALL, starts=1),
+    )  # fmt: skip
+    assert found.status is CoDesignStatus.CONVERGED
+    np.testing.assert_allclose(found.design, first.design, atol=0.05)
+
+
 def test_along_the_gradient_through_the_model_nothing_is_explored(mass_and_clone):
     problem, agent = mass_and_clone
     found = run(problem, agent, [1.0], iterations=10, block=10, starts=1)
