@@ -15,7 +15,7 @@ import numpy as np
 
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
-from invariant_sets.tolerances import CHECKED, EPS, FLAT, REDUNDANT, ROUNDING, SAME
+from invariant_sets.tolerances import CHECKED, EPS, FLAT, REDUNDANT, ROUNDING, SAME, TINY
 
 Array = np.ndarray
 _DIRECTIONS = 5  # tried for a volume; the two with the least cancellation are compared
@@ -232,3 +232,12 @@ def hull_rows(points: Array) -> tuple[Array, Array, Array]:
     equations = merge_points(np.unique(hull.equations, axis=0), tol=REDUNDANT)
     index = hull.vertices[distinct(points[hull.vertices])]
     return np.ascontiguousarray(equations[:, :-1]), -equations[:, -1], index
+
+
+def counter_clockwise(V: Array) -> Array:
+    """Return points of the plane in the order of their angle about the mean; others as they are."""
+    if V.shape[1] != 2 or len(V) < 3:
+        return V
+    x = V - V.sum(axis=0) / len(V)
+    x = x / np.maximum(np.abs(x).max(axis=0), TINY)
+    return V[np.argsort(np.arctan2(x[:, 1], x[:, 0]))]

@@ -155,7 +155,7 @@ def _faces(P: SetOperations) -> list[Array]:
     if P.affine_dim < 3:
         return [_around(V)]
     M = P.minimal()
-    scale = M._row_scales[0]
+    scale = M._ranges[:len(M.b)]
     touching = np.abs(V @ M.A.T - M.b) <= TOUCHING * scale
     return [_around(V[touching[:, i]]) for i in range(len(M.b))]
 

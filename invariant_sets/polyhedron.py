@@ -9,11 +9,12 @@ from typing import Any, Self
 import numpy as np
 
 from invariant_sets.exceptions import EmptySetError, InputError, TimeLimitError, UnboundedError
-from invariant_sets.hulls import cone_volume, facets_and_vertices, hull_of_points, hull_volume
+from invariant_sets.hulls import cone_volume, counter_clockwise, facets_and_vertices, hull_of_points, hull_volume
 from invariant_sets.interior_form import Body, body_of, body_of_vertices, support
+from invariant_sets.membership import rows_hold
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, check_time_limit
-from invariant_sets.tolerances import MEMBERSHIP, ROUNDING, TINY
-from invariant_sets.validation import as_batch, as_matrix, as_vector, check_count, check_finite, check_tolerance, frozen
+from invariant_sets.tolerances import MEMBERSHIP, PLACE, ROUNDING
+from invariant_sets.validation import as_batch, as_bounds, as_matrix, as_vector, check_count, check_tolerance, frozen
 
 Array = np.ndarray
 _MANY_VERTICES = 5  # dimensions from which the hull of the vertices takes much longer than that of the rows
@@ -42,7 +43,7 @@ class Polyhedron:
     Notes
     -----
     A set thinner than 1e-9 of its own bounding box counts as flat (of lower dimension), and one that misses
-    feasibility by more than that counts as empty. Rows hold to a relative 1e-12 of their own data.
+    feasibility by more than that counts as empty. Rows hold to 1e-12 of their own data, |bᵢ| + |Aᵢ||x|.
     """
 
     A: Array
@@ -100,20 +101,7 @@ class Polyhedron:
         InputError
             If a lower bound is above its upper bound, or shapes do not match.
         """
-        lower = as_vector(lower, "lower", finite=False)
-        if len(lower) == 0:
-            raise InputError("lower", "no bounds", "one for each coordinate")
-        upper = as_vector(upper, "upper", size=len(lower), finite=False)
-        for name, bound in (("lower", lower), ("upper", upper)):
-            check_finite(np.where(np.isinf(bound), 0.0, bound), name)
-        if (lower == np.inf).any() or (upper == -np.inf).any():
-            name = "lower" if (lower == np.inf).any() else "upper"
-            raise InputError(name, "an infinite bound that excludes every point", "lower < inf and upper > -inf")
-        reversed_ = np.flatnonzero(lower > upper)
-        if len(reversed_):
-            i = int(reversed_[0])
-            raise InputError("lower", f"{lower[i]:g} above upper, {upper[i]:g}, at index {i}", "lower <= upper",
-                             "Exchange them; the empty set is Polytope.empty(n).")
+        lower, upper = as_bounds(lower, upper)
         eye = np.eye(len(lower))
         has_upper = np.isfinite(upper)
         has_lower = np.isfinite(lower)
@@ -245,7 +233,7 @@ class Polyhedron:
             One point or a batch. A point with NaN is in no set.
         tol : float
             A row may be violated by `tol` times its range over the bounding box of the set, or by the rounding of
-            its own data (a relative 1e-12) if that is more. 0 is strict.
+            its own data at the point if that is more: 1e-12 of |bᵢ| + |Aᵢ||x|. 0 is strict.
 
         Returns
         -------
@@ -253,59 +241,83 @@ class Polyhedron:
         """
         tol = check_tolerance(tol)
         points, single = as_batch(x, "x", self.dim, finite=False, copy=False)
-        allowed, allowed_eq = self._allowed(tol)
+        A, b = self._one_sided
+        slack = np.maximum(tol * self._ranges, (tol > 0) * self._missed)
         with np.errstate(invalid="ignore", over="ignore"):
-            inside = _rows_hold(points, self.A, self.b + allowed)
-            if len(self.b_eq):
-                inside &= (np.abs(points @ self.A_eq.T - self.b_eq) <= allowed_eq).all(axis=1)
+            inside = rows_hold(points, A, b, slack, min(tol, ROUNDING), self._reach)
         return bool(inside[0]) if single else inside
 
     def __contains__(self, x: Any) -> bool:
         """Return whether one point (n,) lies in the set, to the tolerance of `contains`."""
         return bool(self.contains(as_vector(x, "x", size=self.dim, finite=False)))
 
-    def _allowed(self, tol: float, over: Polyhedron | None = None) -> tuple[Array, Array]:
-        """Return what each inequality and equality may be violated by; ranges over the box of `over` too, if given."""
-        scale, scale_eq = self._row_scales
-        if over is not None:
-            wider, wider_eq = over._scales_along(self)
-            scale = np.maximum(scale, wider)
-            scale_eq = np.maximum(scale_eq, wider_eq)
-        terms = np.zeros(self.dim)
-        for one in (self, over):
-            if one is not None and one._body is not None:
-                terms = np.maximum(terms, one._body.terms)
-        rounding = min(tol, ROUNDING)
-        return (np.maximum(tol * scale, rounding * (np.abs(self.b) + np.abs(self.A) @ terms)),
-                np.maximum(tol * scale_eq, rounding * (np.abs(self.b_eq) + np.abs(self.A_eq) @ terms)))
+    @cached_property
+    def _one_sided(self) -> tuple[Array, Array]:
+        """All rows as inequalities (m + 2k, n): the given ones, then the two sides of each equality."""
+        if not len(self.b_eq):
+            return self.A, self.b
+        return (frozen(np.concatenate([self.A, self.A_eq, -self.A_eq])),
+                frozen(np.concatenate([self.b, self.b_eq, -self.b_eq])))
 
     @cached_property
-    def _row_scales(self) -> tuple[Array, Array]:
-        """The range of each inequality and equality over the bounding box of the set."""
-        return self._scales_along(self)
+    def _missed(self) -> Array:
+        """By how much the centre of the set misses each one-sided row, doubled: a set holds its own points."""
+        A, b = self._one_sided
+        if self._solid_vertices is not None or self._body is None:
+            return np.zeros(len(b))
+        return 2 * np.maximum(A @ self._body.centre - b, 0.0)
 
-    def _scales_along(self, other: Polyhedron) -> tuple[Array, Array]:
-        """Return the range of each row of `other` over the bounding box of this set."""
-        return np.abs(other.A) @ self._widths, np.abs(other.A_eq) @ self._widths
+    @cached_property
+    def _reach(self) -> Array | None:
+        """A size |x| (n,) that no point of the set exceeds, with room for rounding; None if unbounded or empty."""
+        if self._solid_vertices is not None:
+            return 1.01 * np.abs(self._solid_vertices).max(axis=0)
+        if self._body is None or not self._body.bounded:
+            return None
+        return 1.01 * np.abs(self._body.centre) + 2.02 * self._body.half_widths
+
+    def _ranges_of(self, A: Array) -> Array:
+        """Return the range of each row of A (m, n) over the bounding box of the set."""
+        return np.abs(A) @ self._widths
+
+    def _covers(self, other: Polyhedron, tol: float) -> bool:
+        """Return whether `other`, not empty, lies in this set, not empty either."""
+        A, b = self._one_sided
+        body = other._require_point("is_subset")
+        ranges = np.maximum(self._ranges, other._ranges_of(A))
+        rounding = min(tol, ROUNDING) * (np.abs(b) + np.abs(A) @ np.abs(body.centre))
+        place = min(tol, PLACE) * (np.abs(A) @ body.terms)
+        slack = np.maximum.reduce([tol * ranges, rounding, place, (tol > 0) * self._missed])
+        return bool((other._supports(A) <= b + slack).all())
+
+    @cached_property
+    def _ranges(self) -> Array:
+        """The range of each one-sided row over the bounding box of the set."""
+        return self._ranges_of(self._one_sided[0])
+
+    @cached_property
+    def _solid_vertices(self) -> Array | None:
+        """The vertices where they are known and have a width in every coordinate: they tell the bounding box."""
+        V = self._vertices
+        if V is None or len(self.b_eq):
+            return None
+        lower = V.min(axis=0)
+        upper = V.max(axis=0)
+        return V if (upper - lower > ROUNDING * np.abs(lower + upper)).all() else None
 
     @cached_property
     def _widths(self) -> Array:
         """The widths (n,) of the bounding box, by the vertices where they are known; 0 where it is flat."""
-        if self._vertices is not None and not len(self.b_eq):
-            lower = self._vertices.min(axis=0)
-            upper = self._vertices.max(axis=0)
-            if (upper - lower > ROUNDING * np.abs(lower + upper)).all():
-                return upper - lower
+        if self._solid_vertices is not None:
+            return self._solid_vertices.max(axis=0) - self._solid_vertices.min(axis=0)
         return np.zeros(self.dim) if self._body is None else 2 * self._body.half_widths
 
     @cached_property
     def _relative_rows(self) -> tuple[Array, Array]:
         """All rows as inequalities, divided by their range over the bounding box of the set."""
-        scale, scale_eq = (np.where(ranges > 0.0, ranges, 1.0) for ranges in self._row_scales)
-        equalities = self.A_eq / scale_eq[:, None]
-        values = self.b_eq / scale_eq
-        rows = np.concatenate([self.A / scale[:, None], equalities, -equalities])
-        return frozen(rows), frozen(np.concatenate([self.b / scale, values, -values]))
+        A, b = self._one_sided
+        ranges = np.where(self._ranges > 0.0, self._ranges, 1.0)
+        return frozen(A / ranges[:, None]), frozen(b / ranges)
 
     def bounding_box(self) -> tuple[Array, Array]:
         """Return the smallest box (lower, upper), each (n,), infinite where unbounded. Raises `EmptySetError`."""
@@ -336,22 +348,3 @@ class Polyhedron:
         if self._enumerated is not None or (self._body.bounded and self.dim <= 4):
             return (D @ self.vertices.T).max(axis=1)
         return support(self._body, D)
-
-
-def counter_clockwise(V: Array) -> Array:
-    """Return points of the plane in the order of their angle about the mean; others as they are."""
-    if V.shape[1] != 2 or len(V) < 3:
-        return V
-    x = V - V.sum(axis=0) / len(V)
-    x = x / np.maximum(np.abs(x).max(axis=0), TINY)
-    return V[np.argsort(np.arctan2(x[:, 1], x[:, 0]))]
-
-
-def _rows_hold(points: Array, A: Array, b: Array, chunk: int = 1 << 13) -> Array:
-    """Return A x <= b for every point, in chunks that stay in the cache."""
-    inside = np.ones(len(points), bool)
-    limit = b[:, None]
-    for start in range(0, len(points) if len(b) else 0, chunk):
-        part = slice(start, start + chunk)
-        np.less_equal(A @ points[part].T, limit).all(axis=0, out=inside[part])
-    return inside

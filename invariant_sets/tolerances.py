@@ -7,6 +7,7 @@
 FLAT = 1e-9  # of the extent: a set thinner than this is flat, one that misses feasibility by more is empty
 SAME = 1e-9  # of the extent: vertices and rows closer than this are one
 ROUNDING = 1e-12  # of |bᵢ| + |Aᵢ||x|: what the data of a row may be wrong by after a computation in doubles
+PLACE = 4e-15  # of the sum of absolute terms that a point was solved from: what its coordinates may be wrong by
 CANCELLED = 1e-13  # of the sum of absolute terms: a sum smaller than this is zero, its terms have cancelled
 DEPENDENT = 1e-11  # of the sum of absolute terms: an equality row smaller than this depends on the others
 MEMBERSHIP = 1e-9  # of the row's range over the bounding box: default tolerance of `contains` and `is_subset`

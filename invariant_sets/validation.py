@@ -62,6 +62,25 @@ def as_batch(value: Any, name: str, columns: int, *, finite: bool = True,
     return array, single
 
 
+def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
+    """Return the bounds (n,) of a box, n >= 1, or raise `InputError`; lower <= upper, ±inf is no bound."""
+    lower = as_vector(lower, "lower", finite=False)
+    if len(lower) == 0:
+        raise InputError("lower", "no bounds", "one for each coordinate")
+    upper = as_vector(upper, "upper", size=len(lower), finite=False)
+    for name, bound in (("lower", lower), ("upper", upper)):
+        check_finite(np.where(np.isinf(bound), 0.0, bound), name)
+    if (lower == np.inf).any() or (upper == -np.inf).any():
+        name = "lower" if (lower == np.inf).any() else "upper"
+        raise InputError(name, "an infinite bound that excludes every point", "lower < inf and upper > -inf")
+    reversed_ = np.flatnonzero(lower > upper)
+    if len(reversed_):
+        i = int(reversed_[0])
+        raise InputError("lower", f"{lower[i]:g} above upper, {upper[i]:g}, at index {i}", "lower <= upper",
+                         "Exchange them; the empty set is Polytope.empty(n).")
+    return lower, upper
+
+
 def check_finite(array: Array, name: str) -> None:
     """Raise `InputError` where `array` holds NaN or infinity."""
     if not np.isfinite(array).all():

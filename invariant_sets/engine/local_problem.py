@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from invariant_sets.engine.flat_hull import InputMap, Motion, stay_on_hull
+from invariant_sets.hulls import counter_clockwise
 from invariant_sets.interior_form import Body, normals, null_space
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
-from invariant_sets.polyhedron import counter_clockwise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
 from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT_ROW, THINNEST

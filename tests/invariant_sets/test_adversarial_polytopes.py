@@ -172,13 +172,11 @@ def test_membership_is_the_same_before_and_after_the_vertices_are_known(rng):
     Q = np.linalg.qr(rng.normal(size=(3, 3)))[0][:, :2]
     for P in (Polytope.from_vertices(rng.normal(size=(8, 2)) @ Q.T), box([0, 0, 0], [1, 1e-6, 1e6])):
         fresh = Polytope(P.A, P.b, P.A_eq, P.b_eq)
-        scales = [array.copy() for array in fresh._row_scales]
+        ranges = fresh._ranges.copy()
         again = Polytope(P.A, P.b, P.A_eq, P.b_eq)
         again.vertices  # noqa: B018
-        for scale, other in zip(scales, again._row_scales):
-            np.testing.assert_array_equal(scale, other)
-        for scale, other in zip(scales, P._row_scales):
-            np.testing.assert_allclose(scale, other, rtol=1e-6)
+        np.testing.assert_array_equal(ranges, again._ranges)
+        np.testing.assert_allclose(ranges, P._ranges, rtol=1e-6)
 
 
 def test_membership_tolerance_is_a_part_of_the_range_of_the_row():

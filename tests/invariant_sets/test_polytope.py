@@ -143,3 +143,69 @@ def test_a_point_where_slanted_rows_meet_equals_the_point_itself(seed):
     assert P.equals(Polytope.from_vertices(x[None]))
     assert P.contains(x)
     assert not P.contains(x + 1e-6 * rng.normal(size=n))
+
+
+def nearly_dependent(d):
+    """x2 = 0 and x1 = 1 by two rows d apart in direction, x1 in [0, 1] and x3 in [−1, 1] by rows of their own."""
+    return Polytope([[1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]], [1, 0, 1, 1], [[1, 1, 0], [1, 1 + d, 0]], [1, 1])
+
+
+@pytest.mark.parametrize("d", [1e-6, 1e-8, 1e-10])
+def test_nearly_dependent_equalities_loosen_no_row(d):
+    P = nearly_dependent(d)
+    assert P.contains([1.0, 0, 0])
+    assert P.contains(P.vertices).all()
+    assert not P.contains([[1 + 1e-2, 0, 0], [1 + 1e-4, 0, 0], [1 + 1e-6, 0, 0], [1, 0, 1 + 1e-6]]).any()
+    assert not Polytope(A_eq=[[1, 1], [1, 1 + d]], b_eq=[1, 1]).contains([1.01, 0])
+    box = Polytope.from_bounds([-1, -1, -1], [1, 1, 1])
+    assert P.is_subset(box)
+    assert not P.is_subset(Polytope.from_bounds([-1, -1, -1], [1 - 1e-3, 1, 1]))
+    assert not box.is_subset(P)
+    assert P.equals(P.minimal())
+
+
+def test_nearly_dependent_equalities_of_a_set_do_not_equal_a_point_beside_it():
+    P = Polytope(A_eq=[[1, 1], [1, 1 + 1e-8]], b_eq=[1, 1])
+    assert P.equals(Polytope.from_vertices([[1.0, 0.0]]))
+    assert not P.equals(Polytope.from_vertices([[1 - 1e-4, 1e-4]]))
+    assert not P.equals(Polytope.from_vertices([[1 + 1e-4, 0.0]]))
+
+
+def test_bad_conditioning_of_one_set_loosens_no_row_of_the_other():
+    P = nearly_dependent(1e-8)
+    for gap in (1e-2, 1e-4):
+        other = Polytope.from_bounds([1 + gap, 0, 0], [1 + 2 * gap, 0, 0])
+        assert not other.is_subset(P)
+        assert not P.is_subset(other)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_points_and_flat_boxes_by_opposite_rows_hold_and_equal_themselves_in_any_units(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 6))
+    Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    half = rng.uniform(0.1, 1, n) * (rng.random(n) < 0.5)
+    centre = np.round(rng.normal(size=n), 2) * (rng.random(n) < 0.7)
+    size = 10.0 ** rng.permutation(np.linspace(-7, 7, n))
+    A = np.vstack([Q, -Q]) / size
+    P = Polytope(A, np.concatenate([half + Q @ centre, half - Q @ centre]))
+    assert P.affine_dim == np.count_nonzero(half)
+    assert P.contains(centre * size)
+    assert P.contains(P.vertices).all()
+    assert P.contains(P.sample(20, rng=rng)).all()
+    assert P.equals(P)
+    assert P.equals(P.minimal())
+    assert P.equals(Polytope.from_vertices(P.vertices))
+    if not half.all():
+        flat = int(np.argmin(half))
+        assert not P.contains((centre + 1e-6 * Q[flat]) * size)
+
+
+def test_the_rounding_of_a_row_is_that_of_its_data_at_the_point():
+    slab = Polytope([[1.0, -1.0], [-1.0, 1.0]], [1.0, 1.0])
+    assert slab.contains([1e6 + 1, 1e6])
+    assert slab.contains([1e9 + 1 + 1e-4, 1e9])  # 1e-12 of what the row adds up there
+    assert not slab.contains([1 + 1e-4, 0])
+    assert not slab.contains([[np.inf, 0], [np.inf, np.inf], [np.nan, 0]]).any()
+    assert slab.contains([1e9 + 1, 1e9], tol=0)
+    assert not slab.contains([1e9 + 1 + 1e-4, 1e9], tol=0)

@@ -1,0 +1,61 @@
+"""Which points satisfy which rows, up to a slack and to the rounding of the row's own data at the point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+Array = np.ndarray
+_CHUNK = 1 << 13  # points whose products with all rows stay in the cache
+
+
+def rows_hold(points: Array, A: Array, b: Array, slack: Array, rounding: float, reach: Array | None) -> Array:
+    """Return whether A x <= b + max(slack, rounding (|b| + |A||x|)) for each of the points, (k,) bools.
+
+    Parameters
+    ----------
+    points : (k, n) array
+        Points; one with NaN satisfies no row.
+    A, b, slack : (m, n), (m,) and (m,) arrays
+        Rows, and by how much each may be violated wherever the point lies.
+    rounding : float
+        Part of |b| + |A||x| by which the row may be violated besides.
+    reach : (n,) array, optional
+        No point that satisfies the rows has larger coordinates |x|; None if that is not known.
+    """
+    inside = np.ones(len(points), bool)
+    least = (b + np.maximum(slack, rounding * np.abs(b)))[:, None]  # the limit wherever the point lies
+    most = None if reach is None else b + _allowed(A, b, slack, rounding, reach)
+    settled = most is not None and bool((most <= least[:, 0]).all())
+    for start in range(0, len(points) if len(b) else 0, _CHUNK):
+        part = slice(start, start + _CHUNK)
+        if settled:
+            np.less_equal(A @ points[part].T, least).all(axis=0, out=inside[part])
+        else:
+            inside[part] = _hold_there(points[part], A, b, slack, rounding, most)
+    return inside
+
+
+def _hold_there(points: Array, A: Array, b: Array, slack: Array, rounding: float, most: Array | None) -> Array:
+    """Return which points (k,) satisfy the rows with the rounding at each of them; `most` is a limit (m,) for all."""
+    values = A @ points.T
+    if most is None:
+        most = b + _allowed(A, b, slack, rounding, _largest(points))
+    least = b + np.maximum(slack, rounding * np.abs(b))
+    answer = np.less_equal(values, least[:, None]).all(axis=0)
+    near = np.flatnonzero(np.less_equal(values, most[:, None]).all(axis=0) & ~answer)
+    if len(near):
+        limit = b + _allowed(A, b, slack, rounding, np.abs(points[near]))
+        answer[near] = np.less_equal(values[:, near].T, limit).all(axis=1)
+    return answer
+
+
+def _largest(points: Array) -> Array:
+    """Return the largest |x| (n,) of the points (k, n) that are finite."""
+    size = np.abs(points)
+    return size[np.isfinite(size).all(axis=1)].max(axis=0, initial=0.0)
+
+
+def _allowed(A: Array, b: Array, slack: Array, rounding: float, size: Array) -> Array:
+    """Return by how much rows may be violated at points of the size |x| (n,) or (k, n): (m,) or (k, m)."""
+    terms = np.abs(b) + size @ np.abs(A).T
+    return np.maximum(slack, rounding * np.where(np.isfinite(terms), terms, 0.0))
