@@ -66,12 +66,12 @@ class AdmissibleInputs:
     _rows: _LocalRows = field(repr=False)
 
     def __init__(self, A: Any, B: Any, S: Set, U: Set, *, E: Any = None, W: Set | None = None) -> None:
-        system = checked_system(A, B, S, U, E, W, state_set="S")
+        system = checked_system(A, B, S, U, E, W, name="S")
         if system.U.is_empty:
             raise EmptySetError("AdmissibleInputs", "U is empty, no input can be admissible")
         if not system.U.is_bounded:
             raise UnboundedError("AdmissibleInputs", "U is unbounded. Intersect it with a box")
-        for name, value in (("S", system.X), ("U", system.U), ("_rows", _local_rows(system))):
+        for name, value in (("S", system.states), ("U", system.U), ("_rows", _local_rows(system))):
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
@@ -234,7 +234,7 @@ def _local_rows(system: CheckedSystem) -> _LocalRows:
     """Return the rows of the target set and of U in coordinates in which U has extents of one."""
     body = system.U._body
     assert body is not None
-    F, g = tightened_rows(system.X, system.motion.disturbances)
+    F, g = tightened_rows(system.states, system.motion.disturbances)
     after = -F @ system.A
     push = F @ system.B
     arrays = (body.centre, body.basis, left_inverse(body.basis), after, push @ body.basis, g - push @ body.centre,

@@ -92,4 +92,4 @@ class Options:
 def control_task(A: Any, B: Any, X: Set, U: Set, options: Options, *, E: Any = None, W: Set | None = None) -> Task:
     """Return the checked task of `maximal_control_invariant_set`, or raise `InputError`."""
     checked = checked_system(A, B, X, U, E, W)
-    return Task(checked.motion, checked.X, checked.U, options.limits())
+    return Task(checked.motion, checked.states, checked.U, options.limits())

@@ -28,7 +28,8 @@ class AffineHull:
     free : (k,) int array
         The coordinate of x that column j moves and no other column does.
     terms : (n,) array
-        Size of the terms that each coordinate of the centre was computed from: their rounding is the centre's.
+        Size of the terms that each coordinate of the centre was computed from, in the units of x: their rounding is
+        the centre's.
     """
 
     centre: Array
@@ -57,8 +58,8 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | 
     n = len(scale)
     if not len(e):
         return AffineHull(centre.copy(), np.diag(scale), np.arange(n), np.abs(centre))
-    size = np.abs(E * scale).max(axis=1)
-    rows = np.column_stack([E * scale, e]) / size[:, None]
+    row_sizes = np.abs(E * scale).max(axis=1)
+    rows = np.column_stack([E * scale, e]) / row_sizes[:, None]
     terms = np.abs(rows)
     rest = list(range(len(rows)))
     pivots: list[tuple[int, int]] = []
@@ -81,11 +82,11 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | 
     basis[bound] = -rows[solved][:, free]
     point = np.zeros(n)  # the dependent coordinates are computed anew: a correction would keep old rounding
     point[bound] = rows[solved, n]
-    size = np.zeros(n)
-    size[bound] = terms[solved, n]
+    point_terms = np.zeros(n)
+    point_terms[bound] = terms[solved, n]
     start = centre[free] / scale[free]
     return AffineHull(scale * (point + basis @ start), scale[:, None] * basis, free,
-                      scale * (size + np.abs(basis) @ np.abs(start)))
+                      scale * (point_terms + np.abs(basis) @ np.abs(start)))
 
 
 def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) -> None:

@@ -36,8 +36,8 @@ class Body:
     half_widths : (n,) array
         Half the widths of the bounding box; 0 where it is flat, a length of the rows where it has no end.
     terms : (n,) array
-        Size of the terms that each coordinate of the centre was computed from: the set's place is known to `ROUNDING`
-        of it. Where slanted rows meet it is larger than the coordinate.
+        Size of the terms that each coordinate of the centre was computed from, in the units of x: the set's place is
+        known to `PLACE` of it. Where slanted rows meet it is larger than the coordinate.
     """
 
     centre: Array
@@ -109,8 +109,8 @@ def _solved(A: Array, b: Array, E: Array, e: Array, scale: Array) -> Body | None
         if window is None:
             return None
         widths = half_widths(window)
-        pinched = window.is_flat and window.pinched[0] == 0  # a set thinner than its rounding tells no scale
-        measured = scale if pinched else np.where(widths > 0.0, widths, scale)
+        within_rounding = window.is_flat and window.pinch.decided_by_rounding  # such a set tells no scale
+        measured = scale if within_rounding else np.where(widths > 0.0, widths, scale)
         if not window.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > UNLIKE:
             centre = window.centre
             scale = measured
@@ -121,7 +121,7 @@ def _solved(A: Array, b: Array, E: Array, e: Array, scale: Array) -> Body | None
             rows = hidden_equalities(window)
             centre = window.centre + window.basis @ window.ball.centre
             E = np.vstack([E, A[rows]])
-            e = np.append(e, b[rows] if pinched else A[rows] @ centre)
+            e = np.append(e, b[rows] if within_rounding else A[rows] @ centre)
             scale = measured
             hidden += 1
             rescaled = 0

@@ -21,7 +21,7 @@ from invariant_sets.tolerances import CANCELLED, FLAT, ROUNDING
 from invariant_sets.validation import as_floats, as_matrix, as_vector, brief, check_finite
 
 Array = np.ndarray
-Set = TypeVar("Set", bound=Polyhedron)
+AnySet = TypeVar("AnySet", bound=Polyhedron)
 
 
 class SetOperations(Polyhedron):
@@ -244,7 +244,7 @@ class SetOperations(Polyhedron):
         return index
 
 
-def same_space(P: Polyhedron, Q: Set, name: str = "other") -> Set:
+def same_space(P: Polyhedron, Q: AnySet, name: str = "other") -> AnySet:
     """Return Q, or raise `InputError` unless it is a `Polytope` of P's dimension."""
     Q = _checked_set(Q, name)
     if Q.dim != P.dim:
@@ -252,7 +252,7 @@ def same_space(P: Polyhedron, Q: Set, name: str = "other") -> Set:
     return Q
 
 
-def _checked_set(Q: Set, name: str = "other") -> Set:
+def _checked_set(Q: AnySet, name: str = "other") -> AnySet:
     """Return Q, or raise `InputError` unless it is a `Polytope`."""
     if not isinstance(Q, Polyhedron):
         raise InputError(name, type(Q).__name__, "a Polytope")
@@ -264,7 +264,7 @@ def _diagonal(P: Array, Q: Array) -> Array:
     return np.block([[P, np.zeros((len(P), Q.shape[1]))], [np.zeros((len(Q), P.shape[1])), Q]])
 
 
-def _touching(kind: type[Set], D: Array, values: Array) -> Set:
+def _touching(kind: type[AnySet], D: Array, values: Array) -> AnySet:
     """Return the set of rows D x <= values, of those that are finite."""
     finite = np.isfinite(values)
     return kind(D[finite], values[finite])

@@ -105,10 +105,10 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
     steps = check_count(steps, "steps")
     deadline = Deadline.after(check_time_limit(time_limit))
     if steps == 0:
-        return _exact(goal.intersection(checked.X).minimal(), 0, Certificate(0.0, 0.0, 0))
-    size = _units(checked.X, goal)
+        return _exact(goal.intersection(checked.states).minimal(), 0, Certificate(0.0, 0.0, 0))
+    size = _units(checked.states, goal)
     system = _in_units(checked.motion, size)
-    within = _scaled(checked.X, size)
+    within = _scaled(checked.states, size)
     goal = _scaled(goal, size)
 
     def step_back(S: Polytope, deadline: Deadline) -> Step:
@@ -161,15 +161,15 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
     Borrelli, Bemporad, Morari (2017), section 10.1.1. Tolerance 1e-9 of the set's extent.
     """
     A, B, U = _with_inputs(A, B, U)
-    checked = checked_system(A, B, start, U, E, W, state_set="start")
-    within = _whole_space(checked.X) if X is None else as_set(X, "X", len(checked.A))
+    checked = checked_system(A, B, start, U, E, W, name="start")
+    within = _whole_space(checked.states) if X is None else as_set(X, "X", len(checked.A))
     steps = check_count(steps, "steps")
     deadline = Deadline.after(check_time_limit(time_limit))
-    first = checked.X.intersection(within).minimal()
-    if checked.U.is_empty:
-        return no_set(len(checked.A), 0)
+    first = checked.states.intersection(within).minimal()
     if steps == 0 or first.is_empty:
         return _exact(first, 0, Certificate(0.0, 0.0, 0))
+    if checked.U.is_empty:
+        return no_set(len(checked.A), 0)
 
     size = _units(first, within)
     system = _in_units(checked.motion, size)

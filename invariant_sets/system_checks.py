@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,16 +19,19 @@ Set = Polytope | tuple[Any, Any]  # a polytope, or bounds (lower, upper): number
 
 @dataclass(frozen=True)
 class CheckedSystem:
-    """A, B and E as arrays, with their sets as polytopes; E and W are None without a disturbance."""
+    """A, B and E as arrays, with their sets as polytopes; E and W are None without a disturbance.
+
+    `states` is what the caller's set of states means there: constraints X, a start, or a set S to stay in.
+    """
 
     A: Array
     B: Array
-    X: Polytope
+    states: Polytope
     U: Polytope
     E: Array | None
     W: Polytope | None
 
-    @property
+    @cached_property
     def motion(self) -> LinearSystem:
         """x⁺ = A x + B u + w with w in the hull of the vertices of E W."""
         return LinearSystem(self.A, self.B, disturbance_vertices(self.E, self.W))
@@ -62,13 +66,13 @@ def checked_disturbance(E: Any, W: Any, nx: int) -> tuple[Array, Polytope] | tup
     return E, W
 
 
-def checked_system(A: Any, B: Any, X: Any, U: Any, E: Any, W: Any, *, state_set: str = "X") -> CheckedSystem:
-    """Return the system and its sets, or raise `InputError` where shapes, types or numbers do not fit."""
+def checked_system(A: Any, B: Any, states: Any, U: Any, E: Any, W: Any, *, name: str = "X") -> CheckedSystem:
+    """Return the system and its sets, or raise `InputError` where they do not fit; `name` is that of `states`."""
     A = checked_state_matrix(A)
     B = checked_input_matrix(B, len(A))
-    X = as_set(X, state_set, len(A))
+    states = as_set(states, name, len(A))
     U = as_set(U, "U", B.shape[1])
-    return CheckedSystem(A, B, X, U, *checked_disturbance(E, W, len(A)))
+    return CheckedSystem(A, B, states, U, *checked_disturbance(E, W, len(A)))
 
 
 def disturbance_vertices(E: Array | None, W: Polytope | None) -> Array | None:

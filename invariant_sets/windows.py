@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,23 @@ _FIRST = 8.0  # factor of the first window: first lengths come from the tightest
 _FURTHER = 1e3  # factor of one step away
 UNLIKE = 3.0  # decades: a scale that is wrong by more is replaced
 _STEPS = 80  # windows at most; one step is a factor of 1e3 or more, and doubles span 1e616
+
+
+class Pinch(NamedTuple):
+    """How much room the rows that hold the ball leave between them, and in which coordinates (k,) they do not close."""
+
+    room: float
+    open: Array
+
+    @property
+    def closed(self) -> bool:
+        """Whether the rows close in every coordinate, so that `room` bounds the set."""
+        return not self.open.any()
+
+    @property
+    def decided_by_rounding(self) -> bool:
+        """Whether the room is no more than the rounding of the rows."""
+        return self.room == 0.0
 
 
 @dataclass(frozen=True)
@@ -60,8 +78,8 @@ class Window:
         return full
 
     @cached_property
-    def pinched(self) -> tuple[float, Array]:
-        """How much room the rows that hold the ball leave, and in which coordinates they do not close.
+    def pinch(self) -> Pinch:
+        """What the rows that hold the ball say together.
 
         With multipliers λ >= 0 and Fᵀλ = 0 every point has λᵀg >= 0: a negative λᵀg proves that the set is empty
         (Farkas), and a zero one that the rows hold with equality. The room is zero where rounding decides.
@@ -70,16 +88,15 @@ class Window:
         F = self.F[self.near]
         level = float(dual @ self.g[self.near])
         doubt = float(dual @ self.error[self.near])
-        residual = np.abs(dual @ F) > CLOSED * (dual @ np.abs(F))
-        return (0.0 if abs(level) <= doubt else level), residual
+        left_open = np.abs(dual @ F) > CLOSED * (dual @ np.abs(F))
+        return Pinch(0.0 if abs(level) <= doubt else level, left_open)
 
     @cached_property
     def is_flat(self) -> bool:
         """Whether the set is thinner than `FLAT` of the window, or than the rounding of the rows that hold it."""
         if self.ball.radius <= FLAT:
             return True
-        level, residual = self.pinched
-        return bool(level == 0 and self.ball.dual.any() and not residual.any())
+        return bool(self.pinch.decided_by_rounding and self.ball.dual.any() and self.pinch.closed)
 
 
 def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -> Window | None:
@@ -101,17 +118,17 @@ def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -
         if settled and not window.is_flat:
             return window
         if window.is_flat:
-            level, residual = window.pinched
-            if level < 0 and radius < -(FLAT if settled else THIN) and not residual.any():
+            pinch = window.pinch
+            if pinch.room < 0 and radius < -(FLAT if settled else THIN) and pinch.closed:
                 beyond, _ = _ends(window, unbounded)[2:]
                 if not beyond.any():
                     return None
                 basis = basis * np.where(beyond, _FURTHER, 1.0)  # it misses by less than it is long
                 continue
             if radius < -THIN:
-                basis = basis * np.where(residual, _FURTHER, 1.0)
+                basis = basis * np.where(pinch.open, _FURTHER, 1.0)
                 continue
-            if settled or (level == 0 and not residual.any()):
+            if settled or (pinch.decided_by_rounding and pinch.closed):
                 return window
         lower, upper, beyond, unbounded = _ends(window, unbounded)
         if beyond.any():

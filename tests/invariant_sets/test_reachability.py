@@ -76,3 +76,16 @@ def test_two_inputs_and_three_states(rng):
         feasible = linprog([0, 0], A_ub=np.vstack([S.A @ B3, U3.A]), b_ub=np.r_[S.b - S.A @ A3 @ x, U3.b],
                            bounds=(None, None)).status == 0
         assert result.set.contains(x, tol=1e-7) == feasible
+
+
+def test_no_steps_ask_nothing_of_the_inputs():
+    A = np.array([[1.0, 0.1], [0.0, 1.0]])
+    B = np.array([[0.0], [0.1]])
+    start = Polytope.from_bounds([-1, -1], [1, 1])
+    nothing = Polytope.empty(1)
+    for result in (reachable_set(A, B, start, nothing, 0), controllable_set(A, B, start, nothing, start, 0)):
+        assert result.status is Status.CONVERGED
+        assert result.set.equals(start)
+    for result in (reachable_set(A, B, start, nothing, 1), controllable_set(A, B, start, nothing, start, 1)):
+        assert result.status is Status.EMPTY
+        assert result.set.is_empty
