@@ -16,11 +16,13 @@ from ccdtools.studies import RunFolder, Study, load_study
 from ccdtools.studies.service import ServiceStatus
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.trajectory import Trajectory
-from gallery.oracle.cost import linear_return, saturated_return
+from gallery.oracle.cost import linear_return, model_step, saturated_return, simulated
 from gallery.oracle.receding_horizon import RecedingHorizon
+from gallery.oracle.statement import Statement
 from gallery.reference import CLIPPED, LIMITED, reference, statement
 
 RUNS = 2000
+CLIPPED_RUNS = 20_000
 LIMITED_RUNS = 100
 SEED = 20_262
 NORMAL = 1.96
@@ -170,14 +172,26 @@ def _shortfall(name: str, study: Study, policy: LearnedPolicy) -> tuple[float, f
     """Per cent below the optimum, and the standard error: exact return of LQR plus the paired difference to it."""
     s = statement(name)
     best = reference(name)["returns"][0]
+    if name in CLIPPED:
+        return _below_feedback(name, s, policy)
     own = _driven(study, policy, real=False).returns(study.objective)
     lqr = _At(saturated_lqr(study.problem(), policy.design), policy.design)
     difference = own - _driven(study, lqr, real=False).returns(study.objective)
-    clipped = name in CLIPPED + LIMITED
-    exact = saturated_return(s, policy.design, s.disturbance(20_000, 5)) if clipped else linear_return(s, policy.design)
+    limited = name in LIMITED
+    exact = saturated_return(s, policy.design, s.disturbance(20_000, 5)) if limited else linear_return(s, policy.design)
     scale = 100 / abs(best)
     error = difference.std(ddof=1) / np.sqrt(len(difference))
     return float(scale * (best - exact - difference.mean())), float(scale * error)
+
+
+def _below_feedback(name: str, s: Statement, policy: LearnedPolicy) -> tuple[float, float]:
+    """Per cent below the best clipped linear feedback under the same disturbances, and the standard error."""
+    kept = reference(name)
+    w = s.disturbance(CLIPPED_RUNS, SEED)
+    K, offset = (np.array(kept["feedback"][key]) for key in ("K", "offset"))
+    best = simulated(s, model_step(s, np.array(kept["designs"][0])), lambda x: offset - x @ K.T, w)[0]
+    short = 100 * (best - simulated(s, model_step(s, policy.design), policy, w)[0]) / abs(best.mean())
+    return float(short.mean()), float(short.std(ddof=1) / np.sqrt(len(short)))
 
 
 def _valley(name: str, study: Study, design: Any) -> int:

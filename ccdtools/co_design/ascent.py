@@ -2,8 +2,9 @@
 
 Along the gradient through the model, a block is a climb by L-BFGS-B on a fixed set of scenarios, on which the return is
 a smooth function of policy and design; the next block draws another set, so that nothing is fitted to one. With PPO
-beside it, or while runs diverge, Adam takes its steps on fresh scenarios instead, its rates falling along a cosine. The
-gain of a block is measured on further scenarios, the same for all, and the next one starts from the best iterate.
+beside it, while runs diverge, or while a state limit binds, Adam takes its steps on fresh scenarios instead, its rates
+falling along a cosine. The gain of a block is measured on further scenarios, the same for all, and the next one starts
+from the best iterate.
 
 References
 ----------
@@ -13,19 +14,19 @@ Byrd, Lu, Nocedal and Zhu, SIAM J. Sci. Comput. 16, 1995 (L-BFGS-B, in SciPy); L
 
 from __future__ import annotations
 
-import contextlib
 import copy
 
 import numpy as np
 import torch
-from scipy.optimize import minimize
 from torch import Tensor
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_gradients import FEW, Slope, differences
+from ccdtools.co_design.climb import Climb
+from ccdtools.co_design.design_gradients import FEW, STEPS, Differences, Slope
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
+from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.reinforcement.gradients import check_gradients
 from ccdtools.co_design.reinforcement.ppo import PPOPart
 from ccdtools.co_design.result import Convergence, History
@@ -42,7 +43,6 @@ LESS = 0.9  # of a violation is left where a block was worth it
 SLOPE_RUNS = 512  # scenarios of the slope that a status rests on
 QUIET_LIMITED = 3  # the same while multipliers of the state limits move
 QUIET = {"pathwise": 1, "ppo": 2, "pathwise+ppo": 1}  # blocks without a gain that end it; PPO's first may only train V
-MEMORY = 20  # pairs that L-BFGS keeps
 
 
 class Ascent:
@@ -77,6 +77,8 @@ class Ascent:
         self.blocks = 0
         self.quiet = 0
         self.longer = 1
+        self.step = STEPS[0]  # of the finite differences, where the design follows them
+        self.prices: Prices | None = None  # of leaving X, at the last cost
         self.rows: list[tuple] = []
         self.best = self.evaluated()
         self.gain = PairedDifference(float("nan"), (float("nan"), float("nan")))
@@ -104,6 +106,8 @@ class Ascent:
         config = self.task.config
         before = self.best
         length = min(self.longer * config.block, config.iterations - self.iterations)
+        if self.by_differences and self.task.moving:
+            self.step = self._differences(self.drawn(config.pathwise_runs)).step(self.v)
         if self.task.smooth and before.lost == 0 and not self.limited:
             self._climb(length, bar)
         else:
@@ -129,7 +133,6 @@ class Ascent:
 
     def _verdict(self, improving: bool, climbing: bool) -> CoDesignStatus:
         """How it ended."""
-        space = self.task.problem.design
         if self.best.lost > 0:
             return CoDesignStatus.DIVERGING
         if self.best.violation > 0:
@@ -140,7 +143,7 @@ class Ascent:
             return CoDesignStatus.STILL_IMPROVING
         if climbing:
             return CoDesignStatus.BUDGET_SPENT
-        held = self.task.moving and space.active_bounds(space.from_unit(self.best.v.double().numpy()))
+        held = self.slope.rises_across_bounds(self._matters)
         return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 
     def _improved(self, before: Iterate) -> bool:
@@ -155,8 +158,22 @@ class Ascent:
         best = self.best
         judge = self.task.judge
         scenarios = scenario_tensors(judge, fewer_runs(SLOPE_RUNS, judge.steps), self.rng)
-        self.slope = Slope.measured(judge, best.agent, best.v, scenarios)
-        return self.slope.promises(2 * self.task.config.tolerance * abs(best.score))
+        prices = self.limits.prices(self._seen(best), best.v) if self.limits is not None and self.limited else None
+        self.slope = Slope.measured(Differences(judge, best.agent, scenarios, prices), best.v)
+        return self.slope.promises(self._matters)
+
+    @property
+    def _matters(self) -> float:
+        """The gain of a slope that is worth following, or naming."""
+        return 2 * self.task.config.tolerance * abs(self.best.score)
+
+    def _differences(self, scenarios: Scenarios) -> Differences:
+        """Finite differences of the present policy's return on the problem."""
+        return Differences(self.task.problem, self.agent, scenarios, self.prices)
+
+    def _slope_by_differences(self, scenarios: Scenarios) -> Tensor:
+        """The design's gradient of the mean return by finite differences, (np,)."""
+        return self._differences(scenarios).about(self.v, self.step).mean(0)
 
     def _untrusted(self) -> bool:
         """Whether no estimate of the design gradient could be trusted."""
@@ -180,14 +197,27 @@ class Ascent:
 
     def _climb(self, length: int, bar: tqdm) -> None:
         """At most so many evaluations of L-BFGS-B on one set of scenarios."""
-        climb = _Climb(self, length, bar)
-        options = {"maxfun": 10 * length, "maxiter": length, "maxcor": MEMORY, "ftol": 1e-7, "gtol": 1e-5}
-        first = climb.average.first
-        with np.errstate(all="ignore"), contextlib.suppress(_SpentError):
-            minimize(climb, first, jac=True, method="L-BFGS-B", bounds=climb.average.bounds, options=options)
-        climb.average.put(climb.lowest)
-        if climb.changed:
-            self.keep(self.evaluated())
+        scenarios = self.drawn(self.task.config.pathwise_runs)
+        samples = scenarios[1].shape[0] * scenarios[1].shape[1]
+
+        def counted() -> bool:
+            self.count(bar)
+            self.model_steps += samples
+            return self.iterations % self.task.config.evaluate_every == 0
+
+        average = SampleAverage(
+            lambda: self.cost(self.v, scenarios),
+            weights=list(self.agent.mean_network.parameters()) if self.task.pathwise else [],
+            v=self.v if self.task.moving else None,
+            scale=abs(self.best.score) or 1.0,
+            slope=(lambda: self._slope_by_differences(scenarios)) if self.by_differences else None,
+        )
+        Climb(average, length, counted=counted, look=self._looked).run()
+
+    def _looked(self) -> bool:
+        """Score the present iterate; whether leaving X has its price now, which moves: that is for Adam to follow."""
+        self.keep(self.evaluated())
+        return self.limited
 
     def _follow(self, length: int, bar: tqdm) -> None:
         """So many steps of Adam, and of PPO where it has a part, on fresh scenarios."""
@@ -206,7 +236,11 @@ class Ascent:
         """Mean cost at a point of the unit box, with what leaving X costs; differentiable."""
         seen = episode_at(self.task.problem, self.agent, v, scenarios, depths=self.limited)
         cost = -seen.total.mean()
-        return cost + self.limits.cost(seen).mean() if self.limits is not None and self.limited else cost
+        if self.limits is None or not self.limited:
+            self.prices = None
+            return cost
+        self.prices = self.limits.prices(seen, v)
+        return cost + self.limits.cost(seen, v)
 
     @torch.no_grad()
     def _seen(self, iterate: Iterate | Ascent) -> Episode:
@@ -268,8 +302,7 @@ class Ascent:
             _set_rate(self.policy_optimiser, task.config.policy_rate * factor)
             self.policy_optimiser.step()
         if self.by_differences and task.moving:
-            by_run = differences(task.problem, self.agent, self.v.detach(), scenarios)
-            return (by_run.mean(0) / size).to(design_gradient.dtype)
+            return (self._slope_by_differences(scenarios) / size).to(design_gradient.dtype)
         return -design_gradient
 
     def _move_design(self, gradient: Tensor, factor: float) -> None:
@@ -299,68 +332,6 @@ class Ascent:
         """What the status rests on."""
         slope = self.slope
         return Convergence(self.gain, slope.mean, slope.error, self.by_differences, self.blocks, self.iterations)
-
-
-class _SpentError(Exception):
-    """The evaluations of a block are spent."""
-
-
-class _Climb:
-    """What L-BFGS-B calls: the cost on one set of scenarios, counted, and the lowest point so far.
-
-    Attributes
-    ----------
-    lowest : (m,) array
-        Weights of the policy if it moves, then the point of the unit box if the design moves.
-    changed : bool
-        Whether that point has not been evaluated yet.
-    """
-
-    def __init__(self, ascent: Ascent, length: int, bar: tqdm) -> None:
-        scenarios = ascent.drawn(ascent.task.config.pathwise_runs)
-        self.ascent = ascent
-        self.left = length
-        self.bar = bar
-        self.samples = scenarios[1].shape[0] * scenarios[1].shape[1]
-        self.average = SampleAverage(
-            lambda: ascent.cost(ascent.v, scenarios),
-            weights=list(ascent.agent.mean_network.parameters()) if ascent.task.pathwise else [],
-            v=ascent.v if ascent.task.moving else None,
-            scale=abs(ascent.best.score) or 1.0,
-            slope=(lambda: self._slope(scenarios)) if ascent.by_differences else None,
-        )
-        self.lowest = self.average.first
-        self.value = float("inf")
-        self.changed = False
-
-    def __call__(self, z: Array) -> tuple[float, Array]:
-        """Cost and gradient (m,), as parts of the return."""
-        if self.left == 0:
-            raise _SpentError
-        self.left -= 1
-        self.ascent.model_steps += self.samples
-        value, gradient = self.average(z)
-        if value < self.value:
-            self.changed = self.changed or np.isfinite(self.value)
-            self.value = value
-            self.lowest = z.copy()
-        self.ascent.count(self.bar)
-        if self.ascent.iterations % self.ascent.task.config.evaluate_every == 0 or self.left == 0:
-            self.evaluate()
-        return value, gradient
-
-    def evaluate(self) -> None:
-        """Score the lowest point."""
-        self.average.put(self.lowest)
-        self.changed = False
-        self.ascent.keep(self.ascent.evaluated())
-        if self.ascent.limited:
-            raise _SpentError  # the cost has changed: Adam follows a moving one
-
-    def _slope(self, scenarios: Scenarios) -> Tensor:
-        """The design's gradient of the mean return by finite differences, (np,)."""
-        ascent = self.ascent
-        return differences(ascent.task.problem, ascent.agent, ascent.v.detach(), scenarios).mean(0)
 
 
 def _set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_generator, as_instance
+from ccdtools.checks import as_choice, as_flag, as_generator, as_instance, has_method
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
@@ -71,6 +71,9 @@ def codesign(
     judge = as_instance("judge", problem if judge is None else judge, CoDesignProblem, "a CoDesignProblem or None")
     design = problem.design.check_one(design)
     check_agent(problem, agent)
+    as_flag("progress", progress)
+    if limits is not None:
+        has_method("limits", limits, "prices", "a LimitPenalty, such as a StateLimitPenalty, or None")
     _check_judge(problem, judge)
     _check_objective(problem)
     if limits is None and judge.limit_tolerance != "off":

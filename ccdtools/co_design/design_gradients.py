@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -10,10 +12,13 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.episodes import episode_at
+from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import LEVEL
 from learning.networks import ActorCritic
 
-STEP = 1e-2  # of the central differences, in the unit box
+STEPS = (1e-2, 1e-3, 1e-4, 1e-5)  # of the central differences, in the unit box
+AGREEING = 0.05  # of a gradient: two steps that differ by less show the same
 FEW = 6  # parameters, up to which differences may take the place of the gradient through the model
 
 SIGNIFICANT = 3.0  # standard errors of a slope that is not chance
@@ -23,24 +28,68 @@ UNRESOLVED = 0.05  # of the return over the distance ahead: a slope with such an
 Scenarios = tuple[Tensor, Tensor]
 
 
-def inside(v: Tensor, step: float = STEP) -> Tensor:
+def inside(v: Tensor, step: float) -> Tensor:
     """The point closest to `v` from which a step to either side stays in the unit box."""
     return v.detach().clamp(step, 1.0 - step)
 
 
-@torch.no_grad()
-def differences(
-    problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: Scenarios, step: float = STEP
-) -> Tensor:
-    """Central differences of every run's return in the unit box under common random numbers, (n, np), about `v`."""
-    centre = inside(v, step)
-    columns = []
-    for i in range(len(v)):
-        h = torch.zeros_like(centre)
-        h[i] = step
-        ends = [episode_at(problem, agent, centre + sign * h, scenarios).total for sign in (1, -1)]
-        columns.append((ends[0] - ends[1]) / (2 * step))
-    return torch.stack(columns, dim=1)
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """Central differences of every run's return under common random numbers, in the unit box and double precision.
+
+    Attributes
+    ----------
+    problem, agent
+        Taken over in double precision.
+    scenarios : tensors (n, nx) and (n, T, nw)
+    prices : Prices, optional
+        Of leaving X, which then counts as lost return.
+    """
+
+    problem: CoDesignProblem
+    agent: ActorCritic
+    scenarios: Scenarios
+    prices: Prices | None = None
+
+    def __post_init__(self) -> None:
+        learned = self.problem.discrepancy
+        if learned is not None:
+            object.__setattr__(self, "problem", replace(self.problem, discrepancy=learned.double()))
+        object.__setattr__(self, "agent", copy.deepcopy(self.agent).double())
+        object.__setattr__(self, "scenarios", tuple(part.double() for part in self.scenarios))
+
+    def about(self, v: Tensor, step: float) -> Tensor:
+        """Slopes (n, np) about a point of the unit box, or about the nearest one from which the step stays inside."""
+        centre = inside(v.double(), step)
+        columns = []
+        for i in range(len(v)):
+            h = torch.zeros_like(centre)
+            h[i] = step
+            columns.append((self._returns(centre + h) - self._returns(centre - h)) / (2 * step))
+        return torch.stack(columns, dim=1)
+
+    def step(self, v: Tensor) -> float:
+        """The largest step that a smaller one confirms; the smallest where none is.
+
+        A return that goes with 1/p bends near a small p by far more than a hundredth of the box shows.
+        """
+        size = self._returns(v.detach().double()).mean().abs()
+        slope = self.about(v, STEPS[0]).mean(0)
+        for step, finer in pairwise(STEPS):
+            finer_slope = self.about(v, finer).mean(0)
+            if (finer_slope - slope).norm() <= AGREEING * finer_slope.norm() + LEVEL * size:
+                return step
+            slope = finer_slope
+        return STEPS[-1]
+
+    @torch.no_grad()
+    def _returns(self, v: Tensor) -> Tensor:
+        """Returns (n,), less what leaving X costs."""
+        seen = episode_at(self.problem, self.agent, v, self.scenarios, depths=self.prices is not None)
+        if self.prices is None:
+            return seen.total
+        paid = self.prices.depth * seen.depth + self.prices.peak * seen.peak
+        return seen.total - paid - self.prices.design.double() @ v
 
 
 def pathwise_by_run(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: Scenarios) -> Tensor:
@@ -69,40 +118,54 @@ def standard_error(by_run: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """How the mean return rises with the design, inside the unit box; 0 where a bound leaves no room.
+    """How the mean return rises with the design, as far as the unit box has room.
 
     Attributes
     ----------
     mean, error : (np,) arrays
-        Finite differences and their standard errors, per length of the unit box.
+        Finite differences and their standard errors, per length of the unit box; 0 where a bound leaves no room.
     room : (np,) array
         Distance to the bound that the slope points at.
+    across, across_error : (np,) arrays
+        The same of the slopes that point across a bound; 0 elsewhere.
     """
 
     mean: Array
     error: Array
     room: Array
+    across: Array
+    across_error: Array
 
     @classmethod
     def none(cls, size: int) -> Slope:
         """A level one."""
-        return cls(np.zeros(size), np.zeros(size), np.ones(size))
+        level = np.zeros(size)
+        return cls(level, level, np.ones(size), level, level)
 
     @classmethod
-    def measured(cls, problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: Scenarios) -> Slope:
-        """At a point of the unit box, on some scenarios."""
-        by_run = differences(problem, agent, v, scenarios)
-        slope = by_run.mean(0).numpy()
+    def measured(cls, differences: Differences, v: Tensor) -> Slope:
+        """At a point of the unit box."""
+        by_run = differences.about(v, differences.step(v))
+        both = np.stack([by_run.mean(0).numpy(), standard_error(by_run).numpy()])
         point = v.double().numpy()
-        room = np.where(slope > 0, 1.0 - point, point)
-        mean, error = np.where(room > 0, np.stack([slope, standard_error(by_run).numpy()]), 0.0)
-        return cls(mean, error, room)
+        room = np.where(both[0] > 0, 1.0 - point, point)
+        inside_box = np.where(room > 0, both, 0.0)
+        across = np.where(room > 0, 0.0, both)
+        return cls(inside_box[0], inside_box[1], room, across[0], across[1])
 
     def promises(self, gain: float) -> bool:
         """Whether a slope beyond chance, falling to zero over the distance ahead, brings such a gain."""
-        promised = np.abs(self.mean) * np.minimum(self.room, AHEAD) / 2
-        return bool(((np.abs(self.mean) > SIGNIFICANT * self.error) & (promised > gain)).any())
+        return _brings(self.mean, self.error, np.minimum(self.room, AHEAD), gain)
+
+    def rises_across_bounds(self, gain: float) -> bool:
+        """Whether a wider box promises such a gain."""
+        return _brings(self.across, self.across_error, np.full(len(self.across), AHEAD), gain)
 
     def unresolved(self, size: float) -> bool:
         """Whether its error is so large, beside returns of that size, that it says nothing."""
         return bool((self.error * AHEAD > UNRESOLVED * size).any() or not np.isfinite(self.error).all())
+
+
+def _brings(slope: Array, error: Array, distance: Array, gain: float) -> bool:
+    """Whether any slope (np,) beyond chance, falling to zero over its distance, brings such a gain."""
+    return bool(((np.abs(slope) > SIGNIFICANT * error) & (np.abs(slope) * distance / 2 > gain)).any())

@@ -21,34 +21,16 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from ccdtools.co_design.differentiable_model import Stepper, to_design
-from ccdtools.co_design.episodes import Episode, fewer_runs, simulated
+from ccdtools.co_design.episodes import Episode
+from ccdtools.co_design.limit_tolerance import FLOOR, NOTHING, UNTIL_LEFT, Pair, Tolerance, measured, tolerance_by_mpc
 from ccdtools.co_design.problem import CoDesignProblem
-from mpc import LinearMPC
 
-HORIZON = 20  # steps, of the MPC that sets the tolerance
-MPC_RUNS = 32  # episodes of 100 steps that it is measured on
-BESIDE_MPC = 1.25  # the tolerance relative to what MPC does: a network in its place has a resolution,
-FLOOR = 0.002  # of the states, or half-widths: and less than this is granted to it always
 AIM = 0.9  # of the tolerance: what the multipliers aim at, so that some iterates are within
 RESOLVED = 1e-4  # half-widths: smaller depths say nothing of how far the states outside X are
-MOVED = 0.03  # of the unit box: a design that moved further has a tolerance of its own
 FIRST_PRICE = 0.02  # of the return, for leaving X by once more than what is granted
 CHEAPEST = 0.001  # a smaller multiplier is zero
-STEP = 0.4  # a multiplier grows by exp(0.4) at an evaluation where twice as much as granted is left, or more
-DAMPING = 0.5  # by this part the price follows the excess of each batch at once
-
-
-@dataclass(frozen=True)
-class Pair:
-    """A value for each measure: the fraction of the states outside X, and the peak depth in half-widths."""
-
-    fraction: float
-    depth: float
-
-    def values(self) -> tuple[float, float]:
-        """Both, in that order."""
-        return (self.fraction, self.depth)
+GROWTH = 0.4  # a multiplier grows by exp(0.4) at an evaluation where X is left by twice as much as granted,
+LARGE = 1.0  # and no faster where it is left by more
 
 
 @dataclass(frozen=True)
@@ -87,6 +69,15 @@ class LimitsOutcome:
 
 
 @dataclass(frozen=True, eq=False)
+class Prices:
+    """What one more of the mean depth, one more of the peak depth, and a step of the design (np,) cost."""
+
+    depth: float
+    peak: float
+    design: Tensor
+
+
+@dataclass(frozen=True, eq=False)
 class StateLimitPenalty:
     """The augmented Lagrangian at one iterate; `updated` gives the next.
 
@@ -94,12 +85,9 @@ class StateLimitPenalty:
     ----------
     judge : CoDesignProblem
         What iterates are evaluated on; its `limit_tolerance` says what is granted.
-    tolerance : Pair
-        At the present design.
-    source : str
-        Where it comes from.
-    measured_at : (np,) tensor or None
-        The design, in the unit box, at which MPC was measured last.
+    tolerance : Tolerance
+    v : (np,) tensor or None
+        The present design, in the unit box.
     seen : Pair
         The measures at the last evaluation.
     multipliers : Pair
@@ -108,11 +96,10 @@ class StateLimitPenalty:
     """
 
     judge: CoDesignProblem
-    tolerance: Pair = Pair(FLOOR, FLOOR)
-    source: str = "never left further than a network resolves"
-    measured_at: Tensor | None = None
-    seen: Pair = Pair(0.0, 0.0)
-    multipliers: Pair = Pair(0.0, 0.0)
+    tolerance: Tolerance = UNTIL_LEFT
+    v: Tensor | None = None
+    seen: Pair = NOTHING
+    multipliers: Pair = NOTHING
     spread: float = 0.01  # until X is left for the first time
 
     @property
@@ -121,76 +108,73 @@ class StateLimitPenalty:
         return any(multiplier > 0 for multiplier in self.multipliers.values())
 
     def violation(self, episode: Episode) -> float:
-        """By how much the tolerance is exceeded; 0 where it is kept."""
-        measured = _measured(episode).values()
-        return max(0.0, *(value - granted for value, granted in zip(measured, self.tolerance.values())))
+        """By how much the tolerance of the present design is exceeded; 0 where it is kept."""
+        pairs = zip(measured(episode).values(), self._granted.values())
+        return max(0.0, *(value - granted for value, granted in pairs))
 
-    def cost(self, episode: Episode) -> Tensor:
-        """What leaving X costs, (n,) in the units of the return; differentiable."""
-        excess = self._relative_excess(_measured(episode))
-        prices = [
-            multiplier * (1 + DAMPING * min(max(over, -1.0), 2.0)) / unit
-            for multiplier, over, unit in zip(self.multipliers.values(), excess, self._units)
-        ]
+    def cost(self, episode: Episode, v: Tensor) -> Tensor:
+        """What leaving X costs episodes at the point `v` of the unit box, (), as part of the return; differentiable.
+
+        The fraction of the states outside X has no gradient: it is as the mean depth, in units of `spread`.
+        """
         size = episode.total.detach().mean().abs()
-        return size * (prices[0] / self.spread * episode.depth + prices[1] * episode.peak)
+        means = torch.stack([episode.depth.mean() / self.spread, episode.peak.mean()])
+        multipliers = torch.tensor(self.multipliers.values(), dtype=torch.float64)
+        return size * multipliers @ _penalty(_relative_excess(means, self.tolerance.at(v)))
+
+    def prices(self, episode: Episode, v: Tensor) -> Prices:
+        """What is paid for more of either depth, and for another design, while episodes are such as these."""
+        depth, peak, v = (tensor.detach().clone().requires_grad_(True) for tensor in (episode.depth, episode.peak, v))
+        with torch.enable_grad():
+            cost = self.cost(replace(episode, depth=depth, peak=peak), v)
+        of_depth, of_peak, of_design = torch.autograd.grad(cost, [depth, peak, v], allow_unused=True)
+        assert of_depth is not None
+        assert of_peak is not None
+        of_design = torch.zeros_like(v) if of_design is None else of_design
+        return Prices(float(of_depth.sum()), float(of_peak.sum()), of_design)
 
     def updated(self, episode: Episode, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> StateLimitPenalty:
         """The penalty after an evaluation on `scenarios` at the point `v` of the unit box."""
-        seen = _measured(episode)
-        now = replace(self, seen=seen)._granted(v, scenarios)
-        pairs = zip(self.multipliers.values(), now._relative_excess(seen))
-        multipliers = Pair(*(_next_multiplier(multiplier, over) for multiplier, over in pairs))
+        seen = measured(episode)
+        tolerance = self._tolerance(seen, v, scenarios)
+        excess = _relative_excess(torch.tensor(seen.values(), dtype=torch.float64), tolerance.at(v))
+        multipliers = (_next_multiplier(*pair) for pair in zip(self.multipliers.values(), excess.tolist()))
         depth = float(episode.depth[~episode.diverged].sum() / episode.outside[~episode.diverged].sum().clamp(min=1e-9))
-        return replace(now, multipliers=multipliers, spread=depth if depth > RESOLVED else self.spread)
-
-    @property
-    def _units(self) -> tuple[float, ...]:
-        """What counts as once more of each measure."""
-        return tuple(max(value, FLOOR) for value in self.tolerance.values())
-
-    def _relative_excess(self, measured: Pair) -> list[float]:
-        """By how much each measure exceeds what the multipliers aim at, relative to what is granted."""
-        values = zip(measured.values(), self.tolerance.values(), self._units)
-        return [(value - AIM * granted) / unit for value, granted, unit in values]
+        spread = depth if depth > RESOLVED else self.spread
+        return replace(self, tolerance=tolerance, v=v, seen=seen, multipliers=Pair(*multipliers), spread=spread)
 
     def outcome(self, episode: Episode) -> LimitsOutcome:
         """How the iterate of these episodes keeps the limits."""
-        return LimitsOutcome(_measured(episode), self.tolerance, self.source, self.multipliers)
+        return LimitsOutcome(measured(episode), self._granted, self.tolerance.source, self.multipliers)
 
-    def _granted(self, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> StateLimitPenalty:
-        """The same with the tolerance of the design `v`: the user's, or what MPC does there if X is left at all."""
+    @property
+    def _granted(self) -> Pair:
+        """What is granted at the present design."""
+        return self.tolerance.granted if self.v is None else Pair(*self.tolerance.at(self.v).tolist())
+
+    def _tolerance(self, seen: Pair, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
+        """That of the design `v`: the user's, or what MPC does there if X is left at all."""
         asked = self.judge.limit_tolerance
         if not isinstance(asked, str):
-            return replace(self, tolerance=Pair(*asked), source="asked for")
-        if max(self.seen.values()) <= FLOOR:
-            return self
-        if self.measured_at is not None and float((v - self.measured_at).abs().max()) <= MOVED:
-            return self
-        by_mpc = _measured(mpc_episodes(self.judge, v, scenarios))
-        granted = Pair(*(max(FLOOR, BESIDE_MPC * value) for value in by_mpc.values()))
-        return replace(self, tolerance=granted, source=f"MPC of the same design, N = {HORIZON}", measured_at=v.clone())
+            return Tolerance(Pair(*asked), "asked for")
+        if max(seen.values()) <= FLOOR or self.tolerance.holds_at(v):
+            return self.tolerance
+        return tolerance_by_mpc(self.judge, v, scenarios)
 
 
-def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Episode:
-    """Episodes of online MPC, state limits relaxed where they cannot be kept, on the first few of some scenarios."""
-    A, B, _ = problem.model.matrices(problem.design.from_unit(v.detach().double().numpy()))
-    objective = problem.objective
-    mpc = LinearMPC(A, B, Q=objective.Q, R=objective.R, horizon=HORIZON, X=problem.X, U=problem.U)
-    x0, w = scenarios
-    runs = fewer_runs(MPC_RUNS, w.shape[1])
-    with torch.no_grad():
-        step = Stepper.at(problem, to_design(problem, v.detach()))
-        return simulated(step, lambda x: x.new_tensor(mpc(x.double().numpy())), (x0[:runs], w[:runs]), depths=True)
+def _relative_excess(means: Tensor, granted: Tensor) -> Tensor:
+    """By how much each measure exceeds what the multipliers aim at, relative to what is granted, (2,)."""
+    return (means - AIM * granted) / granted.clamp(min=FLOOR)
 
 
-def _measured(episode: Episode) -> Pair:
-    """The measures of episodes: mean fraction outside, and mean peak depth."""
-    return Pair(float(episode.outside.detach().mean()), float(episode.peak.detach().mean()))
+def _penalty(over: Tensor) -> Tensor:
+    """(exp(c z) − 1)/c of relative excesses z, (2,), straight beyond LARGE: its slope is what a multiplier grows by."""
+    near = over.clamp(max=LARGE)
+    return (torch.exp(GROWTH * near) - 1) / GROWTH + math.exp(GROWTH * LARGE) * (over - near)
 
 
 def _next_multiplier(multiplier: float, over: float) -> float:
     """The multiplier after an evaluation with a relative excess: larger above zero, smaller below."""
     start = max(multiplier, FIRST_PRICE) if over > 0 else multiplier
-    moved = start * math.exp(STEP * min(max(over, -1.0), 1.0))
+    moved = start * math.exp(GROWTH * min(max(over, -LARGE), LARGE))
     return moved if moved > CHEAPEST else 0.0

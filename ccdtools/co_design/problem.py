@@ -17,6 +17,7 @@ from ccdtools.plants.linear_model import LinearModel
 from invariant_sets import Polytope
 
 DIVERGENCE = 1e3  # a run is lost when a state exceeds this many half-widths of X
+NARROWEST = 1e-5  # width of a box of designs beside its bounds, of which single precision resolves 1e-7
 
 
 class Scenarios(Protocol):
@@ -52,6 +53,10 @@ class ErrorModel(Protocol):
 
     def advance(self, e: Any, x: Any, u: Any, p: Any, w: Any) -> tuple[Any, Any]:
         """Next errors (n, nx) and penalties (n,), torch tensors."""
+        ...
+
+    def double(self) -> ErrorModel:
+        """The same in double precision."""
         ...
 
 
@@ -97,7 +102,7 @@ class CoDesignProblem(Immutable):
     ------
     InputError
         If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
-        not in X or not in U, U is not a box, or a `FixedStart` lies outside X.
+        not in X or not in U, U is not a box, a `FixedStart` lies outside X, or the box of designs is too narrow.
     """
 
     model: LinearModel
@@ -113,6 +118,7 @@ class CoDesignProblem(Immutable):
         model = as_instance("model", self.model, LinearModel, "a LinearModel", "Pass discretise(plant).")
         if model.design is None or model.design.dim == 0:
             raise InputError("model", "a model without design parameters", "one of a plant with a DesignSpace")
+        _check_widths(model.design)
         _check_limits("X", self.X, model.nx, "one per state")
         _check_limits("U", self.U, model.nu, "one per input")
         if not self.X.contains(np.zeros(model.nx)):
@@ -188,6 +194,19 @@ class CoDesignProblem(Immutable):
         """Range of the observation (x, p), each (nx + np,)."""
         scale = self.state_scale
         return np.r_[-scale, self.design.lower], np.r_[scale, self.design.upper]
+
+
+def _check_widths(design: DesignSpace) -> None:
+    """Raise an `InputError` if single precision, which policies work in, cannot tell the designs of the box apart."""
+    size = np.maximum(np.abs(design.lower), np.abs(design.upper))
+    narrow = np.flatnonzero(design.upper - design.lower < NARROWEST * size)
+    if len(narrow):
+        i = narrow[0]
+        raise InputError(
+            "model", f"{design.names[i]} in [{design.lower[i]:.10g}, {design.upper[i]:.10g}]",
+            f"a box of designs at least {NARROWEST:g} times as wide as its bounds are large",
+            "Let the parameter be the deviation from its lower bound.",
+        )  # fmt: skip
 
 
 def _check_limits(name: str, limits: Polytope, size: int, of: str) -> None:

@@ -10,7 +10,7 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.episodes import Episode
-from ccdtools.co_design.limits import LimitsOutcome
+from ccdtools.co_design.limits import LimitsOutcome, Prices
 from ccdtools.co_design.problem import CoDesignProblem
 from learning.networks import ActorCritic
 
@@ -20,8 +20,12 @@ Scenarios = tuple[Tensor, Tensor]
 class LimitPenalty(Protocol):
     """What keeps a co-design within its state limits: a cost whose multipliers grow while they are not kept."""
 
-    def cost(self, episode: Episode) -> Tensor:
-        """What leaving X costs, (n,) in the units of the return; differentiable, zero within the tolerance."""
+    def cost(self, episode: Episode, v: Tensor) -> Tensor:
+        """What leaving X costs episodes at the point `v` of the unit box, (), as part of the return; differentiable."""
+        ...
+
+    def prices(self, episode: Episode, v: Tensor) -> Prices:
+        """What is paid for more of either depth, and for another design, while episodes are such as these."""
         ...
 
     def violation(self, episode: Episode) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -111,6 +112,10 @@ class Discrepancy(Immutable):
             drawn, memory = self._copula.draw(quantiles, self.network.clipped(inputs), w, self._memory(e))
             return torch.cat([drawn, memory], dim=-1), penalty
         return (median + w if self.noise == "replayed" else median), penalty
+
+    def double(self) -> Discrepancy:
+        """The same in double precision."""
+        return replace(self, network=copy.deepcopy(self.network).double())
 
     @property
     def error_size(self) -> int:

@@ -14,7 +14,7 @@ from gallery.oracle.dynamic_programming import clipped_optimum
 from gallery.oracle.optimum import Landscape, landscape
 from gallery.oracle.receding_horizon import limited_return
 from gallery.oracle.statement import Array, Statement
-from gallery.oracle.truth import best_feedback, feedback_return, truth
+from gallery.oracle.truth import affine, best_feedback, feedback_return, truth
 from gallery.reference import CLIPPED, LIMITED, OPTIMA, STUDIES, statement
 
 CLIPPED_RUNS = 20_000
@@ -22,6 +22,7 @@ SEARCH_RUNS = 1500
 LIMITED_RUNS = 100
 LIMITED_POINTS = 11
 CLIPPED_POINTS = 17
+STAGES = 10
 SEED = 5
 
 
@@ -29,8 +30,8 @@ def computed(study: str) -> dict[str, Any]:
     """Everything that is kept of one study."""
     s = statement(study)
     if study in CLIPPED:
-        method = "best clipped linear feedback by search, 20 000 runs; bound by dynamic programming"
-        found = _by_policy_search(s)
+        method = "best clipped linear feedback by search, 20 000 runs"
+        found, feedback = _by_policy_search(s)
     elif study in LIMITED:
         method = "MPC of 20 steps with OSQP, 100 runs"
         found = _by_receding_horizon(s)
@@ -44,7 +45,8 @@ def computed(study: str) -> dict[str, Any]:
         "lqr": _lqr(s, best, study), "unlimited_bound": highest_linear_return(s, best),
     }  # fmt: skip
     if study in CLIPPED:
-        kept["bound"] = float(clipped_optimum(s, best).returns(s.disturbance(SEARCH_RUNS, SEED)).mean())
+        kept["feedback"] = feedback
+        kept |= _by_dynamic_programming(s, best)
     if s.real is not None:
         real = truth(s, best)
         kept["truth"] = {
@@ -61,7 +63,15 @@ def _lqr(s: Statement, p: Array, study: str) -> float:
     return linear_return(s, p)
 
 
-def _by_policy_search(s: Statement) -> Landscape:
+def _by_dynamic_programming(s: Statement, p: Array) -> dict[str, Any]:
+    """Returns of the policy of dynamic programming, and of the best one that acts at all times as it does at one."""
+    optimum = clipped_optimum(s, p)
+    w = s.disturbance(CLIPPED_RUNS, SEED)
+    held = [float(optimum.stationary_returns(w, step).mean()) for step in range(0, s.steps, STAGES)]
+    return {"by_time": float(optimum.returns(w).mean()), "stationary": max(held)}
+
+
+def _by_policy_search(s: Statement) -> tuple[Landscape, dict[str, Any]]:
     """The best clipped linear feedback with its design, where inputs saturate; the corner worst for clipped LQR."""
     model = replace(s, real=None)
     few = s.disturbance(SEARCH_RUNS, SEED + 1)
@@ -71,7 +81,9 @@ def _by_policy_search(s: Statement) -> Landscape:
     best = feedback_return(model, design, feedback, s.disturbance(CLIPPED_RUNS, SEED))
     corners = [saturated_return(s, p, few) for p in s.corners()]
     worst = int(np.argmin(corners))
-    return Landscape(design[None], np.array([best]), s.corners()[worst], corners[worst])
+    K, offset = affine(model, design, feedback)
+    optimum = Landscape(design[None], np.array([best]), s.corners()[worst], corners[worst])
+    return optimum, {"K": K.tolist(), "offset": offset.tolist()}
 
 
 def _by_receding_horizon(s: Statement) -> Landscape:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
+from itertools import product, repeat
 
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
-from gallery.oracle.cost import simulated
+from gallery.oracle.cost import model_step, simulated
 from gallery.oracle.statement import Array, Statement
 
 EXTENT = 2.0  # half-widths of X that the grid covers
@@ -35,11 +36,17 @@ class ClippedOptimum:
 
     def returns(self, w: Array) -> Array:
         """Returns (n,) of the policy under disturbances w (n, T, nw)."""
+        return self._returns(w, iter(self.costs))
+
+    def stationary_returns(self, w: Array, step: int) -> Array:
+        """The same of the policy that acts at all times as the optimal one acts at one step."""
+        return self._returns(w, repeat(self.costs[step]))
+
+    def _returns(self, w: Array, costs: Iterator[Array]) -> Array:
+        """Returns (n,) of the policy that lowers one cost after the other."""
         s = self.statement
-        A, B, E = s.sampled(self.design)
-        step = iter(range(w.shape[1]))
-        policy = lambda x: _best_input(s, x @ A.T, B, self.costs[next(step)])[1]  # noqa: E731
-        return simulated(s, lambda x, u, w_k: x @ A.T + u @ B.T + w_k @ E.T, policy, w)[0]
+        A, B, _ = s.sampled(self.design)
+        return simulated(s, model_step(s, self.design), lambda x: _best_input(s, x @ A.T, B, next(costs))[1], w)[0]
 
 
 def clipped_optimum(s: Statement, p: Array) -> ClippedOptimum:

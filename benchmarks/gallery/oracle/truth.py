@@ -59,11 +59,16 @@ def feedback_return(s: Statement, p: Array, feedback: Array, w: Array) -> float:
     return _around_lqr(s, p, feedback, w)
 
 
-def _around_lqr(s: Statement, p: Array, z: Array, w: Array) -> float:
-    """Return of u = u_0 − K x, with K and u_0 as parts z of the LQR of the real plant at rest and of the limits."""
+def affine(s: Statement, p: Array, z: Array) -> tuple[Array, Array]:
+    """K and u_0 of u = u_0 − K x, that `best_feedback` has found: parts of the LQR of the plant, and of its limits."""
     K = s.gain(*_linearised(s, p))
     relative = z.reshape(len(s.R), -1)
-    return _affine_return(s, p, K * (1 + relative[:, :-1]), relative[:, -1] * s.u_max, w)
+    return K * (1 + relative[:, :-1]), relative[:, -1] * s.u_max
+
+
+def _around_lqr(s: Statement, p: Array, z: Array, w: Array) -> float:
+    """Return of a feedback as `affine` reads it."""
+    return _affine_return(s, p, *affine(s, p, z), w)
 
 
 def _linearised(s: Statement, p: Array) -> tuple[Array, Array]:

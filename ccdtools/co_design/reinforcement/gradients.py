@@ -9,7 +9,7 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_generator, as_instance, as_number
 from ccdtools.co_design.agents import check_agent
-from ccdtools.co_design.design_gradients import STEP, differences, inside, pathwise_by_run, standard_error
+from ccdtools.co_design.design_gradients import Differences, inside, pathwise_by_run, standard_error
 from ccdtools.co_design.differentiable_model import observe, scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.episodes import episode_at, fewer_runs
@@ -27,7 +27,7 @@ def check_gradients(
     *,
     rng: np.random.Generator,
     runs: int = 512,
-    step: float = STEP,
+    step: float | None = None,
     ppo: PPOConfig | None = None,
 ) -> GradientCheck:
     """Every design gradient beside finite differences, on the same scenarios.
@@ -38,8 +38,8 @@ def check_gradients(
         Where to compare, in physical units; closer than `step` to a bound, the comparison is made at that distance.
     runs : int
         Scenarios of 100 steps; of longer ones fewer are taken.
-    step : float
-        Step of the central differences in the unit box.
+    step : float, optional
+        Step of the central differences in the unit box; by default 0.01, or less where the return bends more.
 
     Raises
     ------
@@ -50,11 +50,15 @@ def check_gradients(
     check_agent(problem, agent)
     as_generator("rng", rng)
     as_count("runs", runs)
-    as_number("step", step, expected="a number between 0 and 0.5", low=0.0, high=0.5, strict=True)
+    if step is not None:
+        as_number("step", step, expected="a number between 0 and 0.5, or None", low=0.0, high=0.5, strict=True)
     design = problem.design.check_one(design)
-    v = inside(torch.tensor(problem.design.to_unit(design), dtype=torch.float32), step)
+    v = torch.tensor(problem.design.to_unit(design), dtype=torch.float32)
     scenarios = scenario_tensors(problem, fewer_runs(runs, problem.steps), rng)
-    by_difference = differences(problem, agent, v, scenarios, step)
+    differences = Differences(problem, agent, scenarios)
+    step = differences.step(v) if step is None else step
+    v = inside(v, step)
+    by_difference = differences.about(v, step)
     pathwise = pathwise_by_run(problem, agent, v, scenarios)
     network = network_input_gradient(problem, agent, v, rng=rng, runs=len(pathwise), config=ppo or PPOConfig())
     with torch.no_grad():

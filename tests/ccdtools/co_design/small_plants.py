@@ -23,11 +23,11 @@ def problem_of(plant: Plant, Q, R, *, steps: int = 60) -> CoDesignProblem:
     )  # fmt: skip
 
 
-def mass() -> CoDesignProblem:
+def mass(heaviest: float = 3.0) -> CoDesignProblem:
     """A mass on a spring, the mass being the design; its optimum lies inside the box."""
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     dynamics = ca.vertcat(x[1], (-2 * x[0] - 0.3 * x[1] + (1 + 0.5 * p) * u + w) / p)
-    plant = Plant(x, u, w, p, dynamics, DesignSpace(["m"], [0.2], [3]), dt=0.1)
+    plant = Plant(x, u, w, p, dynamics, DesignSpace(["m"], [0.2], [heaviest]), dt=0.1)
     return problem_of(plant, np.diag([10.0, 1.0]), [[0.5]])
 
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from small_plants import clone_of, mass
 
 from ccdtools import InputError, QuadraticObjective
-from ccdtools.co_design.design_gradients import differences, pathwise_by_run, pathwise_gradient
+from ccdtools.co_design.design_gradients import Differences, pathwise_by_run, pathwise_gradient
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.episodes import episode_at
@@ -61,7 +62,7 @@ def test_the_gradients_of_single_runs_add_up_to_that_of_their_mean(study, clone)
     by_run = pathwise_by_run(problem, agent, v, scenarios)
     assert by_run.shape == (24, problem.design.dim)
     np.testing.assert_allclose(by_run.mean(0), pathwise_gradient(problem, agent, v, scenarios)[0], rtol=1e-3)
-    apart = by_run - differences(problem, agent, v, scenarios)  # a run whose input saturates has a kink
+    apart = by_run - Differences(problem, agent, scenarios).about(v, 1e-2)  # a run whose input saturates has a kink
     assert (apart.abs().median(0).values < 0.02 * by_run.abs().mean(0)).all()
 
 
@@ -83,6 +84,16 @@ def test_at_a_bound_the_gradients_are_compared_inside_the_box(illustrative, clon
     check = check_gradients(problem, clone(illustrative), [3.0], rng=np.random.default_rng(0), runs=64)
     assert check.trusted
     assert 0.5 <= min(asked) <= max(asked) <= 3.0 + 1e-6
+
+
+def test_where_the_return_bends_within_a_hundredth_of_the_box_the_step_is_smaller():
+    problem = mass(heaviest=20.0)
+    agent = clone_of(problem)
+    check = check_gradients(problem, agent, [0.2], rng=np.random.default_rng(0), runs=32)
+    coarse = check_gradients(problem, agent, [0.2], rng=np.random.default_rng(0), runs=32, step=1e-2)
+    assert not coarse.trusted
+    np.testing.assert_allclose(check.pathwise, check.finite_difference, rtol=0.02)
+    assert check.trusted
 
 
 class Detached(QuadraticObjective):

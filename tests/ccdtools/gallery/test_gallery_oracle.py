@@ -140,7 +140,13 @@ def test_dynamic_programming_is_the_riccati_equation_where_no_input_saturates():
 
 def test_the_feedback_kept_for_saturated_inputs_lies_between_lqr_and_what_dynamic_programming_allows():
     kept = reference("two_unstable_modes")
-    assert kept["lqr"] < 1.03 * kept["returns"][0] < kept["returns"][0] < kept["bound"]
+    assert kept["lqr"] < 1.03 * kept["returns"][0] < kept["returns"][0] < kept["by_time"]
+
+
+def test_what_dynamic_programming_gains_it_gains_by_letting_go_before_the_end():
+    kept = reference("two_unstable_modes")
+    assert kept["stationary"] == pytest.approx(kept["returns"][0], rel=0.02)
+    assert kept["by_time"] > kept["stationary"] + 0.2 * abs(kept["stationary"])
 
 
 @pytest.mark.slow

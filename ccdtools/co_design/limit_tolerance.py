@@ -1,0 +1,108 @@
+"""How often and how far a design may leave X: what the user grants, or what MPC of the same design does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ccdtools.co_design.differentiable_model import Stepper, to_design
+from ccdtools.co_design.episodes import Episode, fewer_runs, simulated
+from ccdtools.co_design.problem import CoDesignProblem
+from mpc import LinearMPC
+
+HORIZON = 20  # steps, of the MPC that sets the tolerance
+MPC_RUNS = 32  # episodes of 100 steps that it is measured on
+BESIDE_MPC = 1.25  # the tolerance relative to what MPC does: a network in its place has a resolution,
+FLOOR = 0.002  # of the states, or half-widths: and less than this is granted to it always
+NEAR = 0.1  # of the unit box: a design further away has MPC measured again
+TILT = 0.05  # of the unit box: the step by which it is found how the tolerance changes with the design
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A value for each measure: the fraction of the states outside X, and the peak depth in half-widths."""
+
+    fraction: float
+    depth: float
+
+    def values(self) -> tuple[float, float]:
+        """Both, in that order."""
+        return (self.fraction, self.depth)
+
+
+@dataclass(frozen=True, eq=False)
+class Tolerance:
+    """What is granted at designs of the unit box.
+
+    Attributes
+    ----------
+    granted : Pair
+        At the design `v`.
+    source : str
+        Where it comes from.
+    v : (np,) tensor or None
+        Where MPC was measured; None where the design does not matter.
+    slopes : (2, np) tensor or None
+        Of the logarithms of both measures with the design.
+    """
+
+    granted: Pair
+    source: str
+    v: Tensor | None = None
+    slopes: Tensor | None = None
+
+    def at(self, v: Tensor) -> Tensor:
+        """Fraction and depth granted at a design, (2,); differentiable."""
+        granted = torch.tensor(self.granted.values(), dtype=torch.float64)
+        if self.v is None or self.slopes is None:
+            return granted
+        return (granted * torch.exp(self.slopes @ (v - self.v).double())).clamp(min=FLOOR)
+
+    def holds_at(self, v: Tensor) -> bool:
+        """Whether the design is one that the tolerance was made for."""
+        return self.v is not None and float((v - self.v).abs().max()) <= NEAR
+
+
+NOTHING = Pair(0.0, 0.0)
+UNTIL_LEFT = Tolerance(Pair(FLOOR, FLOOR), "never left further than a network resolves")
+
+
+def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
+    """A quarter more than what MPC does at a design and beside it, on the first few of some scenarios."""
+    middle = _granted(problem, v, scenarios)
+    slopes = []
+    for i in range(len(v)):
+        ends = [v.clone() for _ in range(2)]
+        for end, side in zip(ends, (-1, 1)):
+            end[i] = (v[i] + side * TILT).clamp(0.0, 1.0)
+        low, high = (_granted(problem, end, scenarios).log() for end in ends)
+        slopes.append((high - low) / (ends[1][i] - ends[0][i]).double())
+    fraction, depth = middle.tolist()
+    source = f"MPC of the same design, N = {HORIZON}"
+    return Tolerance(Pair(fraction, depth), source, v.clone(), torch.stack(slopes, dim=1))
+
+
+def _granted(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tensor:
+    """What MPC lets one design have, (2,); the least there is where MPC loses every run."""
+    fraction, depth = measured(mpc_episodes(problem, v, scenarios)).values()
+    return (BESIDE_MPC * torch.tensor([fraction, depth], dtype=torch.float64)).nan_to_num(nan=FLOOR).clamp(min=FLOOR)
+
+
+def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Episode:
+    """Episodes of online MPC, state limits relaxed where they cannot be kept, on the first few of some scenarios."""
+    A, B, _ = problem.model.matrices(problem.design.from_unit(v.detach().double().numpy()))
+    objective = problem.objective
+    mpc = LinearMPC(A, B, Q=objective.Q, R=objective.R, horizon=HORIZON, X=problem.X, U=problem.U)
+    x0, w = scenarios
+    runs = fewer_runs(MPC_RUNS, w.shape[1])
+    with torch.no_grad():
+        step = Stepper.at(problem, to_design(problem, v.detach()))
+        return simulated(step, lambda x: x.new_tensor(mpc(x.double().numpy())), (x0[:runs], w[:runs]), depths=True)
+
+
+def measured(episode: Episode) -> Pair:
+    """Mean fraction outside, and mean peak depth, of the runs that are not lost; NaN where all are."""
+    kept = ~episode.diverged
+    return Pair(float(episode.outside.detach()[kept].mean()), float(episode.peak.detach()[kept].mean()))
