@@ -45,7 +45,8 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Set, U: Set, *, E: Any = No
         Caps of the recursion.
     time_limit : float, optional
         Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT, `set` is
-        an invariant inner set and `outer` what the recursion had reached.
+        an invariant inner set, or empty if none was found in time, which does not say that there is none, and `outer`
+        is what the recursion had reached.
 
     Returns
     -------

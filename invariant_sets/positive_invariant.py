@@ -41,7 +41,8 @@ def maximal_positively_invariant_set(A: Any, X: Set, *, C: Any = None, E: Any = 
     max_iterations, max_facets : int
         Caps of the recursion.
     time_limit : float, optional
-        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT.
+        Latest end, in seconds from the call; no limit if left out. At the limit the status is TIME_LIMIT and `set`
+        an invariant inner set, or empty if none was found in time, which does not say that there is none.
 
     Returns
     -------

@@ -20,8 +20,8 @@ class Status(Enum):
                        "invariant. Increase `max_iterations` or `tol`.")
     FACET_LIMIT = ("The set needs more facets than `max_facets`, or than Qhull can resolve: `set` is invariant (or "
                    "empty) but not the extremal one. Increase `max_facets` or `tol`.")
-    TIME_LIMIT = ("The time limit came first: `set` is invariant (or empty) but not the extremal one, and "
-                  "`certificate.gap` says how far `outer` is from it. Increase `time_limit` or `tol`.")
+    TIME_LIMIT = ("The time limit came first: `set` is invariant but not the extremal one, and `certificate.gap` says "
+                  "how far `outer` is from it; it is empty if none was found in time. Increase `time_limit` or `tol`.")
     NOT_CERTIFIED = ("The check of the result failed, so `set` is empty and only `outer` holds. The data are badly "
                      "scaled or a mode is nearly marginal: rescale, or increase `tol`.")
     NOT_MAXIMAL = ("`set` is invariant, but one more backward step would enlarge it by `certificate.missing`, so "
@@ -77,7 +77,8 @@ class SetResult:
     Attributes
     ----------
     set : Polytope
-        The set; invariant ones at `certificate.tolerance`. The empty set where none was found.
+        The set; invariant ones at `certificate.tolerance`. The empty set where none was found: only with the status
+        EMPTY does that say that there is none.
     outer : Polytope
         Contains the true extremal set; not invariant in general.
     status : Status

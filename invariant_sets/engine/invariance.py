@@ -7,7 +7,8 @@
    is taken back to 1.
 4. `inner_sets`: (1 − tol/10) Ω is invariant with room to spare, because inputs scale with the state. Disturbances
    do not scale; there the recursion is repeated from Ω for a contraction factor just below one. Where a cap came
-   first, the invariant set of a linear feedback is grown from inside.
+   first, the invariant set of a linear feedback is grown from inside. Where half of the time has gone, one such set is
+   put in reserve before the recursion goes on.
 5. `certificate`: only a set that passes its check at every vertex (or facet) is returned, and only one that one more
    backward step does not enlarge is called maximal.
 
@@ -39,12 +40,10 @@ from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
 from invariant_sets.tolerances import GAP_ROUNDING, INVARIANT, MISSING, STOP
 
 Array = np.ndarray
-_FIRST_SHARE = 0.1  # of the time limit: a recursion that ends within it needs no inner set in reserve
-_OUTER_SHARE = 0.5  # of the time limit for the outer recursion; the rest is for inner sets and their certificate
-_INNER_SHARE = 0.6  # of the time left for inner sets; the rest is for the certificate
-_RESERVE_SHARE = 0.3  # of the time limit for a first inner set, which is kept in reserve
-_LEAST_RESERVE = 1.0  # seconds that the search for it may take in any case
-_SLOW_DIM = 4  # states from which a time limit may come before the recursion ends
+_OUTER_SHARE = 0.5  # of the time limit: a recursion that ends within it needs no inner set in reserve
+_RESERVE_SHARE = 0.5  # of the time left then, for an inner set that is kept in reserve
+_LAST_SHARE = 0.5  # of the time left after that, for the rest of the recursion
+_INNER_SHARE = 0.6  # of the time left then for better inner sets; the rest is for the certificate
 
 
 @dataclass(frozen=True)
@@ -97,8 +96,7 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     nx = task.X.dim
     iterations = 0
     widest = _extent(X)
-    reserve: _Inner | None = None
-    first_deadline = limits.deadline.part(_FIRST_SHARE)
+    reserve: _Reserve | None = None
     outer_deadline = limits.deadline.part(_OUTER_SHARE)
     for _ in range(4 * nx + 8):
         localised = localise(task.system, X, task.U, widest)
@@ -116,12 +114,11 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
             guess = None
         steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
         caps = limits.caps(STOP, max(steps, 1))
-        slow = np.isfinite(limits.deadline.end) and len(problem.dynamics.A) >= _SLOW_DIM
-        outcome = _recursion(problem, start, replace(caps, deadline=first_deadline if slow else outer_deadline))
-        if slow and outcome.limit is not None:
-            reserve = _reserve(task, problem, start) if reserve is None else reserve
-            if outcome.limit is Status.TIME_LIMIT:
-                outcome = _continued(problem, outcome, replace(caps, deadline=outer_deadline))
+        deadline = outer_deadline if reserve is None else reserve.deadline
+        outcome = _recursion(problem, start, replace(caps, deadline=deadline))
+        if outcome.limit is not None and reserve is None and np.isfinite(limits.deadline.end):
+            reserve = _reserve(task, problem, start)
+            outcome = _continued(problem, outcome, replace(caps, deadline=reserve.deadline))
         iterations += outcome.iterations
         region = outcome.region if outcome.limit is not None else outcome.region.tidy()
         if region.shape is Shape.EMPTY:
@@ -144,8 +141,12 @@ def _recursion(problem: LocalProblem, start: Region, caps: Caps) -> Outcome:
 
 
 def _continued(problem: LocalProblem, outcome: Outcome, caps: Caps) -> Outcome:
-    """Return how a recursion that was stopped ends with more time."""
-    later = _recursion(problem, outcome.region, caps)
+    """Return how a recursion ends with more time, if time stopped it; `caps` are those of the whole."""
+    left = caps.iterations - outcome.iterations
+    if outcome.limit is not Status.TIME_LIMIT or left == 0:
+        return outcome
+    predecessor = predecessor_of(problem, deadline=caps.deadline)
+    later = iterate(outcome.region, predecessor, replace(caps, iterations=left), outcome.fresh)
     return replace(later, iterations=outcome.iterations + later.iterations)
 
 
@@ -201,31 +202,43 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
     return region.cut(D[cutting], d[cutting]) if cutting.any() else region
 
 
-def _reserve(task: Task, problem: LocalProblem, start: Region) -> _Inner | None:
-    """Return the set of a linear feedback, found before the recursion begins so that a time limit leaves something."""
-    if not (problem.bounded and problem.at_equilibrium and start.shape is Shape.SOLID):
-        return None
-    deadline = max(task.limits.deadline.part(_RESERVE_SHARE), Deadline.after(_LEAST_RESERVE), key=lambda one: one.end)
-    rows_only = replace(start, V=None)
-    for candidate in feedback_sets(problem, rows_only, replace(task.limits, deadline=deadline)):
-        inner = _certified(task, problem, rows_only, candidate, deadline)
+@dataclass(frozen=True)
+class _Reserve:
+    """What a time limit leaves: the set of a linear feedback, None if none was found; the recursion's last deadline."""
+
+    inner: _Inner | None
+    deadline: Deadline
+
+
+def _reserve(task: Task, problem: LocalProblem, start: Region) -> _Reserve:
+    """Return the set of a linear feedback, if a part of the time left is enough to find one."""
+    inner = None
+    if problem.bounded and problem.at_equilibrium and start.shape is Shape.SOLID:
+        inner = _feedback_set(task, problem, replace(start, V=None), task.limits.deadline.part(_RESERVE_SHARE))
+    return _Reserve(inner, task.limits.deadline.part(_LAST_SHARE))
+
+
+def _feedback_set(task: Task, problem: LocalProblem, start: Region, deadline: Deadline) -> _Inner | None:
+    """Return the first set of a linear feedback in `start` that passes the certificate in time."""
+    for candidate in feedback_sets(problem, start, replace(task.limits, deadline=deadline)):
+        inner = _certified(task, problem, start, candidate, deadline)
         if inner is not None:
             return inner
     return None
 
 
-def _fallback(task: Task, reserve: _Inner | None, outer: Polytope, status: Status, steps: int) -> SetResult:
+def _fallback(task: Task, reserve: _Reserve | None, outer: Polytope, status: Status, steps: int) -> SetResult:
     """Return the reserve where it helps, with its gap to the outer set; no set otherwise."""
-    if reserve is None or outer.is_empty or status not in (Status.TIME_LIMIT, Status.FACET_LIMIT):
+    inner = None if reserve is None else reserve.inner
+    if inner is None or outer.is_empty or status not in (Status.TIME_LIMIT, Status.FACET_LIMIT):
         return no_set(task.X.dim, steps, outer, status)
-    C = reserve.C
-    centre = reserve.centre
+    C = inner.C
     reach = outer.support(C.A)
-    room = C.b - C.A @ centre
-    return _with_status(task, replace(reserve, gap=float(((reach - C.b) / room).max())), outer, status, steps)
+    room = C.b - C.A @ inner.centre
+    return _with_status(task, replace(inner, gap=float(((reach - C.b) / room).max())), outer, status, steps)
 
 
-def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Inner | None) -> SetResult:
+def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Reserve | None) -> SetResult:
     """Return the result: an inner set that passes the certificate, beside the outer one."""
     region = outcome.region
     limits = task.limits

@@ -123,12 +123,15 @@ class Outcome:
         Whether no row cuts more than the tolerance any more.
     limit : Status or None
         The cap on time or facets that stopped it.
+    fresh : (m,) bool array or None
+        Rows of the region that the last step brought; all of them if None. A recursion that goes on starts from these.
     """
 
     region: Region
     iterations: int
     converged: bool = False
     limit: Status | None = None
+    fresh: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -151,7 +154,7 @@ class Caps:
     deadline: Deadline = NO_DEADLINE
 
 
-def iterate(region: Region, predecessor: Predecessor, caps: Caps) -> Outcome:
+def iterate(region: Region, predecessor: Predecessor, caps: Caps, fresh: Array | None = None) -> Outcome:
     """Return the end of Ω ← predecessor(Ω) ∩ Ω from `region`.
 
     Parameters
@@ -163,15 +166,16 @@ def iterate(region: Region, predecessor: Predecessor, caps: Caps) -> Outcome:
         suffice, because what followed from the others was cut off a step before.
     caps : Caps
         When to stop.
+    fresh : (m,) bool array, optional
+        Rows of the region that the step before brought, where a recursion goes on; all of them by default.
     """
-    fresh = None
     for iteration in range(1, caps.iterations + 1):
         try:
             caps.deadline.check()
             smaller, cut = _one_step(region, predecessor, fresh, caps.deadline)
         except LimitReached as limit:
             late = isinstance(limit, TimeLimitReached)
-            return Outcome(region, iteration - 1, limit=Status.TIME_LIMIT if late else Status.FACET_LIMIT)
+            return Outcome(region, iteration - 1, limit=Status.TIME_LIMIT if late else Status.FACET_LIMIT, fresh=fresh)
         if smaller.shape is Shape.UNRESOLVED:
             return Outcome(region, iteration, limit=Status.FACET_LIMIT)
         if smaller is region or smaller.shape is not Shape.SOLID:
