@@ -152,5 +152,5 @@ def scenario_tensors(problem: CoDesignProblem, runs: int, rng: np.random.Generat
     """`runs` scenarios of a problem as float32 tensors: (n, nx) and (n, T, nw)."""
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     if problem.discrepancy is not None and problem.discrepancy.noise == "quantiles":
-        w = rng.random((runs, problem.steps, problem.model.nx))
+        w = problem.driving(runs, problem.steps, rng)
     return torch.tensor(x0, dtype=torch.float32), torch.tensor(w, dtype=torch.float32)

@@ -99,7 +99,8 @@ def expert_dataset(
     Parameters
     ----------
     problem : CoDesignProblem
-        Its scenarios' disturbance drives the closed loops.
+        Its own model is stepped, with its discrepancy if it has one, under what drives its episodes: beyond their
+        length one episode follows another. Sets and LQR are those of the nominal model.
     samples : int
         Candidates.
     rng : numpy.random.Generator

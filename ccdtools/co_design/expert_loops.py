@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import torch
 
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.candidates import Starts
-from ccdtools.co_design.lqr_regions import times
+from ccdtools.co_design.differentiable_model import Stepper
+from ccdtools.co_design.lqr_regions import LQRRegions, times
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.progress import Echo, counted
@@ -35,10 +37,11 @@ def follow(
     problem: CoDesignProblem, loops: ExpertLoops, gamma: float, rng: np.random.Generator, *,
     progress: bool = False, echo: Echo | None = None,
 ) -> Followed:  # fmt: skip
-    """The loops under the disturbance of the problem's scenarios, looked at after `VISITS` steps."""
+    """The loops on the problem's own model under what drives its episodes, looked at after `VISITS` steps."""
     x = loops.starts.x
     steps = VISITS[-1] + TAIL
-    w = problem.scenarios.sample(len(x), steps, rng)[1]
+    w = problem.driving(len(x), steps, rng)
+    step = NominalSteps(loops.starts.regions) if problem.discrepancy is None else UpdatedSteps(problem, loops.starts.p)
     rewards = np.empty((steps, len(x)))
     visited = []
     actions = []
@@ -47,9 +50,9 @@ def follow(
         if k in VISITS:
             visited.append(x)
             actions.append(u)
-        x = loops.step(x, u, w[:, k])
+        x, penalty = step(x, u, w[:, k])
         x = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, np.nan)
-        rewards[k] = problem.objective.rewards(x, u)
+        rewards[k] = problem.objective.rewards(x, u) - penalty
     future = rewards[-TAIL // 4 :].mean(axis=0) / (1 - gamma)  # stationary by then
     values = []
     for k in reversed(range(steps)):
@@ -93,11 +96,6 @@ class ExpertLoops:
         """The law itself, or its explicit form."""
         return law.explicit() if expert == "explicit" else law  # type: ignore[return-value]
 
-    def step(self, x: Array, u: Array, w: Array) -> Array:
-        """Next states (n, nx)."""
-        model = self.starts.regions
-        return times(model.A, x) + times(model.B, u) + times(model.E, w)
-
     def inputs(self, x: Array) -> Array:
         """The expert's inputs (n, nu); NaN where the state is."""
         if self.controllers is None:
@@ -107,6 +105,37 @@ class ExpertLoops:
         for i in np.flatnonzero(np.isfinite(x).all(axis=1)):
             u[i] = self.controllers[i](x[i])
         return u
+
+
+class NominalSteps:
+    """Steps of the nominal model, at one design for each run."""
+
+    def __init__(self, model: LQRRegions) -> None:
+        self._model = model
+
+    def __call__(self, x: Array, u: Array, w: Array) -> tuple[Array, float]:
+        """Next states (n, nx) of states, inputs (n, nu) and disturbances (n, nw); no penalty."""
+        return times(self._model.A, x) + times(self._model.B, u) + times(self._model.E, w), 0.0
+
+
+class UpdatedSteps:
+    """Steps of a model with its learned error, at one design for each run; the errors are their memory."""
+
+    def __init__(self, problem: CoDesignProblem, p: Array) -> None:
+        self._step = Stepper.at(problem, torch.tensor(p, dtype=torch.float32))
+        self._e = self._step.without_error(torch.zeros(len(p), problem.model.nx))
+
+    @torch.no_grad()
+    def __call__(self, x: Array, u: Array, w: Array) -> tuple[Array, Array]:
+        """Next states (n, nx) and penalties (n,) of states, inputs (n, nu) and errors or draws (n, nx).
+
+        NaN where the state is: a lost run takes its step from the origin, so that no draw is looked up at NaN.
+        """
+        running = np.isfinite(x).all(axis=1, keepdims=True)
+        state, applied = (torch.tensor(np.where(running, a, 0.0), dtype=torch.float32) for a in (x, u))
+        drawn = torch.tensor(w, dtype=torch.float32)
+        x_next, self._e, (penalty,) = self._step.advance(state, self._e, applied, drawn)
+        return np.where(running, x_next.double().numpy(), np.nan), penalty.double().numpy()
 
 
 class SetFilters:

@@ -19,6 +19,7 @@ from scipy.linalg import LinAlgError, solve_discrete_lyapunov
 
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.exceptions import InputError
 from mpc import MPCError, lqr
 
 LONGEST = 2000  # steps of a loop; one that is not in its ellipsoid by then counts as outside
@@ -124,7 +125,15 @@ class LQRRegions:
 
 
 def times(M: Array, x: Array) -> Array:
-    """M[i] @ x[i] for every i."""
+    """M[i] @ x[i] for every i.
+
+    Raises
+    ------
+    InputError
+        If the vectors are not as wide as the matrices; a width of one would be broadcast.
+    """
+    if M.shape[2] != x.shape[1]:
+        raise InputError("x", f"{x.shape[1]} columns", f"{M.shape[2]}, as the matrices have")
     return np.einsum("nij,nj->ni", M, x)
 
 

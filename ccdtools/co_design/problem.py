@@ -164,6 +164,19 @@ class CoDesignProblem(Immutable):
         if (self.discrepancy is None or replayed) and w != (1, self.steps, width):
             raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
 
+    def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
+        """What drives the model for any number of steps, (runs, steps, ·): nw disturbances, or nx draws or errors.
+
+        Scenarios are asked for no more than an episode, which is all that they promise, and these follow one another;
+        the disturbance of a `FixedStart` has any length.
+        """
+        if self.discrepancy is not None and self.discrepancy.noise == "quantiles":
+            return rng.random((runs, steps, self.model.nx))
+        if isinstance(self.scenarios, FixedStart):
+            return self.scenarios.sample(runs, steps, rng)[1]
+        episodes = [self.scenarios.sample(runs, self.steps, rng)[1] for _ in range(-(-steps // self.steps))]
+        return np.concatenate(episodes, axis=1)[:, :steps]
+
     def __repr__(self) -> str:
         updated = "" if self.discrepancy is None else f", error model with {self.discrepancy.noise} noise"
         return f"CoDesignProblem({self.model!r}, {self.steps} steps{updated})"

@@ -24,7 +24,10 @@ def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback
 
 
 def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> dict[str, Controller]:
-    """Passive, LQR, tuned PID and online MPC (horizon 20) for the nominal model at one design, by name."""
+    """Passive, LQR, tuned PID and online MPC (horizon 20) at one design, by name.
+
+    LQR and MPC are those of the nominal model; the PID is tuned on the problem's own.
+    """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_generator("rng", rng)
     design = problem.design.check_one(design)

@@ -12,7 +12,9 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_count, as_generator, as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import PID
-from ccdtools.simulation import simulate
+from ccdtools.exceptions import InputError
+from ccdtools.simulation import Simulable, simulate
+from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 
 UNSTABLE = 1e12  # cost of a loop that is not stable
 
@@ -28,7 +30,7 @@ def tuned_pid(
     starts: int = 3,
     refinements: int = 160,
 ) -> PID:
-    """The PID with the best mean return on the problem's nominal model at one design.
+    """The PID with the best mean return on the problem's model at one design, errors replayed from a log included.
 
     Every candidate output is screened with log-uniform gains of both signs; the best few are refined by
     Nelder–Mead, all on the same scenarios. Every other scenario has a constant offset in its disturbance, and gains
@@ -43,6 +45,12 @@ def tuned_pid(
         Candidate output matrices C; each single state, for one input, and the states that the inputs push.
     runs, screened, starts, refinements : int
         Scenarios, random gains per output, best of these to refine, and evaluations of each refinement.
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind, or the problem's discrepancy adds no replayed errors that could have an
+        offset.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_generator("rng", rng)
@@ -68,9 +76,10 @@ def tuned_pid(
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """What every candidate is tried on: the nominal model at one design, and scenarios of which half have an offset."""
+    """What every candidate is tried on: the model at one design, and scenarios of which half have an offset."""
 
     problem: CoDesignProblem
+    plant: Simulable
     design: Array
     A: Array
     B: Array
@@ -80,11 +89,12 @@ class _Trial:
     @classmethod
     def of(cls, problem: CoDesignProblem, design: Array, runs: int, rng: np.random.Generator) -> _Trial:
         """The trial of so many scenarios."""
+        plant = _tried(problem)
         A, B, _ = problem.model.matrices(design)
         x0, drawn = problem.scenarios.sample(runs, problem.steps, rng)
         w = np.array(drawn)
         w[::2] += w.std(axis=(0, 1)) * rng.standard_normal((len(w[::2]), 1, w.shape[2]))
-        return cls(problem, design, A, B, x0, w)
+        return cls(problem, plant, design, A, B, x0, w)
 
     def controller(self, C: Array, z: Array) -> PID:
         """The PID with gains `z` (3, nu), flat or not: parts of full input at the edge of X, with time in samples."""
@@ -102,10 +112,21 @@ class _Trial:
             return UNSTABLE
         problem = self.problem
         run = simulate(
-            problem.model, pid, x0=self.x0, steps=problem.steps, disturbance=self.w, design=self.design,
+            self.plant, pid, x0=self.x0, steps=problem.steps, disturbance=self.w, design=self.design,
             limit=problem.limit,
         )  # fmt: skip
         return float(-run.returns(problem.objective).mean())
+
+
+def _tried(problem: CoDesignProblem) -> Simulable:
+    """The nominal model, or the updated one that is driven by replayed errors."""
+    if problem.discrepancy is None:
+        return problem.model
+    if problem.discrepancy.noise != "replayed":
+        got = f"noise {problem.discrepancy.noise!r}, which no offset can be added to"
+        raise InputError("problem.discrepancy", got, "'replayed', or no discrepancy", "Pass updated_problem(…).")
+    discrepancy = as_instance("problem.discrepancy", problem.discrepancy, Discrepancy, "a Discrepancy")
+    return TwinPlant(problem.model, discrepancy)
 
 
 def is_stable(A: Array, B: Array, pid: PID) -> bool:
