@@ -108,12 +108,15 @@ class QuantileNetwork(nn.Module):
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.median_network = FeedForward(inputs, outputs, hidden, skip=True)
-            self.gap_network = FeedForward(inputs, outputs * (len(self.levels) - 1), hidden, skip=False)
+            gaps = outputs * (len(self.levels) - 1)
+            self.gap_network = FeedForward(inputs, gaps, hidden, skip=False) if gaps else None
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Quantiles (..., levels, m), lowest level first, in the units of the targets."""
         z = (self.clipped(inputs) - self.input_offset) / self.input_scale
         median = self.median_network(z).unsqueeze(-2)
+        if self.gap_network is None:
+            return self.output_offset + self.output_scale * median
         gaps = nn.functional.softplus(self.gap_network(z)).unflatten(-1, (len(self.levels) - 1, self.outputs))
         gaps = self.calibration * gaps
         middle = len(self.levels) // 2

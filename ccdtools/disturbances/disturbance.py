@@ -149,14 +149,6 @@ def is_recorded(disturbance: Any) -> bool:
     return isinstance(disturbance, Recorded)
 
 
-def check_channels(argument: str, disturbance: Any, nw: int) -> None:
-    """Raise an `InputError` unless `disturbance` draws sequences, of `nw` channels where it says how many."""
-    has_method(argument, disturbance, "sample", "a disturbance, with a method sample(runs, steps, rng)")
-    width = getattr(disturbance, "nw", None)
-    if width is not None and width != nw:
-        raise InputError(argument, f"{width} channels", f"{nw}, as many as the plant has disturbances")
-
-
 def _check_draw(runs: int, steps: int, rng: np.random.Generator) -> None:
     """Raise an `InputError` unless the arguments of `sample` make sense."""
     as_count("runs", runs)

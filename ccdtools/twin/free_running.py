@@ -110,11 +110,15 @@ def free_running_bands(
     Raises
     ------
     InputError
-        If the twin has learned nothing, the log is of another plant, or no window is as long as any of the steps.
+        If the twin has learned nothing, or a median alone, the log is of another plant, or no window is as long as any
+        of the steps.
     """
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
     if twin.discrepancy is None:
         raise InputError("twin", "one without a discrepancy", "one after `update`")
+    if not _drawable(twin):
+        got = f"one that has learned {len(twin.discrepancy.network.levels)} quantile, from which nothing can be drawn"
+        raise InputError("twin", got, "one of at least three levels", "Set `QuantileConfig(levels=…)`.")
     as_generator("rng", rng)
     draws, windows = as_count("draws", draws, least=2), as_count("windows", windows)
     errors = residuals(twin.model, log)
@@ -132,11 +136,19 @@ def free_running_bands(
 def held_out_bands(
     twin: DigitalTwin, log: Trajectory, controller: Controller, *, rng: np.random.Generator, since: int = 0
 ) -> FreeRunningBands | None:
-    """Bands on the stretches that `DigitalTwin.update` held out of its newest log; None where they are too short."""
+    """Bands on the stretches that `DigitalTwin.update` held out of its newest log.
+
+    None where these are too short, or the twin has learned a median alone.
+    """
     spans = _spans(log, twin.logs[-1], HELD_OUT, BLOCKS, since)
-    if max((end - first for _, first, end in spans), default=0) < STEPS[0]:
+    if not _drawable(twin) or max((end - first for _, first, end in spans), default=0) < STEPS[0]:
         return None
     return free_running_bands(twin, log, controller, rng=rng, windows=150, held_out=HELD_OUT, since=since)
+
+
+def _drawable(twin: DigitalTwin) -> bool:
+    """Whether the twin has learned quantiles that draws can follow."""
+    return twin.discrepancy is not None and len(twin.discrepancy.network.levels) >= 3
 
 
 Span = tuple[int, int, int]  # run, first sample, one past the last

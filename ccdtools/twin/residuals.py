@@ -106,17 +106,18 @@ def block_parts(log: Residuals, held_out: float, blocks: int, *, last: bool) -> 
 
 
 def block_spans(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[tuple[slice, slice]]:
-    """Runs and steps of the first (or the held-out last) part of every block of a log.
+    """Runs and steps of the first (or the held-out last) part of every block of a log; none is empty.
 
     A single long run is cut into blocks; several runs, one after the other, are one block of whole runs.
     """
     if log.runs > 1:
         cut = log.runs - max(1, round(held_out * log.runs))
-        return [(slice(cut, log.runs) if last else slice(0, cut), slice(0, log.steps))]
+        kept = slice(cut, log.runs) if last else slice(0, cut)
+        return [(kept, slice(0, log.steps))] if kept.start < kept.stop else []
     edges = np.linspace(0, log.steps, blocks + 1).round().astype(int)
     cuts = edges[1:] - np.round(held_out * np.diff(edges)).astype(int)
     spans = zip(cuts, edges[1:]) if last else zip(edges[:-1], cuts)
-    return [(slice(0, 1), slice(int(a), int(b))) for a, b in spans]
+    return [(slice(0, 1), slice(int(a), int(b))) for a, b in spans if a < b]
 
 
 def stacked(parts: Sequence[Residuals]) -> list[Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from learning.quantile import QuantileConfig, fit_quantiles
 
 HELD_OUT = 0.2  # of every block of a log
 BLOCKS = 20  # that a single long run is cut into
+LEAST_TRAINED = 20  # samples that quantiles can be fitted to
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,11 +107,10 @@ class DigitalTwin(Immutable):
         twin = self.remembering(log)
         logs = twin.carried()
         parts = [part for one in logs for part in block_parts(one, held_out, blocks, last=False)]
+        tested = block_parts(logs[-1], held_out, blocks, last=True)
+        _check_split(parts, tested, logs[-1], held_out, blocks)
         train = stacked(parts)
-        test = stacked(block_parts(logs[-1], held_out, blocks, last=True))
-        if len(test[0]) == 0:
-            got = f"{held_out} of {blocks} blocks of a log of {logs[-1].steps} samples, which leaves none to test on"
-            raise InputError("held_out", got, "a longer log, fewer blocks or a larger fraction")
+        test = stacked(tested)
         columns = (0, 1, 2, 3) if design_as_feature else (0, 1, 2)
         inputs, tests = (np.hstack([part[i] for i in columns]) for part in (train, test))
         lengths = [part.runs * part.steps for part in parts]
@@ -148,3 +149,18 @@ class DigitalTwin(Immutable):
         if self.discrepancy is None:
             raise InputError("twin", "one without a discrepancy", "one after `update`")
         return tuple(replace(log, e_next=log.e_next - self.discrepancy.median(log)) for log in self.carried())
+
+
+def _check_split(
+    train: Sequence[Residuals], test: Sequence[Residuals], log: Residuals, held_out: float, blocks: int
+) -> None:  # fmt: skip
+    """Raise an `InputError` if the newest log is too short to be split as asked for."""
+    argument = "log" if (held_out, blocks) == (HELD_OUT, BLOCKS) else "held_out"
+    of = f"{log.runs} runs" if log.runs > 1 else f"{blocks} blocks of a log of {log.steps} samples"
+    trained = sum(part.runs * part.steps for part in train)
+    if trained < LEAST_TRAINED:
+        got = f"{held_out} of {of}, which leaves {trained} samples to train on"
+        raise InputError(argument, got, f"at least {LEAST_TRAINED}: a longer log or a smaller fraction")
+    if not test:
+        got = f"{held_out} of {of}, which leaves none to test on"
+        raise InputError(argument, got, "a longer log, fewer blocks or a larger fraction")

@@ -55,6 +55,18 @@ def test_pinball_of_tensors_equals_pinball_of_arrays():
 # ── the network ──
 
 
+def test_a_median_alone_is_fitted_without_a_word_and_kept():
+    x, y = heteroscedastic(2000, 0)
+    config = QuantileConfig(levels=(0.5,), hidden=(16,), steps=400)
+    network = fit_quantiles(x, y, rng=np.random.default_rng(1), config=config)
+    median = network.predict(x)
+    assert median.shape == (2000, 1, 2)
+    assert (y[:, 0] < median[:, 0, 0]).mean() == pytest.approx(0.5, abs=0.05)
+    again = QuantileNetwork.from_shape(network.shape())
+    again.load_state_dict(network.state_dict())
+    np.testing.assert_array_equal(again.predict(x), median)
+
+
 @pytest.mark.parametrize("levels", [LEVELS, (0.05, 0.25, 0.5, 0.75, 0.95)])
 def test_quantiles_of_an_untrained_network_never_cross(levels):
     net = QuantileNetwork(3, 2, levels, (8,), seed=2)

@@ -196,3 +196,12 @@ def test_a_copula_of_another_size_or_a_single_level_draws_nothing(twin):
         Discrepancy(network, np.eye(2), copula=InnovationCopula(5, 3, knots=3, widths=1, order=0))
     with pytest.raises(InputError, match="noise: got 'none', expected 'quantiles', which draws"):
         Discrepancy(network, np.eye(2)).past(twin.logs[0])
+
+
+def test_a_median_alone_gives_no_bands(illustrative, log):
+    alone = DigitalTwin(illustrative.model).update(
+        log, weight=illustrative.weight, rng=np.random.default_rng(0), config=replace(SHORT, levels=(0.5,), steps=2)
+    )
+    with pytest.raises(InputError, match="twin: got one that has learned 1 quantile, from which nothing can be drawn"):
+        free_running_bands(alone, log, LAW, rng=np.random.default_rng(0))
+    assert held_out_bands(alone, log, LAW, rng=np.random.default_rng(0)) is None

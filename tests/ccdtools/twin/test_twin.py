@@ -188,6 +188,34 @@ def test_a_log_too_short_to_hold_anything_out_is_refused(illustrative):
         DigitalTwin(illustrative.model).update(log, weight=illustrative.weight, rng=np.random.default_rng(0), blocks=10)
 
 
+@pytest.mark.parametrize(
+    ("runs", "steps", "options", "message"),
+    [
+        (1, 800, {"held_out": 0.999}, "held_out: got 0.999 of 20 blocks .* of 800 samples, which leaves 0 samples"),
+        (1, 30, {"blocks": 60, "held_out": 0.6}, "held_out: got 0.6 of 60 blocks .* which leaves 0 samples to train on"),
+        (3, 30, {"held_out": 0.9}, "held_out: got 0.9 of 3 runs, which leaves 0 samples to train on, expected at"),
+        (1, 12, {}, "log: got 0.2 of 20 blocks of a log of 12 samples, which leaves 12 samples"),
+    ],
+)
+def test_a_split_that_leaves_nothing_to_train_on_is_refused_by_what_was_passed(
+    illustrative, runs, steps, options, message
+):  # fmt: skip
+    log = driven(illustrative, DESIGN, runs, steps, 0)
+    with pytest.raises(InputError, match=message):
+        DigitalTwin(illustrative.model).update(
+            log, weight=illustrative.weight, rng=np.random.default_rng(0), **options
+        )  # fmt: skip
+
+
+def test_more_blocks_than_samples_are_as_many_as_there_are(illustrative):
+    log = driven(illustrative, DESIGN, 1, 60, 0)
+    twin = DigitalTwin(illustrative.model).update(
+        log, weight=illustrative.weight, rng=np.random.default_rng(0), blocks=35, held_out=0.45,
+        config=replace(SHORT, steps=2),
+    )  # fmt: skip
+    assert twin.scores.samples + 35 == 60  # one to train on in each, of one sample or two
+
+
 # ── the learned model ──
 
 
