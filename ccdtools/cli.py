@@ -93,6 +93,11 @@ def run(
         p0=numbers("--p0", p0), disturbance=disturbance, column=column, road=road, speed=speed, driver=driver,
         redesign_price=redesign_price, limits=limits, filter=filter,
     )  # fmt: skip
+    _begin(options, Path(study).stem, output, overwrite=overwrite)
+
+
+def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) -> None:
+    """Run a study in a new folder, the one asked for or runs/NAME-1, …; an interruption says how to go on."""
     options.check_files()
     if output is not None:
         _output(output).check_new(overwrite=overwrite, argument="--output")
@@ -102,7 +107,7 @@ def run(
             from ccdtools.studies.preparation import prepare
 
             prepared = prepare(options)
-            folder = _new_folder(output, Path(study).stem, overwrite)
+            folder = _new_folder(output, name, overwrite)
         with folder.locked():
             with _held_back():
                 prepared.begin(folder)

@@ -21,7 +21,7 @@ START = 0.05  # part of a series that counts in the mean but not in its variance
 FEWEST, MOST = 2, 6  # frequencies that the variance at frequency zero is estimated from
 PER_FREQUENCY = 2.5  # correlation times for each of them: there the spectrum is still that at zero
 DOUBT = 0.1  # added to the autocorrelation before they are counted, half of its standard error: too few cost little
-ROUNDING = 1e-6  # part of a return: smaller differences are rounding and the tolerances of solvers
+SAME_RETURN = 1e-6  # part of a return: smaller differences are rounding and the tolerances of solvers
 ENOUGH = 4.0  # correlation times, below which a series says too little about its own mean
 
 
@@ -177,7 +177,7 @@ def paired_returns(a: ArrayLike, b: ArrayLike, *, runs: int | None = None) -> Pa
         raise InputError("a, b", f"shapes {first.shape} and {second.shape}", "as many of each")
     summary = summarise_returns(first - second, runs=runs)
     most = float(np.abs(first - second).sum())
-    if len(first) == 1 and 0 < most <= ROUNDING * float(np.abs(second).sum()):
+    if len(first) == 1 and 0 < most <= SAME_RETURN * float(np.abs(second).sum()):
         return PairedDifference(summary.mean, (-most, most))  # no process, but rounding, which has this bound
     return PairedDifference(summary.mean, summary.ci95)
 

@@ -21,7 +21,7 @@ from ccdtools.co_design.set_choice import Effort, SetCounts, affordable_designs,
 from ccdtools.exceptions import InputError
 from invariant_sets import ParametricSet, Polytope
 
-FEW = 0.25  # accepted candidates below which the others are moved into their sets
+ENOUGH = 0.25  # accepted candidates below which the others are moved into their sets
 CANDIDATES_PER_START = 4  # candidates for each loop that begins where the episodes begin
 
 
@@ -82,7 +82,7 @@ def starts(
     everyone = np.arange(samples)
     inside = pool.contains(x, everyone)
     acceptance = float(inside.mean())
-    if acceptance < FEW:
+    if acceptance < ENOUGH:
         outside = np.flatnonzero(~inside)
         x[outside] = pool.moved_in(x[outside], outside)
         inside[outside] = pool.contains(x[outside], outside)

@@ -23,7 +23,7 @@ from ccdtools.exceptions import InputError
 from mpc import MPCError, lqr
 
 LONGEST = 2000  # steps of a loop; one that is not in its ellipsoid by then counts as outside
-ROUNDING = 1e-9  # of the half-widths of X
+ON_LIMIT = 1e-9  # of the half-widths of X
 HALVINGS = 10  # of the logarithm of a scale: from 1e-6 to 1 this leaves 1.4 %
 
 
@@ -84,7 +84,7 @@ class LQRRegions:
             return inside
         left = np.flatnonzero(self.stabilised[runs])
         for _ in range(LONGEST):
-            within = (x[left] @ self.rows.T <= 1 + ROUNDING).all(axis=1)
+            within = (x[left] @ self.rows.T <= 1 + ON_LIMIT).all(axis=1)
             arrived = within & (_quadratic(self.shapes[runs[left]], x[left]) <= 1)
             inside[left[arrived]] = True
             going = within & ~arrived
@@ -157,7 +157,7 @@ def _unit_rows(problem: CoDesignProblem) -> Array | None:
     """X as rows with right-hand side 1; None where 0 does not lie well inside X and U."""
     room = problem.X.b / (np.abs(problem.X.A) @ problem.state_scale)
     lower, upper = problem.input_bounds
-    if len(problem.X.b_eq) or not (room > ROUNDING).all() or not (lower < 0).all() or not (upper > 0).all():
+    if len(problem.X.b_eq) or not (room > ON_LIMIT).all() or not (lower < 0).all() or not (upper > 0).all():
         return None
     return problem.X.A / problem.X.b[:, None]
 

@@ -19,7 +19,7 @@ from learning.networks import ActorCritic
 
 SAME_PLACE = 0.02  # of the box: two starts this close are one
 HOPEFUL = 0.2  # of the best valley's return: one that is worse by more is named, and not climbed from
-FEW = 3  # parameters, up to which a second valley of the landscape is climbed from by default
+MAPPED = 3  # parameters, up to which a second valley of the landscape is climbed from by default
 
 
 def chosen_valleys(task: Task, design: Array, rng: np.random.Generator) -> tuple[Valley, ...]:
@@ -32,7 +32,7 @@ def chosen_valleys(task: Task, design: Array, rng: np.random.Generator) -> tuple
 def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[Array]:
     """The given design, and the bottoms of the best valleys that lie elsewhere."""
     space = task.problem.design
-    most = task.config.starts or (3 if space.dim <= FEW else 2)
+    most = task.config.starts or (3 if space.dim <= MAPPED else 2)
     starts = [np.asarray(design, dtype=float)]
     for valley in found:
         hopeful = valley.lqr_return >= found[0].lqr_return - HOPEFUL * abs(found[0].lqr_return)

@@ -22,7 +22,7 @@ from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import ROUNDING, PairedDifference, Summary, paired_returns, summarise_returns
+from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.trajectory import Trajectory
 from invariant_sets import Polytope
 
@@ -246,7 +246,7 @@ def step_time(controller: Controller, x: Array, scenario: Scenario) -> float:
 
 def _text_cells(score: Score) -> tuple[str, ...]:
     """The cells of a row of the printed table, padded to their columns."""
-    floor = ROUNDING * abs(score.lqr_mean)
+    floor = SAME_RETURN * abs(score.lqr_mean)
     paired = score.paired_to_lqr
     compared = score.controller != REFERENCE and np.isfinite(paired.mean)
     difference = _shown(paired.mean, ".4g", floor) if compared else "-"

@@ -191,8 +191,8 @@ def test_a_log_too_short_to_hold_anything_out_is_refused(illustrative):
 @pytest.mark.parametrize(
     ("runs", "steps", "options", "message"),
     [
-        (1, 800, {"held_out": 0.999}, "held_out: got 0.999 of 20 blocks .* which leaves 0 samples to train on"),
-        (1, 30, {"blocks": 60, "held_out": 0.6}, "held_out: got 0.6 of 60 blocks .* which leaves 0 samples to train on"),
+        (1, 800, {"held_out": 0.999}, "held_out: got 0.999 of 20 blocks .* leaves 0 samples to train on"),
+        (1, 30, {"blocks": 60, "held_out": 0.6}, "held_out: got 0.6 of 60 blocks .* leaves 0 samples to train on"),
         (3, 30, {"held_out": 0.9}, "held_out: got 0.9 of 3 runs, which leaves 0 samples to train on, expected at"),
         (1, 12, {}, "log: got 0.2 of 20 blocks of a log of 12 samples, which leaves 12 samples"),
     ],
