@@ -18,7 +18,7 @@ from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, Valley
-from ccdtools.co_design.starts import chosen_valleys, race, start_designs
+from ccdtools.co_design.starts import chosen_valleys, leader, race, start_designs
 from ccdtools.co_design.task import LimitPenalty, Task
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
@@ -96,7 +96,7 @@ def _result(
     return CoDesignResult(
         best, winner.best.agent, space.active_bounds(best), winner.history(), winner.check, winner.best.limits,
         winner.status, task.method, _gains(task, winner, agent, design), winner.convergence(),
-        _with_ends(found, ascents, task),
+        _with_ends(found, ascents, task, design),
     )  # fmt: skip
 
 
@@ -110,14 +110,18 @@ def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dic
     return {"design": moved - before, "policy": winner.best.score - moved}
 
 
-def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], task: Task) -> tuple[Valley, ...]:
-    """The valleys, with where the co-design from each of them ended."""
+def _with_ends(
+    found: tuple[Valley, ...], ascents: list[Ascent], task: Task, design: Array
+) -> tuple[Valley, ...]:  # fmt: skip
+    """The valleys, with where the best co-design that began on each of them ended; `design` is the given one."""
     named = []
     for valley in found:
-        begun = [one for one in ascents if np.array_equal(one.start, valley.design)]
-        for one in begun:
-            end = task.problem.design.from_unit(one.best.v.double().numpy())
-            valley = replace(valley, found=end, found_return=one.best.score)
+        places = [valley.design, design] if valley.given else [valley.design]
+        begun = [one for one in ascents if any(np.array_equal(one.start, place) for place in places)]
+        if begun:
+            best = leader(begun).best
+            end = task.problem.design.from_unit(best.v.double().numpy())
+            valley = replace(valley, found=end, found_return=best.score)
         named.append(valley)
     return tuple(named)
 

@@ -117,10 +117,16 @@ def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gener
     chosen = _hilltops(V, J)[:MOST] if few else [int(np.argmax(J))]
     tops, heights = _climbed(landscape, V[[0, *chosen]], J[[0, *chosen]])
     distinct: list[int] = []
+    of_given = -1
     for i in np.argsort(-heights, kind="stable"):
-        if np.isfinite(heights[i]) and not any(_same_hill(landscape, tops[k], tops[i], heights[i]) for k in distinct):
-            distinct.append(int(i))
-    return tuple(Valley(problem.design.from_unit(tops[i]), float(heights[i])) for i in distinct)
+        if not np.isfinite(heights[i]):
+            continue
+        hill = next((k for k in distinct if _same_hill(landscape, tops[k], tops[i], heights[i])), int(i))
+        if hill == i:
+            distinct.append(hill)
+        if i == 0:  # the given design is the first that was climbed from
+            of_given = hill
+    return tuple(Valley(problem.design.from_unit(tops[i]), float(heights[i]), given=i == of_given) for i in distinct)
 
 
 def _spread(size: int, rng: np.random.Generator) -> Array:

@@ -177,15 +177,19 @@ class Valley(Immutable):
     lqr_return : float
         Of saturated LQR there, on the scenarios of the landscape.
     found : (np,) array or None
-        Where the co-design from here ended; None where none was begun.
+        Where the co-design from here ended, or the one from the given design if it lies on this hill: the better one of
+        both. None where none was begun.
     found_return : float
         Its return on the evaluation scenarios; NaN where none was begun.
+    given : bool
+        Whether the given design lies on this hill of the landscape.
     """
 
     design: ArrayField
     lqr_return: float
     found: ArrayField = None
     found_return: float = float("nan")
+    given: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", as_vector("design", self.design))
@@ -194,7 +198,8 @@ class Valley(Immutable):
 
     def __repr__(self) -> str:
         ended = "" if self.found is None else f", co-design {self.found_return:.5g} at {_short(self.found)}"
-        return f"Valley({_short(self.design)}, LQR {self.lqr_return:.5g}{ended})"
+        given = ", of the given design" if self.given else ""
+        return f"Valley({_short(self.design)}{given}, LQR {self.lqr_return:.5g}{ended})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

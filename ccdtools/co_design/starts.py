@@ -62,27 +62,27 @@ def race(
         while climbing:
             for ascent in climbing:
                 ascent.block(bar)
-            leader = _leader(ascents)
-            climbing = [one for one in climbing if not one.ended and (one is leader or _hopeful(one, leader))]
-    leader = _leader(ascents)
-    return [leader, *(one for one in ascents if one is not leader)]
+            first = leader(ascents)
+            climbing = [one for one in climbing if not one.ended and (one is first or _hopeful(one, first))]
+    first = leader(ascents)
+    return [first, *(one for one in ascents if one is not first)]
 
 
-def _leader(ascents: list[Ascent]) -> Ascent:
+def leader(ascents: list[Ascent]) -> Ascent:
     """The ascent with the best iterate."""
-    leader = ascents[0]
+    first = ascents[0]
     for one in ascents[1:]:
-        leader = one if one.best.beats(leader.best) else leader
-    return leader
+        first = one if one.best.beats(first.best) else first
+    return first
 
 
-def _hopeful(one: Ascent, leader: Ascent) -> bool:
-    """Whether an ascent may still overtake the leader from elsewhere, and loses no run that the leader keeps."""
-    if one.best.lost > leader.best.lost:
+def _hopeful(one: Ascent, first: Ascent) -> bool:
+    """Whether an ascent may still overtake the first one from elsewhere, and loses no run that that one keeps."""
+    if one.best.lost > first.best.lost:
         return False
-    if not _apart(one.best.v.numpy(), leader.best.v.numpy()):
+    if not _apart(one.best.v.numpy(), first.best.v.numpy()):
         return False
-    behind = paired_difference(leader.best.returns, one.best.returns)
+    behind = paired_difference(first.best.returns, one.best.returns)
     gained = one.gain.mean if np.isfinite(one.gain.mean) else 0.0
     return not (behind.ci95[0] > 0 and behind.mean > gained)
 

@@ -47,11 +47,14 @@ def test_both_valleys_are_found_the_better_first():
     np.testing.assert_allclose([valley.design[0] for valley in found], [0.8, 0.25], atol=0.02)
     assert abs(found[0].design[0] - design[0]) < 0.02
     assert found[0].lqr_return > found[1].lqr_return
+    assert [valley.given for valley in found] == [False, True]
+    assert [valley.given for valley in valleys(problem, [0.75], rng=np.random.default_rng(0))] == [True, False]
 
 
 def test_of_the_suspension_the_only_valley_is_the_corner(suspension):
     (valley,) = valleys(suspension.problem(), suspension.p0, rng=np.random.default_rng(0))
     np.testing.assert_array_equal(valley.design, [1e4, 3000])
+    assert valley.given
 
 
 def test_the_generator_decides():

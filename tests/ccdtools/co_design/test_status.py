@@ -60,7 +60,10 @@ def test_from_the_basin_of_the_lesser_valley_the_better_one_is_found_and_the_les
     better, lesser = found.valleys
     np.testing.assert_allclose(lesser.design, trapped.design, atol=0.03)
     np.testing.assert_allclose(better.found, found.design)
-    assert any("local optimum" in line for line in found.describe())
+    assert (better.given, lesser.given) == (False, True)
+    assert lesser.found is not None  # where the co-design from the given design ended, or the one from the hilltop
+    assert lesser.found_return <= better.found_return
+    assert any("local optimum" in line and "of the given design" in line for line in found.describe())
 
 
 def test_a_design_at_a_bound_says_so(illustrative, clone):
