@@ -19,9 +19,9 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, to_design
 from ccdtools.co_design.episodes import fewer_runs, simulated
+from ccdtools.co_design.lqr_regions import lqr_gains
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
-from mpc import MPCError, lqr
 
 RUNS = 96  # scenarios that every design is simulated on, the same for all
 ROWS = 6000  # runs simulated side by side
@@ -56,10 +56,11 @@ class Landscape:
     def returns(self, points: ArrayLike) -> Array:
         """Mean returns (n,) at points (n, np) of the unit box; −inf where LQR has no solution."""
         V: Array = np.clip(np.atleast_2d(np.asarray(points, dtype=float)), 0.0, 1.0)
-        gains = [self._gain(design) for design in self.problem.design.from_unit(V)]
-        known = np.array([gain is not None for gain in gains])
+        A, B, _ = self.problem.model.matrices(self.problem.design.from_unit(V))
+        gains = lqr_gains(self.problem, A, B)
+        known = np.isfinite(gains).all(axis=(1, 2))
         out = np.full(len(V), -np.inf)
-        K = np.array([gain for gain in gains if gain is not None])
+        K = gains[known]
         values = [
             self._simulated(V[known][i : i + self._batch], K[i : i + self._batch])
             for i in range(0, len(K), self._batch)
@@ -72,14 +73,6 @@ class Landscape:
     def _batch(self) -> int:
         """Designs simulated side by side."""
         return max(1, ROWS // len(self._x0))
-
-    def _gain(self, design: Array) -> Array | None:
-        """K at one design (np,); None where there is none."""
-        A, B, _ = self.problem.model.matrices(design)
-        try:
-            return lqr(A, B, Q=self.problem.objective.Q, R=self.problem.objective.R)[0]
-        except MPCError:
-            return None
 
     @torch.no_grad()
     def _simulated(self, V: Array, K: Array) -> Array:

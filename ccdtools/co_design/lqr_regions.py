@@ -12,6 +12,7 @@ Gilbert, Tan (1991), IEEE TAC 36(9): trajectories that keep the constraints unti
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,7 +59,7 @@ class LQRRegions:
     def of(cls, problem: CoDesignProblem, designs: Array) -> LQRRegions:
         """The regions of designs (n, np)."""
         A, B, E = problem.model.matrices(designs)
-        K = np.array([_gain(problem, *pair) for pair in zip(A, B)])
+        K = lqr_gains(problem, A, B)
         lower, upper = problem.input_bounds
         rows = _unit_rows(problem)
         shapes = np.full_like(A, np.inf)
@@ -145,12 +146,13 @@ def _quadratic(M: Array, x: Array) -> Array:
     return values
 
 
-def _gain(problem: CoDesignProblem, A: Array, B: Array) -> Array:
-    """LQR gain (nu, nx) of one design; NaN where it cannot be stabilised."""
-    try:
-        return lqr(A, B, Q=problem.objective.Q, R=problem.objective.R)[0]
-    except MPCError:
-        return np.full(B.T.shape, np.nan)
+def lqr_gains(problem: CoDesignProblem, A: Array, B: Array) -> Array:
+    """LQR gains (n, nu, nx) of n designs' A and B; NaN where a design cannot be stabilised."""
+    K = np.full((len(B), B.shape[2], B.shape[1]), np.nan)
+    for i, pair in enumerate(zip(A, B)):
+        with suppress(MPCError):
+            K[i] = lqr(*pair, Q=problem.objective.Q, R=problem.objective.R)[0]
+    return K
 
 
 def _unit_rows(problem: CoDesignProblem) -> Array | None:
