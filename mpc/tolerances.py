@@ -173,6 +173,10 @@ IMPLIED_EQUALITY = 1e-8
 REDUNDANT = 1e-9
 """How far a unit row may cut into the set of the others and still count as redundant [-]."""
 
+LAW_ERROR = 1e-7
+"""Error of a law, in its active rows, in any row or multiplier at the centre of its region, relative to the bounds, the
+variables or the multipliers, up to which the law is accepted [-]."""
+
 VANISHING_ROW = 1e-14
 """Effect of the inputs on a row, relative to that of the parameters, below which the row restricts parameters only."""
 

@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 from mpc.exceptions import InputError
 from mpc.explicit.scaled_qp import ScaledQP, with_parameter_rows
 from mpc.parametric_qp import Constraint
-from mpc.tolerances import EQUALITY, IMPLIED_EQUALITY, REDUNDANT, ZERO_ROW
+from mpc.tolerances import EQUALITY, IMPLIED_EQUALITY, ZERO_ROW
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -25,8 +25,6 @@ class ImpliedEqualities(NamedTuple):
 
     rows: Ints
     of_parameters: bool
-
-
 
 
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
@@ -60,24 +58,6 @@ def implied_equalities(qp: ScaledQP) -> ImpliedEqualities | None:
         return None
     tight = np.flatnonzero(slack <= IMPLIED_EQUALITY)
     return ImpliedEqualities(tight[tight < len(qp.M)], bool((tight >= len(qp.M)).any()))
-
-
-def irredundant_rows(qp: ScaledQP) -> Ints:
-    """Rows of M without those that the others imply, also where they touch the set."""
-    import daqp
-
-    J, h = qp.joint
-    kept = list(range(len(J)))
-    low = np.full(len(J), -1e30)
-    for i in reversed(range(len(qp.M))):
-        others = [j for j in kept if j != i]
-        # the point of the other constraints that lies farthest across row i within one unit of it
-        normals = np.ascontiguousarray(np.vstack([J[others], J[i]]))
-        bounds = np.concatenate([h[others], [h[i] + 1.0]])
-        point, _, flag, _ = daqp.solve(None, np.ascontiguousarray(-J[i]), normals, bounds, low[: len(bounds)])
-        if flag == 1 and J[i] @ point <= h[i] + REDUNDANT:
-            kept = others
-    return np.array([i for i in kept if i < len(qp.M)], dtype=np.int64)
 
 
 def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...]) -> ScaledQP:

@@ -104,7 +104,7 @@ class ExplicitMPC:
         if not isinstance(partition, Partition):
             raise InputError("partition", type(partition).__name__, "the Partition that solve_mpqp returns")
         if not len(partition):
-            raise InfeasibleError(f"the partition has no region: {MPQPStatus.INFEASIBLE.advice}")
+            raise InfeasibleError(f"the partition has no region: {partition.status.advice}")
         problem = partition.problem
         nu = problem.nu
         law = problem.Lz[:nu] @ partition.law

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mpc.checks import Array
-from mpc.explicit.equality_elimination import irredundant_rows
-from mpc.explicit.kernels.data import DONE, FULL, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
+from mpc.explicit.kernels.data import DONE, FULL, KNOWN, LOST, QUEUED, ROWS, Facets, Graph, QPData
 from mpc.explicit.partition import Ints, MPQPStatus
+from mpc.explicit.redundant_rows import irredundant_rows
 from mpc.explicit.scaled_qp import ScaledQP
+from mpc.tolerances import INSIDE
 
 Masks = np.ndarray[Any, np.dtype[np.uint64]]
 Bits = np.ndarray[Any, np.dtype[np.uint8]]
@@ -22,6 +23,9 @@ _CAPACITY = 1024  # active sets for which there is room at first
 _FACETS = 16  # facets a region for which there is room at first
 _LOOK = 0.05  # wall time between two looks at the clock [s]
 _MANY = 300  # regions from which on it pays to leave out rows that the others imply
+_SHARE = 0.25  # share of the time left that may be spent on that
+_LOST = 64  # feasible parameters without a region that are noted
+_LIMITED = (MPQPStatus.REGION_LIMIT, MPQPStatus.TIME_LIMIT)
 
 
 class Limits(NamedTuple):
@@ -35,6 +39,7 @@ class Found(NamedTuple):
     """Outcome of an exploration: facets [a, b] of region r in rows[offsets[r] : offsets[r + 1]], scaled.
 
     qp : the problem explored, perhaps without rows that the others imply; active sets are numbers of its rows.
+    centres : a point in each region.
     """
 
     status: MPQPStatus
@@ -42,27 +47,27 @@ class Found(NamedTuple):
     active_sets: list[tuple[int, ...]]
     rows: Array
     offsets: Ints
+    centres: Array
 
 
 def explore_compiled(qp: ScaledQP, limits: Limits) -> Found:
-    """Regions of all optimal active sets, from facet to facet."""
-    search = _Search(qp)
-    search.begin()
-    status = MPQPStatus.COMPLETE if search.queued else MPQPStatus.INFEASIBLE
-    while search.done < search.queued:
+    """Regions of all optimal active sets, from facet to facet; at a limit those found so far."""
+    first = _Search(qp)
+    first.begin()
+    search = first
+    status = None if first.queued else MPQPStatus.INFEASIBLE
+    while status is None:
         search.advance(limits.max_regions)
-        late = time.perf_counter() > limits.deadline
-        if not search.thinned and (search.done == _MANY or (search.done == search.queued and search.tied)):
-            search.thin()
-        if search.done == search.queued and not late:
-            search.look_again()
-        if search.done < search.queued and search.done >= limits.max_regions:
+        if search.queued > search.done >= limits.max_regions:
             status = MPQPStatus.REGION_LIMIT
-            break
-        if search.done < search.queued and late:
+        elif time.perf_counter() > limits.deadline:
             status = MPQPStatus.TIME_LIMIT
-            break
-    return search.found(status)
+        elif search.should_be_thinned:
+            search = search.thinned_out(limits.deadline)
+        elif search.done == search.queued and not search.looks_again():
+            status = MPQPStatus.INACCURATE if search.has_lost_parameters() else MPQPStatus.COMPLETE
+    most = max(first, search, key=lambda s: s.done) if status in _LIMITED else search
+    return most.found(status)
 
 
 class _Search:
@@ -71,6 +76,7 @@ class _Search:
     def __init__(self, qp: ScaledQP) -> None:
         self.rng = np.random.default_rng(0)
         self.thinned = False
+        self.thinned_for_speed = False
         self.portion = 64
         self._state(qp)
         self.graph, self.facets = _room(len(qp.M), self.parameters)
@@ -102,11 +108,21 @@ class _Search:
             if self._seed(_SEEDS) == 0 or self.queued:
                 break
 
-    def look_again(self) -> None:
-        """Solve the QP at random parameters: a region that no facet has led to is queued."""
+    def looks_again(self) -> bool:
+        """Solve the QP at random parameters, and queue regions that no facet has led to; True when there are any."""
         count = min(4 + self.done // 8, 2000)
-        if self.graph.counts[KNOWN] + 4 * count < len(self.graph.masks):
-            self._seed(count)
+        while self.graph.counts[KNOWN] + 4 * count >= len(self.graph.masks):
+            self._grow_sets()
+        self._seed(count)
+        return self.queued > self.done
+
+    def has_lost_parameters(self) -> bool:
+        """Whether a feasible parameter whose own active set has no region lies in no other region either."""
+        lost = self.graph.lost[: self.graph.counts[LOST]]
+        rows = self.facets.rows[: self.graph.counts[ROWS]]
+        starts = self.facets.offsets[: self.done]
+        excess = (np.maximum.reduceat(rows[:, :-1] @ t - rows[:, -1], starts).min() for t in lost)
+        return any(least > INSIDE for least in excess)
 
     def _seed(self, count: int) -> int:
         """Queue the active sets at random parameters; the number of these that were feasible."""
@@ -120,48 +136,74 @@ class _Search:
 
         before = self.done
         start = time.perf_counter()
-        stop = most if self.thinned else min(most, _MANY)  # not where the clock says: the regions keep their order
+        # not where the clock says: the regions keep their order
+        stop = min(most, _MANY) if before < _MANY and not self.thinned else most
         if explore(self.data, self.graph, self.facets, min(self.portion, stop - before)) == GROW:
             self._grow()
         taken = max(time.perf_counter() - start, 1e-6)
         self.portion = max(1, int(_LOOK * (self.done - before + 1) / taken))
 
-    def thin(self) -> None:
-        """Leave out the rows that the others imply; start again where one of them is active on a region found."""
-        self.thinned = True
-        kept = irredundant_rows(self.qp)
-        if len(kept) == len(self.qp.M):
-            return
-        bits = _bits(self.graph.masks[self.graph.queue[: self.queued]], len(self.qp.M))
-        used = np.delete(bits, kept, axis=1).any()
-        self._state(self.qp.rows(kept))
-        if used:
-            self.graph, self.facets = _room(len(kept), self.parameters)
-            self.begin()
-        else:
-            self._renumber(bits[:, kept])
+    @property
+    def should_be_thinned(self) -> bool:
+        """Whether rows that others imply are in the way: they cost time, or several active sets are optimal at once."""
+        pays = self.done >= _MANY and not self.thinned_for_speed
+        return not self.thinned and (pays or (self.done == self.queued and self.tied))
 
-    def _renumber(self, members: Bits) -> None:
-        """Keep the regions found, whose active sets are now the rows of `members`; forget the sets without a region."""
+    def thinned_out(self, deadline: float) -> _Search:
+        """The search to go on with, without rows that the others imply: a new one where such a row is active.
+
+        For speed alone a share of the time left is spent on it: what is found by then is left out.
+        """
+        now = time.perf_counter()
+        needed = self.done == self.queued and self.tied
+        kept, finished = irredundant_rows(self.qp, deadline if needed else now + _SHARE * (deadline - now))
+        self.thinned = finished or needed
+        self.thinned_for_speed = True
+        if len(kept) == len(self.qp.M):
+            return self
+        bits = _bits(self.graph.masks[self.graph.queue[: self.queued]], len(self.qp.M))
+        if np.delete(bits, kept, axis=1).any():
+            return self._started_again(kept)
+        self._renumber(bits[:, kept], kept)
+        return self
+
+    def _started_again(self, kept: Ints) -> _Search:
+        """A search with these rows only; this one where that finds no region."""
+        other = _Search(self.qp.rows(kept))
+        other.thinned = self.thinned
+        other.thinned_for_speed = True
+        other.begin()
+        return other if other.queued else self
+
+    def _renumber(self, members: Bits, kept: Ints) -> None:
+        """Keep these rows and the regions found, whose active sets become `members`; forget the sets without region."""
         count = len(members)
         old = self.graph
         room = _room(members.shape[1], self.parameters, len(old.masks))[0]
+        self._state(self.qp.rows(kept))
         room.masks[:count] = _masks(members, room.masks.shape[1])
         room.kinds[:count] = FULL
         room.queue[:count] = np.arange(count)
         room.counts[:] = old.counts
         room.counts[KNOWN] = count
+        room.lost[:] = old.lost
+        room.tied[:] = old.tied[kept]
         self.graph = room
         self._rehash()
 
     def _grow(self) -> None:
         """Twice the room for facets if that is scarce, else for active sets."""
+        facets = self.facets
+        if self.graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
+            self.facets = facets._replace(rows=_longer(facets.rows))
+        else:
+            self._grow_sets()
+
+    def _grow_sets(self) -> None:
+        """Twice the room for active sets."""
         graph = self.graph
         facets = self.facets
-        if graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
-            self.facets = facets._replace(rows=_longer(facets.rows))
-            return
-        self.facets = facets._replace(offsets=_longer(facets.offsets))
+        self.facets = facets._replace(offsets=_longer(facets.offsets), centres=_longer(facets.centres))
         longer = {name: _longer(getattr(graph, name)) for name in ("masks", "kinds", "queue")}
         self.graph = graph._replace(**longer, table=np.full(8 * len(graph.masks), -1, dtype=np.int64))
         self._rehash()
@@ -177,7 +219,8 @@ class _Search:
         bits = _bits(self.graph.masks[self.graph.queue[: self.done]], len(self.qp.M))
         sets = [tuple(int(i) for i in np.flatnonzero(row)) for row in bits]
         rows = self.facets.rows[: self.graph.counts[ROWS]].copy()
-        return Found(status, self.qp, sets, rows, self.facets.offsets[: self.done + 1].copy())
+        offsets = self.facets.offsets[: self.done + 1].copy()
+        return Found(status, self.qp, sets, rows, offsets, self.facets.centres[: self.done].copy())
 
 
 def _room(m: int, n: int, capacity: int = _CAPACITY) -> tuple[Graph, Facets]:
@@ -185,9 +228,10 @@ def _room(m: int, n: int, capacity: int = _CAPACITY) -> tuple[Graph, Facets]:
     graph = Graph(
         masks=np.zeros((capacity, max(1, (m + 63) // 64)), dtype=np.uint64), kinds=np.zeros(capacity, dtype=np.int8),
         table=np.full(4 * capacity, -1, dtype=np.int64), queue=np.zeros(capacity, dtype=np.int64),
-        counts=np.zeros(4, dtype=np.int64), tied=np.zeros(m, dtype=bool),
+        counts=np.zeros(5, dtype=np.int64), lost=np.zeros((_LOST, n)), tied=np.zeros(m, dtype=bool),
     )  # fmt: skip
-    return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), np.empty((_FACETS * capacity, n + 1)))
+    rows = np.empty((_FACETS * capacity, n + 1))
+    return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), rows, np.empty((capacity, n)))
 
 
 def _longer(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

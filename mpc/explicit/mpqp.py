@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mpc.checks import as_count, as_seconds
+from mpc.checks import Array, as_count, as_seconds
 from mpc.exceptions import InputError
 from mpc.explicit.equality_elimination import (
     FlatParameters,
@@ -17,6 +17,7 @@ from mpc.explicit.equality_elimination import (
     implied_equalities,
 )
 from mpc.explicit.exploration import Found, Limits, explore_compiled
+from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.partition import Ints, MPQPStatus, Partition
 from mpc.explicit.scaled_qp import ScaledQP, scale_parameters, scale_qp
 from mpc.parametric_qp import ParametricQP
@@ -86,12 +87,28 @@ def solve_mpqp(
             qp, implied = reduced
             equalities = np.concatenate([equalities, implied])
             found = explore(qp, limits)
-    qp = found.qp
+    found, law = _without_wrong_laws(qp, found)
     H, h = qp.unscale_rows(found.rows)
     sets = tuple(tuple(sorted(int(i) for i in (*equalities, *qp.origin[list(act)]))) for act in found.active_sets)
-    law = qp.law(found.active_sets)
     duration = time.perf_counter() - start
-    return Partition(problem, found.status, sets, H, h, found.offsets, law, qp.centre, qp.half, duration)
+    return Partition(problem, found.status, sets, H, h, found.offsets, in_units(qp, law), qp.centre, qp.half, duration)
+
+
+def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:
+    """The regions whose law holds, their active sets as rows of `qp`, and the laws; INACCURATE where one does not."""
+    position = np.searchsorted(qp.origin, found.qp.origin)
+    sets = [tuple(int(i) for i in position[list(act)]) for act in found.active_sets]
+    law, holds = checked_laws(qp, sets, found.centres)
+    if holds.all():
+        return found._replace(active_sets=sets), law
+    sizes = np.diff(found.offsets)
+    right = np.flatnonzero(holds)
+    status = MPQPStatus.INACCURATE if found.status is MPQPStatus.COMPLETE else found.status
+    kept = Found(
+        status, qp, [sets[r] for r in right], found.rows[np.repeat(holds, sizes)],
+        np.concatenate([[0], np.cumsum(sizes[right])]), found.centres[right],
+    )  # fmt: skip
+    return kept, law[right]
 
 
 def _explorer(compiled: bool) -> Callable[[ScaledQP, Limits], Found]:

@@ -22,7 +22,8 @@ class MPQPStatus(Enum):
     COMPLETE = "Complete: every region behind every facet was explored."
     INFEASIBLE = "No parameter of the set is feasible, or only a flat part. Ask `LinearMPC.explain` what conflicts."
     REGION_LIMIT = "Stopped at `max_regions`: the partition has holes. Raise the limit, shorten N or block moves."
-    TIME_LIMIT = "Stopped at `time_limit`: the partition has holes. Raise the limit, shorten N or block moves."
+    TIME_LIMIT = "Stopped at `time_limit`: the partition may have holes. Raise the limit, shorten N or block moves."
+    INACCURATE = "In some regions, left out, rounding decides the law. Raise the smallest weights of the cost."
 
     @property
     def advice(self) -> str:

@@ -8,9 +8,9 @@ import daqp
 import numpy as np
 
 from mpc.checks import Array
-from mpc.explicit.equality_elimination import irredundant_rows
 from mpc.explicit.exploration import Found, Limits
 from mpc.explicit.partition import MPQPStatus
+from mpc.explicit.redundant_rows import irredundant_rows
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import DEPENDENT_ROW, EXCHANGE, INSETS, PRIMAL, REDUNDANT, REGION_RADIUS, TIE, ZERO_ROW
 
@@ -24,8 +24,13 @@ Rows = tuple[Array, Array]
 def explore_all(qp: ScaledQP, limits: Limits) -> Found:
     """Regions of all optimal active sets; where several are optimal together, without rows that the others imply."""
     found, tied = _explore(qp, limits)
-    kept = irredundant_rows(qp) if tied else np.arange(len(qp.M))
-    return found if len(kept) == len(qp.M) else _explore(qp.rows(kept), limits)[0]
+    if not tied or found.status is not MPQPStatus.COMPLETE:
+        return found
+    kept, finished = irredundant_rows(qp, limits.deadline)
+    again = found if len(kept) == len(qp.M) else _explore(qp.rows(kept), limits)[0]
+    if not finished or again.status is MPQPStatus.TIME_LIMIT:
+        return found._replace(status=MPQPStatus.TIME_LIMIT)
+    return found if again.status is MPQPStatus.INFEASIBLE else again
 
 
 def _explore(qp: ScaledQP, limits: Limits) -> tuple[Found, bool]:
@@ -39,17 +44,19 @@ def _explore(qp: ScaledQP, limits: Limits) -> tuple[Found, bool]:
     status = MPQPStatus.COMPLETE if stack else MPQPStatus.INFEASIBLE
     seen = set(stack)
     regions = {}
+    centres = [np.zeros((0, qp.D.shape[1] - 1))]
     tied = False
     while stack:
         active = stack.pop()
         rows, zero, canonical = _region(qp, active)
-        radius = -1.0 if rows is None else _radius(*rows)
+        centre, radius = (None, -1.0) if rows is None else _ball(*rows)
         if rows is None or radius < -REGION_RADIUS:
             continue
         if radius >= REGION_RADIUS:
             tied = tied or zero
             if canonical:
                 regions[active] = _facets(*rows)
+                centres.append(centre[None])
         for neighbour in _neighbours(qp, active):
             if neighbour not in seen:
                 seen.add(neighbour)
@@ -63,7 +70,7 @@ def _explore(qp: ScaledQP, limits: Limits) -> tuple[Found, bool]:
     sizes = np.cumsum([0] + [len(rows) for rows in regions.values()])
     facets = np.vstack([np.zeros((0, qp.D.shape[1])), *regions.values()])
     sets = [tuple(sorted(active)) for active in regions]
-    return Found(status, qp, sets, facets, sizes.astype(np.int64)), tied
+    return Found(status, qp, sets, facets, sizes.astype(np.int64), np.vstack(centres)), tied
 
 
 def _first(qp: ScaledQP) -> list[Members]:
@@ -130,8 +137,8 @@ def _region(qp: ScaledQP, active: Members) -> tuple[Rows | None, bool, bool]:
     return region, bool(zero.any()), canonical
 
 
-def _radius(A: Array, b: Array) -> float:
-    """Largest r <= 1 with a ball of radius r in the region; negative for an empty one."""
+def _ball(A: Array, b: Array) -> tuple[Array, float]:
+    """Centre and radius of a largest ball in the region, of radius 1 at most; negative for an empty one."""
     n = A.shape[1]
     rows = np.ascontiguousarray(np.hstack([A, np.ones((len(A), 1))]))
     upper = np.concatenate([np.full(n, _BOX), [1.0], b])
@@ -140,7 +147,7 @@ def _radius(A: Array, b: Array) -> float:
     cost[n] = -1.0
     point, _, flag, _ = daqp.solve(None, cost, rows, upper, lower)
     # the radius is recomputed from the point
-    return min(float(point[n]), float((b - A @ point[:n]).min())) if flag == 1 else -1.0
+    return point[:n], min(float(point[n]), float((b - A @ point[:n]).min())) if flag == 1 else -1.0
 
 
 def _facets(A: Array, b: Array) -> Array:

@@ -103,19 +103,6 @@ class ScaledQP:
         H = np.ascontiguousarray(rows[:, :-1] / self.half)
         return H, rows[:, -1] + H @ self.centre
 
-    def law(self, active_sets: list[tuple[int, ...]]) -> Array:
-        """Minimiser law (n, nz, nt + 1) in the units of the problem: z = law [θ; 1]."""
-        law = np.repeat(self.free[None], len(active_sets), axis=0)
-        for size in {len(act) for act in active_sets} - {0}:  # together where the number of active rows is the same
-            which = [r for r, act in enumerate(active_sets) if len(act) == size]
-            act = np.array([active_sets[r] for r in which])
-            gram = self.gram[act[:, :, None], act[:, None, :]]
-            pull = np.linalg.solve(gram, self.D[act])
-            law[which] += self.back @ (self.M[act].transpose(0, 2, 1) @ pull)
-        law[:, :, :-1] /= self.half
-        law[:, :, -1] -= law[:, :, :-1] @ self.centre
-        return law
-
 
 def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
     """The problem with a unit Hessian, unit rows and parameters in [-1, 1].

@@ -10,7 +10,7 @@ from mpc.checks import Array
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 
-KNOWN, QUEUED, DONE, ROWS = 0, 1, 2, 3  # positions in `Graph.counts`
+KNOWN, QUEUED, DONE, ROWS, LOST = 0, 1, 2, 3, 4  # positions in `Graph.counts`
 FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: its region is empty or of lower dimension
 
 
@@ -34,7 +34,8 @@ class Graph(NamedTuple):
 
     masks : (capacity, words) bits of each active set; kinds : what is known about each; table : hash table of their
     numbers; queue : numbers of those with a region, in the order found; counts : sets KNOWN, regions QUEUED, regions
-    DONE, facet ROWS stored; tied : (m,) rows that were active, or not, without any effect on a region.
+    DONE, facet ROWS stored, feasible parameters LOST because their active set has no region; lost : (many, nt) these
+    parameters, as many as there is room for; tied : (m,) rows that were active, or not, without any effect on a region.
     """
 
     masks: np.ndarray[Any, np.dtype[np.uint64]]
@@ -42,11 +43,33 @@ class Graph(NamedTuple):
     table: Ints
     queue: Ints
     counts: Ints
+    lost: Array
     tied: np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class Facets(NamedTuple):
-    """Facets of the regions done: region r owns rows[offsets[r] : offsets[r + 1]], each [a, b] for a't <= b."""
+    """Facets of the regions done: region r owns rows[offsets[r] : offsets[r + 1]], each [a, b] for a't <= b.
+
+    centres : a point inside each region.
+    """
 
     offsets: Ints
     rows: Array
+    centres: Array
+
+
+class RegionData(NamedTuple):
+    """A region in {At <= b}, row i for constraint i and then the parameter set.
+
+    mask, members : its active set, as bits and as numbers; facets : rows that are facets; hits : point where a ray from
+    the interior met each of them; centre, radius : a ball inside.
+    """
+
+    mask: np.ndarray[Any, np.dtype[np.uint64]]
+    members: Ints
+    A: Array
+    b: Array
+    facets: Ints
+    hits: Array
+    centre: Array
+    radius: float

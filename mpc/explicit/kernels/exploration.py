@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mpc.explicit.kernels.data import DEPENDENT, DONE, FLAT, FULL, KNOWN, QUEUED, ROWS
+from mpc.explicit.kernels.data import DEPENDENT, DONE, FLAT, FULL, KNOWN, LOST, QUEUED, ROWS, RegionData
 from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind, project
 from mpc.explicit.kernels.region import gram_factor, gram_solve, optimal_at, optimal_set, region_rows
 from mpc.tolerances import EXCHANGE, INSETS, PROJECTION, SAME_PLANE, TIE
@@ -119,7 +119,10 @@ def consider_parameter(qp, graph, theta, mask):
 
 @njit(cache=True)
 def explore(qp, graph, facets, budget):
-    """Process queued regions: find the facets of each, and the optimal active sets behind every facet."""
+    """Process so many queued regions: store the facets of each, and queue the regions behind them.
+
+    Returns FINISHED when none is left, PAUSED when the budget is spent, GROW when memory is.
+    """
     m = len(qp.D)
     n = qp.D.shape[1] - 1
     counts = graph.counts
@@ -129,11 +132,9 @@ def explore(qp, graph, facets, budget):
     kept = np.empty(m + len(qp.Tb), np.int64)
     hits = np.empty((m + len(qp.Tb), n))
     act = np.empty(m + 1, np.int64)
-    theta = np.empty(n)
     mask = np.empty(graph.masks.shape[1], np.uint64)
-    work = np.empty(graph.masks.shape[1], np.uint64)
     while counts[DONE] < counts[QUEUED]:
-        if budget == 0:
+        if budget <= 0:
             return PAUSED
         budget -= 1
         mask[:] = graph.masks[graph.queue[counts[DONE]]]
@@ -144,26 +145,50 @@ def explore(qp, graph, facets, budget):
         room = min(len(graph.masks), len(graph.table) // 2)
         if counts[ROWS] + m + len(qp.Tb) > len(facets.rows) or counts[KNOWN] + count * (k + _ROOM) > room:
             return GROW
-        for a in range(count):
-            for j in range(n):
-                facets.rows[counts[ROWS], j] = A[kept[a], j]
-            facets.rows[counts[ROWS], n] = b[kept[a]]
-            counts[ROWS] += 1
-        facets.offsets[counts[DONE] + 1] = counts[ROWS]
-        counts[DONE] += 1
-        for a in range(count):
-            if kept[a] >= m:
-                continue  # the border of the parameter set
-            kind = behind(qp, graph, A, b, mask, kept[a], work)
-            if kind == FULL:
-                continue  # found by algebra
-            found = just_behind(A, b, kept, count, a, hits[a], theta)
-            if found or across(A, b, kept, count, kept[a], hits[a], min(_MARGIN, radius), theta):
-                if kind != DEPENDENT or not exchange(qp, graph, act, k, kept[a], mask, theta):
-                    consider_parameter(qp, graph, theta, work)
-            elif kind == DEPENDENT:
-                exchange(qp, graph, act, k, kept[a], mask, centre)
+        region = RegionData(mask, act[:k], A, b, kept[:count], hits, centre, radius)
+        store(facets, counts, region)
+        for number in range(count):
+            if kept[number] < m:  # not the border of the parameter set
+                cross(qp, graph, region, number)
     return FINISHED
+
+
+@njit(cache=True)
+def store(facets, counts, region):
+    """Append the facets and the centre of the next region done; there is room for them."""
+    n = region.A.shape[1]
+    for facet in region.facets:
+        for j in range(n):
+            facets.rows[counts[ROWS], j] = region.A[facet, j]
+        facets.rows[counts[ROWS], n] = region.b[facet]
+        counts[ROWS] += 1
+    facets.offsets[counts[DONE] + 1] = counts[ROWS]
+    for j in range(n):
+        facets.centres[counts[DONE], j] = region.centre[j]
+    counts[DONE] += 1
+
+
+@njit(cache=True)
+def cross(qp, graph, region, number):
+    """Queue what lies behind one facet of a region.
+
+    A neighbour that differs in the row of the facet alone is found by algebra. Otherwise a point just behind the facet
+    is asked: which of the sets with one row exchanged is optimal there, or else which set the QP finds there. Where the
+    facet is too small for such a point, all exchanges are considered and that is all.
+    """
+    mask, act, A, b, facets, hits, centre, radius = region
+    facet = facets[number]
+    behind_it = np.empty(A.shape[1])
+    work = np.empty(len(mask), np.uint64)
+    kind = behind(qp, graph, A, b, mask, facet, work)
+    if kind == FULL:
+        return
+    reached = just_behind(A, b, facets, len(facets), number, hits[number], behind_it)
+    if not reached:
+        reached = across(A, b, facets, len(facets), facet, hits[number], min(_MARGIN, radius), behind_it)
+    known = kind == DEPENDENT and exchange(qp, graph, act, len(act), facet, mask, behind_it if reached else centre)
+    if reached and not known:
+        consider_parameter(qp, graph, behind_it, work)
 
 
 @njit(cache=True)
@@ -200,7 +225,8 @@ def behind(qp, graph, A, b, mask, facet, work):
 def exchange(qp, graph, act, k, entering, mask, theta):
     """Consider sets in which the entering row replaces another; one with a positive coefficient has to leave.
 
-    Returns True when one of them that has a region is optimal at θ.
+    Returns True when one of them that has a region is optimal at θ, a point behind the facet; of any other point the
+    answer means nothing.
     """
     L = np.empty((k, k))
     coefficient = np.empty(k)
@@ -225,7 +251,8 @@ def exchange(qp, graph, act, k, entering, mask, theta):
 def seed(qp, graph, J, h, targets):
     """Queue the active sets at feasible parameters near the targets; J [t; v] <= h is the joint set with unit rows.
 
-    Returns the number of targets near which a parameter with an interior around it was found.
+    Returns the number of targets near which a parameter with an interior around it was found. Where such a parameter
+    has no region, it is noted as lost.
     """
     mj, nj = J.shape
     n = targets.shape[1]
@@ -243,7 +270,10 @@ def seed(qp, graph, J, h, targets):
                 shrunk[i] = h[i] - inset
             if project(J, shrunk, mj, c, 10.0 * PROJECTION, joint, work, lam) >= 0:
                 hits += 1
-                consider_parameter(qp, graph, joint[:n].copy(), mask)
+                has_region = consider_parameter(qp, graph, joint[:n].copy(), mask)
+                if not has_region and graph.counts[LOST] < len(graph.lost):
+                    graph.lost[graph.counts[LOST]] = joint[:n]
+                    graph.counts[LOST] += 1
                 break
         if hits == 0:
             break  # infeasible from one target is infeasible from all

@@ -1,7 +1,8 @@
 """Compiled geometry of half-spaces with unit rows: nearest point, interior point, facets, a point across a facet.
 
-numba's cache on disk notices a change of the file a function stands in, but not of the files it calls into or of
-`tolerances.py`: after a change there or here save `region.py`, `exploration.py`, `growth.py` and `search.py` too.
+numba's cache on disk notices a change of the file a function stands in, but not of the files it calls into, nor of the
+constants it takes from `tolerances.py` and `data.py` (FULL, FLAT, DEPENDENT, the positions in `Graph.counts`): after a
+change in any of them save `halfspace.py`, `region.py`, `exploration.py`, `growth.py` and `search.py` too.
 """
 
 from __future__ import annotations

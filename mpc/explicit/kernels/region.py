@@ -11,8 +11,7 @@ Where a multiplier or a slack is zero on a whole region, several active sets are
 thought of as d + δ tie with an infinitesimal δ > 0: the sign of the part in δ says which of the sets counts, so that
 regions do not overlap (a symbolic perturbation, as in the lexicographic rule of the simplex method).
 
-numba's cache on disk notices a change of the file a function stands in, but not of the files it calls into: after a
-change here save `exploration.py` too.
+numba's cache on disk notices a change of the file a function stands in only: `halfspace.py` says what to save then.
 """
 
 from __future__ import annotations
@@ -27,9 +26,10 @@ from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, ROUNDING, ZERO_ROW
 
 @njit(cache=True)
 def gram_factor(gram, act, k, L):
-    """Cholesky factor of gram[act, act]; False when the active rows are dependent.
+    """Cholesky factor of gram[act, act]; False when a pivot shows that the active rows are dependent.
 
-    Rounding enters a pivot magnified by the smallest pivot before it, so the threshold grows with that.
+    Rounding enters a pivot magnified by the smallest pivot before it, so the threshold grows with that. Rows can be
+    dependent although no pivot is small: `row_levers` shows that.
     """
     smallest = 1.0
     for a in range(k):
@@ -118,9 +118,12 @@ def region_rows(qp, act, k, tied, A, b):
     L = np.empty((k, k))
     if k > qp.M.shape[1] or not gram_factor(qp.gram, act, k, L):
         return DEPENDENT
+    lever = row_levers(L, k)
+    for a in range(k):
+        if lever[a] * lever[a] * DEPENDENT_ROW > 1.0:  # 1 / lever is the distance of a row from the span of the others
+            return DEPENDENT
     law = multipliers(qp, act, k, L)
     reach = variable_size(qp, act, k, law)
-    lever = row_levers(L, k)
     position = np.full(m, -1)
     size = np.zeros(k)
     for a in range(k):
@@ -175,7 +178,7 @@ def region_rows(qp, act, k, tied, A, b):
 
 @njit(cache=True)
 def optimal_at(qp, act, k, theta):
-    """Whether an active set of independent rows is optimal at θ: no negative multiplier, no violated row."""
+    """Whether independent active rows are optimal at θ: they hold, no multiplier is negative, no row is violated."""
     m = len(qp.D)
     n = len(theta)
     d = np.empty(m)
@@ -197,9 +200,13 @@ def optimal_at(qp, act, k, theta):
         slack = d[i]
         for a in range(k):
             slack += qp.gram[i, act[a]] * lam[a]
+        d[i] = slack
         if slack < -OPTIMAL_SET:
             return False
-    return True
+    loose = 0.0
+    for a in range(k):
+        loose = max(loose, d[act[a]])
+    return loose <= OPTIMAL_SET
 
 
 @njit(cache=True)

@@ -1,0 +1,72 @@
+"""Minimiser laws of active sets, and whether they hold where they are used."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mpc.checks import Array
+from mpc.explicit.scaled_qp import ScaledQP
+from mpc.tolerances import LAW_ERROR
+
+_TOGETHER = 4096  # regions checked at once: bounds the memory
+ActiveSets = list[tuple[int, ...]]
+
+
+class ScaledLaws(NamedTuple):
+    """Laws v = law[r] [t; 1], (n, nv, nt + 1), and which of them hold, (n,)."""
+
+    law: Array
+    holds: np.ndarray
+
+
+def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> ScaledLaws:
+    """The law of each active set, checked for every parameter in its own rows and at the region's centre in all others.
+
+    A law holds where its active rows hold with equality, no row is violated and no multiplier negative, to `LAW_ERROR`
+    in units of the bounds and of the variables.
+    """
+    law = np.zeros((len(active_sets), qp.M.shape[1], qp.D.shape[1]))
+    holds = np.ones(len(active_sets), dtype=bool)
+    where = np.hstack([centres, np.ones((len(centres), 1))])
+    for size in {len(act) for act in active_sets} - {0}:  # together where the number of active rows is the same
+        which = np.array([r for r, act in enumerate(active_sets) if len(act) == size])
+        act = np.array([active_sets[r] for r in which])
+        law[which], missed, pull = _law(qp.M[act], qp.D[act], qp.gram[act[:, :, None], act[:, None, :]])
+        force = np.einsum("rac,rc->ra", pull, where[which])  # minus the multipliers
+        holds[which] = missed <= LAW_ERROR
+        holds[which] &= force.max(axis=1) <= LAW_ERROR * np.maximum(1.0, np.abs(force).max(axis=1))
+    return ScaledLaws(law, holds & (_excess(qp, law, where) <= LAW_ERROR))
+
+
+def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:
+    """The v of least norm with rows v = right [t; 1], its largest relative error, and the weights of the rows in it."""
+    inverse = np.linalg.inv(gram)
+    across = rows.transpose(0, 2, 1)
+    pull = inverse @ right
+    law = across @ pull
+    law += across @ (inverse @ (right - rows @ law))  # the rounding of a nearly singular gram is taken out
+    size = 1.0 + np.abs(right).sum(axis=2) + np.linalg.norm(law, axis=1).sum(axis=1)[:, None]
+    missed = (np.abs(rows @ law - right).sum(axis=2) / size).max(axis=1)
+    return law, missed, pull
+
+
+def _excess(qp: ScaledQP, law: Array, where: Array) -> Array:
+    """Largest relative violation of any row by each law at its point [t; 1]."""
+    parts = [np.zeros(0)]
+    for first in range(0, len(law) if len(qp.M) else 0, _TOGETHER):
+        part = where[first : first + _TOGETHER]
+        v = np.einsum("rvc,rc->rv", law[first : first + _TOGETHER], part)
+        bounds = part @ qp.D.T
+        size = 1.0 + np.abs(bounds) + np.linalg.norm(v, axis=1)[:, None]
+        parts.append(((v @ qp.M.T - bounds) / size).max(axis=1))
+    return np.concatenate(parts) if len(qp.M) else np.zeros(len(law))
+
+
+def in_units(qp: ScaledQP, law: Array) -> Array:
+    """Laws of v in scaled parameters as laws z = law [θ; 1] in the units of the problem."""
+    law = qp.free + qp.back @ law
+    law[:, :, :-1] /= qp.half
+    law[:, :, -1] -= law[:, :, :-1] @ qp.centre
+    return law
