@@ -53,7 +53,7 @@ def solve_mpqp(
     Returns
     -------
     Partition
-        Its status says whether it is complete.
+        Its status says whether it is complete. Regions in which the law fails its check are left out: INACCURATE.
 
     Raises
     ------

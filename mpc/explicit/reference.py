@@ -49,7 +49,7 @@ def _explore(qp: ScaledQP, limits: Limits) -> tuple[Found, bool]:
     while stack:
         active = stack.pop()
         rows, zero, canonical = _region(qp, active)
-        centre, radius = (None, -1.0) if rows is None else _ball(*rows)
+        centre, radius = (np.zeros(0), -1.0) if rows is None else _ball(*rows)
         if rows is None or radius < -REGION_RADIUS:
             continue
         if radius >= REGION_RADIUS:
