@@ -121,6 +121,14 @@ class InnovationCopula(nn.Module):
         moved = (inputs - self.centre.to(inputs.dtype)) @ self.slope.to(inputs.dtype) + self.shift.to(inputs.dtype)
         return quantiles + moved.unsqueeze(-2)
 
+    def moved(self, slope: Array, centre: Array, shift: Array) -> InnovationCopula:
+        """One whose draws have slopeᵀ (inputs − centre) + shift added, for slope (d, m), centre (d,), shift (m,)."""
+        other = InnovationCopula.from_shape(self.shape())
+        other.load_state_dict(self.state_dict())
+        other.slope.add_(torch.tensor(slope))
+        other.shift.add_(torch.tensor(shift + (self.centre.double().numpy() - centre) @ slope))
+        return other
+
     def at(self, quantiles: Tensor, share: Tensor) -> Tensor:
         """Values (n, m) below which shares (n, m) of the draws lie."""
         position = self._positions(share, log_width(quantiles))

@@ -22,7 +22,7 @@ from learning.quantile import QuantileNetwork
 Array = NDArray[np.float64]
 
 KNOTS = 257  # of the margins, evenly spaced in the normal score
-WIDTHS = 6  # at most, for which margins are kept
+WIDTHS = 24  # at most, for which margins are kept
 PER_WIDTH = 500  # samples that each of them needs
 COLLINEAR = 0.01  # smallest singular value of standardised inputs, relative to the largest, that the shift follows
 NARROW = 0.05  # of the largest variance of standardised outputs: directions that follow the samples' own variance
@@ -72,7 +72,7 @@ def fit_copula(
     lengths = as_lengths(stretches, "stretches", len(x))
     quantiles = network.predict(x)
     margins = _margins(quantiles, y, x.shape[1])
-    slope, shift = _regression(x, y - margins.mean(torch.tensor(quantiles)).numpy())
+    slope, shift = regression(x, y - margins.mean(torch.tensor(quantiles)).numpy())
     quantiles = quantiles + ((x - x.mean(axis=0)) @ slope + shift)[:, None]
     margins = _margins(quantiles, y, x.shape[1])
     for name, value in (("centre", x.mean(axis=0)), ("slope", slope), ("shift", shift)):
@@ -85,8 +85,11 @@ def fit_copula(
     return _joined(margins, parts, _order(parts, orders))
 
 
-def _regression(x: Array, left: Array) -> tuple[Array, Array]:
-    """Return slope (d, m) and shift (m,) of what is left (n, m), in the directions that the inputs (n, d) fill."""
+def regression(x: Array, left: Array) -> tuple[Array, Array]:
+    """Return slope (d, m) and mean (m,) of what is left (n, m), in the directions that the inputs (n, d) fill.
+
+    What is left at an input is the mean + slopeᵀ (input − mean input).
+    """
     deviation = x.std(axis=0)
     scale = np.where(deviation > ROUNDING * np.abs(x).max(axis=0), deviation, np.inf)
     shift = left.mean(axis=0)

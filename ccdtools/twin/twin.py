@@ -14,6 +14,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
+from ccdtools.twin.loop_moments import matched_in_the_loop
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
 from ccdtools.twin.transport import Transport, as_extent
 from learning.copula_fit import fit_copula
@@ -115,11 +116,15 @@ class DigitalTwin(Immutable):
         inputs, tests = (np.hstack([part[i] for i in columns]) for part in (train, test))
         lengths = [part.runs * part.steps for part in parts]
         network = fit_quantiles(inputs, train[-1], stretches=lengths, rng=rng, config=config, progress=progress)
-        drawable = len(network.levels) > 1
-        copula = fit_copula(network, inputs, train[-1]) if drawable else None  # without memory: e and x hold the past
+        discrepancy = Discrepancy(network, weight, design_as_feature, transport=twin.transport)
+        if len(network.levels) > 1:
+            copula = fit_copula(network, inputs, train[-1])  # without memory: e and x hold the past
+            newest = block_parts(logs[-1], held_out, blocks, last=False)
+            drawing = replace(discrepancy, copula=copula)
+            discrepancy = replace(drawing, copula=matched_in_the_loop(drawing, self.model, newest, rng.spawn(1)[0]))
         return replace(
             twin,
-            discrepancy=Discrepancy(network, weight, design_as_feature, transport=twin.transport, copula=copula),
+            discrepancy=discrepancy,
             scores=score_quantiles(network, tests, test[-1], train[-1]),
         )  # fmt: skip
 

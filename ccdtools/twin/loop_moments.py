@@ -1,0 +1,116 @@
+"""Draws that answer the state, in a loop of their own, as the errors of the log did.
+
+A linear regression on (e, x, u) that leaves what is uncorrelated with them gives the second moments of the closed loop,
+whatever the rest is like. Draws have the regression of the log at the logged samples. In a simulation they meet others:
+what a network says where a hard event has just passed is right after such events, and they are rarer among draws. On a
+generated road the mean of the draws answered slow states too little for that reason, and these spread 6 to 9 % too
+little, however many drives had been learned from. The mean is therefore moved until a simulation has the log's answer.
+
+References
+----------
+Gourieroux, Monfort and Renault, "Indirect inference", Journal of Applied Econometrics 8, 1993 (a simulated model is
+moved until an auxiliary regression on its output is that on the data).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ccdtools.arrays import Array
+from ccdtools.plants.linear_model import LinearModel
+from ccdtools.twin.discrepancy import Discrepancy
+from ccdtools.twin.residuals import Residuals, stacked
+from learning.copula import InnovationCopula
+from learning.copula_fit import regression
+
+RUNS = 300  # simulated side by side, from logged samples
+STEPS = 80  # of each,
+SETTLING = 20  # of which the first are left out
+ROUNDS = 2  # of the mean's moves
+RUNAWAY = 10.0  # times the largest logged state: draws that go further are not in the loop of the log
+
+
+def matched_in_the_loop(
+    discrepancy: Discrepancy, model: LinearModel, parts: Sequence[Residuals], rng: np.random.Generator
+) -> InnovationCopula:
+    """The copula of a discrepancy, its mean moved until draws in closed loop answer (e, x, u) as the log did.
+
+    The loop is that of the log: the affine law nearest to the logged inputs, within their range. The copula is returned
+    as it is where that loop does not hold the draws.
+
+    Parameters
+    ----------
+    discrepancy : Discrepancy
+        With a copula, at the design of the parts.
+    parts : sequence of Residuals
+        Stretches of one log, of one design.
+    """
+    assert discrepancy.copula is not None
+    loop = _Loop.of(model, parts)
+    inputs = discrepancy.inputs_of(parts)
+    slope, mean = regression(inputs, stacked(parts)[-1])
+    copula = discrepancy.copula
+    tried: list[tuple[float, InnovationCopula]] = []
+    for k in range(ROUNDS + 1):
+        run = loop.simulated(replace(discrepancy, copula=copula, noise="quantiles"), rng)
+        if run is None:
+            break
+        reached, drawn = run
+        more, shift = regression(reached, mean + (reached - inputs.mean(axis=0)) @ slope - drawn)
+        centre = reached.mean(axis=0)
+        tried.append((_size(shift + (reached - centre) @ more, drawn), copula))
+        if k < ROUNDS:
+            copula = copula.moved(more, centre, shift)
+    return min(tried, key=lambda one: one[0])[1] if tried else discrepancy.copula
+
+
+def _size(missing: Array, drawn: Array) -> float:
+    """How much of the draws (n, nx) a mean (n, nx) is that they lack, relative to their variance."""
+    variance = drawn.var(axis=0)
+    return float(np.mean(np.square(missing).mean(axis=0) / np.where(variance > 0, variance, np.inf)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """The closed loop of a log: where it was, and the law that it seems to have followed."""
+
+    model: LinearModel
+    x: Array
+    e: Array
+    p: Array
+    law: Callable[[Array], Array]
+
+    @classmethod
+    def of(cls, model: LinearModel, parts: Sequence[Residuals]) -> _Loop:
+        """The loop of stretches of one log."""
+        e, x, u, _, _ = stacked(parts)
+        slope, mean = regression(x, u)
+        centre = x.mean(axis=0)
+        low = u.min(axis=0)
+        high = u.max(axis=0)
+        return cls(model, x, e, parts[-1].p, lambda state: np.clip(mean + (state - centre) @ slope, low, high))
+
+    @torch.no_grad()
+    def simulated(self, discrepancy: Discrepancy, rng: np.random.Generator) -> tuple[Array, Array] | None:
+        """Inputs (n, d) of the network and draws (n, nx) along runs from logged samples; None if they run away."""
+        A, B, _ = self.model.matrices(self.p)
+        begun = rng.integers(0, len(self.x), RUNS)
+        x = self.x[begun]
+        p = torch.tensor(self.p, dtype=torch.float32)
+        error = torch.tensor(self.e[begun], dtype=torch.float32)
+        reached = []
+        drawn = []
+        for _ in range(STEPS):
+            u = self.law(x)
+            state, applied, noise = (torch.tensor(a, dtype=torch.float32) for a in (x, u, rng.random(x.shape)))
+            reached.append(discrepancy.features(error[:, : x.shape[1]], state, applied, p).double().numpy())
+            error = discrepancy.advance(error, state, applied, p, noise)[0]
+            drawn.append(error[:, : x.shape[1]].double().numpy())
+            x = x @ A.T + u @ B.T + drawn[-1]
+            if not (np.abs(x) <= RUNAWAY * np.abs(self.x).max(axis=0)).all():
+                return None
+        return np.concatenate(reached[SETTLING:]), np.concatenate(drawn[SETTLING:])
