@@ -113,8 +113,16 @@ class InnovationCopula(nn.Module):
         """
         scores = self._scores(torch.special.ndtri(uniform.clamp(EDGE, 1 - EDGE)), memory)
         drawn = self.at(self.shifted(quantiles, inputs), torch.special.ndtr(scores))
-        origin = self.origin.to(drawn.dtype)
-        return origin + (drawn - origin) @ self.subspace.T.to(drawn.dtype), self.remember(scores, memory)
+        return self._within(drawn), self.remember(scores, memory)
+
+    def expected(self, quantiles: Tensor, inputs: Tensor) -> Tensor:
+        """Means (n, m) of the draws without a past, at quantiles (n, levels, m) and inputs (n, d) as for `draw`."""
+        return self._within(self.mean(self.shifted(quantiles, inputs)))
+
+    def _within(self, y: Tensor) -> Tensor:
+        """Values (n, m) mapped into the subspace of the samples."""
+        origin = self.origin.to(y.dtype)
+        return origin + (y - origin) @ self.subspace.T.to(y.dtype)
 
     def shifted(self, quantiles: Tensor, inputs: Tensor) -> Tensor:
         """Quantiles (n, levels, m) at inputs (n, d), moved so that the draws have the right mean."""

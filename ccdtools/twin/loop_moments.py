@@ -26,6 +26,7 @@ from ccdtools.twin.discrepancy import Discrepancy
 from ccdtools.twin.residuals import Residuals, stacked
 from learning.copula import InnovationCopula
 from learning.copula_fit import regression
+from learning.quantile import QuantileNetwork
 
 RUNS = 300  # simulated side by side, from logged samples
 STEPS = 80  # of each,
@@ -52,26 +53,29 @@ def matched_in_the_loop(
     assert discrepancy.copula is not None
     loop = _Loop.of(model, parts)
     inputs = discrepancy.inputs_of(parts)
-    slope, mean = regression(inputs, stacked(parts)[-1])
+    errors = stacked(parts)[-1]
+    slope, mean = regression(inputs, errors)
+    extent = np.where(np.ptp(errors, axis=0) > 0, errors.std(axis=0), np.inf)
     copula = discrepancy.copula
     tried: list[tuple[float, InnovationCopula]] = []
     for k in range(ROUNDS + 1):
-        run = loop.simulated(replace(discrepancy, copula=copula, noise="quantiles"), rng)
-        if run is None:
+        reached = loop.simulated(replace(discrepancy, copula=copula, noise="quantiles"), rng)
+        if reached is None:
             break
-        reached, drawn = run
-        more, shift = regression(reached, mean + (reached - inputs.mean(axis=0)) @ slope - drawn)
+        lacking = mean + (reached - inputs.mean(axis=0)) @ slope - _expected(discrepancy.network, copula, reached)
+        more, shift = regression(reached, lacking)
         centre = reached.mean(axis=0)
-        tried.append((_size(shift + (reached - centre) @ more, drawn), copula))
+        tried.append((float(np.square((shift + (reached - centre) @ more) / extent).mean()), copula))
         if k < ROUNDS:
             copula = copula.moved(more, centre, shift)
     return min(tried, key=lambda one: one[0])[1] if tried else discrepancy.copula
 
 
-def _size(missing: Array, drawn: Array) -> float:
-    """How much of the draws (n, nx) a mean (n, nx) is that they lack, relative to their variance."""
-    variance = drawn.var(axis=0)
-    return float(np.mean(np.square(missing).mean(axis=0) / np.where(variance > 0, variance, np.inf)))
+@torch.no_grad()
+def _expected(network: QuantileNetwork, copula: InnovationCopula, inputs: Array) -> Array:
+    """Means (n, nx) of the draws at inputs (n, d) of the network: without the noise of draws, few samples do."""
+    at = torch.tensor(inputs, dtype=torch.float32)
+    return copula.expected(network(at), network.clipped(at)).double().numpy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,22 +99,20 @@ class _Loop:
         return cls(model, x, e, parts[-1].p, lambda state: np.clip(mean + (state - centre) @ slope, low, high))
 
     @torch.no_grad()
-    def simulated(self, discrepancy: Discrepancy, rng: np.random.Generator) -> tuple[Array, Array] | None:
-        """Inputs (n, d) of the network and draws (n, nx) along runs from logged samples; None if they run away."""
+    def simulated(self, discrepancy: Discrepancy, rng: np.random.Generator) -> Array | None:
+        """Inputs (n, d) of the network along runs of draws from logged samples; None if they run away."""
         A, B, _ = self.model.matrices(self.p)
         begun = rng.integers(0, len(self.x), RUNS)
         x = self.x[begun]
         p = torch.tensor(self.p, dtype=torch.float32)
         error = torch.tensor(self.e[begun], dtype=torch.float32)
         reached = []
-        drawn = []
         for _ in range(STEPS):
             u = self.law(x)
             state, applied, noise = (torch.tensor(a, dtype=torch.float32) for a in (x, u, rng.random(x.shape)))
             reached.append(discrepancy.features(error[:, : x.shape[1]], state, applied, p).double().numpy())
             error = discrepancy.advance(error, state, applied, p, noise)[0]
-            drawn.append(error[:, : x.shape[1]].double().numpy())
-            x = x @ A.T + u @ B.T + drawn[-1]
+            x = x @ A.T + u @ B.T + error[:, : x.shape[1]].double().numpy()
             if not (np.abs(x) <= RUNAWAY * np.abs(self.x).max(axis=0)).all():
                 return None
-        return np.concatenate(reached[SETTLING:]), np.concatenate(drawn[SETTLING:])
+        return np.concatenate(reached[SETTLING:])
