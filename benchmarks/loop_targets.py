@@ -17,10 +17,10 @@ import numpy as np
 import torch
 
 from ccdtools.co_design.codesign import codesign
+from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.reinforcement import CoDesignConfig
 from ccdtools.comparison.baselines import saturated_lqr
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.simulation import simulate

@@ -24,10 +24,10 @@ from tqdm import tqdm
 from ccdtools.arrays import Array
 from ccdtools.co_design.climb import Climb
 from ccdtools.co_design.design_gradients import FEW, STEPS, Differences, Slope
-from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors, to_design
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
+from ccdtools.co_design.gradient_check import check_gradients
 from ccdtools.co_design.limits import Prices
-from ccdtools.co_design.reinforcement.gradients import check_gradients
 from ccdtools.co_design.reinforcement.ppo import PPOPart
 from ccdtools.co_design.result import Convergence, History
 from ccdtools.co_design.sample_average import SampleAverage
@@ -36,8 +36,6 @@ from ccdtools.co_design.task import Iterate, Task
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic
 from learning.ppo import decay_exploration
-
-Scenarios = tuple[Tensor, Tensor]
 
 LESS = 0.9  # of a violation is left where a block was worth it
 SLOPE_RUNS = 512  # scenarios of the slope that a status rests on
@@ -55,7 +53,7 @@ class Ascent:
     """
 
     def __init__(
-        self, task: Task, agent: ActorCritic, design: Array, rng: np.random.Generator, evaluation: Scenarios
+        self, task: Task, agent: ActorCritic, design: Array, rng: np.random.Generator, evaluation: ScenarioTensors
     ) -> None:
         config = task.config
         self.task = task
@@ -167,11 +165,11 @@ class Ascent:
         """The gain of a slope that is worth following, or naming."""
         return 2 * self.task.config.tolerance * abs(self.best.score)
 
-    def _differences(self, scenarios: Scenarios) -> Differences:
+    def _differences(self, scenarios: ScenarioTensors) -> Differences:
         """Finite differences of the present policy's return on the problem."""
         return Differences(self.task.problem, self.agent, scenarios, self.prices)
 
-    def _slope_by_differences(self, scenarios: Scenarios) -> Tensor:
+    def _slope_by_differences(self, scenarios: ScenarioTensors) -> Tensor:
         """The design's gradient of the mean return by finite differences, (np,)."""
         return self._differences(scenarios).about(self.v, self.step).mean(0)
 
@@ -181,7 +179,7 @@ class Ascent:
             return False
         return self.slope.unresolved(abs(self.best.score)) or not self.by_differences
 
-    def drawn(self, runs: int) -> Scenarios:
+    def drawn(self, runs: int) -> ScenarioTensors:
         """Fresh scenarios of the problem."""
         return scenario_tensors(self.task.problem, fewer_runs(runs, self.task.problem.steps), self.rng)
 
@@ -232,7 +230,7 @@ class Ascent:
         self.iterations += 1
         bar.update()
 
-    def cost(self, v: Tensor, scenarios: Scenarios) -> Tensor:
+    def cost(self, v: Tensor, scenarios: ScenarioTensors) -> Tensor:
         """Mean cost at a point of the unit box, with what leaving X costs; differentiable."""
         seen = episode_at(self.task.problem, self.agent, v, scenarios, depths=self.limited)
         cost = -seen.total.mean()

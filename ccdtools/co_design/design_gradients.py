@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.problem import CoDesignProblem
@@ -24,8 +25,6 @@ FEW = 6  # parameters, up to which differences may take the place of the gradien
 SIGNIFICANT = 3.0  # standard errors of a slope that is not chance
 AHEAD = 0.1  # of the box: over this distance a slope must promise a gain that matters
 UNRESOLVED = 0.05  # of the return over the distance ahead: a slope with such an error says nothing
-
-Scenarios = tuple[Tensor, Tensor]
 
 
 def inside(v: Tensor, step: float) -> Tensor:
@@ -48,7 +47,7 @@ class Differences:
 
     problem: CoDesignProblem
     agent: ActorCritic
-    scenarios: Scenarios
+    scenarios: ScenarioTensors
     prices: Prices | None = None
 
     def __post_init__(self) -> None:
@@ -92,21 +91,11 @@ class Differences:
         return seen.total - paid - self.prices.design.double() @ v
 
 
-def pathwise_by_run(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: Scenarios) -> Tensor:
+def pathwise_by_run(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: ScenarioTensors) -> Tensor:
     """∂/∂v of every run's return through dynamics, policy and reward, (n, np)."""
     each = v.detach().expand(len(scenarios[0]), -1).clone().requires_grad_(True)
     total = episode_at(problem, agent, each, scenarios).total.sum()
     return torch.autograd.grad(total, each)[0].double()
-
-
-def pathwise_gradient(
-    problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: Scenarios
-) -> tuple[Tensor, Tensor]:
-    """∂/∂v of the mean return through dynamics, policy and reward, (np,); and the mean return."""
-    v = v.detach().clone().requires_grad_(True)
-    mean = episode_at(problem, agent, v, scenarios).total.mean()
-    (gradient,) = torch.autograd.grad(mean, v)
-    return gradient, mean.detach()
 
 
 def standard_error(by_run: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -12,6 +13,8 @@ from torch import Tensor
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.limits import StateLimits
 from ccdtools.plants.linear_model import LinearModel
+
+ScenarioTensors: TypeAlias = tuple[Tensor, Tensor]  # initial states (n, nx) and disturbances (n, T, nw)
 
 
 class _Matrices(torch.autograd.Function):
@@ -148,7 +151,7 @@ def observe(x: Tensor, p: Tensor) -> Tensor:
     return torch.cat([x, p.expand(*x.shape[:-1], p.shape[-1])], dim=-1)
 
 
-def scenario_tensors(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+def scenario_tensors(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> ScenarioTensors:
     """`runs` scenarios of a problem as float32 tensors: (n, nx) and (n, T, nw)."""
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     if problem.discrepancy is not None and problem.discrepancy.noise == "quantiles":

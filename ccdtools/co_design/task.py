@@ -9,12 +9,11 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import Episode
 from ccdtools.co_design.limits import LimitsOutcome, Prices
 from ccdtools.co_design.problem import CoDesignProblem
 from learning.networks import ActorCritic
-
-Scenarios = tuple[Tensor, Tensor]
 
 
 class LimitPenalty(Protocol):
@@ -37,7 +36,7 @@ class LimitPenalty(Protocol):
         """Whether leaving X costs anything at present."""
         ...
 
-    def updated(self, episode: Episode, v: Tensor, scenarios: Scenarios) -> LimitPenalty:
+    def updated(self, episode: Episode, v: Tensor, scenarios: ScenarioTensors) -> LimitPenalty:
         """The penalty of the next steps, after the episodes of an evaluation at the point `v` of the unit box."""
         ...
 

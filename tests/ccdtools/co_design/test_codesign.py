@@ -9,8 +9,8 @@ import torch
 
 from ccdtools import InputError, codesign, simulate
 from ccdtools.co_design.ascent import Ascent
+from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.reinforcement import CoDesignConfig
 from ccdtools.co_design.task import Task
 from learning.ppo import PPOConfig
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from ccdtools import InputError, LearnedPolicy, deploy, simulate
-from ccdtools.co_design.reinforcement import CoDesignConfig
+from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.controllers.controllers import Passive
 from ccdtools.statistics import paired_difference
 from ccdtools.twin.deployment import OnlineConfig, deploy_and_update
