@@ -47,7 +47,7 @@ class OnlineConfig:
     judged : int
         Largest number of replay windows of that judgement; no two share a sample.
     training : CoDesignConfig
-        Of the candidate; the design is always frozen.
+        Of the candidate; the design is frozen, whatever its `design_rate`, as the plant is built.
     """
 
     updates: int = 4
@@ -238,8 +238,9 @@ class _Service:
     def _update(self) -> None:
         """Train a candidate, and put it into service if it is better on what it was not trained on."""
         config = self.config
+        training = replace(config.training, design_rate=0.0)
         problem = replay_problem(self.problem, self.train, self.config.window)
-        candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=config.training).agent
+        candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=training).agent
         gain = self._gain(candidate)
         accepted = gain.ci95[0] > 0
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)

@@ -262,6 +262,15 @@ def test_a_run_lost_in_one_stretch_stays_lost(illustrative, clone):
     np.testing.assert_array_equal(log.diverged_at, whole.diverged_at)
 
 
+def test_a_candidate_is_trained_at_the_design_in_service_whatever_the_rate_of_the_design(illustrative, clone):
+    moving = replace(ONLINE, training=replace(TINY, design_rate=0.5))
+    frozen, asked = (
+        deployed(illustrative, clone(illustrative), runs=1, steps=400, config=config) for config in (ONLINE, moving)
+    )
+    assert len(asked.updates) == 2
+    assert [one.gain.mean for one in asked.updates] == [one.gain.mean for one in frozen.updates]
+
+
 @pytest.mark.parametrize(
     ("runs", "steps", "updates"), [(1, 90, 0), (1, 700, 1), (1, 1000, 2), (3, 150, 0), (4, 150, 1)]
 )
