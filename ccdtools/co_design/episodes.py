@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -93,18 +93,35 @@ def episode(
 def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, depths: bool = False) -> Episode:
     """Episodes of any law, states (n, nx) → inputs (n, nu), on a model at its design."""
     x0, w = scenarios
-    steps = w.shape[1]
+    warm_up = step.problem.warm_up
+    steps = w.shape[1] - warm_up
     nothing = torch.zeros(len(x0), dtype=torch.float64)
     running = torch.ones(len(x0), dtype=torch.bool)
     progress = _Progress(x0, step.without_error(x0), running, nothing, nothing, nothing, nothing)
-    recomputed = torch.is_grad_enabled() and steps > 2 * LONGEST_SEGMENT
-    for part in w.split(math.isqrt(steps) if recomputed else LONGEST_SEGMENT, dim=1):
-        if recomputed:
-            tensors = checkpoint(_segment, step, law, part, depths, *progress.tensors(), use_reentrant=False)
-        else:
-            tensors = _segment(step, law, part, depths, *progress.tensors())
-        progress = _Progress(*tensors)
+    recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT
+    length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
+
+    def advanced(progress: _Progress, w: Tensor) -> _Progress:
+        """The progress after the steps of `w` (n, T, nw)."""
+        for part in w.split(length, dim=1):
+            if recomputed:
+                tensors = checkpoint(_segment, step, law, part, depths, *progress.tensors(), use_reentrant=False)
+            else:
+                tensors = _segment(step, law, part, depths, *progress.tensors())
+            progress = _Progress(*tensors)
+        return progress
+
+    if warm_up:
+        progress = _counted_from_here(advanced(progress, w[:, :warm_up]))
+    progress = advanced(progress, w[:, warm_up:])
     return Episode(progress.total, ~progress.running, progress.depth / steps, progress.peak, progress.outside / steps)
+
+
+def _counted_from_here(progress: _Progress) -> _Progress:
+    """The progress with empty sums; runs that are lost already keep their cost."""
+    nothing = torch.zeros_like(progress.total)
+    total = torch.where(progress.running, nothing, progress.total)
+    return replace(progress, total=total, depth=nothing, peak=nothing, outside=nothing)
 
 
 def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) -> tuple[Tensor, ...]:

@@ -90,13 +90,16 @@ class CoDesignProblem(Immutable):
     scenarios : Scenarios
         Initial states and disturbances of the episodes.
     steps : int
-        Length of an episode.
+        Length of an episode, `warm_up` included.
     discrepancy : Discrepancy, optional
         What a digital twin has learned; it replaces the model's disturbance.
     limit_tolerance : "mpc", "off" or (fraction, depth)
         How often and how far a co-designed policy may leave X: no more than about what MPC of the same design does on
         the same scenarios; as it likes; or so large a fraction of the states, and so many half-widths of X in the mean
         of the peaks of the runs.
+    warm_up : int
+        First steps of an episode whose rewards and states outside X do not count; 0 by default. For episodes that
+        begin at a state that the design and policy in question have not come to themselves.
 
     Raises
     ------
@@ -113,6 +116,7 @@ class CoDesignProblem(Immutable):
     steps: int = 100
     discrepancy: ErrorModel | None = None
     limit_tolerance: str | tuple[float, float] = "mpc"
+    warm_up: int = 0
 
     def __post_init__(self) -> None:
         model = as_instance("model", self.model, LinearModel, "a LinearModel", "Pass discretise(plant).")
@@ -132,6 +136,9 @@ class CoDesignProblem(Immutable):
             if size != n:
                 raise InputError(f"objective.{name}", f"shape ({size}, {size})", f"({n}, {n})")
         object.__setattr__(self, "steps", as_count("steps", self.steps))
+        object.__setattr__(self, "warm_up", as_count("warm_up", self.warm_up, least=0))
+        if self.warm_up >= self.steps:
+            raise InputError("warm_up", self.warm_up, f"less than {self.steps}, the steps of an episode")
         object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
         self._check_discrepancy()
         self._check_scenarios()

@@ -20,11 +20,13 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.disturbances.disturbance import Recorded
 from ccdtools.exceptions import InputError
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import summarise
+from ccdtools.statistics import summarise_returns
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import MINIMUM_LOG, Study
+from ccdtools.studies.warm_up import warm_up
 from ccdtools.twin.deployment import served
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay
@@ -37,7 +39,9 @@ from learning.networks import ActorCritic
 MOSTLY = 0.5  # of the samples outside X: then the recording is not one of this plant
 BAND_RUNS = 500  # of the trajectories kept for figures
 BAND_STEPS = 1000
-NOMINAL_DRIVES = 16  # of the nominal model, which say what it expects of a single long run
+NOMINAL_SAMPLES = 250_000  # of the nominal model, which say what it expects of a deployment,
+FEWEST_NOMINAL = 16  # in at least so many runs
+LONGEST_EPISODE = 1000  # steps of a run that a redesign is trained on as a whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,53 +113,58 @@ class Evaluation:
 
     @property
     def window(self) -> int:
-        """Length of a replayed episode."""
+        """Length of a replayed episode that a policy is trained on while deployed."""
         return min(
             self.study.steps, self.deployment_steps // 10 if self.study.real.runs == 1 else self.deployment_steps
         )
 
+    def training_episode(self, logs: Sequence[Residuals], space: DesignSpace) -> tuple[int, int]:
+        """Steps that count in an episode of a redesign within a box, and steps before them that do not.
+
+        Of several runs that are not very long, an episode is a whole run from its own start.
+        """
+        if self.study.real.runs > 1 and self.deployment_steps <= LONGEST_EPISODE:
+            return self.deployment_steps, 0
+        return self.window, warm_up(self.problem, logs, self.window, space)
+
     def on_model(self, logs: Sequence[Residuals]) -> Scenario:
         """What a generation is judged on: the nominal model, with its assumed disturbance or with logged errors.
 
-        Before the first log every run starts at x0. Afterwards a run is a window of a log: it starts where the log was
-        and meets the errors that the log met; no two windows share a sample.
+        Before the first log every run starts at x0. Afterwards it starts where the runs of the newest log did, and
+        meets the errors that they met, to their end.
         """
         if not logs:
             x0, w = self.problem.scenarios.sample(self.config.model_runs, self.study.steps, self.rng("model scenario"))
             return Scenario(self.study.model, x0, w)
-        return self.on_logs(logs)[0]
+        return self.on_logs(logs[-1:])[0]
 
     def on_logs(self, logs: Sequence[Residuals]) -> tuple[Scenario, NDArray[np.int64]]:
-        """The nominal model met by logged errors in windows, and for each window the number of its group.
+        """The nominal model met by all errors of whole logged runs, and for each run the number of its group.
 
-        Windows of one run, and of runs that met the same disturbance in several deployments, make one group: only
-        groups are independent evidence. Of a single long run every window is one.
+        Runs that met the same disturbance in several deployments make one group: only groups are independent evidence.
         """
         split = ErrorSplit(self.study.model, self.problem.state_scale)
-        return self._windows(split.replayed_model, Replay(tuple(logs), split))
+        return self._whole_runs(split.replayed_model, Replay(tuple(logs), split))
 
     def on_updated_logs(self, twin: DigitalTwin) -> tuple[Scenario, NDArray[np.int64]]:
-        """The same windows on the updated model, with what it leaves unexplained replayed."""
+        """The same runs on the updated model, with what it leaves unexplained replayed."""
         assert twin.discrepancy is not None
         plant = TwinPlant(self.study.model, replace(twin.discrepancy, noise="replayed"))
-        return self._windows(plant, Replay(twin.innovations()))
+        return self._whole_runs(plant, Replay(twin.innovations()))
 
-    def _windows(self, plant: Any, replay: Replay) -> tuple[Scenario, NDArray[np.int64]]:
-        """Windows of a replay that share no sample, as a scenario, with their groups."""
-        x0, w = replay.disjoint(self.window)
-        groups = _groups(replay.logs, self.window, self.study.real.runs)
-        chosen = self.rng("replayed windows").permutation(len(x0))[: self.config.model_runs]
+    def _whole_runs(self, plant: Any, replay: Replay) -> tuple[Scenario, NDArray[np.int64]]:
+        """At most `model_runs` whole runs of a replay as a scenario, with their groups."""
+        x0, w = replay.whole()
+        groups = _groups(replay.logs, self.study.real.runs)
+        chosen = np.arange(len(x0))
+        if len(x0) > self.config.model_runs:
+            chosen = self.rng("replayed runs").permutation(len(x0))[: self.config.model_runs]
         return Scenario(plant, x0[chosen], w[chosen]), groups[chosen]
 
-    def whole_log(self, log: Residuals) -> Scenario:
-        """The nominal model met by all errors of a log, from where each of its runs began to its end."""
-        split = ErrorSplit(self.study.model, self.problem.state_scale)
-        return Scenario(split.replayed_model, log.x[:, 0], split.disturbances(log))
-
     def nominal_deployment(self) -> Scenario:
-        """What the nominal model expects of a deployment."""
+        """What the nominal model expects of a deployment, of many runs: a promise should not be wrong by chance."""
         real = self.study.real
-        runs = NOMINAL_DRIVES if real.runs == 1 else real.runs
+        runs = min(self.config.model_runs, max(FEWEST_NOMINAL, NOMINAL_SAMPLES // self.deployment_steps))
         w = self.study.disturbance.sample(runs, self.deployment_steps, self.rng("nominal deployment"))
         return Scenario(self.study.model, np.tile(real.x0, (runs, 1)), w)
 
@@ -256,6 +265,14 @@ class Evaluation:
             self._filters[key] = admissible_inputs(self.problem, design)
         return self._filters[key]
 
+    def can_serve(self, design: Array) -> bool:
+        """Whether the study's filter, if there is one, has a set to keep the state in at a design."""
+        try:
+            self.admissible(design)
+        except InputError:
+            return False
+        return True
+
     @cached_property
     def _filters(self) -> dict[bytes, AdmissibleInputs]:
         """The filters of the designs that were asked for."""
@@ -295,7 +312,8 @@ class Evaluation:
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
         """Statistics of the returns of the runs that did not diverge, and the fraction that did."""
         run = scenario.run(policy, design=policy.design, limit=self.problem.limit)
-        return asdict(summarise(run.returns(self.study.objective)[~run.diverged])) | {"diverged": run.diverged.mean()}
+        rewards = run.rewards(self.study.objective)[~run.diverged]
+        return asdict(summarise_returns(rewards, runs=len(run.states))) | {"diverged": run.diverged.mean()}
 
     def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
         """Lower edge, mean and upper edge of the 95 % band of states and inputs, (3, T, ·), for the figures."""
@@ -315,20 +333,11 @@ def common_runs(runs: int) -> slice:
     return slice(None, None, 2 if runs > 1 else 1)
 
 
-def _groups(logs: Sequence[Residuals], window: int, runs: int) -> NDArray[np.int64]:
-    """The group of every disjoint window of logs, in the order of `Replay.disjoint`."""
-    groups = []
-    fresh = runs
-    for log in logs:
-        windows = log.steps // window
-        if runs == 1:
-            groups.append(np.tile(np.arange(windows), log.runs))
-            continue
-        own = np.arange(fresh, fresh + log.runs)
-        if log.runs == runs:  # none was lost: runs have kept their numbers
-            own[common_runs(runs)] = np.arange(runs)[common_runs(runs)]
-        fresh += log.runs
-        groups.append(np.repeat(own, windows))
+def _groups(logs: Sequence[Residuals], runs: int) -> NDArray[np.int64]:
+    """The group of every run of logs: its number where it met the same disturbance in all of them, else its own."""
+    common = np.arange(runs)[common_runs(runs)]
+    groups = [np.where(np.isin(log.numbers, common), log.numbers, (k + 1) * runs + log.numbers)
+              for k, log in enumerate(logs)]  # fmt: skip
     return np.concatenate(groups)
 
 

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
-from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import PairedDifference, Summary, mean_interval, summarise, summarise_returns
+from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
 from ccdtools.studies.report.formatting import percent_interval
@@ -35,6 +34,7 @@ class RedesignStatus(Enum):
     NO_GAIN = "no gain beyond chance"
     DIVERGES = "more of its runs diverge"
     CONTRADICTED = "the updated model says the contrary"
+    UNFILTERED = "the filter finds no set at its design"
 
     @property
     def advice(self) -> str:
@@ -45,6 +45,7 @@ class RedesignStatus(Enum):
             RedesignStatus.NO_GAIN: "Log more runs or a longer one; or the design is as good as the log can tell.",
             RedesignStatus.DIVERGES: "Limit the box of designs to those that keep the plant stable.",
             RedesignStatus.CONTRADICTED: "Deploy longer: the errors and what was learned of them tell two stories.",
+            RedesignStatus.UNFILTERED: "Widen X or U, or leave the filter out: no state can be kept within X for ever.",
         }[self]
 
 
@@ -63,10 +64,11 @@ class RedesignDecision:
     Attributes
     ----------
     gain : PairedDifference
-        Return of the redesign minus that of what is in service, on windows of the logged errors that share no sample,
-        each met through E(p) of its own design.
+        Return of a deployment of the redesign minus that of what is in service: on whole runs of logged errors, each
+        met through E(p) of its own design.
     updated_gain : PairedDifference
-        The same on the updated model with the unexplained rest replayed; NaN where there is none.
+        The same on the updated model with the unexplained rest replayed; NaN where there is none, and where the
+        redesign is not taken anyway.
     needed : float
         Smallest gain for which it is taken: the price.
     size : float
@@ -97,6 +99,8 @@ class RedesignDecision:
     def describe(self, proposed: str) -> str:
         """The decision in one sentence; `proposed` says what was judged."""
         verdict = "taken" if self.accepted else f"not taken, {self.reason()}"
+        if self.status is RedesignStatus.UNFILTERED:
+            return f"{proposed} {verdict}"
         return f"{proposed} {verdict}: it promised {self.promise()} on the logged errors at a price of {self.price}; " \
                f"nominal model {self.nominal_before:.4g} → {self.nominal_after:.4g}"  # fmt: skip
 
@@ -127,13 +131,17 @@ def judge_redesign(
     evaluation: Evaluation, candidate: InService, current: InService, logs: Sequence[Residuals],
     twin: DigitalTwin | None = None,
 ) -> RedesignDecision:  # fmt: skip
-    """The decision between a redesign and what is in service, both on the same windows of the logged errors.
+    """The decision between a redesign and what is in service, both on the same whole runs of logged errors.
 
-    It is taken only for a gain whose 95 % interval excludes zero and that exceeds the study's price of a redesign (a
-    tenth of a per cent if the policy alone changes), and if the updated model of `twin` does not deny it beyond chance.
+    Each goes from the start of a run to its end, through states of its own: in a window that begins within a run the
+    cost of a start that neither has earned can outweigh everything else. Both stand behind the study's filter. It is
+    taken only for a gain whose 95 % interval excludes zero and that exceeds the study's price of a redesign (a tenth
+    of a per cent if the policy alone changes), and if the updated model of `twin` does not deny it beyond chance.
     Relative prices are of the larger of the returns on the logged errors and on the nominal model: a log with hardly
     any disturbance says little, and the return on it is small; a part of that would move a design for nothing.
     """
+    if not evaluation.can_serve(candidate.design):
+        return _unfiltered(evaluation, candidate, current)
     logged, labels = evaluation.on_logs(logs)
     nominal = evaluation.on_model(())
     before, after = (_run(evaluation, choice, logged) for choice in (current, candidate))
@@ -144,17 +152,20 @@ def judge_redesign(
     part = logged.steps / nominal.steps
     sizes = [abs(nominal_before) * part, abs(float(own.mean())) if len(own) else 0.0]
     size = max(s for s in sizes if np.isfinite(s))
-    moved = not same_design(evaluation.problem.design, candidate.design, current.design)
+    moved = _moved(evaluation, candidate, current)
     price = evaluation.study.price if moved else _price_of_a_policy(evaluation.study.price, size, part)
     needed = price.of(size, part)
-    updated = _updated_gain(evaluation, candidate, current, twin)
-    status = _status(gain, updated, needed, safe=after.diverged.mean() <= before.diverged.mean())
+    status = _status(gain, needed, safe=after.diverged.mean() <= before.diverged.mean())
+    updated = _no_gain()
+    if status is RedesignStatus.TAKEN:
+        updated = _updated_gain(evaluation, candidate, current, twin)
+        status = RedesignStatus.CONTRADICTED if updated.ci95[1] < 0 else status
     return RedesignDecision(gain, updated, needed, size, nominal_before, nominal_after, moved, status, str(price))
 
 
 def promised(evaluation: Evaluation, choice: InService, logs: Sequence[Residuals]) -> Summary:
     """Predicted return of a deployment: on the newest log's errors from end to end, or before any on the model."""
-    scenario = evaluation.whole_log(logs[-1]) if logs else evaluation.nominal_deployment()
+    scenario = evaluation.on_model(logs) if logs else evaluation.nominal_deployment()
     run = _run(evaluation, choice, scenario)
     rewards = run.rewards(evaluation.study.objective)[~run.diverged]
     return summarise_returns(rewards, runs=len(run.states))
@@ -165,21 +176,38 @@ def same_design(space: DesignSpace, one: Array, other: Array) -> bool:
     return bool(np.abs(space.to_unit(one) - space.to_unit(other)).max() <= SAME_DESIGN)
 
 
+def _moved(evaluation: Evaluation, candidate: InService, current: InService) -> bool:
+    """Whether a candidate has another design than what is in service."""
+    return not same_design(evaluation.problem.design, candidate.design, current.design)
+
+
+def _unfiltered(evaluation: Evaluation, candidate: InService, current: InService) -> RedesignDecision:
+    """The decision on a design at which the study's filter has no set to keep the state in."""
+    nan = float("nan")
+    return RedesignDecision(
+        _no_gain(), _no_gain(), nan, nan, nan, nan, _moved(evaluation, candidate, current), RedesignStatus.UNFILTERED,
+        str(evaluation.study.price),
+    )  # fmt: skip
+
+
 def _price_of_a_policy(price: RedesignPrice, size: float, part: float) -> RedesignPrice:
     """What a policy alone must bring: a tenth of a per cent, or the price of a redesign if that is less."""
     own = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
     return own if own.of(size, part) <= price.of(size, part) else price
 
 
-def _status(gain: PairedDifference, updated: PairedDifference, needed: float, *, safe: bool) -> RedesignStatus:
-    """What becomes of a redesign with that gain."""
+def _status(gain: PairedDifference, needed: float, *, safe: bool) -> RedesignStatus:
+    """What becomes of a redesign with that gain on the logged errors."""
     if not safe:
         return RedesignStatus.DIVERGES
     if not (gain.ci95[0] > 0 or 0 < gain.mean < needed):
         return RedesignStatus.NO_GAIN
-    if not (gain.mean > needed):
-        return RedesignStatus.BELOW_PRICE
-    return RedesignStatus.CONTRADICTED if updated.ci95[1] < 0 else RedesignStatus.TAKEN
+    return RedesignStatus.TAKEN if gain.mean > needed else RedesignStatus.BELOW_PRICE
+
+
+def _no_gain() -> PairedDifference:
+    """A gain that was not looked at."""
+    return PairedDifference(np.nan, (np.nan, np.nan))
 
 
 def _updated_gain(
@@ -187,7 +215,7 @@ def _updated_gain(
 ) -> PairedDifference:
     """Candidate minus current on the updated model with its innovations replayed; NaN without a twin."""
     if twin is None or twin.discrepancy is None:
-        return PairedDifference(np.nan, (np.nan, np.nan))
+        return _no_gain()
     scenario, labels = evaluation.on_updated_logs(twin)
     after, before = (_run(evaluation, choice, scenario) for choice in (candidate, current))
     return _clustered(evaluation, after, before, labels)
@@ -196,28 +224,25 @@ def _updated_gain(
 def _clustered(
     evaluation: Evaluation, after: Trajectory, before: Trajectory, labels: NDArray[np.int64]
 ) -> PairedDifference:
-    """Mean difference of the returns, over groups of windows that met the same disturbance or stood in one run.
-
-    Windows of a single long run follow each other in time; their rewards make one correlated series.
-    """
+    """Mean difference of the returns, over groups of runs that met the same disturbance; of one, that of its series."""
     kept = ~(after.diverged | before.diverged)
     objective = evaluation.study.objective
-    difference = (after.rewards(objective) - before.rewards(objective))[kept]
-    _, group, sizes = np.unique(labels[kept], return_inverse=True, return_counts=True)
-    means = np.zeros((len(sizes), difference.shape[1]))
-    np.add.at(means, group, difference / sizes[group, None])
-    if evaluation.study.real.runs > 1 or not len(means):
-        summary = summarise(means.sum(axis=1))
-        return PairedDifference(summary.mean, summary.ci95)
-    series = mean_interval(means.ravel())
-    length = means.shape[1]
-    return PairedDifference(length * series.mean, (length * series.ci95[0], length * series.ci95[1]))
+    rewards = (_grouped(run.rewards(objective)[kept], labels[kept]) for run in (after, before))
+    return paired_returns(*rewards, runs=evaluation.study.real.runs)
+
+
+def _grouped(rewards: Array, labels: NDArray[np.int64]) -> Array:
+    """Mean rewards (groups, T) of the runs (n, T) with the same label."""
+    _, group, sizes = np.unique(labels, return_inverse=True, return_counts=True)
+    means = np.zeros((len(sizes), rewards.shape[1]))
+    np.add.at(means, group, rewards / sizes[group, None])
+    return means
 
 
 def _run(evaluation: Evaluation, choice: InService, scenario: Scenario) -> Trajectory:
-    """Closed-loop runs of a policy and its design."""
-    policy = LearnedPolicy(choice.agent, choice.design)
-    return scenario.run(policy, design=choice.design, limit=evaluation.problem.limit)
+    """Closed-loop runs of a policy and its design, as they would be in service."""
+    controller = evaluation.in_service(choice.agent, choice.design)
+    return scenario.run(controller, design=choice.design, limit=evaluation.problem.limit)
 
 
 def _mean_return(evaluation: Evaluation, choice: InService, scenario: Scenario) -> float:

@@ -88,7 +88,10 @@ class LoopStages:
             return self._co_designed(first, InService(first.agent, first.design), twin, None)
         doubt = doubt_of(twin, problem.state_scale)
         limited = trust.limits(doubt)
-        training, judge = updated_problem(problem, twin), replay_problem(problem, twin.logs, self.evaluation.window)
+        region = within(problem, current.design, trust.radius) if limited else problem
+        window, before = self.evaluation.training_episode(twin.logs, region.design)
+        training = updated_problem(problem, twin, window, warm_up=before)
+        judge = replay_problem(problem, twin.logs, window, warm_up=before)
         if limited:  # only now: a log may be from outside the region
             training, judge = (within(one, current.design, trust.radius) for one in (training, judge))
         result = codesign(

@@ -19,7 +19,7 @@ from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
-from ccdtools.statistics import PairedDifference, paired_difference
+from ccdtools.statistics import PairedDifference, paired_returns
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.replay import Replay, replay_problem
 from ccdtools.twin.residuals import Residuals, residuals
@@ -45,7 +45,7 @@ class OnlineConfig:
     held_out : float
         Last fraction of every part of the log, on which a candidate is judged.
     judged : int
-        Largest number of replay windows of that judgement; no two share a sample.
+        Largest number of runs of that judgement, where several are deployed.
     training : CoDesignConfig
         Of the candidate; the design is frozen, whatever its `design_rate`, as the plant is built.
     """
@@ -72,7 +72,8 @@ class OnlineUpdate(Immutable):
     after : int
         Samples logged before it.
     gain : PairedDifference
-        Candidate minus policy in service, on replays of the held-out stretch.
+        Return of the candidate minus that of the policy in service on the held-out parts: of a run, or of all held-out
+        stretches of a single one.
     accepted : bool
         Whether the interval of the gain lies above zero.
     """
@@ -151,7 +152,8 @@ def deploy_and_update(
 
     After a stretch, the errors of the nominal model along all stretches so far are replayed as disturbances. A
     candidate is trained on the first part of every stretch and goes into service only if its paired return on the
-    rest is better: the interval of the difference excludes zero.
+    rest is better: the interval of the difference excludes zero. Of a single run both are replayed from the start of
+    every stretch, so that what is judged begins in states of their own; several runs are judged from their own starts.
 
     Parameters
     ----------
@@ -185,7 +187,8 @@ class _Service:
     Attributes
     ----------
     train, test : list of Residuals
-        Errors of every part of the log: what candidates are trained on, and what they are judged on.
+        Errors of every part of the log: what candidates are trained on, and what they are judged on. Of a single run,
+        `test` holds whole stretches, of which only the last part is judged.
     """
 
     def __init__(
@@ -232,8 +235,13 @@ class _Service:
         if min(first.steps, rest.steps) < self.config.window:
             return False
         self.train.append(first)
-        self.test.append(rest)
+        self.test.append(rest if self._several else residuals(self.problem.model, piece))
         return True
+
+    @property
+    def _several(self) -> bool:
+        """Whether more than one run is deployed."""
+        return len(self.whole.x0) > 1
 
     def _update(self) -> None:
         """Train a candidate, and put it into service if it is better on what it was not trained on."""
@@ -248,18 +256,24 @@ class _Service:
         self.agent = candidate if accepted else self.agent
 
     def _gain(self, candidate: ActorCritic) -> PairedDifference:
-        """Candidate minus policy in service, on replays of the held-out parts."""
-        window = self.config.window
+        """Candidate minus policy in service, on replays of the held-out parts; NaN where more of its runs diverge."""
         split = ErrorSplit(self.problem.model, self.problem.state_scale)
-        x0, w = Replay(tuple(self.test), split).disjoint(window)
-        chosen = self.rng.permutation(len(x0))[: self.config.judged]
+        logs = self.test if self._several else _equally_long(self.test)
+        x0, w = Replay(tuple(logs), split).whole()
+        chosen = self.rng.permutation(len(x0))[: self.config.judged] if self._several else np.arange(len(x0))
         scenario = Scenario(split.replayed_model, x0[chosen], w[chosen])
-        returns = []
-        for agent in (candidate, self.agent):
-            controller = served(agent, self.design, self.admissible)
-            run = scenario.run(controller, design=self.design, limit=self.problem.limit)
-            returns.append(run.returns(self.problem.objective))
-        return paired_difference(*returns)
+        counted = scenario.steps if self._several else round(self.config.held_out * scenario.steps)
+        after, before = (
+            scenario.run(served(agent, self.design, self.admissible), design=self.design, limit=self.problem.limit)
+            for agent in (candidate, self.agent)
+        )
+        if after.diverged.mean() > before.diverged.mean():
+            return PairedDifference(np.nan, (np.nan, np.nan))
+        kept = ~(after.diverged | before.diverged)
+        rewards = [run.rewards(self.problem.objective)[kept, -counted:] for run in (after, before)]
+        if not self._several:
+            rewards = [own.reshape(1, -1) for own in rewards]
+        return paired_returns(*rewards, runs=len(self.whole.x0))
 
 
 def served(agent: ActorCritic, design: Array, admissible: AdmissibleInputs | None) -> Controller:
@@ -277,6 +291,12 @@ def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
         return errors.part(slice(None, cut), slice(None)), errors.part(slice(cut, None), slice(None))
     cut = steps - round(held_out * steps)
     return errors.part(slice(None), slice(None, cut)), errors.part(slice(None), slice(cut, None))
+
+
+def _equally_long(logs: Sequence[Residuals]) -> list[Residuals]:
+    """The logs without their first steps, as long as the shortest: stretches of a run differ by one step at most."""
+    shortest = min(log.steps for log in logs)
+    return [log.part(slice(None), slice(log.steps - shortest, None)) for log in logs]
 
 
 def possible_updates(runs: int, steps: int, config: OnlineConfig) -> int:

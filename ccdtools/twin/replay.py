@@ -69,22 +69,21 @@ class Replay(Immutable):
             w.append(entering[run[:, None], start[:, None] + np.arange(steps)])
         return np.concatenate(x0), np.concatenate(w)
 
-    def disjoint(self, steps: int) -> tuple[Array, Array]:
-        """Initial states (n, nx) and errors (n, steps, ·) of windows that share no sample: independent evidence.
+    def whole(self) -> tuple[Array, Array]:
+        """First states (n, nx) and all errors (n, T, ·) of every run: what a controller is judged on.
+
+        From there on a loop goes through states of its own. A window within a run would start where another loop was,
+        and what that start costs is no part of what a design earns.
 
         Raises
         ------
         InputError
-            If no logged run is as long as `steps`.
+            If the logs are not equally long.
         """
-        self._require(steps)
-        x0 = []
-        w = []
-        for errors, entering in zip(self.logs, self._entering):
-            whole = errors.steps // steps * steps
-            x0.append(errors.x[:, :whole:steps].reshape(-1, errors.x.shape[2]))
-            w.append(entering[:, :whole].reshape(-1, steps, entering.shape[2]))
-        return np.concatenate(x0), np.concatenate(w)
+        lengths = {errors.steps for errors in self.logs}
+        if len(lengths) > 1:
+            raise InputError("logs", f"runs of {min(lengths)} to {max(lengths)} steps", "logs of one length")
+        return np.concatenate([errors.x[:, 0] for errors in self.logs]), np.concatenate(self._entering)
 
     def _require(self, steps: int) -> None:
         """Raise an `InputError` unless some logged run is as long as `steps`."""
@@ -94,7 +93,9 @@ class Replay(Immutable):
             raise InputError("steps", steps, f"at most {longest}, the length of the longest logged run")
 
 
-def replay_problem(problem: CoDesignProblem, errors: Sequence[Residuals], window: int) -> CoDesignProblem:
+def replay_problem(
+    problem: CoDesignProblem, errors: Sequence[Residuals], window: int, *, warm_up: int = 0
+) -> CoDesignProblem:
     """The nominal model driven by logged errors, as they would be at whichever design.
 
     An error logged at p is split into E(p) ŵ and a rest r; at a design q it is E(q) ŵ + r, so that the scenarios are
@@ -106,35 +107,44 @@ def replay_problem(problem: CoDesignProblem, errors: Sequence[Residuals], window
     errors : Residuals, or a sequence of them
         What a `DigitalTwin` keeps of its logs: `twin.logs`.
     window : int
-        Length of an episode; at most that of the longest logged run.
+        Steps that count in an episode; with `warm_up` at most those of the longest logged run.
+    warm_up : int
+        Steps before them that do not count: an episode starts where the log was, and these bring each design and
+        policy to a state of its own.
 
     Raises
     ------
     InputError
-        If an argument is of another kind, or no logged run is as long as `window`.
+        If an argument is of another kind, or no logged run is as long as `window` and `warm_up`.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    steps = as_count("window", window) + as_count("warm_up", warm_up, least=0)
     split = ErrorSplit(problem.model, problem.state_scale)
     return replace(
-        problem, model=split.replayed_model, scenarios=Replay(errors, split), steps=window, discrepancy=None
+        problem, model=split.replayed_model, scenarios=Replay(errors, split), steps=steps, warm_up=warm_up,
+        discrepancy=None,
     )  # fmt: skip
 
 
-def updated_problem(problem: CoDesignProblem, twin: DigitalTwin) -> CoDesignProblem:
+def updated_problem(
+    problem: CoDesignProblem, twin: DigitalTwin, window: int | None = None, *, warm_up: int = 0
+) -> CoDesignProblem:
     """`problem` on the updated model: nominal + median, its unexplained rest replayed from the logs.
 
-    Episodes start where the log was; the width of the quantiles is penalised.
+    Episodes start where the log was; the width of the quantiles is penalised. `window` and `warm_up` as for
+    `replay_problem`; by default an episode is that of the problem, or as long as the shortest log.
 
     Raises
     ------
     InputError
-        If the twin has learned nothing yet.
+        If the twin has learned nothing yet, or no logged run is as long as `window` and `warm_up`.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
     if twin.discrepancy is None:
         raise InputError("twin", "one without a discrepancy", "one after `update`")
     logs = twin.innovations()
-    steps = min(problem.steps, min(log.steps for log in logs))
+    window = min(problem.steps, min(log.steps for log in logs)) if window is None else as_count("window", window)
+    steps = window + as_count("warm_up", warm_up, least=0)
     discrepancy = replace(twin.discrepancy, noise="replayed")
-    return replace(problem, discrepancy=discrepancy, scenarios=Replay(logs), steps=steps)
+    return replace(problem, discrepancy=discrepancy, scenarios=Replay(logs), steps=steps, warm_up=warm_up)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_floats, as_instance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
@@ -26,6 +26,8 @@ class Residuals(Immutable):
         Design of the log.
     e_next : (n, T, nx) array
         e⁺ = x⁺ − A(p) x − B(p) u, at the measured state.
+    numbers : (n,) int array
+        Of the runs in their deployment, where some that diverged have been left out; 0, 1, … by default.
     """
 
     e: Array
@@ -33,11 +35,16 @@ class Residuals(Immutable):
     u: Array
     p: Array
     e_next: Array
+    numbers: ArrayField = None
 
     def __post_init__(self) -> None:
         for name in ("e", "x", "u", "p", "e_next"):
             value = getattr(self, name)
             object.__setattr__(self, name, frozen(as_floats(name, value)))
+        numbers = np.arange(self.runs) if self.numbers is None else np.asarray(self.numbers)
+        if numbers.shape != (self.runs,):
+            raise InputError("numbers", f"shape {numbers.shape}", f"({self.runs},), one per run")
+        object.__setattr__(self, "numbers", frozen(numbers))
 
     def __repr__(self) -> str:
         return f"Residuals({self.runs} runs of {self.steps} steps, {self.x.shape[2]} states)"
@@ -54,7 +61,8 @@ class Residuals(Immutable):
 
     def part(self, runs: slice, steps: slice) -> Residuals:
         """A stretch of the log."""
-        return replace(self, **{name: getattr(self, name)[runs, steps] for name in ("e", "x", "u", "e_next")})
+        columns = {name: getattr(self, name)[runs, steps] for name in ("e", "x", "u", "e_next")}
+        return replace(self, **columns, numbers=self.numbers[runs])
 
     def carried(self, T: Array) -> Residuals:
         """The same log with its errors e and e⁺ carried to another design by T (nx, nx)."""
@@ -85,7 +93,7 @@ def residuals(model: LinearModel, log: Trajectory) -> Residuals:
     u = log.inputs[kept]
     e_next = x[:, 1:] - x[:, :-1] @ A.T - u @ B.T
     e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
-    return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next)
+    return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
 
 
 def check_log(model: LinearModel, log: Trajectory) -> None:

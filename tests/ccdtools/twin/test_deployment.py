@@ -11,7 +11,7 @@ import torch
 from ccdtools import InputError, LearnedPolicy, deploy, simulate
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.controllers.controllers import Passive
-from ccdtools.statistics import paired_difference
+from ccdtools.statistics import paired_returns
 from ccdtools.twin.deployment import OnlineConfig, deploy_and_update
 from ccdtools.twin.replay import Replay, replay_problem
 from ccdtools.twin.residuals import residuals
@@ -92,42 +92,49 @@ def test_every_window_of_every_stretch_can_be_drawn(illustrative, log):
     assert counts.min() > 3000 / 15 * 0.6
 
 
-def test_disjoint_windows_use_every_sample_at_most_once(illustrative, log):
+def test_whole_runs_begin_where_the_log_began_and_meet_all_of_its_errors(illustrative, log):
     r = residuals(illustrative.model, log)
-    two, one, short = (slice(0, 2), slice(0, 25)), (slice(2, 3), slice(10, 45)), (slice(3, 4), slice(0, 9))
-    replay = Replay(tuple(r.part(*stretch) for stretch in (two, one, short)))
-    x0, w = replay.disjoint(10)
-    windows = [(0, 0), (0, 10), (1, 0), (1, 10), (2, 10), (2, 20), (2, 30)]
-    np.testing.assert_array_equal(x0, [r.x[i, k] for i, k in windows])
-    np.testing.assert_array_equal(w, [r.e_next[i, k : k + 10] for i, k in windows])
-    with pytest.raises(InputError, match="steps: got 36, expected at most 35"):
-        replay.disjoint(36)
+    one, three = r.part(slice(0, 1), slice(None)), r.part(slice(1, 4), slice(None))
+    x0, w = Replay((three, one)).whole()
+    np.testing.assert_array_equal(x0, log.states[[1, 2, 3, 0], 0])
+    np.testing.assert_array_equal(w, r.e_next[[1, 2, 3, 0]])
+    with pytest.raises(InputError, match="logs: got runs of 20 to 50 steps, expected logs of one length"):
+        Replay((r, r.part(slice(0, 1), slice(0, 20)))).whole()
 
 
-def test_a_candidate_is_judged_on_independent_windows(illustrative, clone, monkeypatch):
-    # Overlapping windows would repeat the same samples and shrink the interval: of equal policies in truth,
-    # far more than one in twenty would then be "better".
+def test_runs_keep_their_numbers_where_others_were_lost(illustrative, log):
+    lost = replace(log, diverged_at=np.array([-1, 3, -1, -1]))
+    np.testing.assert_array_equal(residuals(illustrative.model, lost).numbers, [0, 2, 3])
+    np.testing.assert_array_equal(residuals(illustrative.model, lost).part(slice(1, 3), slice(None)).numbers, [2, 3])
+    with pytest.raises(InputError, match="numbers: got shape"):
+        replace(residuals(illustrative.model, log), numbers=np.arange(3))
+
+
+def test_a_candidate_is_judged_on_held_out_samples_as_one_series_or_on_held_out_runs(illustrative, clone, monkeypatch):
+    """Blocks of one run would count what is correlated as independent."""
     training_gives(monkeypatch, clone(illustrative))
     judged = []
 
-    def spy(a, b):
-        judged.append(len(a))
-        return paired_difference(a, b)
+    def spy(a, b, *, runs):
+        judged.append((a.shape, runs))
+        return paired_returns(a, b, runs=runs)
 
-    monkeypatch.setattr("ccdtools.twin.deployment.paired_difference", spy)
-    deployed(illustrative, clone(illustrative), runs=1, steps=600)  # 60 of every 200 samples are held out
-    assert judged == [3, 6]
+    monkeypatch.setattr("ccdtools.twin.deployment.paired_returns", spy)
+    deployed(illustrative, clone(illustrative), runs=1, steps=601)  # 60 of every 200 samples are held out
+    assert judged == [((1, 60), 1), ((1, 120), 1)]
     judged.clear()
-    deployed(illustrative, clone(illustrative), runs=1, steps=600, config=replace(ONLINE, judged=4))
-    assert judged == [3, 4]
+    deployed(illustrative, clone(illustrative), runs=15, steps=40, config=replace(ONLINE, judged=3))
+    assert judged == [((2, 40), 15), ((3, 40), 15)]
 
 
-def test_one_window_is_no_evidence(illustrative, clone, monkeypatch):
-    training_gives(monkeypatch, clone(illustrative))
-    config = replace(ONLINE, updates=1, window=30)
-    done = deployed(illustrative, weakened(clone(illustrative)), runs=1, steps=240, config=config)
-    assert np.isnan(done.updates[0].gain.ci95).all()
-    assert not done.updates[0].accepted
+def test_a_candidate_that_loses_a_run_has_no_gain(illustrative, clone, monkeypatch):
+    """Rewards end where a run is lost, so that a sum over the last part would flatter it."""
+    wild = weakened(clone(illustrative), -20.0)
+    training_gives(monkeypatch, wild)
+    wild.action_scale.mul_(1e6)
+    done = deployed(illustrative, clone(illustrative), runs=1, steps=600)
+    assert done.updates
+    assert all(np.isnan(update.gain.mean) and not update.accepted for update in done.updates)
 
 
 def test_a_replay_longer_than_the_log_is_refused(illustrative, log):
@@ -186,12 +193,12 @@ def test_an_update_is_accepted_exactly_when_its_interval_lies_above_zero(illustr
         assert [u.accepted for u in done.updates] == [u.gain.ci95[0] > 0 for u in done.updates]
 
 
-def weakened(agent):
-    """The same agent with half its gain."""
+def weakened(agent, factor=0.5):
+    """The same agent with half its gain, or so many times it."""
     weak = copy.deepcopy(agent)
     with torch.no_grad():
         for parameter in (weak.mean_network.head.weight, weak.mean_network.head.bias, weak.mean_network.skip.weight):
-            parameter.mul_(0.5)
+            parameter.mul_(factor)
     return weak
 
 

@@ -66,7 +66,7 @@ def logged(plant, p, *, runs=20, steps=60, seed=0):
 def test_a_replay_at_another_design_is_the_plant_at_that_design_where_it_equals_the_model(plant):
     light, heavy = logged(plant, LIGHT), logged(plant, HEAVY)
     replayed = replay_problem(problem(plant), [residuals(discretise(plant), light)], 60)
-    x0, w = replayed.scenarios.disjoint(60)
+    x0, w = replayed.scenarios.whole()
     again = simulate(
         replayed.model, LinearFeedback(np.array([[1.0, 1.0]])), x0=x0, steps=60, disturbance=w, design=HEAVY
     )

@@ -1,0 +1,94 @@
+"""How long a replay must run before it shows what a design earns, and not where the log's own loop had left it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.comparison.baselines import saturated_lqr
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.scenario import Scenario
+from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.transport import ErrorSplit
+from mpc import MPCError
+
+NEGLIGIBLE = 0.02  # of the return: what a start may still cost, or save
+LONGEST = 8  # windows that are waited for
+WINDOWS = 64  # that are looked at
+DESIGNS = 9  # of the box
+
+
+def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, space: DesignSpace) -> int:
+    """Steps before a window from which on its return is that of each design's own loop, whichever loop was logged.
+
+    A window starts at a state of the logged loop. Where that costs a design more, or less, than its own states would,
+    and the loop settles slowly, the start outweighs the disturbance. LQR is run over windows of the logged errors at
+    designs all over the box, with more and more steps before them; its return is compared with that after the most.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        On the nominal model.
+    logs : sequence of Residuals
+    window : int
+        Steps that count.
+    space : DesignSpace
+        The designs that matter: the problem's box, or a part of it.
+    """
+    longest = min(LONGEST * window, min(log.steps for log in logs) // 2)
+    split = ErrorSplit(problem.model, problem.state_scale)
+    designs = _designs(space)
+    places = list(_places(logs, longest, window))
+    entering = [split.disturbances(log) for log in logs]
+
+    def returns(before: int) -> Array:
+        """Mean return of every design over the windows after so many steps; NaN where a run diverges."""
+        x0 = np.array([logs[i].x[run, k - before] for i, run, k in places])
+        w = np.array([entering[i][run, k - before : k + window] for i, run, k in places])
+        scenario = Scenario(split.replayed_model, x0, w)
+        return np.array([_return(problem, scenario, design, before) for design in designs])
+
+    settled = returns(longest) if places else np.zeros(0)
+    for before in (0, *_doubled(max(1, window // 4), longest)):
+        away = np.abs(returns(before) - settled) if places else np.zeros(0)
+        if not (away > NEGLIGIBLE * np.abs(settled)).any():
+            return before
+    return longest
+
+
+def _designs(space: DesignSpace) -> Array:
+    """A few designs (n, np) all over the box: the corners where they are few."""
+    spread = space.spread()
+    few = np.arange(DESIGNS) if 2**space.dim < DESIGNS else np.linspace(0, len(spread) - 1, DESIGNS).astype(int)
+    return spread[few]
+
+
+def _return(problem: CoDesignProblem, scenario: Scenario, design: Array, before: int) -> float:
+    """Mean return of saturated LQR after so many steps; NaN if there is no LQR, or a run diverges."""
+    try:
+        controller = saturated_lqr(problem, design)
+    except MPCError:
+        return float("nan")
+    run = scenario.run(controller, design=design, limit=problem.limit)
+    return float("nan") if run.diverged.any() else float(run.rewards(problem.objective)[:, before:].sum(axis=1).mean())
+
+
+def _places(logs: Sequence[Residuals], before: int, window: int) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+    """Log, run and first step of windows spread over all runs, each with room for so many steps before it."""
+    every = [(i, run) for i, log in enumerate(logs) for run in range(log.runs)]
+    some = np.unique(np.linspace(0, len(every) - 1, min(WINDOWS, len(every))).round().astype(int))
+    for i, run in (every[k] for k in some):
+        last = logs[i].steps - window
+        for k in np.unique(np.linspace(before, last, max(1, WINDOWS // len(some))).round().astype(int)):
+            yield i, run, k
+
+
+def _doubled(first: int, last: int) -> Iterator[int]:
+    """The first number, twice that, and so on, below the last."""
+    while first < last:
+        yield first
+        first *= 2
