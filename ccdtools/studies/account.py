@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ccdtools.studies.report.formatting import number, percent_interval, share, with_minus
+from ccdtools.studies.report.formatting import FORMER, number, percent_interval, share, with_minus
 from ccdtools.studies.service import JudgeStatus, ServiceStatus
 
 Values = Mapping[str, Any]
@@ -39,7 +39,10 @@ def account(generation: int, deployed: Values, redesign: Values | None, place: s
     kept = _kept(before, accepted, replaces)
     changed = "changed nothing" if not accepted else "changed the policy only, by updates while deployed"
     if not replaces:
-        changed = f"was worse than the generation before ({_change(delivery)}) and its updates were taken back"
+        worse = ServiceStatus(delivery["status"]).value
+        changed = f"was {worse} than the generation before ({_change(delivery)}) and its updates were taken back"
+        if not accepted:
+            changed = f"was {worse} than the generation before ({_change(delivery)}), though nothing had changed"
     updates = _updates(accepted, deployed["updates"], kept)
     delivered = [f"delivered {_change(delivery)}"] if accepted and replaces else []
     return "; ".join([f"{name} {changed}: {refusal(redesign)}", *delivered, *_judged(delivery), updates])
@@ -61,10 +64,14 @@ def region_line(region: Values) -> str:
 
 def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> str:
     """What a redesign changed and promised, and what it delivered."""
-    decision = next(d for d in redesign["decisions"].values() if d["accepted"])
+    decision = redesign["decisions"][redesign["chosen"]]
     what = f"moved the design to {place}" if decision["moved"] else "changed the policy at the same design"
+    if redesign["chosen"].startswith(FORMER):
+        what = f"returned to {redesign['chosen'].removeprefix(FORMER)}, {place}"
+    gain = decision["gain"]
+    promise = percent_interval(gain["mean"], gain["ci95"], delivery["size"])
     delivered = f"delivered {_change(delivery)} against generation {delivery['former']}"
-    return f"{name} {what}, promised {decision['promise']} and {delivered}"
+    return f"{name} {what}, promised {promise} and {delivered}"
 
 
 def _verdict(delivery: Values) -> list[str]:

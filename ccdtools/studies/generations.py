@@ -123,7 +123,7 @@ class Generations:
         known = state.twin.logs
         found = self._stage(
             f"codesign-{generation}", f"{title}: co-design", self.compute.co_design, state.service, state.twin,
-            state.trust,
+            state.trust, state.history,
         )  # fmt: skip
         deployed = self._stage(
             f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, state.served,
@@ -144,6 +144,7 @@ class Generations:
             f"evaluation-{generation}", f"{title}: evaluation", self.compute.evaluate, designed, known, twin
         )
         tried = InService(found.networks["agent"], found.arrays["design"])
+        record = GenerationRecord(tried, following.service, stayed=deployed.values["delivery"]["replaces"])
         entry = generation_entry(
             generation, self.evaluation, found=found, deployed=deployed, learned=learned, returns=returns,
             design=following.service.design,
@@ -151,7 +152,7 @@ class Generations:
         return replace(
             following, twin=twin, stages=(*state.stages, found, deployed, learned, compared, returns),
             entries=(*state.entries, entry), rows=(*state.rows, *compared.values["rows"]),
-            history=(*state.history, GenerationRecord(tried, following.service)),
+            history=(*state.history, record),
         )  # fmt: skip
 
     def _in_service(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:

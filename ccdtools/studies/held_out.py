@@ -14,7 +14,7 @@ from ccdtools.comparison.comparison import compare
 from ccdtools.scenario import Scenario
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import SOURCES, Step, gains_by_source
-from ccdtools.studies.redesign import InService, same_design
+from ccdtools.studies.redesign import InService, same_design, same_service
 from ccdtools.studies.stage_storage import Stage
 
 MPC_RUNS = 2  # of the held-out runs, those that online MPC sees
@@ -25,11 +25,13 @@ REAL_RUNS = 500  # of a real plant of short runs, those that the gains are measu
 class GenerationRecord:
     """A generation as it was designed, and what was in service after its deployment.
 
-    The start counts as a generation: both are the first policy at the first design.
+    The start counts as a generation: both are the first policy at the first design. `stayed` says whether what was
+    deployed stayed in service.
     """
 
     designed: InService
     after: InService
+    stayed: bool = True
 
 
 def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
@@ -49,6 +51,20 @@ def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
     single = evaluation.study.real.runs == 1
     own = {"deployed drive": deployed} if single else {"real plant": deployed.first(REAL_RUNS)}
     return own | evaluation.held_out
+
+
+def former_services(history: Sequence[GenerationRecord], current: InService) -> dict[str, InService]:
+    """The start, and what was in service after every generation, by name: each once, and not what is in service now.
+
+    What a deployment has shown to fall short is left out.
+    """
+    known = [current, *(record.designed for record in history if not record.stayed)]
+    found: dict[str, InService] = {}
+    for number, record in enumerate(history):
+        if not any(same_service(record.after, one) for one in known):
+            found[f"generation {number}" if number else "the start"] = record.after
+            known.append(record.after)
+    return found
 
 
 def held_out_rows(evaluation: Evaluation, generation: int, service: InService) -> list[dict[str, Any]]:
@@ -79,7 +95,7 @@ def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> lis
     before = first.after
     for generation in history[2:]:
         service = generation.after
-        if _same(service, before):
+        if same_service(service, before):
             continue
         if same_design(evaluation.problem.design, service.design, generation.designed.design):
             steps.append(_learned(evaluation, "redesign", generation.designed))
@@ -115,8 +131,3 @@ def _key(service: InService) -> bytes:
     """Bytes that only the same policy at the same design has."""
     weights = [value.numpy(force=True).tobytes() for value in service.agent.state_dict().values()]
     return b"".join([*weights, np.asarray(service.design, dtype=float).tobytes()])
-
-
-def _same(one: InService, other: InService) -> bool:
-    """Whether two services are the same policy at the same design."""
-    return _key(one) == _key(other)

@@ -171,6 +171,12 @@ def promised(evaluation: Evaluation, choice: InService, logs: Sequence[Residuals
     return summarise_returns(rewards, runs=len(run.states))
 
 
+def same_service(one: InService, other: InService) -> bool:
+    """Whether two services are the same policy at the same design."""
+    weights = zip(one.agent.state_dict().values(), other.agent.state_dict().values())
+    return np.array_equal(one.design, other.design) and all(bool((a == b).all()) for a, b in weights)
+
+
 def same_design(space: DesignSpace, one: Array, other: Array) -> bool:
     """Whether two designs differ by less than a thousandth of the range of every parameter."""
     return bool(np.abs(space.to_unit(one) - space.to_unit(other)).max() <= SAME_DESIGN)

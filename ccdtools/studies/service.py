@@ -17,6 +17,8 @@ from ccdtools.studies.redesign import InService
 from ccdtools.trajectory import Trajectory
 
 ROUNDING = 1e-6  # of the return: smaller differences are none
+FALSE_ALARM = 0.002  # chance that a judge who is right is called wrong in one generation: one per cent in five
+FEWEST_DEGREES = 2  # of freedom in the interval of a single run
 
 
 class ServiceStatus(Enum):
@@ -109,7 +111,8 @@ def judge_deployment(
 
     It does if its return is better beyond chance; or if it is not worse and was asked for: by the judge, to whom it had
     promised a gain beyond its price, where no loss was delivered; or because nothing was redesigned. It does not if
-    more runs diverged.
+    more runs diverged. Where there is no interval (a single run that is short for its correlation, or drifts) nothing
+    can be said beyond that run, and a loss on it is enough for updates, too, to be taken back.
 
     Parameters
     ----------
@@ -139,14 +142,26 @@ def judge_deployment(
 
 
 def _agreement(promised: Summary, returns: Summary) -> JudgeStatus:
-    """How a promise and what was delivered agree: apart if their intervals are."""
+    """How a promise and what was delivered agree: apart where chance would hardly ever part them so far."""
     if np.isfinite(promised.mean) and not np.isfinite(returns.mean):
         return JudgeStatus.LESS
     if not np.isfinite([*promised.ci95, *returns.ci95]).all():
         return JudgeStatus.OPEN
-    if returns.ci95[1] < promised.ci95[0]:
+    if _apart(returns, promised):
         return JudgeStatus.LESS
-    return JudgeStatus.MORE if returns.ci95[0] > promised.ci95[1] else JudgeStatus.AGREED
+    return JudgeStatus.MORE if _apart(promised, returns) else JudgeStatus.AGREED
+
+
+def _apart(lower: Summary, upper: Summary) -> bool:
+    """Whether one mean lies below another by more than chance brings in one of `FALSE_ALARM` comparisons.
+
+    The halves of the 95 % intervals that face each other are those of independent errors; together they are widened
+    from that level to the rarer one, with as many degrees of freedom as the shorter sample has.
+    """
+    degrees = min(s.n - 1 if s.n > 1 else FEWEST_DEGREES for s in (lower, upper))
+    wider = stats.t.ppf(1 - FALSE_ALARM, degrees) / stats.t.ppf(0.975, degrees)
+    half = np.hypot(lower.ci95[1] - lower.mean, upper.mean - upper.ci95[0])
+    return bool(upper.mean - lower.mean > wider * half + ROUNDING * abs(upper.mean))
 
 
 def _change(log: Trajectory, former: Trajectory, own: Array, others: Array) -> tuple[PairedDifference, bool]:
@@ -185,7 +200,8 @@ def _status(change: PairedDifference, floor: float, *, redesigned: bool) -> Serv
         return ServiceStatus.WORSE
     if change.ci95[0] > floor:
         return ServiceStatus.BETTER
-    return ServiceStatus.NOT_BETTER if redesigned and change.mean < -floor else ServiceStatus.NOT_WORSE
+    asked = redesigned or not np.isfinite(change.ci95).all()
+    return ServiceStatus.NOT_BETTER if asked and change.mean < -floor else ServiceStatus.NOT_WORSE
 
 
 def after_deployment(

@@ -15,8 +15,9 @@ from ccdtools.exceptions import InputError
 from ccdtools.progress import Echo
 from ccdtools.studies.account import account, region_line
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.held_out import GenerationRecord, held_out_stage
+from ccdtools.studies.held_out import GenerationRecord, former_services, held_out_stage
 from ccdtools.studies.redesign import InService, RedesignDecision, judge_redesign, promised, same_design
+from ccdtools.studies.report.formatting import FORMER
 from ccdtools.studies.service import Served, judge_deployment, promise_of
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.trust_region import Trust, doubt_of, within
@@ -28,6 +29,8 @@ from ccdtools.twin.replay import replay_problem, updated_problem
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 from learning.warm_start import fit_actor_critic
+
+POLICY_ALONE = "its policy at the present design"
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +75,15 @@ class LoopStages:
                   f"{data.acceptance:.0%} of {config.samples} candidates feasible, {len(data.inputs)} samples imitated"]
         return Stage(values | {"report": report}, networks={"agent": agent})
 
-    def co_design(self, rng: np.random.Generator, current: InService, twin: DigitalTwin, trust: Trust) -> Stage:
+    def co_design(
+        self, rng: np.random.Generator, current: InService, twin: DigitalTwin, trust: Trust,
+        history: Sequence[GenerationRecord] = (),
+    ) -> Stage:  # fmt: skip
         """The first co-design on the nominal model; later ones on the updated model, taken if they are worth it.
 
         A redesign is trained on the median model, with what that leaves unexplained replayed, and judged on replays of
         the logged errors themselves: a model fitted in closed loop can mistake the road for a consequence of the state.
+        Beside it stand the start of the study and what has been in service before: the best of those taken is deployed.
         """
         problem = self.evaluation.problem
         config = self.evaluation.config
@@ -98,31 +105,41 @@ class LoopStages:
             training, agent=current.agent, design=current.design, rng=rng, method=config.method,
             config=config.redesign, judge=judge, progress=self.progress,
         )  # fmt: skip
-        decisions: dict[str, RedesignDecision] = {}
-        chosen = current
-        for name, proposal in self._proposals(result, current).items():
-            decisions[name] = judge_redesign(self.evaluation, proposal, current, twin.logs, twin)
-            if decisions[name].accepted:
-                chosen = proposal
-                break
-        redesign = self._redesign(result, chosen, current, decisions)
+        proposals = self._proposals(result, current, history)
+        decisions = self._judged(proposals, current, twin)
+        taken = [name for name, decision in decisions.items() if decision.accepted]
+        best = max(taken, key=lambda name: decisions[name].gain.mean, default=None)
+        chosen = current if best is None else proposals[best]
+        redesign = self._redesign(result, best, current, decisions)
         redesign["region"] = {"radius": trust.radius if limited else None, **asdict(doubt), "text": doubt.describe()}
         return self._co_designed(result, chosen, twin, redesign)
 
-    def _proposals(self, result: CoDesignResult, current: InService) -> dict[str, InService]:
-        """What is judged, by name: the redesign, and its policy without its design."""
+    def _proposals(
+        self, result: CoDesignResult, current: InService, history: Sequence[GenerationRecord]
+    ) -> dict[str, InService]:
+        """What is judged, by name: the redesign, its policy without its design, the start, and what was in service."""
         proposals = {"redesign": InService(result.agent, result.design)}
         if not same_design(self.evaluation.problem.design, result.design, current.design):
-            proposals["its policy at the present design"] = InService(result.agent, current.design)
-        return proposals
+            proposals[POLICY_ALONE] = InService(result.agent, current.design)
+        return proposals | {FORMER + name: service for name, service in former_services(history, current).items()}
+
+    def _judged(
+        self, proposals: Mapping[str, InService], current: InService, twin: DigitalTwin
+    ) -> dict[str, RedesignDecision]:
+        """The decisions by name; the policy of a redesign is looked at alone only if the redesign is not taken."""
+        decisions: dict[str, RedesignDecision] = {}
+        for name, proposal in proposals.items():
+            if name != POLICY_ALONE or not decisions["redesign"].accepted:
+                decisions[name] = judge_redesign(self.evaluation, proposal, current, twin.logs, twin)
+        return decisions
 
     def _redesign(
-        self, result: CoDesignResult, chosen: InService, current: InService, decisions: Mapping[str, RedesignDecision]
+        self, result: CoDesignResult, chosen: str | None, current: InService, decisions: Mapping[str, RedesignDecision]
     ) -> dict[str, Any]:
-        """What became of a redesign, as plain values."""
+        """What became of a redesign, as plain values; `chosen` names what is deployed in the place of `current`."""
         space = self.evaluation.problem.design
         return {
-            "proposed": space.as_dict(result.design), "accepted": chosen is not current,
+            "proposed": space.as_dict(result.design), "accepted": chosen is not None, "chosen": chosen,
             "from": space.as_dict(current.design), "texts": [d.describe(name) for name, d in decisions.items()],
             "decisions": {name: decision.as_dict() for name, decision in decisions.items()},
         }  # fmt: skip
@@ -175,7 +192,8 @@ class LoopStages:
             promise_of(found.values["promised"]), redesigned=redesign is not None and redesign["accepted"],
         )  # fmt: skip
         updates = [asdict(update) for update in deployment.updates]
-        kept = None if former is None else delivery.judge.kept
+        moved = redesign is not None and redesign["accepted"] and redesign["decisions"][redesign["chosen"]]["moved"]
+        kept = delivery.judge.kept if moved else None  # only a design that moved shows how errors follow the design
         values = {
             "deployed_return": asdict(delivery.returns), "diverged": log.diverged.mean(), "updates": updates,
             "delivery": delivery.as_dict() | {"former": None if former is None else former.generation},

@@ -8,6 +8,7 @@ from typing import Any
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PLACES = {"nominal": "nominal model", "real": "real plant"}
+FORMER = "return to "  # begins the name of a proposal that has been in service before, or is the start
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -38,6 +39,11 @@ def signed_percent(percent: float) -> str:
     """A change in per cent with its sign: "+0.34 %", "−12 %"; what rounds to nothing is "0 %"."""
     text = _rounded(percent)
     return "0 %" if float(text) == 0 else with_minus(f"{'+' if percent > 0 else ''}{text} %")
+
+
+def capitalised(text: str) -> str:
+    """A text with its first letter in upper case, the others as they are."""
+    return text[:1].upper() + text[1:]
 
 
 def percent_interval(mean: float | None, ci95: Sequence[float | None], size: float | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ccdtools.studies.report.formatting import design_text, share, signed_percent
+from ccdtools.studies.report.formatting import FORMER, capitalised, design_text, share, signed_percent
 from ccdtools.studies.report.gains import held_out_phrase
 from ccdtools.studies.report.verdicts import EQUAL, NOT_WORSE, outside_text, percent_of_reference, verdict
 
@@ -22,7 +22,7 @@ def headline(results: Results) -> str:
     parts = [_cost(results, last), held_out_phrase(results), _policy(results, last), *changes]
     text = "; ".join(part for part in parts if part) + "."
     quick = "QUICK run, not a result: " if results["quick"] else ""
-    return quick + (f"{idle}. {text[:1].upper()}{text[1:]}" if idle else text)
+    return capitalised(quick + (f"{idle}. {capitalised(text)}" if idle else text))
 
 
 def _idle(results: Results) -> str:
@@ -142,6 +142,8 @@ def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> 
         return "" if moved else f"{name} left the design where it was"
     if not generation["delivery"]["replaces"]:
         return f"{name} was taken back, because it was worse"
+    if redesign["accepted"] and redesign["chosen"].startswith(FORMER):
+        return f"{name} returned to {redesign['chosen'].removeprefix(FORMER)}"
     if moved:
         return f"{name} moved the design to {design_text(results, generation['design'])}"
     return f"{name} changed the policy only" if redesign["accepted"] or updated else f"{name} changed nothing"

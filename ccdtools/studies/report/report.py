@@ -19,6 +19,7 @@ from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun
 from ccdtools.studies.report.formatting import (
     active_bounds_text,
     axis_label,
+    capitalised,
     design_text,
     duration,
     generation_name,
@@ -67,7 +68,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         "number": lambda value, digits=4: with_minus(number(value, digits)), "minus": with_minus, "share": share,
         "duration": duration, "generation": generation_name,
         "design": lambda design: design_text(run.results, design),
-        "capitalize_first": lambda text: text[:1].upper() + text[1:],
+        "capitalize_first": capitalised,
     }  # fmt: skip
     page = files("ccdtools.studies.report").joinpath("report.html").read_text(encoding="utf-8")
     results = run.results

@@ -12,7 +12,7 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.stage_storage import Stage, jsonable
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
 
 

@@ -49,7 +49,7 @@ def run_with(monkeypatch, path, design, generations=2):
         RedesignStatus.TAKEN, "0.5 %",
     )  # fmt: skip
     monkeypatch.setattr(stages, "judge_redesign", lambda *_: taken)
-    proposal = lambda self, result, current: {"redesign": InService(current.agent, np.array([design]))}  # noqa: E731
+    proposal = lambda self, result, current, history: {"redesign": InService(current.agent, np.array([design]))}  # noqa: E731
     monkeypatch.setattr(stages.LoopStages, "_proposals", proposal)
     config = tiny(configuration(study, quick=True))
     config = replace(config, online=replace(config.online, updates=0))
@@ -92,5 +92,5 @@ def test_the_next_generation_begins_from_what_is_in_service_and_trusts_less(monk
     second, third = results["generations"][1:]
     assert third["delivery"]["former"] == 1
     assert third["redesign"]["from"] == results["generations"][0]["design"]
-    halved = {"as promised": 0.5, "more than promised": 0.25}.get(second["delivery"]["judge"], 0.125)
-    assert second["trust"]["radius"] == halved
+    moved = {"as promised": 0.5, "more than promised": 0.25}.get(second["delivery"]["judge"], 0.125)
+    assert second["trust"]["radius"] == moved

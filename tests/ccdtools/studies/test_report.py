@@ -232,7 +232,7 @@ def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False
                 "mean": -cost, "lqr_mean": -lqr if generation else -start, "diverged": 0.0,
                 "paired_to_lqr": gain}  # fmt: skip
 
-    redesigns = [None, {"accepted": accepted}]
+    redesigns = [None, {"accepted": accepted, "chosen": "redesign" if accepted else None}]
     entries = [
         {"generation": g + 1, "design": {"p": 2.0 if g == 0 or not moved else 3.0}, "redesign": redesigns[g],
          "online_updates": [{"accepted": False}], "account": f"generation {g + 1} did this and that",
@@ -250,26 +250,26 @@ def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False
     [
         (
             outcome(8384, 6425, 6425),
-            "generation 2 did this and that. Real plant: cost −23 % (8384 → 6425), all of it from the design; the "
+            "Generation 2 did this and that. Real plant: cost −23 % (8384 → 6425), all of it from the design; the "
             "learned policy equals LQR.",
         ),
         (
             outcome(100, 80, 72, ends=(7.9, 8.1), accepted=True),
-            "real plant: cost −28 % (100 → 72), −20 % from the design and −8 % from the policy; the learned policy "
+            "Real plant: cost −28 % (100 → 72), −20 % from the design and −8 % from the policy; the learned policy "
             "costs 10 % less than LQR at the same design; generation 2 changed the policy only.",
         ),
         (
             outcome(100, 100.1, 100, accepted=True, moved=True, ends=(-1, 1)),
-            "real plant: cost unchanged within 0.5 % (100 → 100); the learned policy and LQR cannot be told apart on "
+            "Real plant: cost unchanged within 0.5 % (100 → 100); the learned policy and LQR cannot be told apart on "
             "these runs; generation 2 moved the design to p = 3.",
         ),
         (
             outcome(0.0, 0.0, 0.004, ends=(-0.005, -0.003)),
-            "generation 2 did this and that. Real plant: cost 0.004; LQR at the start design: 0.",
+            "Generation 2 did this and that. Real plant: cost 0.004; LQR at the start design: 0.",
         ),
         (
             outcome(100, 80, 80, accepted=True, replaces=False),
-            "generation 2 did this and that. Real plant: cost −20 % (100 → 80), all of it from the design; the learned "
+            "Generation 2 did this and that. Real plant: cost −20 % (100 → 80), all of it from the design; the learned "
             "policy equals LQR.",
         ),
     ],
