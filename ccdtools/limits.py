@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_array, as_floats, as_instance, as_names
 from ccdtools.exceptions import InputError
-from ccdtools.statistics import paired_difference
+from ccdtools.statistics import mean_interval, paired_difference
 from invariant_sets import Polytope
 
 FLAT = 1e-9  # of the range of a row over the box around X: below this, X has no width along the row
@@ -168,15 +168,18 @@ def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[
     return Excursions((depth > 0).mean(axis=1), depth.mean(axis=1), depth.max(axis=1), exceeded)
 
 
-def further_outside(own: Excursions, other: Excursions) -> bool:
+def further_outside(own: Excursions, other: Excursions, *, stretches: bool = False) -> bool:
     """Whether runs leave X deeper, or more often, than those of another controller under the same disturbances.
+
+    With `stretches` they are consecutive stretches of one run, and their differences a correlated series.
 
     The 95 % interval of the paired difference excludes zero, and the difference matters: more than 0.01 half-widths of
     the peak depth or 0.01 of the states, and more than a twentieth of what the other controller does.
     """
     for measure in ("peak", "fraction"):
         reference = getattr(other, measure)
-        difference = paired_difference(getattr(own, measure), reference)
+        values = getattr(own, measure)
+        difference = mean_interval(values - reference) if stretches else paired_difference(values, reference)
         needed = max(FURTHER, FURTHER_PART * float(reference.mean())) if len(reference) else np.inf
         if difference.ci95[0] > 0 and difference.mean > needed:
             return True

@@ -5,6 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from ccdtools import InputError
 from ccdtools.limits import Excursions, StateLimits, depth_outside, excursions, further_outside
@@ -101,3 +102,16 @@ def test_further_outside_needs_a_difference_that_is_certain_and_matters(rng):
     assert further_outside(peaks(noise, 0.2), peaks(noise, 0.1))  # not deeper, but more often
     assert not further_outside(peaks([1.0]), peaks([0.0]))  # a single run is no evidence
     assert not further_outside(peaks([]), peaks([]))
+
+
+def test_stretches_of_one_run_are_one_correlated_series():
+    """Peaks of stretches that wander slowly: as independent values they would be told apart in most of the trials."""
+    told = {True: 0, False: 0}
+    for seed in range(100):
+        steps = np.random.default_rng(seed).standard_normal((2, 60))
+        one, other = (np.abs(0.3 * signal.lfilter([1], [1, -0.9], s)) for s in steps)
+        for stretches in told:
+            told[stretches] += further_outside(peaks(one), peaks(other), stretches=stretches)
+    assert told[True] <= 8 < 15 <= told[False]
+    noise = np.random.default_rng(0).uniform(0, 0.2, 60)
+    assert further_outside(peaks(noise + 0.3), peaks(noise[::-1]), stretches=True)

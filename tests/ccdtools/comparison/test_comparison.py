@@ -123,7 +123,7 @@ def test_the_table_says_how_far_outside_X_and_who_leaves_it_further(illustrative
     assert "<th>depth</th>" in table._repr_html_()
 
 
-def test_the_depth_of_a_single_long_run_is_paired_by_its_blocks(illustrative, controllers):
+def test_the_depth_of_a_single_long_run_is_paired_as_a_correlated_series(illustrative, controllers):
     problem = illustrative.problem()
     w = problem.scenarios.sample(1, 1000, np.random.default_rng(3))[1]
     X = type(problem.X).from_bounds([-0.2, -0.2], [0.2, 0.2])
