@@ -10,6 +10,7 @@ class CoDesignStatus(Enum):
 
     CONVERGED = "converged"
     AT_BOUND = "converged, with the design at a bound"
+    EDGE_OF_TRUST = "converged, with the design at the edge of the trust region"
     STILL_IMPROVING = "still improving"
     BUDGET_SPENT = "budget spent before the design settled"
     GRADIENT_UNTRUSTED = "design gradient untrusted"
@@ -19,7 +20,7 @@ class CoDesignStatus(Enum):
     @property
     def settled(self) -> bool:
         """Whether more iterations are not expected to gain anything."""
-        return self in (CoDesignStatus.CONVERGED, CoDesignStatus.AT_BOUND)
+        return self in (CoDesignStatus.CONVERGED, CoDesignStatus.AT_BOUND, CoDesignStatus.EDGE_OF_TRUST)
 
     @property
     def advice(self) -> str:
@@ -30,6 +31,9 @@ class CoDesignStatus(Enum):
 _ADVICE = {
     CoDesignStatus.CONVERGED: "Nothing to do: the last block gained nothing that matters, and the design is level.",
     CoDesignStatus.AT_BOUND: "Widen the named bounds if the plant allows it: the return still rises across them.",
+    CoDesignStatus.EDGE_OF_TRUST: (
+        "Deploy it, and let another generation follow: a redesign that keeps its promise may go further next time."
+    ),
     CoDesignStatus.STILL_IMPROVING: "Raise CoDesignConfig.iterations: the last block still gained significantly.",
     CoDesignStatus.BUDGET_SPENT: "Raise CoDesignConfig.iterations: the return still rises along the design.",
     CoDesignStatus.GRADIENT_UNTRUSTED: (

@@ -68,6 +68,8 @@ def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> st
     what = f"moved the design to {place}" if decision["moved"] else "changed the policy at the same design"
     if redesign["chosen"].startswith(FORMER):
         what = f"returned to {redesign['chosen'].removeprefix(FORMER)}, {place}"
+    elif redesign["region"]["edges"] and decision["moved"]:
+        what = f"{what}, at the edge of the trust region ({', '.join(redesign['region']['edges'])})"
     gain = decision["gain"]
     promise = percent_interval(gain["mean"], gain["ci95"], delivery["size"])
     delivered = f"delivered {_change(delivery)} against generation {delivery['former']}"

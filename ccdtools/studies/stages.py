@@ -20,7 +20,7 @@ from ccdtools.studies.redesign import InService, RedesignDecision, judge_redesig
 from ccdtools.studies.report.formatting import FORMER
 from ccdtools.studies.service import Served, judge_deployment, promise_of
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.studies.trust_region import Trust, doubt_of, within
+from ccdtools.studies.trust_region import Trust, doubt_of, edges, in_whole_box, within
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
@@ -105,13 +105,17 @@ class LoopStages:
             training, agent=current.agent, design=current.design, rng=rng, method=config.method,
             config=config.redesign, judge=judge, progress=self.progress,
         )  # fmt: skip
+        result = in_whole_box(result, region.design, problem.design)
         proposals = self._proposals(result, current, history)
         decisions = self._judged(proposals, current, twin)
         taken = [name for name, decision in decisions.items() if decision.accepted]
         best = max(taken, key=lambda name: decisions[name].gain.mean, default=None)
         chosen = current if best is None else proposals[best]
         redesign = self._redesign(result, best, current, decisions)
-        redesign["region"] = {"radius": trust.radius if limited else None, **asdict(doubt), "text": doubt.describe()}
+        redesign["region"] = {
+            "radius": trust.radius if limited else None, **asdict(doubt), "text": doubt.describe(),
+            "edges": edges(result.design, region.design, problem.design),
+        }  # fmt: skip
         return self._co_designed(result, chosen, twin, redesign)
 
     def _proposals(

@@ -8,6 +8,8 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.studies.report.formatting import share
 from ccdtools.twin.transport import Transport, full_rank
@@ -103,6 +105,19 @@ def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignPr
     return replace(
         problem, model=replace(problem.model, design=DesignSpace(space.names, lower, upper, space.units))
     )  # fmt: skip
+
+
+def edges(design: Array, region: DesignSpace, space: DesignSpace) -> dict[str, str]:
+    """Parameters at a side of a region that is no bound of the whole box, with "lower" or "upper"."""
+    bounds = space.active_bounds(design)
+    return {name: side for name, side in region.active_bounds(design).items() if bounds.get(name) != side}
+
+
+def in_whole_box(result: CoDesignResult, region: DesignSpace, space: DesignSpace) -> CoDesignResult:
+    """A result found in a region as it is to be read in the whole box: its edges are no bounds of the design."""
+    held = result.status is CoDesignStatus.AT_BOUND and edges(result.design, region, space)
+    status = CoDesignStatus.EDGE_OF_TRUST if held else result.status
+    return replace(result, active_bounds=space.active_bounds(result.design), status=status)
 
 
 def _identified(twin: DigitalTwin, scale: Array) -> bool:

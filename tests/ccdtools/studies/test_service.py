@@ -160,20 +160,21 @@ def decision(*, accepted, moved=True):
     return promise | {"accepted": accepted, "moved": moved, "gain": gain}
 
 
-def redesign(*, accepted, moved=True, chosen="redesign"):
+def redesign(*, accepted, moved=True, chosen="redesign", edges=None):
     """The values of a redesign."""
     decisions = dict.fromkeys(("redesign", chosen), decision(accepted=accepted, moved=moved))
-    return {"accepted": accepted, "chosen": chosen if accepted else None, "decisions": decisions}
+    region = {"edges": edges or {}}
+    return {"accepted": accepted, "chosen": chosen if accepted else None, "decisions": decisions, "region": region}
 
 
 def said(status, *, accepted=False, updates=(False, False), judge=JudgeStatus.AGREED, moved=True,
-         chosen="redesign"):  # fmt: skip
+         chosen="redesign", edges=None):  # fmt: skip
     """The account of a generation 3 that was compared with generation 1."""
     delivery = {"former": 1, "status": status.value, "replaces": status.replaces, "judge": judge.value, "size": 50.0,
                 "change": {"mean": -1.0, "ci95": [-1.5, -0.5]}, "promised": {"mean": -40.0}}  # fmt: skip
     values = {"delivery": delivery, "updates": [{"accepted": taken} for taken in updates],
               "deployed_return": {"mean": -51.0}}  # fmt: skip
-    return account(3, values, redesign(accepted=accepted, moved=moved, chosen=chosen), "m = 1 kg")
+    return account(3, values, redesign(accepted=accepted, moved=moved, chosen=chosen, edges=edges), "m = 1 kg")
 
 
 def test_a_generation_that_changed_nothing_says_so_and_why():
@@ -194,6 +195,11 @@ def test_a_redesign_taken_back_says_what_it_promised_and_delivered_and_that_the_
 def test_promised_and_delivered_changes_are_of_one_deployment_in_per_cent_of_one_return():
     """The promise of a redesign is of the deployed return in service, whatever its price was a part of."""
     assert "promised +1 % [+0.5, +1.5] and delivered −2 % [−3, −1]" in said(ServiceStatus.WORSE, accepted=True)
+
+
+def test_a_redesign_that_the_trust_region_holds_back_says_so():
+    text = said(ServiceStatus.BETTER, accepted=True, edges={"m": "upper"})
+    assert text.startswith("generation 3 moved the design to m = 1 kg, at the edge of the trust region (m), promised")
 
 
 def test_a_return_to_the_start_says_so():

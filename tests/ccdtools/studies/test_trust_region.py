@@ -6,8 +6,10 @@ import casadi as ca
 import numpy as np
 
 from ccdtools import DesignSpace, DigitalTwin, Plant, discretise, simulate
+from ccdtools.co_design.result import CoDesignResult, History
+from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import LinearFeedback
-from ccdtools.studies.trust_region import LEAST_RADIUS, Doubt, Trust, doubt_of, within
+from ccdtools.studies.trust_region import LEAST_RADIUS, Doubt, Trust, doubt_of, edges, in_whole_box, within
 from learning.quantile import QuantileConfig
 
 SCALE = np.array([4.0, 4.0])
@@ -88,6 +90,25 @@ def test_the_box_of_a_redesign_is_narrowed_and_stays_within_the_bounds(illustrat
     space = within(problem, np.array([2.9]), 0.25).design
     np.testing.assert_allclose([space.lower, space.upper], [[2.9 - 0.25 * 2.5], [3.0]])
     np.testing.assert_array_equal(within(problem, np.array([2.9]), 1.0).design.lower, problem.design.lower)
+
+
+def test_the_edge_of_the_region_is_no_bound_of_the_design(illustrative, clone):
+    problem = illustrative.problem()
+    space = problem.design
+    region = within(problem, np.array([2.9]), 0.1)
+    at = {"edge": region.design.lower, "bound": region.design.upper, "between": region.design.centre}
+    held = {where: edges(design, region.design, space) for where, design in at.items()}
+    assert held == {"edge": {"p": "lower"}, "bound": {}, "between": {}}
+    history = History(*(np.zeros(1) for _ in range(2)), np.zeros((1, 1)), *(np.zeros(1) for _ in range(3)))
+    found = {where: CoDesignResult(design, clone(illustrative), region.design.active_bounds(design), history, None,
+                                   status=CoDesignStatus.AT_BOUND) for where, design in at.items()}  # fmt: skip
+    read = {where: in_whole_box(result, region.design, space) for where, result in found.items()}
+    assert read["edge"].status is CoDesignStatus.EDGE_OF_TRUST
+    assert read["edge"].active_bounds == {}
+    assert "edge of the trust region" in read["edge"].describe()[0]
+    assert "another generation" in read["edge"].describe()[0]
+    assert read["bound"].status is CoDesignStatus.AT_BOUND
+    assert read["bound"].active_bounds == {"p": "upper"}
 
 
 def test_a_silent_log_leaves_nothing_to_doubt():
