@@ -10,7 +10,7 @@ from ccdtools import Gaussian, InputError, RealPlant, Recorded, Sum, load_study
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import gains_by_source
-from ccdtools.studies.held_out import GenerationRecord, gains_in, places_of, steps_of
+from ccdtools.studies.held_out import GenerationRecord, former_services, gains_in, places_of, steps_of
 from ccdtools.studies.redesign import InService
 from learning.networks import ActorCritic
 
@@ -155,3 +155,15 @@ def test_gains_are_measured_where_it_was_deployed_and_on_what_was_held_out(evalu
     places = places_of(evaluation)
     assert list(places) == ["deployed drive", "fresh draws"]
     np.testing.assert_array_equal(places["deployed drive"].disturbance, evaluation.on_real().disturbance)
+
+
+def test_the_start_and_former_services_are_proposed_once_and_failures_are_not(illustrative, clone):
+    agent = clone(illustrative)
+    at = [InService(agent, np.array([p])) for p in (1.0, 1.5, 2.0, 2.5)]
+    start, first, failed, third = at
+    history = [GenerationRecord(start, start), GenerationRecord(first, first),
+               GenerationRecord(failed, first, stayed=False), GenerationRecord(third, third)]  # fmt: skip
+    assert former_services(history, third) == {"the start": start, "generation 1": first}
+    assert former_services(history[:1], start) == {}
+    returned = [*history, GenerationRecord(start, third, stayed=False)]  # the start has been tried, and has failed
+    assert former_services(returned, third) == {"generation 1": first}
