@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import LearnedPolicy, simulate
+from ccdtools import InputError, LearnedPolicy, simulate
 from ccdtools.co_design import episodes
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import episode, episode_at, fewer_runs, mean_law
@@ -102,3 +102,27 @@ def test_depths_are_in_half_widths_and_differentiable(illustrative, clone):
                                                          (128, 5000, 16), (4, 5000, 4)])  # fmt: skip
 def test_longer_episodes_are_fewer(runs, steps, expected):
     assert fewer_runs(runs, steps) == expected
+
+
+def test_a_warm_up_earns_nothing_and_is_where_the_rest_begins(illustrative, clone):
+    problem, agent = replace(illustrative.problem(), steps=50), clone(illustrative)
+    scenarios = scenario_tensors(problem, 8, np.random.default_rng(0))
+    v = torch.tensor([0.4])
+    with torch.no_grad():
+        whole = episode_at(problem, agent, v, scenarios, depths=True)
+        first = episode_at(problem, agent, v, (scenarios[0], scenarios[1][:, :20]), depths=True)
+        rest = episode_at(replace(problem, warm_up=20), agent, v, scenarios, depths=True)
+    torch.testing.assert_close(rest.total, whole.total - first.total)
+    torch.testing.assert_close(rest.outside * 30, whole.outside * 50 - first.outside * 20)
+    with pytest.raises(InputError, match="warm_up: got 50, expected less than 50"):
+        replace(problem, warm_up=50)
+
+
+def test_a_run_lost_in_the_warm_up_keeps_its_cost(illustrative, clone):
+    problem, agent = replace(illustrative.problem(), steps=50), clone(illustrative)
+    x0, w = scenario_tensors(problem, 2, np.random.default_rng(0))
+    x0[0] *= 1e6
+    with torch.no_grad():
+        seen = episode_at(replace(problem, warm_up=20), agent, torch.tensor([0.4]), (x0, w))
+    assert seen.diverged.tolist() == [True, False]
+    assert seen.total[0] < 1e6 * seen.total[1] < 0
