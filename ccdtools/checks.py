@@ -14,6 +14,9 @@ import numpy as np
 
 from ccdtools.arrays import Array, frozen
 from ccdtools.exceptions import InputError
+from invariant_sets import Polytope
+from invariant_sets import exceptions as sets
+from invariant_sets.system_checks import as_set
 
 LONGEST = 60  # characters of a value in a message
 TOLERANCES = ("mpc", "off")  # of the state limits, in words
@@ -180,6 +183,16 @@ def as_instance(argument: str, value: Any, kind: type | tuple[type, ...], expect
     if not isinstance(value, kind):
         raise InputError(argument, shown(value), expected, cure)
     return value
+
+
+def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
+    """The set of limits on `size` numbers, from a Polytope or from bounds as the functions of `invariant_sets` take."""
+    if isinstance(value, Polytope) and value.dim != size:
+        raise InputError(argument, f"dimension {value.dim}", f"{size}, {of}")
+    try:
+        return as_set(value, argument, size)
+    except sets.InputError as error:
+        raise InputError(error.argument, error.got, error.expected, error.cure) from None
 
 
 def as_mapping(argument: str, value: Any, expected: str) -> dict[str, Any]:

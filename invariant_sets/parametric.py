@@ -13,7 +13,7 @@ from invariant_sets.engine.invariance import largest_invariant_set
 from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
-from invariant_sets.system_checks import as_set
+from invariant_sets.system_checks import Set, as_set_or_numbers
 from invariant_sets.tolerances import FELT, GAP, MEMBERSHIP, NEIGHBOUR_MARGIN, TINY
 from invariant_sets.validation import as_batch, as_floats, as_matrix, as_vector, check_count, check_rng, check_tolerance
 
@@ -30,7 +30,7 @@ class ParametricSet:
     matrices : callable
         p (np,) → (A, B) or (A, B, E), arrays (nx, nx), (nx, nu) and (nx, nw).
     X, U : Polytope, or bounds (lower, upper)
-        State and input constraints. Bounds are arrays of one number a coordinate, or numbers for a single one.
+        State and input constraints. A bound is an array of one number a coordinate, or a number for all of them.
     W : Polytope, or bounds (lower, upper), optional
         Disturbance set; the sets are then robust. E is the third matrix, or the identity.
     tol : float
@@ -57,10 +57,10 @@ class ParametricSet:
     """
 
     matrices: Callable[[Array], tuple[Any, ...]]
-    X: Polytope
-    U: Polytope
+    X: Set
+    U: Set
     _: KW_ONLY
-    W: Polytope | None = None
+    W: Set | None = None
     tol: float = GAP
     max_iterations: int = 500
     max_facets: int = 1000
@@ -74,11 +74,12 @@ class ParametricSet:
             raise InputError("matrices", type(self.matrices).__name__, "a callable p -> (A, B)")
         for name, value in (("X", self.X), ("U", self.U), ("W", self.W)):
             if value is not None or name != "W":
-                object.__setattr__(self, name, as_set(value, name))
+                object.__setattr__(self, name, as_set_or_numbers(value, name))
         self._options.limits()  # raises where one of them is no proper number
 
     def __repr__(self) -> str:
-        return (f"ParametricSet(nx={self.X.dim}, nu={self.U.dim}, {'robust' if self.W is not None else 'nominal'}, "
+        nx, nu = (S.dim if isinstance(S, Polytope) else "any" for S in (self.X, self.U))
+        return (f"ParametricSet(nx={nx}, nu={nu}, {'robust' if self.W is not None else 'nominal'}, "
                 f"{len(self._results)} designs known)")
 
     @property
@@ -138,12 +139,21 @@ class ParametricSet:
         -------
         bool, or (k,) array of bools
         """
-        states, single = as_batch(x, "x", self.X.dim, finite=False)
+        states, single = as_batch(x, "x", self._states(p), finite=False)
         tol = check_tolerance(tol)
         inside = np.zeros(len(states), bool)
         for design, members in self._groups(p, len(states)):
             inside[members] = self.at(design).contains(states[members], tol)
         return bool(inside[0]) if single else inside
+
+    def _states(self, p: Any) -> int:
+        """Return the number of states: of X, or of the first design where X is two numbers for all of them."""
+        if isinstance(self.X, Polytope):
+            return self.X.dim
+        designs, _ = _designs(p)
+        if not len(designs):
+            raise InputError("p", "no designs", "at least one, where X is two numbers for every state")
+        return self.at(designs[0]).dim
 
     def _groups(self, p: Any, count: int) -> Iterator[tuple[Array, Array]]:
         """Yield every different design and the samples that have it."""
@@ -162,7 +172,8 @@ class ParametricSet:
         n = check_count(n, "n")
         rng = check_rng(rng)
         designs, single = _designs(p)
-        x = np.array([self.at(design).sample(n, rng=rng) for design in designs]).reshape(len(designs), n, self.X.dim)
+        drawn = [self.at(design).sample(n, rng=rng) for design in designs]
+        x = np.array(drawn).reshape(len(designs), n, self._states(p))
         return x[0] if single else x
 
     def volume(self, p: Any) -> Any:

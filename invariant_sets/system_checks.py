@@ -11,7 +11,7 @@ import numpy as np
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
-from invariant_sets.validation import as_floats, as_matrix, brief
+from invariant_sets.validation import as_floats, as_matrix, brief, check_no_truths
 
 Array = np.ndarray
 Set = Polytope | tuple[Any, Any]  # a polytope, or bounds (lower, upper): numbers, or one number a coordinate
@@ -83,8 +83,7 @@ def disturbance_vertices(E: Array | None, W: Polytope | None) -> Array | None:
 def as_set(value: Any, name: str, dim: int | None = None) -> Polytope:
     """Return `value` as a `Polytope` of dimension `dim` (any if None), or raise `InputError`.
 
-    Bounds (lower, upper), each a number or one number a coordinate, become a box. Two numbers hold for every
-    coordinate, and for a single one where `dim` is None.
+    Bounds (lower, upper), each a number or one number a coordinate, become a box; a number holds for every coordinate.
     """
     if isinstance(value, (tuple, list)) and len(value) == 2:
         return _box(value, name, dim)
@@ -96,8 +95,20 @@ def as_set(value: Any, name: str, dim: int | None = None) -> Polytope:
     return value
 
 
+def as_set_or_numbers(value: Any, name: str) -> Set:
+    """Return `value` as a `Polytope`, or as it is where it is two numbers for every coordinate, however many.
+
+    Raises `InputError` for whatever is no set in any dimension.
+    """
+    box = as_set(value, name)
+    open_ = not isinstance(value, Polytope) and all(np.ndim(side) == 0 for side in value)
+    return (float(value[0]), float(value[1])) if open_ else box
+
+
 def _box(value: Any, name: str, dim: int | None) -> Polytope:
     """Return the box of two bounds; errors name the set and the side."""
+    for i, side in enumerate(value):
+        check_no_truths(side, f"{name}[{i}]")
     sides = [as_floats(side, f"{name}[{i}]") for i, side in enumerate(value)]
     n = max(side.size for side in sides) if dim is None else dim
     for i, side in enumerate(sides):

@@ -64,6 +64,8 @@ def as_batch(value: Any, name: str, columns: int, *, finite: bool = True,
 
 def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
     """Return the bounds (n,) of a box, n >= 1, or raise `InputError`; lower <= upper, ±inf is no bound."""
+    check_no_truths(lower, "lower")
+    check_no_truths(upper, "upper")
     lower = as_vector(lower, "lower", finite=False)
     if len(lower) == 0:
         raise InputError("lower", "no bounds", "one for each coordinate")
@@ -79,6 +81,15 @@ def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
         raise InputError("lower", f"{lower[i]:g} above upper, {upper[i]:g}, at index {i}", "lower <= upper",
                          "Exchange them; the empty set is Polytope.empty(n).")
     return lower, upper
+
+
+def check_no_truths(value: Any, name: str) -> None:
+    """Raise `InputError` where a value holds True or False, which would pass for 1 and 0."""
+    if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+        return
+    entries = value if isinstance(value, (tuple, list, np.ndarray)) else (value,)
+    if any(isinstance(entry, (bool, np.bool_)) for entry in entries):
+        raise InputError(name, brief(value), "real numbers, not True or False")
 
 
 def check_finite(array: Array, name: str) -> None:

@@ -8,7 +8,17 @@ from typing import Any, Protocol
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_count, as_floats, as_instance, as_limit_tolerance, as_vector, finite, has_method, shown
+from ccdtools.checks import (
+    as_count,
+    as_floats,
+    as_instance,
+    as_limit_tolerance,
+    as_limits,
+    as_vector,
+    finite,
+    has_method,
+    shown,
+)
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
@@ -84,8 +94,9 @@ class CoDesignProblem(Immutable):
     ----------
     model : LinearModel
         x⁺ = A(p) x + B(p) u + E(p) w.
-    X, U : Polytope
-        State and input limits; both bounded and around 0, U a box. Leaving X is counted, it does not end an episode.
+    X, U : Polytope, or bounds (lower, upper)
+        State and input limits; both bounded and around 0, U a box. Each bound is a number for all coordinates, or one
+        number each. Leaving X is counted, it does not end an episode.
     objective : QuadraticObjective
     scenarios : Scenarios
         Initial states and disturbances of the episodes.
@@ -123,8 +134,8 @@ class CoDesignProblem(Immutable):
         if model.design is None or model.design.dim == 0:
             raise InputError("model", "a model without design parameters", "one of a plant with a DesignSpace")
         _check_widths(model.design)
-        _check_limits("X", self.X, model.nx, "one per state")
-        _check_limits("U", self.U, model.nu, "one per input")
+        object.__setattr__(self, "X", _bounded_limits("X", self.X, model.nx, "one per state"))
+        object.__setattr__(self, "U", _bounded_limits("U", self.U, model.nu, "one per input"))
         if not self.X.contains(np.zeros(model.nx)):
             raise InputError("X", "a set without the origin", "one that holds the state 0, which is regulated to")
         if len(self.U.minimal().b) != 2 * model.nu or (np.count_nonzero(self.U.minimal().A, axis=1) != 1).any():
@@ -229,12 +240,11 @@ def _check_widths(design: DesignSpace) -> None:
         )  # fmt: skip
 
 
-def _check_limits(name: str, limits: Polytope, size: int, of: str) -> None:
-    """Raise an `InputError` unless `limits` is a bounded, nonempty Polytope of that dimension."""
-    as_instance(name, limits, Polytope, "a Polytope", "Use Polytope.from_bounds(lower, upper).")
-    if limits.dim != size:
-        raise InputError(name, f"dimension {limits.dim}", f"{size}, {of}")
+def _bounded_limits(name: str, value: Any, size: int, of: str) -> Polytope:
+    """The limits as a set of that dimension; raise an `InputError` unless it is bounded and not empty."""
+    limits = as_limits(name, value, size, of)
     if limits.is_empty:
         raise InputError(name, "an empty set", "one with at least one point")
     if not np.isfinite(np.concatenate(limits.bounding_box())).all():
         raise InputError(name, "an unbounded set", "a bounded one")
+    return limits

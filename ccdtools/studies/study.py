@@ -16,6 +16,7 @@ from ccdtools.checks import (
     as_count,
     as_instance,
     as_limit_tolerance,
+    as_limits,
     as_mapping,
     as_positive,
     as_vector,
@@ -105,8 +106,9 @@ class Study(Immutable):
     name, title : str
     plant : Plant
         Linear in x, u, w; its design space and sampling time come with it.
-    X, U : Polytope
-        State and input limits; both bounded and around the origin, U a box.
+    X, U : Polytope, or bounds (lower, upper)
+        State and input limits; both bounded and around the origin, U a box. Each bound is a number for all
+        coordinates, or one number each.
     objective : QuadraticObjective
     disturbance : Disturbance
         What the nominal model assumes.
@@ -195,8 +197,8 @@ class Study(Immutable):
             if not isinstance(value, str) or not value.strip() or len(value.splitlines()) > 1:
                 raise InputError(argument, shown(value), "one line of text")
         as_instance("plant", self.plant, Plant, "a ccdtools.Plant")
-        as_instance("X", self.X, Polytope, "a Polytope")
-        as_instance("U", self.U, Polytope, "a Polytope")
+        object.__setattr__(self, "X", as_limits("X", self.X, self.plant.nx, "one per state"))
+        object.__setattr__(self, "U", as_limits("U", self.U, self.plant.nu, "one per input"))
         as_instance("objective", self.objective, QuadraticObjective, "a QuadraticObjective")
         object.__setattr__(self, "steps", as_count("steps", self.steps))
         object.__setattr__(self, "samples", as_count("samples", self.samples))
@@ -220,7 +222,7 @@ class Study(Immutable):
                 raise InputError(argument, "an empty set", "limits with a point between them")
             if not limits.contains(np.zeros(limits.dim)):
                 raise InputError(argument, "a set without the origin", "limits around the point that is regulated to")
-        if self.X.dim == self.plant.nx and not self.X.contains(self.x0):
+        if not self.X.contains(self.x0):
             raise InputError("x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
         self.problem()  # checks dimensions, boundedness, that U is a box, and the sizes of Q and R
 

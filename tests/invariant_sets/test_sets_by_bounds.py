@@ -61,7 +61,6 @@ def test_a_filter_and_a_family_take_bounds():
     assert filtered.project([2.0, 1.0], [3.0]) == expected.project([2.0, 1.0], [3.0])
     family = ParametricSet(lambda p: (A, B * p), X, U)
     assert isinstance(family.X, Polytope)
-    assert family.U.dim == 1  # two numbers are the bounds of one coordinate
     assert family.at([1.0]).equals(maximal_control_invariant_set(A, B, X, U).set)
 
 
@@ -73,6 +72,9 @@ def test_a_filter_and_a_family_take_bounds():
     ((-1, "one"), r"U\[1\]: got str 'one', expected an array of real numbers"),
     ((-1, np.eye(2)), r"U\[1\]: got shape \(2, 2\), expected a number"),
     ((-1, 0, 1), r"U: got \(-1, 0, 1\), expected a Polytope or bounds \(lower, upper\)"),
+    ((False, True), r"U\[0\]: got False, expected real numbers, not True or False"),
+    ((-1, [True]), r"U\[1\]: got \[True\], expected real numbers, not True or False"),
+    ((-1, np.array([True])), r"U\[1\]: got .*True.*, expected real numbers, not True or False"),
     (1.0, r"U: got 1.0, expected a Polytope or bounds \(lower, upper\)"),
     (([], []), r"U\[0\]: got shape \(0,\), expected a number"),
 ])
@@ -83,8 +85,32 @@ def test_wrong_bounds_are_refused_by_name_and_side(bounds, message):
 
 def test_bounds_of_a_family_say_how_many_coordinates_there_are():
     with pytest.raises(InputError, match=r"X: got a set of dimension 1, expected dimension 2"):
-        ParametricSet(lambda p: (A, B), (-1, 1), U).at([1.0])
+        ParametricSet(lambda p: (A, B), ([-1], [1]), U).at([1.0])
     with pytest.raises(InputError, match=r"X\[1\]: got shape \(2,\), expected a number or 3 numbers"):
         ParametricSet(lambda p: (A, B), ([-1, -1, -1], [1, 1]), U)
     with pytest.raises(InputError, match=r"X\[0\]: got no bounds"):
         ParametricSet(lambda p: (A, B), ([], []), U)
+
+
+def test_a_number_holds_for_every_coordinate_of_a_family_as_of_a_single_set(rng):
+    family = ParametricSet(lambda p: (A, B * p), (-1, 1), U, W=(-0.01, 0.01))
+    single = maximal_control_invariant_set(A, B, (-1, 1), U, W=(-0.01, 0.01)).set
+    assert family.at([1.0]).dim == 2
+    assert family.at([1.0]).equals(single)
+    assert family.contains(np.zeros((3, 2)), [1.0]).all()
+    assert family.contains([0.0, 0.0], [1.0])
+    assert family.sample([[1.0], [0.9]], 4, rng=rng).shape == (2, 4, 2)
+    assert "nx=any" in repr(family)
+    with pytest.raises(InputError, match=r"x: got shape \(1, 3\), expected \(2,\)"):
+        family.contains([0.0, 0.0, 0.0], [1.0])
+    with pytest.raises(InputError, match=r"p: got no designs"):
+        family.contains([0.0, 0.0], np.zeros((0, 1)))
+    with pytest.raises(InputError, match=r"X\[0\]: got 1 above upper"):
+        ParametricSet(lambda p: (A, B), (1, -1), U)
+
+
+def test_truths_are_no_bounds_of_a_box():
+    with pytest.raises(InputError, match=r"lower: got False, expected real numbers"):
+        Polytope.from_bounds(False, True)
+    with pytest.raises(InputError, match=r"upper: got \[1.0, True\], expected real numbers"):
+        Polytope.from_bounds([0.0, 0.0], [1.0, True])

@@ -34,12 +34,21 @@ def test_a_redundant_row_leaves_a_box_a_box(illustrative):
     assert isinstance(replace(illustrative.problem(), U=U), CoDesignProblem)
 
 
+def test_limits_of_a_problem_may_be_given_by_their_bounds(illustrative):
+    problem = replace(illustrative.problem(), X=([-10.0, -5.0], [5.0, 2.0]), U=(-1, 1))
+    assert problem.X.equals(Polytope.from_bounds([-10, -5], [5, 2]))
+    assert problem.U.equals(Polytope.from_bounds([-1], [1]))
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"X": Polytope.from_bounds([-1] * 3, [1] * 3)}, "X: got dimension 3, expected 2"),
         ({"U": Polytope.from_bounds([-1] * 2, [1] * 2)}, "U: got dimension 2, expected 1"),
         ({"X": Polytope(np.array([[1.0, 0.0]]), np.array([1.0]))}, "X: got an unbounded set"),
+        ({"X": (-1.0, np.inf)}, "X: got an unbounded set"),
+        ({"U": (False, True)}, r"U\[0\]: got False, expected real numbers, not True or False"),
+        ({"U": 1.0}, r"U: got 1.0, expected a Polytope or bounds \(lower, upper\)"),
         ({"objective": QuadraticObjective(np.eye(3), [[1]])}, r"Q: got shape \(3, 3\), expected \(2, 2\)"),
         ({"objective": QuadraticObjective(np.eye(2), np.eye(2))}, r"R: got shape \(2, 2\), expected \(1, 1\)"),
         ({"steps": 0}, "steps: got 0, expected a whole number, at least 1"),
