@@ -14,6 +14,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_names, as_number, as_vector
 from ccdtools.exceptions import InputError
 
+SAME_DESIGN = 1e-3  # of the range of every parameter: two designs that differ by less are one
 MAX_CORNERS = 10  # parameters of which every combination of bounds is looked at
 INTERIOR = 64  # seeded points inside the box, beside its centre and corners
 

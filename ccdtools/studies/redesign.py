@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
-from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.design_space import SAME_DESIGN, DesignSpace
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.studies.evaluation import Evaluation
@@ -23,7 +23,6 @@ from ccdtools.twin.twin import DigitalTwin
 from learning.networks import ActorCritic
 
 WORTH_A_POLICY = 0.001  # a policy costs nothing to build: it is replaced for a gain of this fraction of the return
-SAME_DESIGN = 1e-3  # of the range of each parameter
 
 
 class RedesignStatus(Enum):

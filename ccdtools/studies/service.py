@@ -11,12 +11,11 @@ import numpy as np
 from scipy import stats
 
 from ccdtools.arrays import Array
-from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
+from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.studies.evaluation import common_runs
 from ccdtools.studies.redesign import InService
 from ccdtools.trajectory import Trajectory
 
-ROUNDING = 1e-6  # of the return: smaller differences are none
 FALSE_ALARM = 0.002  # chance that a judge who is right is called wrong in one generation: one per cent in five
 FEWEST_DEGREES = 2  # of freedom in the interval of a single run
 
@@ -137,7 +136,7 @@ def judge_deployment(
     size = abs(float(others[~former.diverged].sum(axis=1).mean()))
     change, paired = _change(log, former, rewards, others)
     lost = _more_diverged(log, former, everywhere=redesigned or not paired)
-    status = ServiceStatus.DIVERGED if lost else _status(change, ROUNDING * size, redesigned=redesigned)
+    status = ServiceStatus.DIVERGED if lost else _status(change, SAME_RETURN * size, redesigned=redesigned)
     return Delivery(returns, promised, judge, change, paired, size, status)
 
 
@@ -161,7 +160,7 @@ def _apart(lower: Summary, upper: Summary) -> bool:
     degrees = min(s.n - 1 if s.n > 1 else FEWEST_DEGREES for s in (lower, upper))
     wider = stats.t.ppf(1 - FALSE_ALARM, degrees) / stats.t.ppf(0.975, degrees)
     half = np.hypot(lower.ci95[1] - lower.mean, upper.mean - upper.ci95[0])
-    return bool(upper.mean - lower.mean > wider * half + ROUNDING * abs(upper.mean))
+    return bool(upper.mean - lower.mean > wider * half + SAME_RETURN * abs(upper.mean))
 
 
 def _change(log: Trajectory, former: Trajectory, own: Array, others: Array) -> tuple[PairedDifference, bool]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ccdtools.plants.design_space import SAME_DESIGN
 from ccdtools.studies.report.formatting import FORMER, capitalised, design_text, share, signed_percent
 from ccdtools.studies.report.gains import held_out_phrase
 from ccdtools.studies.report.verdicts import EQUAL, NOT_WORSE, outside_text, percent_of_reference, verdict
 
 Results = Mapping[str, Any]
 SMALL_PART = 0.02  # of a whole: a part below it goes unmentioned
-SAME_DESIGN = 1e-3  # of the range of a design parameter
 
 
 def headline(results: Results) -> str:
