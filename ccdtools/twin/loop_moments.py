@@ -30,8 +30,7 @@ from learning.quantile import QuantileNetwork
 
 RUNS = 300  # simulated side by side, from logged samples
 STEPS = 80  # of each,
-SETTLING = 20  # of which the first are left out, and
-EVERY = 3  # of the others one in so many is looked at: they are correlated
+SETTLING = 20  # of which the first are left out
 ROUNDS = 1  # of the mean's moves: where the regression is linear in truth, the first is the last
 RUNAWAY = 10.0  # times the largest logged state: draws that go further are not in the loop of the log
 
@@ -116,4 +115,4 @@ class _Loop:
             x = x @ A.T + u @ B.T + error[:, : x.shape[1]].double().numpy()
             if not (np.abs(x) <= RUNAWAY * np.abs(self.x).max(axis=0)).all():
                 return None
-        return np.concatenate(reached[SETTLING::EVERY])
+        return np.concatenate(reached[SETTLING:])
