@@ -39,7 +39,7 @@ class Climb:
         self._average = average
         self._left = length
         self._counted = counted
-        self._look_at = look
+        self._look = look
         self._lowest = average.first
         self._value = float("inf")
         self._new = False  # whether the lowest point has not been looked at
@@ -51,7 +51,8 @@ class Climb:
         with np.errstate(all="ignore"), contextlib.suppress(_StoppedError):
             minimize(self, self._average.first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         self._average.put(self._lowest)
-        self._look()
+        if self._new:
+            self._look()
 
     def __call__(self, z: Array) -> tuple[float, Array]:
         """Cost and gradient (m,), as parts of the return."""
@@ -65,12 +66,7 @@ class Climb:
             self._lowest = z.copy()
         if self._counted() or self._left == 0:
             self._average.put(self._lowest)
+            self._new = False
             if self._look():
                 raise _StoppedError
         return value, gradient
-
-    def _look(self) -> bool:
-        """Let the lowest point, in place, be looked at if it is a new one; whether that ends the climb."""
-        new = self._new
-        self._new = False
-        return new and self._look_at()
