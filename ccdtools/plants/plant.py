@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_flag, as_instance, as_names, as_positive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
@@ -140,11 +141,33 @@ class Plant:
 
     def stepper(self, p, *, batch: int) -> Callable:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,), for batches of n = `batch`."""
+        if batch == 1 and min(self.nu, self.nw, np.size(p)) > 0:
+            return self._single_step(p)
         if batch < NATIVE_BATCH:
             native = self.step
             return lambda x, u, w: np.asarray(native(x.T, u.T, w.T, p), dtype=float).T
         vectorised = self._vectorised_step
         return lambda x, u, w: vectorised(x, u, w, p)
+
+    def _single_step(self, p: Array) -> Callable:
+        """`stepper` for one run, through a buffer: a call of CasADi costs more than what it computes here."""
+        made: Any = self.step.buffer()
+        buffer, evaluate = made
+        arguments = [*(np.zeros(size) for size in (self.nx, self.nu, self.nw)), np.array(p, dtype=float).ravel()]
+        result = np.zeros(self.nx)
+        views: list[Any] = [memoryview(array) for array in (*arguments, result)]  # type: ignore[arg-type]
+        for i, view in enumerate(views[:-1]):
+            buffer.set_arg(i, view)
+        buffer.set_res(0, views[-1])
+
+        def step(*given: Array, owner: Any = buffer) -> Array:
+            """x⁺ (1, nx) of x (1, nx), u (1, nu) and w (1, nw); it keeps the owner of the memory alive."""
+            for argument, value in zip(arguments, given):
+                argument[:] = value[0]
+            evaluate()
+            return result[None].copy()
+
+        return step
 
     @cached_property
     def _vectorised_step(self) -> Vectorised:

@@ -1,5 +1,6 @@
 """Plants: integration, and declarations that make no sense."""
 
+import gc
 from dataclasses import replace
 
 import casadi as ca
@@ -106,6 +107,15 @@ def test_small_and_large_batches_agree(n, rng):
     single = plant.stepper(one([1.2]), batch=1)
     rows = np.concatenate([single(x[i : i + 1], u[i : i + 1], w[i : i + 1]) for i in range(n)])
     np.testing.assert_allclose(whole, rows, rtol=1e-13, atol=1e-14)
+
+
+def test_the_stepper_of_one_run_is_the_step_itself_and_outlives_its_plant(rng):
+    x, u, w = (rng.standard_normal((1, size)) for size in (2, 1, 1))
+    single = pendulum().stepper(one([1.2]), batch=1)
+    gc.collect()
+    first = single(x, u, w)
+    single(-x, u, w)
+    np.testing.assert_array_equal(first, np.asarray(pendulum().step(x.T, u.T, w.T, [1.2])).T)
 
 
 @pytest.mark.parametrize("n", [1, 3, 20])
