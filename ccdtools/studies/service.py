@@ -46,7 +46,7 @@ class ServiceStatus(Enum):
 class JudgeStatus(Enum):
     """How a promise and what was delivered agree."""
 
-    AGREED = "as promised"
+    AGREED = "within chance"
     MORE = "more than promised"
     LESS = "less than promised: the judge was wrong"
     OPEN = "too few runs to tell"

@@ -92,5 +92,5 @@ def test_the_next_generation_begins_from_what_is_in_service_and_trusts_less(monk
     second, third = results["generations"][1:]
     assert third["delivery"]["former"] == 1
     assert third["redesign"]["from"] == results["generations"][0]["design"]
-    moved = {"as promised": 0.5, "more than promised": 0.25}.get(second["delivery"]["judge"], 0.125)
+    moved = {"within chance": 0.5, "more than promised": 0.25}.get(second["delivery"]["judge"], 0.125)
     assert second["trust"]["radius"] == moved

@@ -94,7 +94,7 @@ def test_a_single_run_is_compared_block_by_block():
 )
 def test_the_judge_is_wrong_where_the_delivered_interval_lies_below_the_promised_one(cost, judge):
     assert verdict(log(cost, spread=0.0 if cost == 1 else 0.5), None).judge is judge
-    assert judge.kept == {"as promised": True, "more than promised": None}.get(judge.value, False)
+    assert judge.kept == {"within chance": True, "more than promised": None}.get(judge.value, False)
 
 
 def test_a_judge_who_is_right_is_called_wrong_in_one_deployment_of_five_hundred():
