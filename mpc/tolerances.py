@@ -155,11 +155,18 @@ ZERO_ROW = 1e-10
 """Normal of a multiplier or slack law, relative to what the size of the variables allows, below which it is zero [-];
 for its constant, ten times as much."""
 
-DEPENDENT_ROW = 1e-10
+DEPENDENT_ROW = 1e-12
 """Squared distance of a unit row from the span of others below which it depends on them [-]."""
+
+REFINED_ROW = 1e-5
+"""The same, below which the multipliers are refined by what their rows miss [-]."""
 
 EXCHANGE = 1e-9
 """Least coefficient of a dependent row on a member of the active set that can leave for it [-]."""
+
+EXCLUDED = 1e4
+"""Size of the variables, in units of the bounds, up to which a proof of infeasibility holds though its rows are rounded
+[-]."""
 
 DUPLICATE = 1e-9
 """Difference of two unit rows below which only the tighter of them is kept [-]."""
@@ -203,6 +210,10 @@ INSETS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 
 CROSSING = 1e-5
 """Distance behind a facet at which the QP is solved to find the neighbour, scaled parameters [-]."""
+
+THIN = 1e-6
+"""Radius of the ball found in a region below which the region is thinner than CROSSING, scaled parameters [-]: the ball
+is within a factor 20 of the largest."""
 
 TIE = 1e-8
 """Shift of the bounds that decides between active sets which are optimal together, in units of the bounds [-]."""

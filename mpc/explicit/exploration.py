@@ -9,6 +9,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.explicit.kernels.data import DONE, FULL, KNOWN, LOST, QUEUED, ROWS, Facets, Graph, QPData
+from mpc.explicit.openings import OnlineQP, points_beyond
 from mpc.explicit.partition import Ints, MPQPStatus
 from mpc.explicit.redundant_rows import irredundant_rows
 from mpc.explicit.scaled_qp import ScaledQP
@@ -39,7 +40,7 @@ class Found(NamedTuple):
     """Outcome of an exploration: facets [a, b] of region r in rows[offsets[r] : offsets[r + 1]], scaled.
 
     qp : the problem explored, perhaps without rows that the others imply; active sets are numbers of its rows.
-    centres : a point in each region.
+    centres : a point in each region; uncovered : facets beyond which a feasible parameter lies in no region.
     """
 
     status: MPQPStatus
@@ -48,6 +49,7 @@ class Found(NamedTuple):
     rows: Array
     offsets: Ints
     centres: Array
+    uncovered: int = 0
 
 
 def explore_compiled(qp: ScaledQP, limits: Limits) -> Found:
@@ -64,7 +66,7 @@ def explore_compiled(qp: ScaledQP, limits: Limits) -> Found:
             status = MPQPStatus.TIME_LIMIT
         elif search.should_be_thinned:
             search = search.thinned_out(limits.deadline)
-        elif search.done == search.queued and not search.looks_again():
+        elif search.done == search.queued and not search.looks_across(limits.deadline) and not search.looks_again():
             status = MPQPStatus.INACCURATE if search.has_lost_parameters() else MPQPStatus.COMPLETE
     most = max(first, search, key=lambda s: s.done) if status in _LIMITED else search
     return most.found(status)
@@ -78,6 +80,7 @@ class _Search:
         self.thinned = False
         self.thinned_for_speed = False
         self.portion = 64
+        self.beyond: list[tuple[int, Array]] = []
         self._state(qp)
         self.graph, self.facets = _room(len(qp.M), self.parameters)
 
@@ -86,6 +89,7 @@ class _Search:
         self.qp = qp
         self.parameters = qp.D.shape[1] - 1
         self.data = QPData(qp.M, qp.D, qp.tie, qp.gram, qp.TA, qp.Tb)
+        self.online: OnlineQP | None = None
 
     @property
     def done(self) -> int:
@@ -108,21 +112,64 @@ class _Search:
             if self._seed(_SEEDS) == 0 or self.queued:
                 break
 
+    def looks_across(self, deadline: float) -> bool:
+        """Solve the QP beyond the facets that led nowhere; True when that leads to regions, or the deadline is past."""
+        still = np.flatnonzero(self.facets.open[: self.graph.counts[ROWS]])
+        offsets = self.facets.offsets[: self.done + 1]
+        for facet, r in zip(still, np.searchsorted(offsets, still, side="right") - 1):
+            if self.queued > self.done or time.perf_counter() > deadline:
+                return True
+            self.facets.open[facet] = False
+            self._look_beyond(int(facet), slice(offsets[r], offsets[r + 1]))
+        return self.queued > self.done
+
+    def _look_beyond(self, facet: int, own: slice) -> None:
+        """Queue the active sets beyond one facet of a region, which owns these rows; note points that stay without."""
+        self.online = self.online or OnlineQP(self.qp)
+        for point in points_beyond(self.facets.rows[own], facet - own.start, self.qp):
+            if self._covers(point):
+                continue
+            opening = self.online.at(point)
+            for act in opening.candidates:
+                self._consider(act)
+            if opening.feasible:
+                self.beyond.append((facet, point))
+
+    def _consider(self, act: tuple[int, ...]) -> None:
+        """Queue an active set if it has a region and was not met before."""
+        from mpc.explicit.kernels.exploration import consider
+
+        while self.graph.counts[KNOWN] + 1 >= len(self.graph.masks):
+            self._grow_sets()
+        members = np.zeros((1, len(self.qp.M)), dtype=np.uint8)
+        members[0, list(act)] = 1
+        consider(self.data, self.graph, _masks(members, self.graph.masks.shape[1])[0])
+
+    def _covers(self, point: Array) -> bool:
+        """Whether a point lies in a region that is done."""
+        rows = self.facets.rows[: self.graph.counts[ROWS]]
+        excess = rows[:, :-1] @ point - rows[:, -1]
+        return bool(np.maximum.reduceat(excess, self.facets.offsets[: self.done]).min() <= INSIDE)
+
     def looks_again(self) -> bool:
         """Solve the QP at random parameters, and queue regions that no facet has led to; True when there are any."""
+        from mpc.explicit.kernels.exploration import look_at
+
         count = min(4 + self.done // 8, 2000)
-        while self.graph.counts[KNOWN] + 4 * count >= len(self.graph.masks):
+        while self.graph.counts[KNOWN] + 8 * count >= len(self.graph.masks):
             self._grow_sets()
         self._seed(count)
+        look_at(self.data, self.graph, self.rng.uniform(-1, 1, size=(count, self.parameters)))
         return self.queued > self.done
 
     def has_lost_parameters(self) -> bool:
-        """Whether a feasible parameter whose own active set has no region lies in no other region either."""
-        lost = self.graph.lost[: self.graph.counts[LOST]]
-        rows = self.facets.rows[: self.graph.counts[ROWS]]
-        starts = self.facets.offsets[: self.done]
-        excess = (np.maximum.reduceat(rows[:, :-1] @ t - rows[:, -1], starts).min() for t in lost)
-        return any(least > INSIDE for least in excess)
+        """Whether a feasible parameter that led to no region lies in none: a random one, or one beyond a facet."""
+        return self.uncovered > 0 or any(not self._covers(t) for t in self.graph.lost[: self.graph.counts[LOST]])
+
+    @property
+    def uncovered(self) -> int:
+        """Number of facets beyond which a feasible parameter lies in no region."""
+        return len({facet for facet, point in self.beyond if not self._covers(point)})
 
     def _seed(self, count: int) -> int:
         """Queue the active sets at random parameters; the number of these that were feasible."""
@@ -195,7 +242,7 @@ class _Search:
         """Twice the room for facets if that is scarce, else for active sets."""
         facets = self.facets
         if self.graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
-            self.facets = facets._replace(rows=_longer(facets.rows))
+            self.facets = facets._replace(rows=_longer(facets.rows), open=_longer(facets.open))
         else:
             self._grow_sets()
 
@@ -220,7 +267,7 @@ class _Search:
         sets = [tuple(int(i) for i in np.flatnonzero(row)) for row in bits]
         rows = self.facets.rows[: self.graph.counts[ROWS]].copy()
         offsets = self.facets.offsets[: self.done + 1].copy()
-        return Found(status, self.qp, sets, rows, offsets, self.facets.centres[: self.done].copy())
+        return Found(status, self.qp, sets, rows, offsets, self.facets.centres[: self.done].copy(), self.uncovered)
 
 
 def _room(m: int, n: int, capacity: int = _CAPACITY) -> tuple[Graph, Facets]:
@@ -231,7 +278,8 @@ def _room(m: int, n: int, capacity: int = _CAPACITY) -> tuple[Graph, Facets]:
         counts=np.zeros(5, dtype=np.int64), lost=np.zeros((_LOST, n)), tied=np.zeros(m, dtype=bool),
     )  # fmt: skip
     rows = np.empty((_FACETS * capacity, n + 1))
-    return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), rows, np.empty((capacity, n)))
+    is_open = np.zeros(len(rows), dtype=bool)
+    return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), rows, np.empty((capacity, n)), is_open)
 
 
 def _longer(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

@@ -21,6 +21,7 @@ from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.partition import Ints, MPQPStatus, Partition
 from mpc.explicit.scaled_qp import ScaledQP, scale_parameters, scale_qp
 from mpc.parametric_qp import ParametricQP
+from mpc.tolerances import THIN
 
 __all__ = ["MPQPStatus", "Partition", "solve_mpqp"]
 
@@ -33,9 +34,10 @@ def solve_mpqp(
 
     Explores the graph whose nodes are optimal active sets and whose edges change one constraint, from facet to facet;
     where the rows of a neighbour are dependent one constraint is exchanged, where hyperplanes coincide every
-    combination is tried, and where the algebra finds no neighbour the QP is solved just across the facet. At the end
-    the QP is solved at random parameters: an active set not met before is explored too. Where several active sets are
-    optimal on one region, redundant rows are left out and a symbolic perturbation decides: regions do not overlap.
+    combination is tried, and where the algebra finds no neighbour the QP is solved just across the facet. A facet that
+    still led nowhere is looked across by the checked online solver. At the end the QP is solved at random parameters.
+    An active set not met before is explored too. Where several active sets are optimal on one region, redundant rows
+    are left out and a symbolic perturbation decides: regions do not overlap.
 
     Parameters
     ----------
@@ -53,7 +55,8 @@ def solve_mpqp(
     Returns
     -------
     Partition
-        Its status says whether it is complete. Regions in which the law fails its check are left out: INACCURATE.
+        Its status says whether it is complete. Regions in which the law fails its check are left out: INACCURATE,
+        as where a feasible parameter beyond a facet lies in no region (`uncovered` counts these facets).
 
     Raises
     ------
@@ -91,11 +94,17 @@ def solve_mpqp(
     H, h = qp.unscale_rows(found.rows)
     sets = tuple(tuple(sorted(int(i) for i in (*equalities, *qp.origin[list(act)]))) for act in found.active_sets)
     duration = time.perf_counter() - start
-    return Partition(problem, found.status, sets, H, h, found.offsets, in_units(qp, law), qp.centre, qp.half, duration)
+    return Partition(
+        problem, found.status, sets, H, h, found.offsets, in_units(qp, law), qp.centre, qp.half, duration,
+        found.uncovered,
+    )  # fmt: skip
 
 
 def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:
-    """The regions whose law holds, their active sets as rows of `qp`, and the laws; INACCURATE where one does not."""
+    """The regions whose law holds, their active sets as rows of `qp`, and the laws; INACCURATE where one does not.
+
+    A region thinner than the distance at which facets are looked across leaves no hole that would be found.
+    """
     position = np.searchsorted(qp.origin, found.qp.origin)
     sets = [tuple(int(i) for i in position[list(act)]) for act in found.active_sets]
     law, holds = checked_laws(qp, sets, found.centres)
@@ -103,12 +112,20 @@ def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:
         return found._replace(active_sets=sets), law
     sizes = np.diff(found.offsets)
     right = np.flatnonzero(holds)
-    status = MPQPStatus.INACCURATE if found.status is MPQPStatus.COMPLETE else found.status
+    missed = any(not _is_thin(found, int(r)) for r in np.flatnonzero(~holds))
+    status = MPQPStatus.INACCURATE if missed and found.status is MPQPStatus.COMPLETE else found.status
     kept = Found(
         status, qp, [sets[r] for r in right], found.rows[np.repeat(holds, sizes)],
         np.concatenate([[0], np.cumsum(sizes[right])]), found.centres[right],
+        found.uncovered,
     )  # fmt: skip
     return kept, law[right]
+
+
+def _is_thin(found: Found, r: int) -> bool:
+    """Whether the ball in a region is smaller than THIN; a centre that lies outside says nothing."""
+    rows = found.rows[found.offsets[r] : found.offsets[r + 1]]
+    return bool(0.0 <= (rows[:, -1] - rows[:, :-1] @ found.centres[r]).min() < THIN)
 
 
 def _explorer(compiled: bool) -> Callable[[ScaledQP, Limits], Found]:

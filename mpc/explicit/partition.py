@@ -61,6 +61,9 @@ class Partition:
         Scaling θ = centre + half * t that takes the parameter set into [-1, 1]; H * half has unit rows.
     solve_time : float
         Wall time [s].
+    uncovered : int
+        Facets beyond which a feasible parameter was found that lies in no region: 0 unless the status is INACCURATE
+        or a limit was met.
     """
 
     problem: ParametricQP
@@ -73,6 +76,7 @@ class Partition:
     centre: Array
     half: Array
     solve_time: float
+    uncovered: int = 0
 
     def __post_init__(self) -> None:
         for name in ("H", "h", "offsets", "law", "centre", "half"):
@@ -100,7 +104,8 @@ class Partition:
         return len(self.active_sets)
 
     def __repr__(self) -> str:
-        return f"Partition({len(self)} regions, {self.status.name}, {1e3 * self.solve_time:.1f} ms)"
+        holes = f", holes beyond {self.uncovered} facets" if self.uncovered else ""
+        return f"Partition({len(self)} regions, {self.status.name}{holes}, {1e3 * self.solve_time:.1f} ms)"
 
     def multipliers(self, region: int) -> Array:
         """Multiplier law (m, nt + 1) of one region: λ = law [θ; 1], zero for inactive rows.

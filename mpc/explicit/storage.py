@@ -47,7 +47,8 @@ def save_explicit(law: PiecewiseLaw, path: Path) -> tuple[Path, Path]:
         "format": _FORMAT, "fingerprint": _fingerprint(data), "regions": len(partition),
         "status": partition.status.name, "tree_status": law.tree.status.name, "nu": problem.nu,
         "parameters": [list(p) for p in problem.parameters], "constant_cost": problem.c,
-        "solve_time": partition.solve_time, "labels": [list(label) for label in problem.labels],
+        "solve_time": partition.solve_time, "uncovered": partition.uncovered,
+        "labels": [list(label) for label in problem.labels],
     }  # fmt: skip
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -190,6 +191,7 @@ def _assemble(text: dict[str, Any], data: Arrays) -> LawParts:
     ends = np.cumsum(data["member_counts"])
     partition = Partition(
         problem=problem, status=MPQPStatus[text["status"]], solve_time=float(text["solve_time"]),
+        uncovered=int(text.get("uncovered", 0)),
         active_sets=tuple(tuple(part.tolist()) for part in np.split(data["members"], ends)[:-1]),
         **{name: data[f"partition_{name}"] for name in _PARTITION},
     )  # fmt: skip

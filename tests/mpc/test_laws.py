@@ -12,7 +12,7 @@ from mpc import LinearMPC, MPQPStatus, solve_mpqp
 from mpc.explicit.exploration import Limits, _Search, explore_compiled
 from mpc.explicit.kernels.data import DEPENDENT, FULL, LOST, QPData
 from mpc.explicit.laws import checked_laws, in_units
-from mpc.explicit.mpqp import _without_wrong_laws
+from mpc.explicit.mpqp import _is_thin, _without_wrong_laws
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 
 UNLIMITED = Limits(10_000, np.inf)
@@ -125,6 +125,16 @@ def test_a_region_whose_law_does_not_hold_is_left_out_and_the_status_says_so(exp
     facets = [found.rows[a:b] for r, (a, b) in enumerate(zip(found.offsets[:-1], found.offsets[1:])) if r != 3]
     np.testing.assert_array_equal(kept.rows, np.vstack(facets))
     assert in_units(qp, law).shape == (len(law), qp.back.shape[0], 3)
+
+
+def test_only_a_region_that_holds_a_small_ball_alone_is_thin(explored):
+    _, found = explored
+    assert not any(_is_thin(found, r) for r in range(len(found.active_sets)))
+    narrow = found.rows.copy()
+    own = slice(found.offsets[3], found.offsets[4])
+    for room, thin in ((5e-7, True), (2e-6, False), (-1e-3, False)):
+        narrow[own, -1] = narrow[own, :-1] @ found.centres[3] + room
+        assert _is_thin(found._replace(rows=narrow), 3) is thin
 
 
 def test_a_feasible_parameter_in_no_region_is_reported(explored):

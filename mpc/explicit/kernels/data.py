@@ -50,12 +50,14 @@ class Graph(NamedTuple):
 class Facets(NamedTuple):
     """Facets of the regions done: region r owns rows[offsets[r] : offsets[r + 1]], each [a, b] for a't <= b.
 
-    centres : a point inside each region.
+    centres : a point inside each region; open : facets inside the parameter set beyond which neither a region was found
+    nor infeasibility proven.
     """
 
     offsets: Ints
     rows: Array
     centres: Array
+    open: np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class RegionData(NamedTuple):

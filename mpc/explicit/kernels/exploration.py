@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 
 from mpc.explicit.kernels.data import DEPENDENT, DONE, FLAT, FULL, KNOWN, LOST, QUEUED, ROWS, RegionData
-from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind, project
+from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind, margin_at, project
 from mpc.explicit.kernels.region import gram_factor, gram_solve, optimal_at, optimal_set, region_rows
-from mpc.tolerances import EXCHANGE, INSETS, PROJECTION, SAME_PLANE, TIE
+from mpc.tolerances import EXCHANGE, EXCLUDED, INSETS, PROJECTION, SAME_PLANE, TIE
 
 FINISHED, GROW, PAUSED = 0, 1, 2  # why the exploration returned
 _MARGIN = 0.1  # distance from the other facets, scaled parameters, that a point behind a facet keeps where it can
@@ -149,7 +149,7 @@ def explore(qp, graph, facets, budget):
         store(facets, counts, region)
         for number in range(count):
             if kept[number] < m:  # not the border of the parameter set
-                cross(qp, graph, region, number)
+                facets.open[facets.offsets[counts[DONE] - 1] + number] = not cross(qp, graph, region, number)
     return FINISHED
 
 
@@ -161,6 +161,7 @@ def store(facets, counts, region):
         for j in range(n):
             facets.rows[counts[ROWS], j] = region.A[facet, j]
         facets.rows[counts[ROWS], n] = region.b[facet]
+        facets.open[counts[ROWS]] = False
         counts[ROWS] += 1
     facets.offsets[counts[DONE] + 1] = counts[ROWS]
     for j in range(n):
@@ -170,7 +171,7 @@ def store(facets, counts, region):
 
 @njit(cache=True)
 def cross(qp, graph, region, number):
-    """Queue what lies behind one facet of a region.
+    """Queue what lies behind one facet of a region; False when that is not known afterwards.
 
     A neighbour that differs in the row of the facet alone is found by algebra. Otherwise a point just behind the facet
     is asked: which of the sets with one row exchanged is optimal there, or else which set the QP finds there. Where the
@@ -182,13 +183,12 @@ def cross(qp, graph, region, number):
     work = np.empty(len(mask), np.uint64)
     kind = behind(qp, graph, A, b, mask, facet, work)
     if kind == FULL:
-        return
+        return True
     reached = just_behind(A, b, facets, len(facets), number, hits[number], behind_it)
     if not reached:
         reached = across(A, b, facets, len(facets), facet, hits[number], min(_MARGIN, radius), behind_it)
     known = kind == DEPENDENT and exchange(qp, graph, act, len(act), facet, mask, behind_it if reached else centre)
-    if reached and not known:
-        consider_parameter(qp, graph, behind_it, work)
+    return reached and (known or consider_parameter(qp, graph, behind_it, work))
 
 
 @njit(cache=True)
@@ -225,8 +225,8 @@ def behind(qp, graph, A, b, mask, facet, work):
 def exchange(qp, graph, act, k, entering, mask, theta):
     """Consider sets in which the entering row replaces another; one with a positive coefficient has to leave.
 
-    Returns True when one of them that has a region is optimal at θ, a point behind the facet; of any other point the
-    answer means nothing.
+    Returns True when one of them that has a region is optimal at θ, a point behind the facet, or when θ is infeasible
+    because none can leave; of any other point the answer means nothing.
     """
     L = np.empty((k, k))
     coefficient = np.empty(k)
@@ -236,7 +236,7 @@ def exchange(qp, graph, act, k, entering, mask, theta):
     gram_solve(L, k, coefficient)
     swapped = np.empty(len(mask), np.uint64)
     members = np.empty(len(qp.D), np.int64)
-    sure = False
+    sure = excluded(qp, act, k, entering, coefficient, theta)
     for a in range(k):
         if coefficient[a] > EXCHANGE:
             swapped[:] = mask
@@ -245,6 +245,35 @@ def exchange(qp, graph, act, k, entering, mask, theta):
             if consider(qp, graph, swapped) == FULL and not sure:
                 sure = optimal_at(qp, members, from_mask(swapped, members), theta)
     return sure
+
+
+@njit(cache=True)
+def excluded(qp, act, k, entering, coefficient, theta):
+    """Whether no v holds the entering row and the active ones at θ: Farkas multipliers, with room for their rounding.
+
+    What is left of the entering row, times any v that is not EXCLUDED times larger than the bounds, does not count.
+    """
+    n = len(theta)
+    left = qp.M[entering].copy()
+    total = qp.D[entering, n]
+    for j in range(n):
+        total += qp.D[entering, j] * theta[j]
+    size = 1.0 + abs(total)
+    for a in range(k):
+        if coefficient[a] > EXCHANGE:
+            return False
+        share = min(coefficient[a], 0.0)
+        bound = qp.D[act[a], n]
+        for j in range(n):
+            bound += qp.D[act[a], j] * theta[j]
+        total -= share * bound
+        size = max(size, abs(bound))
+        for j in range(len(left)):
+            left[j] -= share * qp.M[act[a], j]
+    length = 0.0
+    for j in range(len(left)):
+        length += left[j] * left[j]
+    return total < -EXCLUDED * size * np.sqrt(length)
 
 
 @njit(cache=True)
@@ -278,3 +307,20 @@ def seed(qp, graph, J, h, targets):
         if hits == 0:
             break  # infeasible from one target is infeasible from all
     return hits
+
+
+@njit(cache=True)
+def look_at(qp, graph, targets):
+    """Queue the active sets at the targets themselves, where they lie in the parameter set and are feasible.
+
+    One whose active set has no region is noted as lost.
+    """
+    act = np.empty(len(qp.D) + 1, np.int64)
+    mask = np.empty(graph.masks.shape[1], np.uint64)
+    for t in range(len(targets)):
+        theta = targets[t].copy()
+        if margin_at(qp.TA, qp.Tb, theta) < 0.0 or consider_parameter(qp, graph, theta, mask):
+            continue
+        if graph.counts[LOST] < len(graph.lost) and optimal_set(qp, theta, 0.0, act) >= 0:
+            graph.lost[graph.counts[LOST]] = theta
+            graph.counts[LOST] += 1

@@ -21,26 +21,24 @@ from numba import njit
 
 from mpc.explicit.kernels.data import DEPENDENT, FLAT, FULL
 from mpc.explicit.kernels.halfspace import project
-from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, ROUNDING, ZERO_ROW
+from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, REFINED_ROW, ROUNDING, ZERO_ROW
 
 
 @njit(cache=True)
 def gram_factor(gram, act, k, L):
     """Cholesky factor of gram[act, act]; False when a pivot shows that the active rows are dependent.
 
-    Rounding enters a pivot magnified by the smallest pivot before it, so the threshold grows with that. Rows can be
+    The factor is that of a matrix within rounding of the Gram matrix, however small its pivots are. Rows can be
     dependent although no pivot is small: `row_levers` shows that.
     """
-    smallest = 1.0
     for a in range(k):
         for e in range(a + 1):
             s = gram[act[a], act[e]]
             for q in range(e):
                 s -= L[a, q] * L[e, q]
             if a == e:
-                if s < max(DEPENDENT_ROW, ROUNDING / smallest):
+                if s < DEPENDENT_ROW:
                     return False
-                smallest = min(smallest, s)
                 L[a, a] = np.sqrt(s)
             else:
                 L[a, e] = s / L[e, e]
@@ -75,6 +73,30 @@ def multipliers(qp, act, k, L):
         for a in range(k):
             law[a, c] = x[a]
     return law
+
+
+@njit(cache=True)
+def refine(qp, act, k, L, law):
+    """Take the rounding of a nearly singular Gram matrix out of a multiplier law: what v = M_a' λ misses is solved for.
+
+    The error of v falls from that of the Gram matrix magnified by its condition to that magnified by the root of it.
+    """
+    nz = qp.M.shape[1]
+    n = qp.D.shape[1] - 1
+    v = np.empty(nz)
+    x = np.empty(k)
+    for c in range(n + 2):
+        v[:] = 0.0
+        for a in range(k):
+            for j in range(nz):
+                v[j] += qp.M[act[a], j] * law[a, c]
+        for a in range(k):
+            x[a] = -qp.D[act[a], c] if c <= n else -qp.tie[act[a]]
+            for j in range(nz):
+                x[a] -= qp.M[act[a], j] * v[j]
+        gram_solve(L, k, x)
+        for a in range(k):
+            law[a, c] += x[a]
 
 
 @njit(cache=True)
@@ -119,10 +141,14 @@ def region_rows(qp, act, k, tied, A, b):
     if k > qp.M.shape[1] or not gram_factor(qp.gram, act, k, L):
         return DEPENDENT
     lever = row_levers(L, k)
+    longest = 0.0  # its inverse is the least distance of a row from the span of the others
     for a in range(k):
-        if lever[a] * lever[a] * DEPENDENT_ROW > 1.0:  # 1 / lever is the distance of a row from the span of the others
-            return DEPENDENT
+        longest = max(longest, lever[a])
+    if longest * longest * DEPENDENT_ROW > 1.0:
+        return DEPENDENT
     law = multipliers(qp, act, k, L)
+    if longest * longest * REFINED_ROW > 1.0:
+        refine(qp, act, k, L, law)
     reach = variable_size(qp, act, k, law)
     position = np.full(m, -1)
     size = np.zeros(k)

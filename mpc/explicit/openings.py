@@ -1,0 +1,82 @@
+"""Facets that led to no region: points beyond them, and what the QP finds there."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import nnls
+
+from mpc.checks import Array
+from mpc.dense_qp import DenseQP
+from mpc.explicit.scaled_qp import ScaledQP
+from mpc.tolerances import CROSSING, KKT, LAW_ERROR, OPTIMAL_SET, PARALLEL, TIE
+
+_FAR = 0.1  # the farther point beyond a facet, in radii of the facet
+Candidates = list[tuple[int, ...]]
+
+
+class Opening(NamedTuple):
+    """A point beyond an open facet: its active sets with independent rows, and whether it is feasible with room."""
+
+    candidates: Candidates
+    feasible: bool
+
+
+def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> list[Array]:
+    """Points of the parameter set just beyond one facet [a, b] of a region and a share of its size beyond it.
+
+    They lie above a point in the middle of the facet; none where the facet is too small for one.
+    """
+    from mpc.explicit.kernels.halfspace import interior_point
+
+    normal = rows[facet, :-1]
+    foot = rows[facet, -1] * normal
+    plane = np.linalg.svd(normal[None])[2][1:].T  # directions along the facet
+    others = np.delete(rows, facet, axis=0)
+    slack = others[:, -1] - others[:, :-1] @ foot
+    along = others[:, :-1] @ plane
+    length = np.linalg.norm(along, axis=1)
+    sides = length > PARALLEL
+    centre = np.zeros(plane.shape[1])
+    radius = 1.0
+    if len(centre):
+        A = np.ascontiguousarray(along[sides] / length[sides, None])
+        radius = interior_point(A, slack[sides] / length[sides], np.inf, centre)
+    if radius == 0.0:
+        return []
+    steps = [CROSSING, max(CROSSING, _FAR * radius)]
+    points = [foot + plane @ centre + step * normal for step in steps]
+    return [point for point in points if (qp.TA @ point <= qp.Tb).all()]
+
+
+class OnlineQP:
+    """The scaled QP at one parameter, by the checked online solver."""
+
+    def __init__(self, qp: ScaledQP) -> None:
+        self.qp = qp
+        self.free = np.zeros(qp.M.shape[1])
+        self.solver = DenseQP(np.eye(len(self.free)), qp.M)
+
+    def at(self, t: Array) -> Opening:
+        """What the QP finds at the parameter t."""
+        bounds = self.qp.D @ np.append(t, 1.0)
+        result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
+        if result.infeasible or not result.residuals.primal <= KKT:
+            return Opening([], feasible=False)
+        y = result.multipliers
+        taken = tuple(int(i) for i in np.flatnonzero(y > OPTIMAL_SET * y.max(initial=0.0)))
+        return Opening([taken, self._independent(result.z, bounds)], self._has_room(bounds))
+
+    def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:
+        """Rows active at v that carry it, as few as can: their multipliers are positive, so they are independent."""
+        near = np.flatnonzero(bounds - self.qp.M @ v <= LAW_ERROR * (1.0 + np.abs(bounds)))
+        if not len(near):
+            return ()
+        share = nnls(np.ascontiguousarray(self.qp.M[near].T), -v)[0]
+        return tuple(int(i) for i in near[share > 0])
+
+    def _has_room(self, bounds: Array) -> bool:
+        """Whether a point holds every row, found with bounds a little tighter: no tolerance makes it feasible."""
+        tighter = bounds - TIE * (1.0 + np.abs(bounds))
+        return bool((self.qp.M @ self.solver.solve(self.free, tighter).z <= bounds).all())

@@ -1,0 +1,103 @@
+"""Facets that led to no region are looked across: what lies beyond is found, or the status says that it is not."""
+
+import numpy as np
+import pytest
+from plants import box, double_integrator
+from random_problems import hard_controller
+from test_mpqp import membership
+
+from mpc import LinearMPC, MPQPStatus, solve_mpqp
+from mpc.dense_qp import DenseQP
+from mpc.explicit.exploration import _Search
+from mpc.explicit.kernels.data import DONE, FULL, KNOWN, QUEUED, ROWS
+from mpc.explicit.openings import OnlineQP, points_beyond
+from mpc.explicit.scaled_qp import scale_parameters, scale_qp
+from mpc.tolerances import CROSSING
+
+
+@pytest.fixture
+def search():
+    """A search that knows every region of the double integrator."""
+    mpc = LinearMPC(*double_integrator(), Q=np.eye(2), R=[[0.1]], horizon=5, X=box([5, 5]), U=box([1]))
+    found = _Search(scale_qp(mpc.build(), scale_parameters(mpc.X, 2)))
+    found.begin()
+    explore(found)
+    return found
+
+
+def explore(search):
+    while search.done < search.queued:
+        search.advance(10_000)
+
+
+def forget_all_but_the_first(search):
+    """Keep one region, with all its facets open, and no other active set."""
+    graph, counts = search.graph, search.graph.counts
+    graph.masks[0] = graph.masks[graph.queue[0]]
+    graph.kinds[0], graph.queue[0], graph.table[:] = FULL, 0, -1
+    counts[[KNOWN, QUEUED, DONE]] = 1
+    counts[ROWS] = search.facets.offsets[1]
+    search.facets.open[: counts[ROWS]] = True
+    search._rehash()
+
+
+def test_points_beyond_a_facet_lie_above_it_and_behind_no_other_side(search):
+    rows, offsets = search.facets.rows, search.facets.offsets
+    for r in range(search.done):
+        own = rows[offsets[r] : offsets[r + 1]]
+        for facet, (a, b) in enumerate(zip(own[:, :-1], own[:, -1])):
+            for point in points_beyond(own, facet, search.qp):
+                height = a @ point - b
+                assert height >= 0.99 * CROSSING
+                foot = point - height * a
+                assert (own[:, :-1] @ foot <= own[:, -1] + 1e-12).all()
+
+
+def test_every_region_is_found_from_the_open_facets_of_one(search):
+    regions = set(search.found(MPQPStatus.COMPLETE).active_sets)
+    forget_all_but_the_first(search)
+    while search.looks_across(np.inf):
+        explore(search)
+    assert set(search.found(MPQPStatus.COMPLETE).active_sets) == regions
+    assert not search.has_lost_parameters()
+
+
+def test_facets_beyond_which_nothing_is_found_are_counted(search, monkeypatch):
+    forget_all_but_the_first(search)
+    monkeypatch.setattr(search, "_consider", lambda act: None)
+    assert not search.looks_across(np.inf)
+    assert search.has_lost_parameters()
+    assert search.found(MPQPStatus.INACCURATE).uncovered == search.graph.counts[ROWS]  # it borders on regions all round
+
+
+def test_looking_across_stops_at_the_deadline(search):
+    forget_all_but_the_first(search)
+    assert search.looks_across(-np.inf)
+    assert search.done == search.queued
+    assert search.facets.open[: search.graph.counts[ROWS]].all()
+
+
+def test_the_active_sets_at_a_parameter_carry_its_optimum(search):
+    online = OnlineQP(search.qp)
+    for t in np.random.default_rng(0).uniform(-1, 1, size=(50, 2)):
+        opening = online.at(t)
+        for act in map(list, opening.candidates):
+            d = search.qp.D @ np.append(t, 1.0)
+            pull = np.linalg.solve(search.qp.gram[np.ix_(act, act)], d[act])
+            assert (pull <= 1e-9).all()
+            assert (search.qp.M @ (search.qp.M[act].T @ pull) <= d + 1e-7).all()
+        assert bool(opening.candidates) == opening.feasible
+
+
+@pytest.mark.parametrize("seed", [3392])  # an input almost without weight: Gram eigenvalues of 1e-10 to 1e-14
+def test_a_partition_with_a_hole_does_not_call_itself_complete(seed):
+    mpc, _ = hard_controller(np.random.default_rng(seed), "degenerate")
+    problem = mpc.build()
+    partition = solve_mpqp(problem, mpc.X)
+    theta = np.random.default_rng(1).uniform(-1, 1, size=(300, problem.nt)) * partition.half + partition.centre
+    online = DenseQP(problem.H, problem.G)
+    feasible = np.array([not online.solve(*problem.at(t)).infeasible for t in theta])
+    hole = feasible & (membership(partition, theta).min(axis=1) > 1e-6)
+    assert hole.mean() < 0.01  # what is left are slivers
+    assert partition.uncovered > 0 or not hole.any()
+    assert partition.status is (MPQPStatus.INACCURATE if partition.uncovered else MPQPStatus.COMPLETE)
