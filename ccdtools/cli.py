@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 MISUSE = 2  # exit codes
 INTERRUPTED = 130
 
+AGAIN = 1.0  # s after which an interruption that nobody has felt comes again
+
 app = typer.Typer(
     help="Control co-design: a plant's physical parameters and its controller, designed together.",
     add_completion=False,
@@ -111,7 +113,8 @@ def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) 
         with folder.locked():
             with _held_back():
                 prepared.begin(folder)
-            _complete(folder, prepared)
+            with _insisting():
+                _complete(folder, prepared)
     except KeyboardInterrupt:
         _stop(folder)
 
@@ -128,7 +131,8 @@ def resume(folder: Annotated[str, typer.Argument(help="Folder of an interrupted 
 
                 prepared = prepare_again(kept)
                 kept.check_stages()
-            _complete(kept, prepared)
+            with _insisting():
+                _complete(kept, prepared)
     except KeyboardInterrupt:
         _stop(kept)
 
@@ -203,6 +207,36 @@ def _held_back() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
     if caught:
         raise KeyboardInterrupt
+
+
+@contextmanager
+def _insisting() -> Iterator[None]:
+    """Let Ctrl-C arrive: CasADi swallows every second exception that is raised while it reads its arguments.
+
+    What it does not swallow it may turn into an error of its own, which is then no error.
+    """
+    caught: list[int] = []
+
+    def interrupt(number: int, frame: object) -> NoReturn:
+        """Interrupt now, and again unless that was felt."""
+        caught.append(number)
+        if hasattr(signal, "setitimer"):  # not on Windows
+            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        raise KeyboardInterrupt
+
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGALRM") if hasattr(signal, name)]
+    before = [signal.signal(number, interrupt) for number in numbers]
+    try:
+        yield
+    except Exception:
+        if caught:
+            raise KeyboardInterrupt from None
+        raise
+    finally:
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, handler in zip(numbers, before):
+            signal.signal(number, handler)
 
 
 def _stop(folder: RunFolder | None) -> NoReturn:
