@@ -10,6 +10,7 @@ import numpy as np
 
 from mpc.checks import Array, as_count, as_seconds
 from mpc.exceptions import InputError
+from mpc.explicit.compilation import compile_exploration
 from mpc.explicit.equality_elimination import (
     FlatParameters,
     eliminate,
@@ -50,7 +51,7 @@ def solve_mpqp(
     max_regions : int
         Limit on the number of regions.
     time_limit : float
-        Limit on the wall time [s]; none if left out.
+        Limit on the wall time [s]; none if left out. The first call after an installation compiles before it counts.
 
     Returns
     -------
@@ -71,11 +72,13 @@ def solve_mpqp(
     graph of optimal active sets); Tøndel, Johansen and Bemporad, Automatica 39(3), 2003 (neighbours across a facet).
     Facets are found by Clarkson's redundancy removal. Assumes H positive definite.
     """
-    start = time.perf_counter()
     if not isinstance(problem, ParametricQP):
         raise InputError("problem", type(problem).__name__, "a ParametricQP", "See `LinearMPC.build`.")
     if not isinstance(compiled, bool):
         raise InputError("compiled", repr(compiled), "True or False")
+    if compiled:
+        compile_exploration()
+    start = time.perf_counter()
     limits = Limits(as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit))
     qp = scale_qp(problem, scale_parameters(theta_set, problem.nt))
     always = [i for i, _ in equality_pairs(qp)]

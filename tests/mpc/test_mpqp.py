@@ -1,5 +1,7 @@
 """The partition: counts known from elsewhere, optimality everywhere, no holes, no overlap, and hard cases."""
 
+import time
+
 import numpy as np
 import pytest
 from plants import box, double_integrator, suspension
@@ -197,6 +199,21 @@ def test_a_reference_left_open_becomes_a_parameter():
     x = np.array([-1.0, 0.5])
     z = partition.law[membership(partition, x[None]).argmin()] @ np.append(x, 1)
     np.testing.assert_allclose(fixed.inputs(z, x), mpc.solve(x, x_ref=[1.0, 0.0]).inputs, atol=1e-8)
+
+
+def test_no_time_limit_pays_for_compilation(monkeypatch):
+    compiling = []
+
+    def slow():
+        compiling.append(True)
+        time.sleep(1.0)
+
+    monkeypatch.setattr("mpc.explicit.mpqp.compile_exploration", slow)
+    mpc = integrator(2, 0.1)
+    assert solve_mpqp(mpc.build(), mpc.X, time_limit=0.9).status is MPQPStatus.COMPLETE
+    assert compiling == [True]
+    solve_mpqp(mpc.build(), mpc.X, compiled=False, time_limit=1e-9)
+    assert compiling == [True]
 
 
 def test_limits_are_reported_with_advice():
