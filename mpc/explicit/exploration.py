@@ -26,6 +26,8 @@ _LOOK = 0.05  # wall time between two looks at the clock [s]
 _MANY = 300  # regions from which on it pays to leave out rows that the others imply
 _SHARE = 0.25  # share of the time left that may be spent on that
 _LOST = 64  # feasible parameters without a region that are noted
+_ACROSS = 64  # open facets that are looked across in a small law,
+_MOST_ACROSS = 500  # and in a large one
 _LIMITED = (MPQPStatus.REGION_LIMIT, MPQPStatus.TIME_LIMIT)
 
 
@@ -113,8 +115,14 @@ class _Search:
                 break
 
     def looks_across(self, deadline: float) -> bool:
-        """Solve the QP beyond the facets that led nowhere; True when that leads to regions, or the deadline is past."""
+        """Solve the QP beyond facets that led nowhere; True when that leads to regions, or the deadline is past.
+
+        Of very many facets some are drawn: a hole of any size has many.
+        """
         still = np.flatnonzero(self.facets.open[: self.graph.counts[ROWS]])
+        most = min(_ACROSS + self.done // 8, _MOST_ACROSS)
+        if len(still) > most:
+            still = np.sort(self.rng.choice(still, most, replace=False))
         offsets = self.facets.offsets[: self.done + 1]
         for facet, r in zip(still, np.searchsorted(offsets, still, side="right") - 1):
             if self.queued > self.done or time.perf_counter() > deadline:
@@ -127,9 +135,9 @@ class _Search:
         """Queue the active sets beyond one facet of a region, which owns these rows; note points that stay without."""
         self.online = self.online or OnlineQP(self.qp)
         for point in points_beyond(self.facets.rows[own], facet - own.start, self.qp):
-            if self._covers(point):
-                continue
             opening = self.online.at(point)
+            if not opening.candidates or self._covers(point):
+                continue
             for act in opening.candidates:
                 self._consider(act)
             if opening.feasible:
