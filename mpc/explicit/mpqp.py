@@ -37,8 +37,8 @@ def solve_mpqp(
     where the rows of a neighbour are dependent one constraint is exchanged, where hyperplanes coincide every
     combination is tried, and where the algebra finds no neighbour the QP is solved just across the facet. Facets that
     still led nowhere, of very many some drawn at random, are looked across by the checked online solver. At the end the
-    QP is solved at random parameters. An active set not met before is explored too. Where several active sets are optimal on one region, redundant rows
-    are left out and a symbolic perturbation decides: regions do not overlap.
+    QP is solved at random parameters. An active set not met before is explored too. Where several active sets are
+    optimal on one region, redundant rows are left out and a symbolic perturbation decides: regions do not overlap.
 
     Parameters
     ----------
