@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import linprog
 
+from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.explicit.scaled_qp import ScaledQP, with_parameter_rows
 from mpc.parametric_qp import Constraint
@@ -42,8 +43,9 @@ def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
 def implied_equalities(qp: ScaledQP) -> ImpliedEqualities | None:
     """Rows that hold with equality at every feasible point.
 
-    One linear program: the sum of the slacks, each counted up to a tenth, is largest. None when there is no feasible
-    point.
+    A linear program finds a point where the sum of the slacks, each counted up to a tenth, is largest. A row without
+    slack there may have given it up for the others, so each of them is asked for its own largest slack. None when there
+    is no feasible point.
     """
     J, h = qp.joint
     rows, columns = J.shape
@@ -56,8 +58,16 @@ def implied_equalities(qp: ScaledQP) -> ImpliedEqualities | None:
     slack = h - J @ program.x[:columns]
     if slack.min() < -IMPLIED_EQUALITY:
         return None
-    tight = np.flatnonzero(slack <= IMPLIED_EQUALITY)
+    tight = np.array([i for i in np.flatnonzero(slack <= IMPLIED_EQUALITY) if not _has_slack(J, h, i)], dtype=np.int64)
     return ImpliedEqualities(tight[tight < len(qp.M)], bool((tight >= len(qp.M)).any()))
+
+
+def _has_slack(J: Array, h: Array, row: np.intp) -> bool:
+    """Whether a point of {x : J x <= h} leaves one row more than rounding."""
+    program = linprog(J[row], A_ub=J, b_ub=h, bounds=(None, None), method="highs")
+    if program.status == 3:  # unbounded
+        return True
+    return program.status == 0 and bool(h[row] - J[row] @ program.x > IMPLIED_EQUALITY)
 
 
 def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...]) -> ScaledQP:

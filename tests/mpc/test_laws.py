@@ -8,12 +8,15 @@ from plants import box, double_integrator
 from scipy.optimize import linprog
 from test_mpqp import membership
 
+from invariant_sets import Polytope
 from mpc import LinearMPC, MPQPStatus, solve_mpqp
 from mpc.explicit.exploration import Limits, _Search, explore_compiled
 from mpc.explicit.kernels.data import DEPENDENT, FULL, LOST, QPData
 from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.mpqp import _is_thin, _without_wrong_laws
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
+from mpc.explicit.search_tree import scan_regions
+from mpc.parametric_qp import Constraint, ParametricQP
 
 UNLIMITED = Limits(10_000, np.inf)
 
@@ -149,3 +152,19 @@ def test_a_feasible_parameter_in_no_region_is_reported(explored):
     assert not search.has_lost_parameters()  # its own set has no region, but another one holds it
     search.graph.lost[0] = [0.99, 0.99]
     assert search.has_lost_parameters()
+
+
+def test_a_row_that_gives_up_its_slack_for_others_is_no_implied_equality():
+    """z1 = z2 = 0 is implied; 0 <= z3 is not, but two other rows gain more slack at z3 = 0 than it loses there."""
+    G = np.array([[1, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, -1], [1, 0, 1], [0, 1, 1]], dtype=float)
+    problem = ParametricQP(
+        H=np.eye(3), F=np.array([[0.0], [0.0], [-1.0]]), f=np.zeros(3), Y=np.zeros((1, 1)), y=np.zeros(1), c=0.0, G=G,
+        w=np.array([0, 0, 0, 0, 0.01, 0.01]), S=np.zeros((6, 1)), Lz=np.eye(3), Lt=np.zeros((3, 1)), l=np.zeros(3),
+        Xz=np.zeros((1, 3)), Xt=np.eye(1), x=np.zeros(1), nu=3, parameters=(("x", 1),),
+        labels=tuple(Constraint("input", 0, i) for i in range(6)),
+    )  # fmt: skip
+    partition = solve_mpqp(problem, Polytope.from_bounds([-0.2], [0.2]))
+    assert partition.status is MPQPStatus.COMPLETE
+    for theta in np.linspace(-0.19, 0.19, 20):
+        law = partition.law[int(scan_regions(partition, np.array([[theta]]))[0])]
+        np.testing.assert_allclose(law @ [theta, 1.0], [0.0, 0.0, np.clip(theta, 0.0, 0.01)], atol=1e-9)
