@@ -19,23 +19,13 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "mpc")]
 
 import numpy as np  # noqa: E402
+from random_problems import problem_of  # noqa: E402
 
 from invariant_sets import Polytope  # noqa: E402
-from mpc import InputError, MPQPStatus, ParametricQP, solve_mpqp  # noqa: E402
+from mpc import InputError, MPQPStatus, solve_mpqp  # noqa: E402
 from mpc.dense_qp import DenseQP  # noqa: E402
-from mpc.parametric_qp import Constraint  # noqa: E402
 
 STATES = 400  # random parameters of each comparison
-
-
-def problem_of(H, F, f, G, w, S):
-    """A parametric QP whose variables are the inputs."""
-    nz, nt = F.shape
-    return ParametricQP(
-        H=H, F=F, f=f, Y=np.zeros((nt, nt)), y=np.zeros(nt), c=0.0, G=G, w=w, S=S, Lz=np.eye(nz),
-        Lt=np.zeros((nz, nt)), l=np.zeros(nz), Xz=np.zeros((nt, nz)), Xt=np.eye(nt), x=np.zeros(nt), nu=nz,
-        parameters=(("x", nt),), labels=tuple(Constraint("input", 0, i) for i in range(len(w))),
-    )  # fmt: skip
 
 
 def plain(rng):

@@ -22,11 +22,13 @@ def rows_hold(points: Array, A: Array, b: Array, slack: Array, rounding: float, 
     reach : (n,) array, optional
         No point that satisfies the rows has larger coordinates |x|; None if that is not known.
     """
+    if not len(b):
+        return np.asarray(np.isfinite(points).all(axis=1))
     inside = np.ones(len(points), bool)
     least = (b + np.maximum(slack, rounding * np.abs(b)))[:, None]  # the limit wherever the point lies
     most = None if reach is None else b + _allowed(A, b, slack, rounding, reach)
     settled = most is not None and bool((most <= least[:, 0]).all())
-    for start in range(0, len(points) if len(b) else 0, _CHUNK):
+    for start in range(0, len(points), _CHUNK):
         part = slice(start, start + _CHUNK)
         if settled:
             np.less_equal(A @ points[part].T, least).all(axis=0, out=inside[part])

@@ -213,7 +213,8 @@ CROSSING = 1e-5
 
 THIN = 1e-6
 """Radius of the ball found in a region below which the region is thinner than CROSSING, scaled parameters [-]: the ball
-is within a factor 20 of the largest."""
+is within a factor 20 of the largest. Also the distance from the regions up to which a feasible parameter makes no hole.
+"""
 
 TIE = 1e-8
 """Shift of the bounds that decides between active sets which are optimal together, in units of the bounds [-]."""

@@ -22,10 +22,14 @@ class FlatParameters(InputError):
 
 
 class ImpliedEqualities(NamedTuple):
-    """Rows of M that hold with equality at every feasible point, and whether a row of the parameter set does."""
+    """Rows of M that hold with equality at every feasible point, and whether a row of the parameter set does.
+
+    parameter : (nt,) one that is feasible, away from what does not hold with equality.
+    """
 
     rows: Ints
     of_parameters: bool
+    parameter: Array
 
 
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
@@ -59,7 +63,8 @@ def implied_equalities(qp: ScaledQP) -> ImpliedEqualities | None:
     if slack.min() < -IMPLIED_EQUALITY:
         return None
     tight = np.array([i for i in np.flatnonzero(slack <= IMPLIED_EQUALITY) if not _has_slack(J, h, i)], dtype=np.int64)
-    return ImpliedEqualities(tight[tight < len(qp.M)], bool((tight >= len(qp.M)).any()))
+    parameter = np.ascontiguousarray(program.x[: qp.D.shape[1] - 1])
+    return ImpliedEqualities(tight[tight < len(qp.M)], bool((tight >= len(qp.M)).any()), parameter)
 
 
 def _has_slack(J: Array, h: Array, row: np.intp) -> bool:

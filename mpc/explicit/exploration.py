@@ -8,15 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mpc.checks import Array
-from mpc.explicit.kernels.data import DONE, FULL, KNOWN, LOST, QUEUED, ROWS, Facets, Graph, QPData
+from mpc.explicit.kernels.data import ASKED, CROSSED, DONE, FULL, KNOWN, OPEN, QUEUED, ROWS, Facets, Graph, QPData
 from mpc.explicit.openings import OnlineQP, points_beyond
 from mpc.explicit.partition import Ints, MPQPStatus
 from mpc.explicit.redundant_rows import irredundant_rows
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import INSIDE
+from mpc.tolerances import CROSSING, INSIDE, THIN
 
 Masks = np.ndarray[Any, np.dtype[np.uint64]]
 Bits = np.ndarray[Any, np.dtype[np.uint8]]
+Bools = np.ndarray[Any, np.dtype[np.bool_]]
 
 _SEEDS = 8  # parameters from which the exploration starts
 _ROUNDS = 10  # how often new ones are drawn while none leads to a region
@@ -25,7 +26,11 @@ _FACETS = 16  # facets a region for which there is room at first
 _LOOK = 0.05  # wall time between two looks at the clock [s]
 _MANY = 300  # regions from which on it pays to leave out rows that the others imply
 _SHARE = 0.25  # share of the time left that may be spent on that
-_LOST = 64  # feasible parameters without a region that are noted
+_BETWEEN = 100  # points between facets, and
+_BEHIND = 500  # behind facets that led to a region, that are looked at before a small law is called complete
+_FARTHEST = 0.01  # distance behind a facet, scaled parameters, of such a point
+_PER_REGION = 8  # regions for which, in a large law, there is one more of either
+_ASKED = 64  # feasible parameters in no region where the QP is solved
 _ACROSS = 64  # open facets that are looked across in a small law,
 _MOST_ACROSS = 500  # and in a large one
 _LIMITED = (MPQPStatus.REGION_LIMIT, MPQPStatus.TIME_LIMIT)
@@ -42,7 +47,7 @@ class Found(NamedTuple):
     """Outcome of an exploration: facets [a, b] of region r in rows[offsets[r] : offsets[r + 1]], scaled.
 
     qp : the problem explored, perhaps without rows that the others imply; active sets are numbers of its rows.
-    centres : a point in each region; uncovered : facets beyond which a feasible parameter lies in no region.
+    centres : a point in each region; uncovered : feasible parameters met that lie in no region.
     """
 
     status: MPQPStatus
@@ -54,12 +59,15 @@ class Found(NamedTuple):
     uncovered: int = 0
 
 
-def explore_compiled(qp: ScaledQP, limits: Limits) -> Found:
-    """Regions of all optimal active sets, from facet to facet; at a limit those found so far."""
+def explore_compiled(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> Found:
+    """Regions of all optimal active sets, from facet to facet; at a limit those found so far.
+
+    feasible : (nt,) a parameter from which to start, where random ones find nothing.
+    """
     first = _Search(qp)
-    first.begin()
+    first.begin(feasible)
     search = first
-    status = None if first.queued else MPQPStatus.INFEASIBLE
+    status = None if first.queued else MPQPStatus.INACCURATE if first.uncovered else MPQPStatus.INFEASIBLE
     while status is None:
         search.advance(limits.max_regions)
         if search.queued > search.done >= limits.max_regions:
@@ -69,7 +77,7 @@ def explore_compiled(qp: ScaledQP, limits: Limits) -> Found:
         elif search.should_be_thinned:
             search = search.thinned_out(limits.deadline)
         elif search.done == search.queued and not search.looks_across(limits.deadline) and not search.looks_again():
-            status = MPQPStatus.INACCURATE if search.has_lost_parameters() else MPQPStatus.COMPLETE
+            status = MPQPStatus.INACCURATE if search.uncovered else MPQPStatus.COMPLETE
     most = max(first, search, key=lambda s: s.done) if status in _LIMITED else search
     return most.found(status)
 
@@ -82,8 +90,9 @@ class _Search:
         self.thinned = False
         self.thinned_for_speed = False
         self.portion = 64
-        self.beyond: list[tuple[int, Array]] = []
         self._state(qp)
+        self.feasible = np.empty((0, self.parameters))  # parameters that were feasible, with room, and in no region
+        self.pending = self.feasible  # those in no region when met, not yet asked about
         self.graph, self.facets = _room(len(qp.M), self.parameters)
 
     def _state(self, qp: ScaledQP) -> None:
@@ -108,82 +117,120 @@ class _Search:
         """Whether several active sets are optimal on one region."""
         return bool(self.graph.tied.any())
 
-    def begin(self) -> None:
+    def begin(self, feasible: Array | None = None) -> None:
         """Queue the regions of a few parameters; more only where each of them lies on the border of regions."""
         for _ in range(_ROUNDS):
-            if self._seed(_SEEDS) == 0 or self.queued:
+            if len(self._seed(_SEEDS)) == 0 or self.queued:
                 break
+        if feasible is not None and not self.queued:
+            self._ask_at(feasible[None])
 
     def looks_across(self, deadline: float) -> bool:
         """Solve the QP beyond facets that led nowhere; True when that leads to regions, or the deadline is past.
 
         Of very many facets some are drawn: a hole of any size has many.
         """
-        still = np.flatnonzero(self.facets.open[: self.graph.counts[ROWS]])
-        most = min(_ACROSS + self.done // 8, _MOST_ACROSS)
-        if len(still) > most:
-            still = np.sort(self.rng.choice(still, most, replace=False))
+        still = self._some(np.flatnonzero(self._states == OPEN), min(_ACROSS + self.done // 8, _MOST_ACROSS))
         offsets = self.facets.offsets[: self.done + 1]
         for facet, r in zip(still, np.searchsorted(offsets, still, side="right") - 1):
             if self.queued > self.done or time.perf_counter() > deadline:
                 return True
-            self.facets.open[facet] = False
-            self._look_beyond(int(facet), slice(offsets[r], offsets[r + 1]))
+            self.facets.state[facet] = ASKED
+            own = slice(offsets[r], offsets[r + 1])
+            self._ask_at(points_beyond(self.facets.rows[own], int(facet - own.start), self.qp))
         return self.queued > self.done
 
-    def _look_beyond(self, facet: int, own: slice) -> None:
-        """Queue the active sets beyond one facet of a region, which owns these rows; note points that stay without."""
+    @property
+    def _states(self) -> np.ndarray[Any, np.dtype[np.int8]]:
+        """What became of the facets."""
+        return self.facets.state[: self.graph.counts[ROWS]]
+
+    def _some(self, numbers: Ints, most: int) -> Ints:
+        """So many of the numbers, at random and in order, or all of them."""
+        return numbers if len(numbers) <= most else np.sort(self.rng.choice(numbers, most, replace=False))
+
+    def _ask_at(self, points: Array) -> None:
+        """Solve the QP at points in no region and queue its active sets; note the feasible ones."""
         self.online = self.online or OnlineQP(self.qp)
-        for point in points_beyond(self.facets.rows[own], facet - own.start, self.qp):
+        for point in points[~self._covered(points)]:
             opening = self.online.at(point)
-            if not opening.candidates or self._covers(point):
-                continue
             for act in opening.candidates:
                 self._consider(act)
             if opening.feasible:
-                self.beyond.append((facet, point))
+                self.feasible = np.vstack([self.feasible, point])
 
     def _consider(self, act: tuple[int, ...]) -> None:
         """Queue an active set if it has a region and was not met before."""
         from mpc.explicit.kernels.exploration import consider
 
-        while self.graph.counts[KNOWN] + 1 >= len(self.graph.masks):
-            self._grow_sets()
+        self._room_for(1)
         members = np.zeros((1, len(self.qp.M)), dtype=np.uint8)
         members[0, list(act)] = 1
         consider(self.data, self.graph, _masks(members, self.graph.masks.shape[1])[0])
 
-    def _covers(self, point: Array) -> bool:
-        """Whether a point lies in a region that is done."""
-        rows = self.facets.rows[: self.graph.counts[ROWS]]
-        excess = rows[:, :-1] @ point - rows[:, -1]
-        return bool(np.maximum.reduceat(excess, self.facets.offsets[: self.done]).min() <= INSIDE)
+    def _covered(self, points: Array, distance: float = INSIDE) -> Bools:
+        """Which points lie in a region that is done, or not farther outside one than a distance."""
+        from mpc.explicit.kernels.exploration import covered
+
+        return np.asarray(covered(self.facets, self.graph.counts, points, distance))
 
     def looks_again(self) -> bool:
-        """Solve the QP at random parameters, and queue regions that no facet has led to; True when there are any."""
+        """Look at parameters anywhere, between facets, and behind those that led to a region: True for a new region.
+
+        Where rounding decides, the region that a facet led to may lie elsewhere. Between facets all is feasible.
+        """
         from mpc.explicit.kernels.exploration import look_at
 
-        count = min(4 + self.done // 8, 2000)
-        while self.graph.counts[KNOWN] + 8 * count >= len(self.graph.masks):
-            self._grow_sets()
-        self._seed(count)
-        look_at(self.data, self.graph, self.rng.uniform(-1, 1, size=(count, self.parameters)))
+        count = min(4 + self.done // _PER_REGION, 2000)
+        anywhere = self.rng.uniform(-1, 1, size=(count, self.parameters))
+        behind = self._behind_facets(_BEHIND + self.done // _PER_REGION)
+        places = np.vstack([anywhere, self._between_facets(_BETWEEN + self.done // _PER_REGION), behind])
+        places = places[~self._covered(places)]
+        self._room_for(8 * (count + len(places)))
+        near_border = self._seed(count)
+        places = places[look_at(self.data, self.graph, places)]
+        met = np.vstack([self.pending, near_border, places])
+        self.pending = met[~self._covered(met)]
+        if self.queued == self.done:
+            self._ask_at(self.pending[:_ASKED])
+            self.pending = self.pending[_ASKED:]
         return self.queued > self.done
 
-    def has_lost_parameters(self) -> bool:
-        """Whether a feasible parameter that led to no region lies in none: a random one, or one beyond a facet."""
-        return self.uncovered > 0 or any(not self._covers(t) for t in self.graph.lost[: self.graph.counts[LOST]])
+    def _between_facets(self, count: int) -> Array:
+        """So many random points between two facets."""
+        hits = self.facets.hits[self.rng.integers(self.graph.counts[ROWS], size=(2, count))]
+        share = self.rng.uniform(size=(count, 1))
+        return np.asarray(share * hits[0] + (1 - share) * hits[1])
+
+    def _behind_facets(self, most: int) -> Array:
+        """So many random points behind facets that led to a region: half of them just behind, the others farther."""
+        from mpc.explicit.kernels.exploration import behind_facets
+
+        crossed = np.flatnonzero(self._states == CROSSED)
+        chosen = np.resize(crossed, most if len(crossed) else 0) if len(crossed) <= most else self._some(crossed, most)
+        owners = np.searchsorted(self.facets.offsets[: self.done + 1], chosen, side="right") - 1
+        directions = self.rng.normal(size=(len(chosen), self.parameters))
+        shares, farther = self.rng.uniform(size=(2, len(chosen)))
+        steps = CROSSING * (_FARTHEST / CROSSING) ** np.maximum(0.0, 2.0 * farther - 1.0)
+        return np.asarray(behind_facets(self.facets, chosen, owners, directions, shares, steps))
 
     @property
     def uncovered(self) -> int:
-        """Number of facets beyond which a feasible parameter lies in no region."""
-        return len({facet for facet, point in self.beyond if not self._covers(point)})
+        """Number of feasible parameters met that lie in no region, nor in a thin gap between two."""
+        return int((~self._covered(self.feasible, THIN)).sum())
 
-    def _seed(self, count: int) -> int:
-        """Queue the active sets at random parameters; the number of these that were feasible."""
+    def _seed(self, count: int) -> Array:
+        """Queue the active sets at random parameters, and near the border; those of them that are feasible."""
         from mpc.explicit.kernels.exploration import seed
 
-        return int(seed(self.data, self.graph, *self.qp.joint, self.rng.uniform(-1, 1, size=(count, self.parameters))))
+        targets = self.rng.uniform(-1, 1, size=(count, self.parameters))
+        found = np.empty_like(targets)
+        return found[: int(seed(self.data, self.graph, *self.qp.joint, targets, found))]
+
+    def _room_for(self, sets: int) -> None:
+        """Make room for so many more active sets."""
+        while self.graph.counts[KNOWN] + sets >= len(self.graph.masks):
+            self._grow_sets()
 
     def advance(self, most: int) -> None:
         """Find the facets of some more regions, and their neighbours, until it is time to look at the clock."""
@@ -241,7 +288,6 @@ class _Search:
         room.queue[:count] = np.arange(count)
         room.counts[:] = old.counts
         room.counts[KNOWN] = count
-        room.lost[:] = old.lost
         room.tied[:] = old.tied[kept]
         self.graph = room
         self._rehash()
@@ -250,7 +296,8 @@ class _Search:
         """Twice the room for facets if that is scarce, else for active sets."""
         facets = self.facets
         if self.graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
-            self.facets = facets._replace(rows=_longer(facets.rows), open=_longer(facets.open))
+            longer = {name: _longer(getattr(facets, name)) for name in ("rows", "hits", "state")}
+            self.facets = facets._replace(**longer)
         else:
             self._grow_sets()
 
@@ -283,11 +330,12 @@ def _room(m: int, n: int, capacity: int = _CAPACITY) -> tuple[Graph, Facets]:
     graph = Graph(
         masks=np.zeros((capacity, max(1, (m + 63) // 64)), dtype=np.uint64), kinds=np.zeros(capacity, dtype=np.int8),
         table=np.full(4 * capacity, -1, dtype=np.int64), queue=np.zeros(capacity, dtype=np.int64),
-        counts=np.zeros(5, dtype=np.int64), lost=np.zeros((_LOST, n)), tied=np.zeros(m, dtype=bool),
+        counts=np.zeros(4, dtype=np.int64), tied=np.zeros(m, dtype=bool),
     )  # fmt: skip
     rows = np.empty((_FACETS * capacity, n + 1))
-    is_open = np.zeros(len(rows), dtype=bool)
-    return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), rows, np.empty((capacity, n)), is_open)
+    state = np.zeros(len(rows), dtype=np.int8)
+    hits = np.empty((len(rows), n))
+    return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), rows, np.empty((capacity, n)), hits, state)
 
 
 def _longer(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

@@ -13,13 +13,14 @@ from mpc.exceptions import InputError
 from mpc.explicit.compilation import compile_exploration
 from mpc.explicit.equality_elimination import (
     FlatParameters,
+    ImpliedEqualities,
     eliminate,
     equality_pairs,
     implied_equalities,
 )
 from mpc.explicit.exploration import Found, Limits, explore_compiled
 from mpc.explicit.laws import checked_laws, in_units
-from mpc.explicit.partition import Ints, MPQPStatus, Partition
+from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.scaled_qp import ScaledQP, scale_parameters, scale_qp
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import THIN
@@ -57,7 +58,7 @@ def solve_mpqp(
     -------
     Partition
         Its status says whether it is complete. Regions in which the law fails its check are left out: INACCURATE,
-        as where a feasible parameter beyond a facet lies in no region (`uncovered` counts these facets).
+        as where a feasible parameter was met that lies in no region (`uncovered` counts them).
 
     Raises
     ------
@@ -88,11 +89,12 @@ def solve_mpqp(
     explore = _explorer(compiled)
     found = explore(qp, limits)
     if found.status is MPQPStatus.INFEASIBLE:
-        reduced = _without_implied_equalities(qp, problem)
-        if reduced is not None:
-            qp, implied = reduced
-            equalities = np.concatenate([equalities, implied])
-            found = explore(qp, limits)
+        implied = implied_equalities(qp)
+        reduced = None if implied is None else _without(implied, qp, problem)
+        if implied is not None and reduced is not None:
+            equalities = np.concatenate([equalities, qp.origin[implied.rows]])
+            qp = reduced
+            found = explore(qp, limits, implied.parameter)
     found, law = _without_wrong_laws(qp, found)
     H, h = qp.unscale_rows(found.rows)
     sets = tuple(tuple(sorted(int(i) for i in (*equalities, *qp.origin[list(act)]))) for act in found.active_sets)
@@ -131,7 +133,7 @@ def _is_thin(found: Found, r: int) -> bool:
     return bool(0.0 <= (rows[:, -1] - rows[:, :-1] @ found.centres[r]).min() < THIN)
 
 
-def _explorer(compiled: bool) -> Callable[[ScaledQP, Limits], Found]:
+def _explorer(compiled: bool) -> Callable[..., Found]:
     """The compiled exploration or the slow one."""
     if compiled:
         return explore_compiled
@@ -140,18 +142,13 @@ def _explorer(compiled: bool) -> Callable[[ScaledQP, Limits], Found]:
     return explore_all
 
 
-def _without_implied_equalities(qp: ScaledQP, problem: ParametricQP) -> tuple[ScaledQP, Ints] | None:
-    """Second look at a problem without an interior: equalities eliminated, and the rows that made them.
-
-    None where the verdict stands: no feasible parameter, or only a flat set of them.
-    """
-    implied = implied_equalities(qp)
-    if implied is None or implied.of_parameters:
+def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) -> ScaledQP | None:
+    """The problem with these equalities eliminated; None where they are met at a flat set of parameters only."""
+    if implied.of_parameters:
         return None
     if not len(implied.rows):
-        return qp, implied.rows
+        return qp
     try:
-        reduced = eliminate(qp, list(implied.rows), problem.labels)
+        return eliminate(qp, list(implied.rows), problem.labels)
     except FlatParameters:
         return None
-    return reduced, qp.origin[implied.rows]

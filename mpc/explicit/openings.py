@@ -1,4 +1,4 @@
-"""Facets that led to no region: points beyond them, and what the QP finds there."""
+"""Parameters in no region: points beyond facets that led nowhere, and what the QP finds at a point."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Candidates = list[tuple[int, ...]]
 
 
 class Opening(NamedTuple):
-    """A point beyond an open facet: its active sets with independent rows, and whether it is feasible with room."""
+    """What the QP finds at a parameter: active sets with independent rows, and whether it is feasible with room."""
 
     candidates: Candidates
     feasible: bool
 
 
-def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> list[Array]:
+def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
     """Points of the parameter set just beyond one facet [a, b] of a region and a share of its size beyond it.
 
     They lie above a point in the middle of the facet; none where the facet is too small for one.
@@ -44,10 +44,10 @@ def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> list[Array]:
         A = np.ascontiguousarray(along[sides] / length[sides, None])
         radius = interior_point(A, slack[sides] / length[sides], np.inf, centre)
     if radius == 0.0:
-        return []
+        return np.empty((0, len(foot)))
     steps = [CROSSING, max(CROSSING, _FAR * radius)]
-    points = [foot + plane @ centre + step * normal for step in steps]
-    return [point for point in points if (qp.TA @ point <= qp.Tb).all()]
+    points = np.array([foot + plane @ centre + step * normal for step in steps])
+    return points[(points @ qp.TA.T <= qp.Tb).all(axis=1)]
 
 
 class OnlineQP:
@@ -62,8 +62,10 @@ class OnlineQP:
         """What the QP finds at the parameter t."""
         bounds = self.qp.D @ np.append(t, 1.0)
         result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
-        if result.infeasible or not result.residuals.primal <= KKT:
+        if result.infeasible:
             return Opening([], feasible=False)
+        if not result.residuals.primal <= KKT:
+            return Opening([], self._has_room(bounds))
         y = result.multipliers
         taken = tuple(int(i) for i in np.flatnonzero(y > OPTIMAL_SET * y.max(initial=0.0)))
         return Opening([taken, self._independent(result.z, bounds)], self._has_room(bounds))

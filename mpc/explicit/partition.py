@@ -23,7 +23,10 @@ class MPQPStatus(Enum):
     INFEASIBLE = "No parameter of the set is feasible, or only a flat part. Ask `LinearMPC.explain` what conflicts."
     REGION_LIMIT = "Stopped at `max_regions`: the partition has holes. Raise the limit, shorten N or block moves."
     TIME_LIMIT = "Stopped at `time_limit`: the partition may have holes. Raise the limit, shorten N or block moves."
-    INACCURATE = "In some regions, left out, rounding decides the law. Raise the smallest weights of the cost."
+    INACCURATE = (
+        "In some regions, left out, rounding decides the law. Raise the smallest weights of the cost; leave out rows "
+        "that nearly repeat others."
+    )
 
     @property
     def advice(self) -> str:
@@ -62,8 +65,7 @@ class Partition:
     solve_time : float
         Wall time [s].
     uncovered : int
-        Facets beyond which a feasible parameter was found that lies in no region: 0 unless the status is INACCURATE
-        or a limit was met.
+        Feasible parameters met that lie in no region: 0 unless the status is INACCURATE or a limit was met.
     """
 
     problem: ParametricQP
@@ -104,7 +106,7 @@ class Partition:
         return len(self.active_sets)
 
     def __repr__(self) -> str:
-        holes = f", holes beyond {self.uncovered} facets" if self.uncovered else ""
+        holes = f", {self.uncovered} feasible parameters in no region" if self.uncovered else ""
         return f"Partition({len(self)} regions, {self.status.name}{holes}, {1e3 * self.solve_time:.1f} ms)"
 
     def multipliers(self, region: int) -> Array:

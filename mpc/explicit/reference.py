@@ -21,9 +21,9 @@ Members = frozenset[int]
 Rows = tuple[Array, Array]
 
 
-def explore_all(qp: ScaledQP, limits: Limits) -> Found:
+def explore_all(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> Found:
     """Regions of all optimal active sets; where several are optimal together, without rows that the others imply."""
-    found, tied = _explore(qp, limits)
+    found, tied = _explore(qp, limits, feasible)
     if not tied or found.status is not MPQPStatus.COMPLETE:
         return found
     kept, finished = irredundant_rows(qp, limits.deadline)
@@ -33,14 +33,14 @@ def explore_all(qp: ScaledQP, limits: Limits) -> Found:
     return found if again.status is MPQPStatus.INFEASIBLE else again
 
 
-def _explore(qp: ScaledQP, limits: Limits) -> tuple[Found, bool]:
+def _explore(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> tuple[Found, bool]:
     """Explore optimal active sets of every dimension, changing any one constraint at a time.
 
     Arnström and Axehill (IEEE CDC 2024) show that the graph of optimal active sets is connected when those of lower
     dimension are kept as nodes; no facet, hash of bits or redundancy test is needed, only linear programs.
     The second value says whether several sets are optimal on one region.
     """
-    stack = _first(qp)
+    stack = _first(qp, feasible)
     status = MPQPStatus.COMPLETE if stack else MPQPStatus.INFEASIBLE
     seen = set(stack)
     regions = {}
@@ -73,8 +73,8 @@ def _explore(qp: ScaledQP, limits: Limits) -> tuple[Found, bool]:
     return Found(status, qp, sets, facets, sizes.astype(np.int64), np.vstack(centres)), tied
 
 
-def _first(qp: ScaledQP) -> list[Members]:
-    """Independent active sets at feasible parameters near the centre and near random ones."""
+def _first(qp: ScaledQP, feasible: Array | None) -> list[Members]:
+    """Independent active sets at feasible parameters near the centre, near random ones, and at one that is known."""
     n = qp.D.shape[1] - 1
     J, h = qp.joint
     targets = np.vstack([np.zeros(n), np.random.default_rng(0).uniform(-1, 1, size=(_SEEDS, n))])
@@ -88,6 +88,9 @@ def _first(qp: ScaledQP) -> list[Members]:
                 if active is not None and active not in found:
                     found.append(active)
                 break
+    known = None if feasible is None else _optimal_set(qp, qp.D @ np.append(feasible, 1.0))
+    if known is not None and known not in found:
+        found.append(known)
     return found
 
 

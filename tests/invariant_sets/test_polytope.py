@@ -93,6 +93,8 @@ def test_empty_and_unbounded_sets_say_so():
 def test_contains_is_batched_and_never_accepts_nan():
     P = Polytope.from_bounds([0, 0], [1, 1])
     np.testing.assert_array_equal(P.contains([[0.5, 0.5], [1.5, 0.5], [np.nan, 0.5]]), [True, False, False])
+    everything = Polytope(np.zeros((0, 2)), [])
+    np.testing.assert_array_equal(everything.contains([[1e300, 0], [np.nan, 0], [np.inf, 0]]), [True, False, False])
     assert P.contains([1.0, 1.0]) is True
 
 

@@ -5,8 +5,35 @@ from __future__ import annotations
 import numpy as np
 from plants import box
 
-from mpc import LinearMPC
+from mpc import LinearMPC, ParametricQP
 from mpc.lqr import NotStabilisableError
+from mpc.parametric_qp import Constraint
+
+
+def problem_of(H, F, f, G, w, S):
+    """A parametric QP whose variables are the inputs."""
+    nz, nt = F.shape
+    return ParametricQP(
+        H=H, F=F, f=f, Y=np.zeros((nt, nt)), y=np.zeros(nt), c=0.0, G=G, w=w, S=S, Lz=np.eye(nz),
+        Lt=np.zeros((nz, nt)), l=np.zeros(nz), Xz=np.zeros((nt, nz)), Xt=np.eye(nt), x=np.zeros(nt), nu=nz,
+        parameters=(("x", nt),), labels=tuple(Constraint("input", 0, i) for i in range(len(w))),
+    )  # fmt: skip
+
+
+def nearly_parallel_rows(seed):
+    """Rows of -1, 0 and 1, often dependent; one of them again, 1e-6 away, and the sum of two."""
+    rng = np.random.default_rng(seed)
+    nz, nt, m = int(rng.integers(1, 6)), int(rng.integers(1, 4)), int(rng.integers(2, 14))
+    L = rng.normal(size=(nz, nz))
+    rows = rng.integers(-1, 2, size=(m, nz + nt + 1)).astype(float)
+    rows[:, -1] = rng.integers(0, 3, size=m)
+    again = rows[rng.integers(m)].copy()
+    again[:nz] += 1e-6 * rng.normal(size=nz)
+    rows = np.vstack([rows, again, rows[0] + again])
+    rows = rows[np.linalg.norm(rows[:, :nz], axis=1) > 1e-3]
+    H = L @ L.T + 10.0 ** rng.uniform(-6, 0) * np.eye(nz)
+    F, f = rng.normal(size=(nz, nt)), rng.normal(size=nz)
+    return problem_of(H, F, f, rows[:, :nz], rows[:, -1], rows[:, nz:-1])
 
 
 def random_plant(seed):

@@ -11,7 +11,7 @@ from test_mpqp import membership
 from invariant_sets import Polytope
 from mpc import LinearMPC, MPQPStatus, solve_mpqp
 from mpc.explicit.exploration import Limits, _Search, explore_compiled
-from mpc.explicit.kernels.data import DEPENDENT, FULL, LOST, QPData
+from mpc.explicit.kernels.data import DEPENDENT, FULL, QPData
 from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.mpqp import _is_thin, _without_wrong_laws
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
@@ -146,12 +146,8 @@ def test_a_feasible_parameter_in_no_region_is_reported(explored):
     search.begin()
     while search.done < search.queued:
         search.advance(10_000)
-    assert not search.has_lost_parameters()
-    search.graph.counts[LOST] = 1
-    search.graph.lost[0] = found.centres[7]
-    assert not search.has_lost_parameters()  # its own set has no region, but another one holds it
-    search.graph.lost[0] = [0.99, 0.99]
-    assert search.has_lost_parameters()
+    search.feasible = np.vstack([found.centres[7], [0.99, 0.99]])
+    assert search.uncovered == 1
 
 
 def test_a_row_that_gives_up_its_slack_for_others_is_no_implied_equality():

@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 from plants import box, double_integrator
-from random_problems import hard_controller
+from random_problems import hard_controller, nearly_parallel_rows
+from scipy.optimize import linprog
 from test_mpqp import membership
 
+from invariant_sets import Polytope
 from mpc import LinearMPC, MPQPStatus, solve_mpqp
 from mpc.dense_qp import DenseQP
 from mpc.explicit.exploration import _Search
-from mpc.explicit.kernels.data import DONE, FULL, KNOWN, QUEUED, ROWS
+from mpc.explicit.kernels.data import CROSSED, DONE, FULL, KNOWN, OPEN, QUEUED, ROWS
 from mpc.explicit.openings import OnlineQP, points_beyond
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
-from mpc.tolerances import CROSSING
+from mpc.tolerances import CROSSING, THIN
 
 
 @pytest.fixture
@@ -37,7 +39,7 @@ def forget_all_but_the_first(search):
     graph.kinds[0], graph.queue[0], graph.table[:] = FULL, 0, -1
     counts[[KNOWN, QUEUED, DONE]] = 1
     counts[ROWS] = search.facets.offsets[1]
-    search.facets.open[: counts[ROWS]] = True
+    search.facets.state[: counts[ROWS]] = OPEN
     search._rehash()
 
 
@@ -59,22 +61,54 @@ def test_every_region_is_found_from_the_open_facets_of_one(search):
     while search.looks_across(np.inf):
         explore(search)
     assert set(search.found(MPQPStatus.COMPLETE).active_sets) == regions
-    assert not search.has_lost_parameters()
+    assert search.uncovered == 0
 
 
 def test_facets_beyond_which_nothing_is_found_are_counted(search, monkeypatch):
     forget_all_but_the_first(search)
     monkeypatch.setattr(search, "_consider", lambda act: None)
     assert not search.looks_across(np.inf)
-    assert search.has_lost_parameters()
-    assert search.found(MPQPStatus.INACCURATE).uncovered == search.graph.counts[ROWS]  # it borders on regions all round
+    # it borders on regions all round, and two points are looked at beyond each facet
+    assert search.found(MPQPStatus.INACCURATE).uncovered == search.uncovered == 2 * search.graph.counts[ROWS]
 
 
 def test_looking_across_stops_at_the_deadline(search):
     forget_all_but_the_first(search)
     assert search.looks_across(-np.inf)
     assert search.done == search.queued
-    assert search.facets.open[: search.graph.counts[ROWS]].all()
+    assert (search.facets.state[: search.graph.counts[ROWS]] == OPEN).all()
+
+
+def test_points_behind_facets_that_led_somewhere_lie_behind_one_facet_alone(search):
+    rows, offsets = search.facets.rows, search.facets.offsets
+    points = search._behind_facets(1000)
+    assert len(points) == 1000
+    for point in points:
+        excess = rows[: offsets[search.done], :-1] @ point - rows[: offsets[search.done], -1]
+        assert any(
+            sorted(excess[offsets[r] : offsets[r + 1]])[-2] <= CROSSING + excess[offsets[r] : offsets[r + 1]].max()
+            and CROSSING * 0.999 <= excess[offsets[r] : offsets[r + 1]].max() <= 0.01001
+            for r in range(search.done)
+        )
+
+
+def test_a_region_is_found_though_every_facet_claims_to_have_led_somewhere(search):
+    regions = set(search.found(MPQPStatus.COMPLETE).active_sets)
+    forget_all_but_the_first(search)
+    search.facets.state[: search.graph.counts[ROWS]] = CROSSED
+    while search.looks_again():
+        explore(search)
+    assert set(search.found(MPQPStatus.COMPLETE).active_sets) == regions
+
+
+def test_feasible_parameters_in_no_region_are_counted_though_every_facet_led_somewhere(search, monkeypatch):
+    forget_all_but_the_first(search)
+    search.facets.state[: search.graph.counts[ROWS]] = CROSSED
+    monkeypatch.setattr(search, "_consider", lambda act: None)
+    monkeypatch.setattr("mpc.explicit.kernels.exploration.look_at", lambda qp, graph, t: np.ones(len(t), dtype=bool))
+    monkeypatch.setattr(search, "_seed", lambda count: np.empty((0, 2)))
+    assert not search.looks_again()
+    assert search.uncovered > 0
 
 
 def test_the_active_sets_at_a_parameter_carry_its_optimum(search):
@@ -101,3 +135,22 @@ def test_a_partition_with_a_hole_does_not_call_itself_complete(seed):
     assert hole.mean() < 0.01  # what is left are slivers
     assert partition.uncovered > 0 or not hole.any()
     assert partition.status is (MPQPStatus.INACCURATE if partition.uncovered else MPQPStatus.COMPLETE)
+
+
+def online_feasible(problem, theta):
+    """Which parameters are feasible with room, by linear programs, with variables of at most a thousand."""
+    cost = np.zeros(problem.nz)
+    room = [linprog(cost, problem.G, problem.w + problem.S @ t - 1e-5, bounds=(-1e3, 1e3)) for t in theta]
+    return np.array([program.status == 0 for program in room])
+
+
+@pytest.mark.parametrize("seed", [73, 357, 1134, 1569, 1721, 1781, 3156, 3773, 580, 3660])
+def test_nearly_parallel_rows_leave_no_hole_unsaid(seed):
+    problem = nearly_parallel_rows(seed)
+    ones = np.ones(problem.nt)
+    partition = solve_mpqp(problem, Polytope.from_bounds(-2 * ones, 2 * ones))
+    theta = np.random.default_rng(seed).uniform(-2, 2, size=(200, problem.nt))
+    apart = theta if not len(partition) else theta[membership(partition, theta).min(axis=1) > THIN]
+    hole = online_feasible(problem, apart).any()
+    assert (partition.uncovered > 0) is (partition.status is MPQPStatus.INACCURATE)
+    assert partition.status is (MPQPStatus.INACCURATE if hole else MPQPStatus.COMPLETE)

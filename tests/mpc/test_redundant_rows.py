@@ -89,7 +89,7 @@ def test_the_slow_exploration_keeps_what_it_found_when_its_restart_is_late(touch
     whole = reference.explore_all(qp, Limits(1000, np.inf))
     first = reference._explore
 
-    def late_again(problem, limits):
+    def late_again(problem, limits, feasible=None):
         return first(problem, limits if len(problem.M) == len(qp.M) else limits._replace(deadline=0.0))
 
     monkeypatch.setattr(reference, "_explore", late_again)
@@ -103,8 +103,8 @@ def test_a_restart_that_finds_nothing_leaves_the_first_search_as_it_was(touched,
     begin = _Search.begin
     restarts = []
 
-    def begin_once(search):
-        return begin(search) if len(search.qp.M) == len(qp.M) else restarts.append(search)
+    def begin_once(search, feasible=None):
+        return begin(search, feasible) if len(search.qp.M) == len(qp.M) else restarts.append(search)
 
     monkeypatch.setattr(_Search, "begin", begin_once)
     found = explore_compiled(qp, Limits(1000, np.inf))

@@ -10,8 +10,11 @@ from mpc.checks import Array
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 
-KNOWN, QUEUED, DONE, ROWS, LOST = 0, 1, 2, 3, 4  # positions in `Graph.counts`
+KNOWN, QUEUED, DONE, ROWS = 0, 1, 2, 3  # positions in `Graph.counts`
 FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: its region is empty or of lower dimension
+INFEASIBLE = 4  # a parameter without any active set
+BORDER, OPEN, CROSSED, ASKED = 0, 1, 2, 3  # facets: of the parameter set or of the feasible one; that led nowhere; ...
+# ... that led to a region; that led nowhere, and the QP was asked there
 
 
 class QPData(NamedTuple):
@@ -34,8 +37,7 @@ class Graph(NamedTuple):
 
     masks : (capacity, words) bits of each active set; kinds : what is known about each; table : hash table of their
     numbers; queue : numbers of those with a region, in the order found; counts : sets KNOWN, regions QUEUED, regions
-    DONE, facet ROWS stored, feasible parameters LOST because their active set has no region; lost : (many, nt) these
-    parameters, as many as there is room for; tied : (m,) rows that were active, or not, without any effect on a region.
+    DONE, facet ROWS stored; tied : (m,) rows that were active, or not, without any effect on a region.
     """
 
     masks: np.ndarray[Any, np.dtype[np.uint64]]
@@ -43,21 +45,20 @@ class Graph(NamedTuple):
     table: Ints
     queue: Ints
     counts: Ints
-    lost: Array
     tied: np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class Facets(NamedTuple):
     """Facets of the regions done: region r owns rows[offsets[r] : offsets[r + 1]], each [a, b] for a't <= b.
 
-    centres : a point inside each region; open : facets inside the parameter set beyond which neither a region was found
-    nor infeasibility proven.
+    centres : a point inside each region; hits : a point on each facet; state : BORDER, OPEN, CROSSED or ASKED.
     """
 
     offsets: Ints
     rows: Array
     centres: Array
-    open: np.ndarray[Any, np.dtype[np.bool_]]
+    hits: Array
+    state: np.ndarray[Any, np.dtype[np.int8]]
 
 
 class RegionData(NamedTuple):

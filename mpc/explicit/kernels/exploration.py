@@ -9,10 +9,23 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mpc.explicit.kernels.data import DEPENDENT, DONE, FLAT, FULL, KNOWN, LOST, QUEUED, ROWS, RegionData
+from mpc.explicit.kernels.data import (
+    BORDER,
+    CROSSED,
+    DEPENDENT,
+    DONE,
+    FLAT,
+    FULL,
+    INFEASIBLE,
+    KNOWN,
+    OPEN,
+    QUEUED,
+    ROWS,
+    RegionData,
+)
 from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind, margin_at, project
 from mpc.explicit.kernels.region import gram_factor, gram_solve, optimal_at, optimal_set, region_rows
-from mpc.tolerances import EXCHANGE, EXCLUDED, INSETS, PROJECTION, SAME_PLANE, TIE
+from mpc.tolerances import EXCHANGE, EXCLUDED, INSETS, PARALLEL, PROJECTION, SAME_PLANE, TIE
 
 FINISHED, GROW, PAUSED = 0, 1, 2  # why the exploration returned
 _MARGIN = 0.1  # distance from the other facets, scaled parameters, that a point behind a facet keeps where it can
@@ -105,16 +118,18 @@ def consider(qp, graph, mask):
 
 @njit(cache=True)
 def consider_parameter(qp, graph, theta, mask):
-    """True when the QP at θ is feasible and its active set has a region; of several such sets the one that counts."""
+    """Kind of the active set of the QP at θ, of several the one that counts; INFEASIBLE where there is none."""
+    kind = INFEASIBLE
     act = np.empty(len(qp.D) + 1, np.int64)
     for shift in (0.0, TIE, 10.0 * TIE):
         k = optimal_set(qp, theta, shift, act)
         if k < 0:
-            return False
+            return kind
         to_mask(act, k, mask)
-        if consider(qp, graph, mask) == FULL:
-            return True
-    return False
+        kind = consider(qp, graph, mask)
+        if kind == FULL:
+            return kind
+    return kind
 
 
 @njit(cache=True)
@@ -149,7 +164,7 @@ def explore(qp, graph, facets, budget):
         store(facets, counts, region)
         for number in range(count):
             if kept[number] < m:  # not the border of the parameter set
-                facets.open[facets.offsets[counts[DONE] - 1] + number] = not cross(qp, graph, region, number)
+                facets.state[facets.offsets[counts[DONE] - 1] + number] = cross(qp, graph, region, number)
     return FINISHED
 
 
@@ -157,11 +172,12 @@ def explore(qp, graph, facets, budget):
 def store(facets, counts, region):
     """Append the facets and the centre of the next region done; there is room for them."""
     n = region.A.shape[1]
-    for facet in region.facets:
+    for number, facet in enumerate(region.facets):
         for j in range(n):
             facets.rows[counts[ROWS], j] = region.A[facet, j]
+            facets.hits[counts[ROWS], j] = region.hits[number, j]
         facets.rows[counts[ROWS], n] = region.b[facet]
-        facets.open[counts[ROWS]] = False
+        facets.state[counts[ROWS]] = BORDER
         counts[ROWS] += 1
     facets.offsets[counts[DONE] + 1] = counts[ROWS]
     for j in range(n):
@@ -171,7 +187,7 @@ def store(facets, counts, region):
 
 @njit(cache=True)
 def cross(qp, graph, region, number):
-    """Queue what lies behind one facet of a region; False when that is not known afterwards.
+    """Queue what lies behind one facet of a region; OPEN when that is not known afterwards.
 
     A neighbour that differs in the row of the facet alone is found by algebra. Otherwise a point just behind the facet
     is asked: which of the sets with one row exchanged is optimal there, or else which set the QP finds there. Where the
@@ -183,12 +199,17 @@ def cross(qp, graph, region, number):
     work = np.empty(len(mask), np.uint64)
     kind = behind(qp, graph, A, b, mask, facet, work)
     if kind == FULL:
-        return True
+        return CROSSED
     reached = just_behind(A, b, facets, len(facets), number, hits[number], behind_it)
     if not reached:
         reached = across(A, b, facets, len(facets), facet, hits[number], min(_MARGIN, radius), behind_it)
-    known = kind == DEPENDENT and exchange(qp, graph, act, len(act), facet, mask, behind_it if reached else centre)
-    return reached and (known or consider_parameter(qp, graph, behind_it, work))
+    if kind == DEPENDENT:
+        kind = exchange(qp, graph, act, len(act), facet, mask, behind_it if reached else centre)
+    if not reached:
+        return OPEN
+    if kind == INFEASIBLE:
+        return BORDER
+    return CROSSED if kind == FULL or consider_parameter(qp, graph, behind_it, work) == FULL else OPEN
 
 
 @njit(cache=True)
@@ -225,8 +246,8 @@ def behind(qp, graph, A, b, mask, facet, work):
 def exchange(qp, graph, act, k, entering, mask, theta):
     """Consider sets in which the entering row replaces another; one with a positive coefficient has to leave.
 
-    Returns True when one of them that has a region is optimal at θ, a point behind the facet, or when θ is infeasible
-    because none can leave; of any other point the answer means nothing.
+    Returns FULL when one of them that has a region is optimal at θ, a point behind the facet, INFEASIBLE when θ is,
+    because none can leave, and FLAT otherwise; of any other point the answer means nothing.
     """
     L = np.empty((k, k))
     coefficient = np.empty(k)
@@ -236,15 +257,18 @@ def exchange(qp, graph, act, k, entering, mask, theta):
     gram_solve(L, k, coefficient)
     swapped = np.empty(len(mask), np.uint64)
     members = np.empty(len(qp.D), np.int64)
-    sure = excluded(qp, act, k, entering, coefficient, theta)
+    if excluded(qp, act, k, entering, coefficient, theta):
+        return INFEASIBLE
+    kind = FLAT
     for a in range(k):
         if coefficient[a] > EXCHANGE:
             swapped[:] = mask
             flip(swapped, entering)
             flip(swapped, act[a])
-            if consider(qp, graph, swapped) == FULL and not sure:
-                sure = optimal_at(qp, members, from_mask(swapped, members), theta)
-    return sure
+            found = consider(qp, graph, swapped) == FULL
+            if found and kind != FULL and optimal_at(qp, members, from_mask(swapped, members), theta):
+                kind = FULL
+    return kind
 
 
 @njit(cache=True)
@@ -277,11 +301,10 @@ def excluded(qp, act, k, entering, coefficient, theta):
 
 
 @njit(cache=True)
-def seed(qp, graph, J, h, targets):
+def seed(qp, graph, J, h, targets, found):
     """Queue the active sets at feasible parameters near the targets; J [t; v] <= h is the joint set with unit rows.
 
-    Returns the number of targets near which a parameter with an interior around it was found. Where such a parameter
-    has no region, it is noted as lost.
+    Writes the parameters with an interior around them into `found`; returns their number.
     """
     mj, nj = J.shape
     n = targets.shape[1]
@@ -298,11 +321,9 @@ def seed(qp, graph, J, h, targets):
             for i in range(mj):
                 shrunk[i] = h[i] - inset
             if project(J, shrunk, mj, c, 10.0 * PROJECTION, joint, work, lam) >= 0:
+                found[hits] = joint[:n]
+                consider_parameter(qp, graph, found[hits], mask)
                 hits += 1
-                has_region = consider_parameter(qp, graph, joint[:n].copy(), mask)
-                if not has_region and graph.counts[LOST] < len(graph.lost):
-                    graph.lost[graph.counts[LOST]] = joint[:n]
-                    graph.counts[LOST] += 1
                 break
         if hits == 0:
             break  # infeasible from one target is infeasible from all
@@ -311,16 +332,62 @@ def seed(qp, graph, J, h, targets):
 
 @njit(cache=True)
 def look_at(qp, graph, targets):
-    """Queue the active sets at the targets themselves, where they lie in the parameter set and are feasible.
-
-    One whose active set has no region is noted as lost.
-    """
-    act = np.empty(len(qp.D) + 1, np.int64)
+    """Queue the active sets at the targets; which of these lie in the parameter set and are feasible."""
     mask = np.empty(graph.masks.shape[1], np.uint64)
+    feasible = np.zeros(len(targets), np.bool_)
     for t in range(len(targets)):
-        theta = targets[t].copy()
-        if margin_at(qp.TA, qp.Tb, theta) < 0.0 or consider_parameter(qp, graph, theta, mask):
-            continue
-        if graph.counts[LOST] < len(graph.lost) and optimal_set(qp, theta, 0.0, act) >= 0:
-            graph.lost[graph.counts[LOST]] = theta
-            graph.counts[LOST] += 1
+        if margin_at(qp.TA, qp.Tb, targets[t]) >= 0.0:
+            feasible[t] = consider_parameter(qp, graph, targets[t], mask) != INFEASIBLE
+    return feasible
+
+
+@njit(cache=True)
+def behind_facets(facets, chosen, owners, directions, shares, steps):
+    """Points behind facets: from the point hit, along the facet in a direction a share of the way, then a step out."""
+    n = directions.shape[1]
+    points = np.empty((len(chosen), n))
+    step = np.empty(n)
+    for p in range(len(chosen)):
+        facet = chosen[p]
+        along = 0.0
+        for j in range(n):
+            along += facets.rows[facet, j] * directions[p, j]
+        for j in range(n):
+            step[j] = directions[p, j] - along * facets.rows[facet, j]
+        first = -2.0
+        last = 2.0
+        for i in range(facets.offsets[owners[p]], facets.offsets[owners[p] + 1]):
+            slack = facets.rows[i, n]
+            rate = 0.0
+            for j in range(n):
+                slack -= facets.rows[i, j] * facets.hits[facet, j]
+                rate += facets.rows[i, j] * step[j]
+            if i != facet and rate > PARALLEL:
+                last = min(last, max(slack, 0.0) / rate)
+            elif i != facet and rate < -PARALLEL:
+                first = max(first, max(slack, 0.0) / rate)
+        way = first + shares[p] * (last - first)
+        for j in range(n):
+            points[p, j] = facets.hits[facet, j] + way * step[j] + steps[p] * facets.rows[facet, j]
+    return points
+
+
+@njit(cache=True)
+def covered(facets, counts, points, distance):
+    """Which points lie in a region that is done, or not farther outside one than a distance."""
+    n = points.shape[1]
+    inside = np.zeros(len(points), np.bool_)
+    for p in range(len(points)):
+        for r in range(counts[DONE]):
+            within = True
+            for i in range(facets.offsets[r], facets.offsets[r + 1]):
+                s = -facets.rows[i, n]
+                for j in range(n):
+                    s += facets.rows[i, j] * points[p, j]
+                if s > distance:
+                    within = False
+                    break
+            if within:
+                inside[p] = True
+                break
+    return inside
