@@ -24,12 +24,12 @@ class FlatParameters(InputError):
 class ImpliedEqualities(NamedTuple):
     """Rows of M that hold with equality at every feasible point, and whether a row of the parameter set does.
 
-    parameter : (nt,) one that is feasible, away from what does not hold with equality.
+    parameters : (k, nt) that are feasible: the last as far as can be from what the other rows forbid.
     """
 
     rows: Ints
     of_parameters: bool
-    parameter: Array
+    parameters: Array
 
 
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
@@ -63,8 +63,19 @@ def implied_equalities(qp: ScaledQP) -> ImpliedEqualities | None:
     if slack.min() < -IMPLIED_EQUALITY:
         return None
     tight = np.array([i for i in np.flatnonzero(slack <= IMPLIED_EQUALITY) if not _has_slack(J, h, i)], dtype=np.int64)
-    parameter = np.ascontiguousarray(program.x[: qp.D.shape[1] - 1])
-    return ImpliedEqualities(tight[tight < len(qp.M)], bool((tight >= len(qp.M)).any()), parameter)
+    points = [program.x, *_deepest(J, h, tight)]
+    parameters = np.array([point[: qp.D.shape[1] - 1] for point in points])
+    return ImpliedEqualities(tight[tight < len(qp.M)], bool((tight >= len(qp.M)).any()), parameters)
+
+
+def _deepest(J: Array, h: Array, tight: Ints) -> list[Array]:
+    """The point of {x : J x <= h} with the largest least slack, up to one, in the rows not tight; none if not found."""
+    loose = np.ones((len(J), 1))
+    loose[tight] = 0.0
+    cost = np.append(np.zeros(J.shape[1]), -1.0)
+    limits = [(None, None)] * J.shape[1] + [(0.0, 1.0)]
+    program = linprog(cost, A_ub=np.hstack([J, loose]), b_ub=h, bounds=limits, method="highs")
+    return [program.x[:-1]] if program.status == 0 else []
 
 
 def _has_slack(J: Array, h: Array, row: np.intp) -> bool:

@@ -26,11 +26,16 @@ _FACETS = 16  # facets a region for which there is room at first
 _LOOK = 0.05  # wall time between two looks at the clock [s]
 _MANY = 300  # regions from which on it pays to leave out rows that the others imply
 _SHARE = 0.25  # share of the time left that may be spent on that
-_BETWEEN = 100  # points between facets, and
-_BEHIND = 500  # behind facets that led to a region, that are looked at before a small law is called complete
-_FARTHEST = 0.01  # distance behind a facet, scaled parameters, of such a point
-_PER_REGION = 8  # regions for which, in a large law, there is one more of either
-_ASKED = 64  # feasible parameters in no region where the QP is solved
+# what is looked at before a small law is called complete:
+_ANYWHERE = 4  # random parameters, and as many near the border,
+_BETWEEN = 100  # points between facets,
+_BEHIND = 500  # and behind facets that led to a region,
+_FARTHEST = 0.01  # at most at this distance, scaled parameters
+_PER_REGION = 8  # regions for which, in a large law, there is one more of each,
+_MOST = 2000  # but no more than so many
+_AT_ONCE = 20_000_000  # pairs of a point and a region between two looks at the clock
+_FEW = 16  # points where the QP is solved between two looks at the clock
+_ASKED = 64  # points where it is solved once one of them lies in a hole
 _ACROSS = 64  # open facets that are looked across in a small law,
 _MOST_ACROSS = 500  # and in a large one
 _LIMITED = (MPQPStatus.REGION_LIMIT, MPQPStatus.TIME_LIMIT)
@@ -62,10 +67,10 @@ class Found(NamedTuple):
 def explore_compiled(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> Found:
     """Regions of all optimal active sets, from facet to facet; at a limit those found so far.
 
-    feasible : (nt,) a parameter from which to start, where random ones find nothing.
+    feasible : (k, nt) parameters from which to start where random ones find nothing.
     """
-    first = _Search(qp)
-    first.begin(feasible)
+    first = _Search(qp, feasible)
+    first.begin()
     search = first
     status = None if first.queued else MPQPStatus.INACCURATE if first.uncovered else MPQPStatus.INFEASIBLE
     while status is None:
@@ -76,7 +81,7 @@ def explore_compiled(qp: ScaledQP, limits: Limits, feasible: Array | None = None
             status = MPQPStatus.TIME_LIMIT
         elif search.should_be_thinned:
             search = search.thinned_out(limits.deadline)
-        elif search.done == search.queued and not search.looks_across(limits.deadline) and not search.looks_again():
+        elif search.done == search.queued and not search.looks_for_holes(limits.deadline):
             status = MPQPStatus.INACCURATE if search.uncovered else MPQPStatus.COMPLETE
     most = max(first, search, key=lambda s: s.done) if status in _LIMITED else search
     return most.found(status)
@@ -85,7 +90,8 @@ def explore_compiled(qp: ScaledQP, limits: Limits, feasible: Array | None = None
 class _Search:
     """The graph of active sets of one problem as far as it is explored."""
 
-    def __init__(self, qp: ScaledQP) -> None:
+    def __init__(self, qp: ScaledQP, known: Array | None = None) -> None:
+        self.known = known  # feasible parameters
         self.rng = np.random.default_rng(0)
         self.thinned = False
         self.thinned_for_speed = False
@@ -117,13 +123,17 @@ class _Search:
         """Whether several active sets are optimal on one region."""
         return bool(self.graph.tied.any())
 
-    def begin(self, feasible: Array | None = None) -> None:
+    def begin(self) -> None:
         """Queue the regions of a few parameters; more only where each of them lies on the border of regions."""
         for _ in range(_ROUNDS):
             if len(self._seed(_SEEDS)) == 0 or self.queued:
                 break
-        if feasible is not None and not self.queued:
-            self._ask_at(feasible[None])
+        if self.known is not None and not self.queued:
+            self._ask_at(self.known)
+
+    def looks_for_holes(self, deadline: float) -> bool:
+        """Look beyond what is explored; True when that leads to regions, or the deadline is past."""
+        return self.looks_across(deadline) or self.looks_again(deadline)
 
     def looks_across(self, deadline: float) -> bool:
         """Solve the QP beyond facets that led nowhere; True when that leads to regions, or the deadline is past.
@@ -174,26 +184,48 @@ class _Search:
 
         return np.asarray(covered(self.facets, self.graph.counts, points, distance))
 
-    def looks_again(self) -> bool:
-        """Look at parameters anywhere, between facets, and behind those that led to a region: True for a new region.
+    def looks_again(self, deadline: float) -> bool:
+        """Look for a hole anywhere, near the border, between facets, and behind those that led to a region.
 
-        Where rounding decides, the region that a facet led to may lie elsewhere. Between facets all is feasible.
+        Where rounding decides, the region that a facet led to may lie elsewhere. True when that leads to regions, or
+        the deadline is past.
         """
+        more = min(self.done // _PER_REGION, _MOST)
+        between = self._between_facets(_BETWEEN + more)  # feasible, whatever a solver says
+        anywhere = self.rng.uniform(-1, 1, size=(_ANYWHERE + more, self.parameters))
+        behind = self._behind_facets(_BEHIND + more)
+        self._room_for(8 * (_ANYWHERE + more))
+        places = np.vstack([between, anywhere, behind, self._seed(_ANYWHERE + more)])
+        feasible = np.arange(len(places)) < len(between)
+        parts = 1 + len(places) * self.done // _AT_ONCE
+        for numbers in np.array_split(np.arange(len(places)), parts):
+            if time.perf_counter() > deadline:
+                return True
+            self._look_at(places[numbers], feasible[numbers])
+        self.pending = self.rng.permutation(self.pending[~self._covered(self.pending)])
+        return self._asks(deadline)
+
+    def _look_at(self, points: Array, feasible: Bools) -> None:
+        """Queue the active sets at points in no region; those that are feasible, or known to be, are pending."""
         from mpc.explicit.kernels.exploration import look_at
 
-        count = min(4 + self.done // _PER_REGION, 2000)
-        anywhere = self.rng.uniform(-1, 1, size=(count, self.parameters))
-        behind = self._behind_facets(_BEHIND + self.done // _PER_REGION)
-        places = np.vstack([anywhere, self._between_facets(_BETWEEN + self.done // _PER_REGION), behind])
-        places = places[~self._covered(places)]
-        self._room_for(8 * (count + len(places)))
-        near_border = self._seed(count)
-        places = places[look_at(self.data, self.graph, places)]
-        met = np.vstack([self.pending, near_border, places])
-        self.pending = met[~self._covered(met)]
-        if self.queued == self.done:
-            self._ask_at(self.pending[:_ASKED])
-            self.pending = self.pending[_ASKED:]
+        apart = ~self._covered(points)
+        self._room_for(8 * int(apart.sum()))
+        found = look_at(self.data, self.graph, points[apart])
+        self.pending = np.vstack([self.pending, points[apart][found | feasible[apart]]])
+
+    def _asks(self, deadline: float) -> bool:
+        """Solve the QP at pending points; True when that leads to regions, or the deadline is past.
+
+        Some are enough once one of them has shown that there is a hole.
+        """
+        asked = 0
+        while self.queued == self.done and len(self.pending) and not (asked >= _ASKED and self.uncovered):
+            if time.perf_counter() > deadline:
+                return True
+            self._ask_at(self.pending[:_FEW])
+            self.pending = self.pending[_FEW:]
+            asked += _FEW
         return self.queued > self.done
 
     def _between_facets(self, count: int) -> Array:
@@ -271,7 +303,7 @@ class _Search:
 
     def _started_again(self, kept: Ints) -> _Search:
         """A search with these rows only; this one where that finds no region."""
-        other = _Search(self.qp.rows(kept))
+        other = _Search(self.qp.rows(kept), self.known)
         other.thinned = self.thinned
         other.thinned_for_speed = True
         other.begin()

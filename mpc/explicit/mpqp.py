@@ -37,9 +37,10 @@ def solve_mpqp(
     Explores the graph whose nodes are optimal active sets and whose edges change one constraint, from facet to facet;
     where the rows of a neighbour are dependent one constraint is exchanged, where hyperplanes coincide every
     combination is tried, and where the algebra finds no neighbour the QP is solved just across the facet. Facets that
-    still led nowhere, of very many some drawn at random, are looked across by the checked online solver. At the end the
-    QP is solved at random parameters. An active set not met before is explored too. Where several active sets are
-    optimal on one region, redundant rows are left out and a symbolic perturbation decides: regions do not overlap.
+    still led nowhere, of very many some drawn at random, are looked across by the checked online solver. At the end
+    points between and behind facets, near the border and anywhere are looked up, and where they lie in no region the QP
+    is solved. An active set not met before is explored too. Where several active sets are optimal on one region,
+    redundant rows are left out and a symbolic perturbation decides: regions do not overlap.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ def solve_mpqp(
         if implied is not None and reduced is not None:
             equalities = np.concatenate([equalities, qp.origin[implied.rows]])
             qp = reduced
-            found = explore(qp, limits, implied.parameter)
+            found = explore(qp, limits, implied.parameters)
     found, law = _without_wrong_laws(qp, found)
     H, h = qp.unscale_rows(found.rows)
     sets = tuple(tuple(sorted(int(i) for i in (*equalities, *qp.origin[list(act)]))) for act in found.active_sets)

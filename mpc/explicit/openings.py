@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.optimize import linprog, nnls
 
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import CROSSING, KKT, LAW_ERROR, OPTIMAL_SET, PARALLEL, TIE
+from mpc.tolerances import CROSSING, EXCLUDED, KKT, LAW_ERROR, OPTIMAL_SET, PARALLEL, TIE
 
 _FAR = 0.1  # the farther point beyond a facet, in radii of the facet
 Candidates = list[tuple[int, ...]]
@@ -80,5 +80,14 @@ class OnlineQP:
 
     def _has_room(self, bounds: Array) -> bool:
         """Whether a point holds every row, found with bounds a little tighter: no tolerance makes it feasible."""
-        tighter = bounds - TIE * (1.0 + np.abs(bounds))
-        return bool((self.qp.M @ self.solver.solve(self.free, tighter).z <= bounds).all())
+        room = TIE * (1.0 + np.abs(bounds))
+        found = self.solver.solve(self.free, bounds - room, confirm_infeasible=True).z
+        return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room)
+
+    def _linear_program_finds_room(self, bounds: Array, room: Array) -> bool:
+        """The same asked of HiGHS, for v that are not too large: of nearly opposite rows a QP solver finds no point."""
+        cost = np.append(self.free, -1.0)
+        rows = np.hstack([self.qp.M, room[:, None] / TIE])
+        limits = [(-EXCLUDED, EXCLUDED)] * len(self.free) + [(None, 1.0)]
+        program = linprog(cost, A_ub=rows, b_ub=bounds, bounds=limits, method="highs")
+        return program.status == 0 and bool((bounds - self.qp.M @ program.x[:-1] >= room).all())

@@ -19,7 +19,7 @@ Ints = np.ndarray[Any, np.dtype[np.int64]]
 class MPQPStatus(Enum):
     """How the exploration ended; the value is the advice."""
 
-    COMPLETE = "Complete: every region behind every facet was explored."
+    COMPLETE = "Complete: every region behind every facet was explored, and no feasible parameter found outside them."
     INFEASIBLE = "No parameter of the set is feasible, or only a flat part. Ask `LinearMPC.explain` what conflicts."
     REGION_LIMIT = "Stopped at `max_regions`: the partition has holes. Raise the limit, shorten N or block moves."
     TIME_LIMIT = "Stopped at `time_limit`: the partition may have holes. Raise the limit, shorten N or block moves."
@@ -65,7 +65,8 @@ class Partition:
     solve_time : float
         Wall time [s].
     uncovered : int
-        Feasible parameters met that lie in no region: 0 unless the status is INACCURATE or a limit was met.
+        Feasible parameters met that lie in no region explored: 0 unless the status is INACCURATE or a limit was met.
+        What regions leave out whose law failed its check is not counted.
     """
 
     problem: ParametricQP

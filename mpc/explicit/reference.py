@@ -74,7 +74,7 @@ def _explore(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> tup
 
 
 def _first(qp: ScaledQP, feasible: Array | None) -> list[Members]:
-    """Independent active sets at feasible parameters near the centre, near random ones, and at one that is known."""
+    """Independent active sets at feasible parameters near the centre, near random ones, and at some that are known."""
     n = qp.D.shape[1] - 1
     J, h = qp.joint
     targets = np.vstack([np.zeros(n), np.random.default_rng(0).uniform(-1, 1, size=(_SEEDS, n))])
@@ -88,9 +88,10 @@ def _first(qp: ScaledQP, feasible: Array | None) -> list[Members]:
                 if active is not None and active not in found:
                     found.append(active)
                 break
-    known = None if feasible is None else _optimal_set(qp, qp.D @ np.append(feasible, 1.0))
-    if known is not None and known not in found:
-        found.append(known)
+    for t in [] if feasible is None else feasible:
+        known = _optimal_set(qp, qp.D @ np.append(t, 1.0))
+        if known is not None and known not in found:
+            found.append(known)
     return found
 
 

@@ -20,8 +20,8 @@ def problem_of(H, F, f, G, w, S):
     )  # fmt: skip
 
 
-def nearly_parallel_rows(seed):
-    """Rows of -1, 0 and 1, often dependent; one of them again, 1e-6 away, and the sum of two."""
+def nearly_parallel_rows(seed, *, opposite=False):
+    """Rows of -1, 0 and 1, often dependent; one of them again, 1e-6 away, and the sum of two; some nearly opposite."""
     rng = np.random.default_rng(seed)
     nz, nt, m = int(rng.integers(1, 6)), int(rng.integers(1, 4)), int(rng.integers(2, 14))
     L = rng.normal(size=(nz, nz))
@@ -30,6 +30,10 @@ def nearly_parallel_rows(seed):
     again = rows[rng.integers(m)].copy()
     again[:nz] += 1e-6 * rng.normal(size=nz)
     rows = np.vstack([rows, again, rows[0] + again])
+    if opposite:  # a slab, 1e-7 to 1e-1 thick
+        other = -rows[rng.integers(m)] + 1e-6 * rng.normal(size=rows.shape[1])
+        other[-1] += 10.0 ** rng.uniform(-7, -1)
+        rows = np.vstack([rows, other])
     rows = rows[np.linalg.norm(rows[:, :nz], axis=1) > 1e-3]
     H = L @ L.T + 10.0 ** rng.uniform(-6, 0) * np.eye(nz)
     F, f = rng.normal(size=(nz, nt)), rng.normal(size=nz)

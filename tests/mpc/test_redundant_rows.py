@@ -103,8 +103,8 @@ def test_a_restart_that_finds_nothing_leaves_the_first_search_as_it_was(touched,
     begin = _Search.begin
     restarts = []
 
-    def begin_once(search, feasible=None):
-        return begin(search, feasible) if len(search.qp.M) == len(qp.M) else restarts.append(search)
+    def begin_once(search):
+        return begin(search) if len(search.qp.M) == len(qp.M) else restarts.append(search)
 
     monkeypatch.setattr(_Search, "begin", begin_once)
     found = explore_compiled(qp, Limits(1000, np.inf))
@@ -136,7 +136,7 @@ def test_the_second_look_takes_place_when_memory_is_nearly_full():
     asked = []
     seed = search._seed
     search._seed = lambda count: asked.append(count) or seed(count)
-    assert not search.looks_again()
+    assert not search.looks_again(np.inf)
     assert asked == [4 + search.done // 8]
     assert len(search.graph.masks) > full
 

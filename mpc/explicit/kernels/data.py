@@ -13,8 +13,10 @@ Ints = np.ndarray[Any, np.dtype[np.int64]]
 KNOWN, QUEUED, DONE, ROWS = 0, 1, 2, 3  # positions in `Graph.counts`
 FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: its region is empty or of lower dimension
 INFEASIBLE = 4  # a parameter without any active set
-BORDER, OPEN, CROSSED, ASKED = 0, 1, 2, 3  # facets: of the parameter set or of the feasible one; that led nowhere; ...
-# ... that led to a region; that led nowhere, and the QP was asked there
+BORDER = 0  # a facet on the border of the parameter set, or beyond which infeasibility is proven
+OPEN = 1  # one that led nowhere
+CROSSED = 2  # one that led to a region
+ASKED = 3  # one that led nowhere, and the QP was solved beyond it
 
 
 class QPData(NamedTuple):
@@ -51,7 +53,8 @@ class Graph(NamedTuple):
 class Facets(NamedTuple):
     """Facets of the regions done: region r owns rows[offsets[r] : offsets[r + 1]], each [a, b] for a't <= b.
 
-    centres : a point inside each region; hits : a point on each facet; state : BORDER, OPEN, CROSSED or ASKED.
+    centres : a point inside each region; hits : a point on each facet, inside the region where none was met; state :
+    BORDER, OPEN, CROSSED or ASKED.
     """
 
     offsets: Ints

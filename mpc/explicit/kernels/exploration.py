@@ -352,10 +352,13 @@ def behind_facets(facets, chosen, owners, directions, shares, steps):
         along = 0.0
         for j in range(n):
             along += facets.rows[facet, j] * directions[p, j]
+        length = 0.0
         for j in range(n):
             step[j] = directions[p, j] - along * facets.rows[facet, j]
-        first = -2.0
-        last = 2.0
+            length += step[j] * step[j]
+        across = 2.0 * np.sqrt(n / max(length, PARALLEL))  # of the parameter set
+        first = -across
+        last = across
         for i in range(facets.offsets[owners[p]], facets.offsets[owners[p] + 1]):
             slack = facets.rows[i, n]
             rate = 0.0

@@ -1,7 +1,7 @@
 """Compiled geometry of half-spaces with unit rows: nearest point, interior point, facets, a point across a facet.
 
 numba's cache on disk notices a change of the file a function stands in, but not of the files it calls into, nor of the
-constants it takes from `tolerances.py` and `data.py` (FULL, FLAT, DEPENDENT, the positions in `Graph.counts`): after a
+constants it takes from `tolerances.py` and `data.py` (kinds of sets and facets, positions in `Graph.counts`): after a
 change in any of them save `halfspace.py`, `region.py`, `exploration.py`, `growth.py` and `search.py` too.
 """
 
