@@ -153,10 +153,10 @@ class DenseQP:
     def _residuals(self, z: Array, y: Array, q: Array, b: Array) -> Residuals:
         """Relative KKT residuals, from the scaled data alone."""
         tiny = NEGLIGIBLE  # of the bounds, which say what is small where everything vanishes, as at the origin
-        Hz = self._H @ z
-        Gy = y @ self._G
-        over = self._G @ z - b
         with np.errstate(invalid="ignore", over="ignore"):
+            Hz = self._H @ z
+            Gy = y @ self._G
+            over = self._G @ z - b
             force = max(_length(Hz), _length(q), _length(Gy), tiny)
             size = np.maximum(np.abs(b), max(_length(z), tiny))
             active = max(_length(y), force)
