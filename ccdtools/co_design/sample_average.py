@@ -10,7 +10,9 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 
-STEEPEST = 1e3  # relative gradients are clipped here: a step into lost runs has 1e17
+FIRST_STEP = 0.03  # unit of z: how far the first step of a climb goes, in weights and in the unit box
+TALL = 2.0  # relative cost from which on it counts by its logarithm: into lost runs it grows by 1e7 within one step
+STEEPEST = 1e3  # relative gradients are clipped here
 LOST = 1e9  # relative cost where there is no finite one
 
 
@@ -33,7 +35,8 @@ class SampleAverage:
     Attributes
     ----------
     first : (m,) array
-        Where weights and design are at first.
+        Where weights and design are at first, in units of `FIRST_STEP`: a quasi-Newton method begins with a step of
+        length one.
     bounds : list of pairs
         The unit box for the design, nothing for the weights.
     """
@@ -48,27 +51,31 @@ class SampleAverage:
         self._scale = scale
         self._slope = slope
         self._parts = weights if v is None else [*weights, v]
-        self.first: Array = torch.cat([part.detach().ravel() for part in self._parts]).double().numpy()
+        self.first: Array = torch.cat([part.detach().ravel() for part in self._parts]).double().numpy() / FIRST_STEP
         designs = 0 if v is None else len(v)
         free: list[tuple[float | None, float | None]] = [(None, None)] * (len(self.first) - designs)
-        self.bounds = free + [(0.0, 1.0)] * designs
+        self.bounds = free + [(0.0, 1.0 / FIRST_STEP)] * designs
 
     def put(self, z: Array) -> None:
         """Let policy and design be those of `z`."""
-        values = torch.tensor(z, dtype=torch.float32).split([part.numel() for part in self._parts])
+        values = torch.tensor(FIRST_STEP * z, dtype=torch.float32).split([part.numel() for part in self._parts])
         with torch.no_grad():
             for part, value in zip(self._parts, values):
                 part.copy_(value.reshape(part.shape))
 
     def __call__(self, z: Array) -> tuple[float, Array]:
-        """Cost and its clipped gradient (m,); a cost that is not finite is very large, and level."""
+        """Cost, beyond `TALL` its logarithm, and the clipped gradient (m,); no finite cost is very large, and level."""
         self.put(z)
         cost = self._cost()
         gradients = [gradient.double().ravel() for gradient in torch.autograd.grad(cost, self._parts)]
         if self._moving and self._slope is not None:
             gradients[-1] = -self._slope()
-        gradient: Array = torch.cat(gradients).numpy() / self._scale
+        gradient: Array = torch.cat(gradients).numpy() * (FIRST_STEP / self._scale)
+        value = cost.item() / self._scale
+        if value > TALL:
+            gradient /= value / TALL
+            value = TALL * (1.0 + np.log(value / TALL))
         length = float(np.linalg.norm(gradient))
-        if not (np.isfinite(cost.item()) and np.isfinite(length)):
+        if not (np.isfinite(value) and np.isfinite(length)):
             return LOST, np.zeros_like(gradient)
-        return cost.item() / self._scale, gradient * min(1.0, STEEPEST / max(length, STEEPEST))
+        return value, gradient * min(1.0, STEEPEST / max(length, STEEPEST))
