@@ -12,7 +12,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.sample_average import FIRST_STEP, SampleAverage
 
 MEMORY = 20  # pairs that L-BFGS keeps
-OPTIONS = {"maxcor": MEMORY, "ftol": 1e-7, "gtol": 1e-5 * FIRST_STEP}
+OPTIONS = {"maxcor": MEMORY, "ftol": 1e-7, "gtol": 1e-5 / FIRST_STEP}
 
 
 class _StoppedError(Exception):

@@ -10,10 +10,11 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 
-FIRST_STEP = 0.03  # unit of z: how far the first step of a climb goes, in weights and in the unit box
+FIRST_STEP = 0.03  # unit of z: how far the first step of a climb goes at most, in weights and in the unit box
+PER_UNIT = FIRST_STEP**-2  # unit of the value: where there are bounds, a first step is no longer than the gradient
 TALL = 2.0  # relative cost from which on it counts by its logarithm: into lost runs it grows by 1e7 within one step
 STEEPEST = 1e3  # relative gradients are clipped here
-LOST = 1e9  # relative cost where there is no finite one
+LOST = 1e9 * PER_UNIT  # value where the cost is not finite
 
 
 class SampleAverage:
@@ -64,13 +65,13 @@ class SampleAverage:
                 part.copy_(value.reshape(part.shape))
 
     def __call__(self, z: Array) -> tuple[float, Array]:
-        """Cost, beyond `TALL` its logarithm, and the clipped gradient (m,); no finite cost is very large, and level."""
+        """Cost, beyond `TALL` its logarithm, and the clipped gradient (m,); `LOST` and level where it is not finite."""
         self.put(z)
         cost = self._cost()
         gradients = [gradient.double().ravel() for gradient in torch.autograd.grad(cost, self._parts)]
         if self._moving and self._slope is not None:
             gradients[-1] = -self._slope()
-        gradient: Array = torch.cat(gradients).numpy() * (FIRST_STEP / self._scale)
+        gradient: Array = torch.cat(gradients).numpy() / self._scale
         value = cost.item() / self._scale
         if value > TALL:
             gradient /= value / TALL
@@ -78,4 +79,5 @@ class SampleAverage:
         length = float(np.linalg.norm(gradient))
         if not (np.isfinite(value) and np.isfinite(length)):
             return LOST, np.zeros_like(gradient)
-        return value, gradient * min(1.0, STEEPEST / max(length, STEEPEST))
+        clipped = gradient * min(1.0, STEEPEST / max(length, STEEPEST))
+        return PER_UNIT * value, PER_UNIT * FIRST_STEP * clipped

@@ -5,13 +5,13 @@ import pytest
 import torch
 
 from ccdtools.co_design.climb import Climb
-from ccdtools.co_design.sample_average import TALL, SampleAverage
+from ccdtools.co_design.sample_average import PER_UNIT, TALL, SampleAverage
 
 
 def climbed(cost, weights, v=None, *, scale=1.0, length=60):
     """Relative cost before and after a climb."""
     average = SampleAverage(lambda: cost(weights, v), weights=[weights], v=v, scale=scale)
-    before = average(average.first)[0]
+    before = average(average.first)[0] / PER_UNIT
     Climb(average, length, counted=lambda: False, look=lambda: False).run()
     with torch.no_grad():
         return before, float(cost(weights, v)) / scale
@@ -32,6 +32,14 @@ def test_a_climb_does_not_end_because_its_first_step_would_lose_everything(power
     assert before - after > 0.9 * 0.025 * slope
 
 
+@pytest.mark.parametrize("slope", [0.001, 0.003, 0.1])
+def test_a_small_slope_of_the_design_is_followed(slope):
+    weights = torch.zeros(40, requires_grad=True)
+    v = torch.tensor([0.3], requires_grad=True)
+    climbed(lambda w, v: 1.0 - slope * v.sum() + 0.1 * w @ w, weights, v, length=20)
+    assert v.item() == pytest.approx(1.0, abs=1e-3)
+
+
 def test_a_design_stops_at_the_bounds_of_its_box():
     weights = torch.zeros(3, requires_grad=True)
     v = torch.tensor([0.5, 0.5], requires_grad=True)
@@ -49,7 +57,7 @@ def test_the_gradient_is_that_of_the_cost_also_where_it_is_tall(height):
     z = average.first
     value, gradient = average(z)
     cost = height * (1 + 0.3 + 0.04)
-    assert value == pytest.approx(cost if cost <= TALL else TALL * (1 + np.log(cost / TALL)), rel=1e-5)
+    assert value / PER_UNIT == pytest.approx(cost if cost <= TALL else TALL * (1 + np.log(cost / TALL)), rel=1e-5)
     for i in range(2):
         h = np.zeros(2)
         h[i] = 0.1
