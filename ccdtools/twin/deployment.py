@@ -46,6 +46,8 @@ class OnlineConfig:
         Last fraction of every part of the log, on which a candidate is judged.
     judged : int
         Largest number of runs of that judgement, where several are deployed.
+    least : float
+        Part of the return in service that an update has to bring.
     training : CoDesignConfig
         Of the candidate; the design is frozen, whatever its `design_rate`, as the plant is built.
     """
@@ -54,12 +56,14 @@ class OnlineConfig:
     window: int = 100
     held_out: float = 0.3
     judged: int = 400
+    least: float = 0.001
     training: CoDesignConfig = field(default_factory=lambda: ONLINE_TRAINING)
 
     def __post_init__(self) -> None:
         for name, least in (("updates", 0), ("window", 1), ("judged", 2)):
             as_count(name, getattr(self, name), least=least)
         as_share("held_out", self.held_out)
+        as_share("least", self.least)
         as_instance("training", self.training, CoDesignConfig, "a CoDesignConfig")
 
 
@@ -75,7 +79,7 @@ class OnlineUpdate(Immutable):
         Return of the candidate minus that of the policy in service on the held-out parts: of a run, or of all held-out
         stretches of a single one.
     accepted : bool
-        Whether the interval of the gain lies above zero.
+        Whether the interval of the gain lies above zero, and the gain matters.
     """
 
     after: int
@@ -152,8 +156,9 @@ def deploy_and_update(
 
     After a stretch, the errors of the nominal model along all stretches so far are replayed as disturbances. A
     candidate is trained on the first part of every stretch and goes into service only if its paired return on the
-    rest is better: the interval of the difference excludes zero. Of a single run both are replayed from the start of
-    every stretch, so that what is judged begins in states of their own; several runs are judged from their own starts.
+    rest is better: the interval of the difference excludes zero, and it is worth a change. Of a single run both are
+    replayed from the start of every stretch, so that what is judged begins in states of their own; several runs are
+    judged from their own starts.
 
     Parameters
     ----------
@@ -249,14 +254,17 @@ class _Service:
         training = replace(config.training, design_rate=0.0)
         problem = replay_problem(self.problem, self.train, self.config.window)
         candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=training).agent
-        gain = self._gain(candidate)
-        accepted = gain.ci95[0] > 0
+        gain, size = self._gain(candidate)
+        accepted = gain.ci95[0] > 0 and gain.mean > config.least * size
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
         self.updates.append(OnlineUpdate(after, gain, accepted))
         self.agent = candidate if accepted else self.agent
 
-    def _gain(self, candidate: ActorCritic) -> PairedDifference:
-        """Candidate minus policy in service, on replays of the held-out parts; NaN where more of its runs diverge."""
+    def _gain(self, candidate: ActorCritic) -> tuple[PairedDifference, float]:
+        """Candidate minus policy in service, on replays of the held-out parts, and the size of the latter's return.
+
+        NaN where more of its runs diverge.
+        """
         split = ErrorSplit(self.problem.model, self.problem.state_scale)
         logs = self.test if self._several else _equally_long(self.test)
         x0, w = Replay(tuple(logs), split).whole()
@@ -268,12 +276,13 @@ class _Service:
             for agent in (candidate, self.agent)
         )
         if after.diverged.mean() > before.diverged.mean():
-            return PairedDifference(np.nan, (np.nan, np.nan))
+            return PairedDifference(np.nan, (np.nan, np.nan)), np.nan
         kept = ~(after.diverged | before.diverged)
         rewards = [run.rewards(self.problem.objective)[kept, -counted:] for run in (after, before)]
         if not self._several:
             rewards = [own.reshape(1, -1) for own in rewards]
-        return paired_returns(*rewards, runs=len(self.whole.x0))
+        size = abs(float(rewards[1].sum(axis=1).mean())) if len(rewards[1]) else np.nan
+        return paired_returns(*rewards, runs=len(self.whole.x0)), size
 
 
 def served(agent: ActorCritic, design: Array, admissible: AdmissibleInputs | None) -> Controller:

@@ -11,7 +11,7 @@ import torch
 from ccdtools import InputError, LearnedPolicy, deploy, simulate
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.controllers.controllers import Passive
-from ccdtools.statistics import paired_returns
+from ccdtools.statistics import PairedDifference, paired_returns
 from ccdtools.twin.deployment import OnlineConfig, deploy_and_update
 from ccdtools.twin.replay import Replay, replay_problem
 from ccdtools.twin.residuals import residuals
@@ -309,3 +309,13 @@ def test_a_design_outside_its_bounds_is_refused(illustrative, clone):
             illustrative.problem(), illustrative.real.plant, clone(illustrative), [9.0], x0=start(),
             disturbance=disturbances(illustrative, 1, 30), rng=np.random.default_rng(0),
         )  # fmt: skip
+
+
+@pytest.mark.parametrize(("mean", "taken"), [(0.09, False), (0.11, True)])
+def test_an_update_must_bring_a_tenth_of_a_per_cent(illustrative, clone, monkeypatch, mean, taken):
+    """A sure gain that is too small to matter is not worth another policy."""
+    gain = (PairedDifference(mean, (0.05, 0.2)), 100.0)
+    monkeypatch.setattr("ccdtools.twin.deployment._Service._gain", lambda *_: gain)
+    updates = deployed(illustrative, clone(illustrative), runs=12, steps=40).updates
+    assert updates
+    assert all(update.accepted is taken for update in updates)
