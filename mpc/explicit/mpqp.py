@@ -18,9 +18,10 @@ from mpc.explicit.equality_elimination import (
     equality_pairs,
     implied_equalities,
 )
-from mpc.explicit.exploration import Found, Limits, explore_compiled
+from mpc.explicit.exploration import Limits, explore_compiled
 from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.partition import MPQPStatus, Partition
+from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP, scale_parameters, scale_qp
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import THIN
@@ -84,7 +85,7 @@ def solve_mpqp(
     limits = Limits(as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit))
     qp = scale_qp(problem, scale_parameters(theta_set, problem.nt))
     always = [i for i, _ in equality_pairs(qp)]
-    equalities = qp.origin[always]
+    equalities = qp.origin[always].tolist()
     if always:
         qp = eliminate(qp, always, problem.labels)
     explore = _explorer(compiled)
@@ -93,12 +94,13 @@ def solve_mpqp(
         implied = implied_equalities(qp)
         reduced = None if implied is None else _without(implied, qp, problem)
         if implied is not None and reduced is not None:
-            equalities = np.concatenate([equalities, qp.origin[implied.rows]])
+            equalities += qp.origin[implied.rows].tolist()
             qp = reduced
             found = explore(qp, limits, implied.parameters)
     found, law = _without_wrong_laws(qp, found)
     H, h = qp.unscale_rows(found.rows)
-    sets = tuple(tuple(sorted(int(i) for i in (*equalities, *qp.origin[list(act)]))) for act in found.active_sets)
+    origin = qp.origin.tolist()
+    sets = tuple(tuple(sorted((*equalities, *(origin[i] for i in act)))) for act in found.active_sets)
     duration = time.perf_counter() - start
     return Partition(
         problem, found.status, sets, H, h, found.offsets, in_units(qp, law), qp.centre, qp.half, duration,
@@ -111,8 +113,8 @@ def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:
 
     A region thinner than the distance at which facets are looked across leaves no hole that would be found.
     """
-    position = np.searchsorted(qp.origin, found.qp.origin)
-    sets = [tuple(int(i) for i in position[list(act)]) for act in found.active_sets]
+    position = np.searchsorted(qp.origin, found.qp.origin).tolist()
+    sets = [tuple(position[i] for i in act) for act in found.active_sets]
     law, holds = checked_laws(qp, sets, found.centres)
     if holds.all():
         return found._replace(active_sets=sets), law

@@ -8,9 +8,10 @@ import daqp
 import numpy as np
 
 from mpc.checks import Array
-from mpc.explicit.exploration import Found, Limits
+from mpc.explicit.exploration import Limits
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.redundant_rows import irredundant_rows
+from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import DEPENDENT_ROW, EXCHANGE, INSETS, PRIMAL, REDUNDANT, REGION_RADIUS, TIE, ZERO_ROW
 

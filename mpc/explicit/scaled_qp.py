@@ -114,8 +114,9 @@ def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
     """
     size, factor = _unit_hessian(problem)
     cost = size[:, None] * np.hstack([problem.F * domain.half, (problem.F @ domain.centre + problem.f)[:, None]])
-    shift = -solve_triangular(factor, cost, lower=True)  # the unconstrained v
-    back = size[:, None] * solve_triangular(factor, np.eye(problem.nz), lower=True).T
+    solved = solve_triangular(factor, np.hstack([cost, np.eye(problem.nz)]), lower=True)
+    shift = -solved[:, : cost.shape[1]]  # the unconstrained v
+    back = size[:, None] * solved[:, cost.shape[1] :].T
     M = problem.G @ back
     right = np.hstack([problem.S * domain.half, (problem.w + problem.S @ domain.centre)[:, None]])
     D = right - M @ shift
@@ -131,7 +132,7 @@ def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
     kept = _without_duplicates(M, D, gram)
     tie = 1.0 + 0.5 * np.sin(M @ _waves(M.shape[1]) + D @ _waves(D.shape[1]))
     whole = ScaledQP(M, D, tie, gram, TA, Tb, origin, unit * back, back @ shift, domain.centre, domain.half)
-    return whole.rows(kept)
+    return whole if len(kept) == len(M) else whole.rows(kept)
 
 
 def _waves(n: int) -> Array:

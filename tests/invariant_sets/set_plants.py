@@ -1,4 +1,4 @@
-"""The two case studies and the reference figures that their sets must meet."""
+"""The two case studies, the reference figures that their sets must meet, and a small unstable plant with its sets."""
 
 import numpy as np
 from scipy.linalg import expm
@@ -9,6 +9,11 @@ ILLUSTRATIVE_X = Polytope.from_bounds([-10, -5], [5, 2])
 ILLUSTRATIVE_U = Polytope.from_bounds([-1], [1])
 SUSPENSION_X = Polytope.from_bounds([-0.25, -2.5, -0.5, -2.5], [0.25, 2.5, 0.5, 2.5])
 SUSPENSION_U = Polytope.from_bounds([-1000], [1000])
+A, B = np.array([[1.2, 0.5], [0.0, 0.8]]), np.array([[0.5], [1.0]])  # the small plant: one mode grows
+STABLE = 0.5 * A
+X = Polytope.from_bounds([-5, -5], [5, 5])
+U = Polytope.from_bounds([-1], [1])
+W = Polytope.from_bounds([-0.1, -0.1], [0.1, 0.1])
 
 
 def illustrative(p):

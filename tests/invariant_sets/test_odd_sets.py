@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from set_plants import illustrative
+from set_plants import STABLE, A, B, U, W, X, illustrative
 
 from invariant_sets import (
     AdmissibleInputs,
@@ -17,9 +17,6 @@ from invariant_sets import (
 )
 
 box = Polytope.from_bounds
-A, B = np.array([[1.2, 0.5], [0.0, 0.8]]), np.array([[0.5], [1.0]])
-STABLE = 0.5 * A
-X, U, W = box([-5, -5], [5, 5]), box([-1], [1]), box([-0.1, -0.1], [0.1, 0.1])
 EMPTY = Polytope.empty(2)
 
 

@@ -4,7 +4,7 @@ import inspect
 
 import numpy as np
 import pytest
-from set_plants import ILLUSTRATIVE_U, ILLUSTRATIVE_X, illustrative
+from set_plants import ILLUSTRATIVE_U, ILLUSTRATIVE_X, STABLE, A, B, U, W, X, illustrative
 
 import invariant_sets
 from invariant_sets import (
@@ -24,9 +24,6 @@ from invariant_sets import (
 from invariant_sets.admissible_inputs import AdmissibleInputFamily
 
 box = Polytope.from_bounds
-A, B = np.array([[1.2, 0.5], [0.0, 0.8]]), np.array([[0.5], [1.0]])
-STABLE = 0.5 * A
-X, U, W = box([-5, -5], [5, 5]), box([-1], [1]), box([-0.1, -0.1], [0.1, 0.1])
 P = Polytope.from_vertices([[0, 0], [2, 0], [0, 1]])
 RNG = np.random.default_rng(1)
 FILTER = AdmissibleInputs(A, B, X, U)

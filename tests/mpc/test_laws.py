@@ -10,7 +10,7 @@ from test_mpqp import membership
 
 from invariant_sets import Polytope
 from mpc import LinearMPC, MPQPStatus, solve_mpqp
-from mpc.explicit.exploration import Limits, _Search, explore_compiled
+from mpc.explicit.exploration import Limits, Search, explore_compiled
 from mpc.explicit.kernels.data import DEPENDENT, FULL, QPData
 from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.mpqp import _is_thin, _without_wrong_laws
@@ -142,12 +142,12 @@ def test_only_a_region_that_holds_a_small_ball_alone_is_thin(explored):
 
 def test_a_feasible_parameter_in_no_region_is_reported(explored):
     qp, found = explored
-    search = _Search(qp)
+    search = Search(qp)
     search.begin()
     while search.done < search.queued:
         search.advance(10_000)
-    search.feasible = np.vstack([found.centres[7], [0.99, 0.99]])
-    assert search.uncovered == 1
+    search.holes.feasible = np.vstack([found.centres[7], [0.99, 0.99]])
+    assert search.holes.uncovered == 1
 
 
 def test_a_row_that_gives_up_its_slack_for_others_is_no_implied_equality():

@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 from mpc import ExplicitMPC, InfeasibleError, LinearMPC, MPQPStatus, solve_mpqp
 from mpc.explicit import exploration
-from mpc.explicit.exploration import Limits, _Search, explore_compiled
+from mpc.explicit.exploration import Limits, Search, explore_compiled
 from mpc.explicit.kernels.data import KNOWN
 from mpc.explicit.redundant_rows import irredundant_rows, is_implied
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
@@ -100,13 +100,13 @@ def test_the_slow_exploration_keeps_what_it_found_when_its_restart_is_late(touch
 
 def test_a_restart_that_finds_nothing_leaves_the_first_search_as_it_was(touched, monkeypatch):
     qp = scale_qp(touched[0], scale_parameters(touched[1], 2))
-    begin = _Search.begin
+    begin = Search.begin
     restarts = []
 
     def begin_once(search):
-        return begin(search) if len(search.qp.M) == len(qp.M) else restarts.append(search)
+        return begin(search) if len(search.regions.qp.M) == len(qp.M) else restarts.append(search)
 
-    monkeypatch.setattr(_Search, "begin", begin_once)
+    monkeypatch.setattr(Search, "begin", begin_once)
     found = explore_compiled(qp, Limits(1000, np.inf))
     assert found.status is MPQPStatus.COMPLETE
     assert len(restarts) == 1
@@ -125,20 +125,20 @@ def test_a_law_without_regions_is_refused_for_the_true_reason():
 
 def test_the_second_look_takes_place_when_memory_is_nearly_full():
     mpc = LinearMPC(*double_integrator(), Q=np.eye(2), R=[[0.1]], horizon=5, X=box([5, 5]), U=box([1]))
-    search = _Search(scaled(mpc))
+    search = Search(scaled(mpc))
     search.begin()
     while search.done < search.queued:
         search.advance(1000)
-    full = int(search.graph.counts[KNOWN]) + 1
-    search.graph = search.graph._replace(
-        masks=search.graph.masks[:full], kinds=search.graph.kinds[:full], queue=search.graph.queue[:full]
-    )
+    regions = search.regions
+    graph = regions.graph
+    full = int(graph.counts[KNOWN]) + 1
+    regions.graph = graph._replace(masks=graph.masks[:full], kinds=graph.kinds[:full], queue=graph.queue[:full])
     asked = []
-    seed = search._seed
-    search._seed = lambda count: asked.append(count) or seed(count)
-    assert not search.looks_again(np.inf)
+    seed = regions.seed
+    regions.seed = lambda targets: asked.append(len(targets)) or seed(targets)
+    assert not search.holes.look_around(np.inf)
     assert asked == [4 + search.done // 8]
-    assert len(search.graph.masks) > full
+    assert len(regions.graph.masks) > full
 
 
 def test_a_search_that_is_late_before_the_second_look_is_not_complete(monkeypatch):

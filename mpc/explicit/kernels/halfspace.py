@@ -2,7 +2,7 @@
 
 numba's cache on disk notices a change of the file a function stands in, but not of the files it calls into, nor of the
 constants it takes from `tolerances.py` and `data.py` (kinds of sets and facets, positions in `Graph.counts`): after a
-change in any of them save `halfspace.py`, `region.py`, `exploration.py`, `growth.py` and `search.py` too.
+change in any of them save every file of this folder.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ from test_mpqp import membership
 from invariant_sets import Polytope
 from mpc import LinearMPC, MPQPStatus, solve_mpqp
 from mpc.dense_qp import DenseQP, QPResult
-from mpc.explicit import exploration
-from mpc.explicit.exploration import _Search
+from mpc.explicit import holes
+from mpc.explicit.exploration import Search
 from mpc.explicit.kernels.data import CROSSED, DONE, FULL, KNOWN, OPEN, QUEUED, ROWS
 from mpc.explicit.openings import OnlineQP, points_beyond
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
@@ -23,7 +23,7 @@ from mpc.tolerances import CROSSING, THIN
 def search():
     """A search that knows every region of the double integrator."""
     mpc = LinearMPC(*double_integrator(), Q=np.eye(2), R=[[0.1]], horizon=5, X=box([5, 5]), U=box([1]))
-    found = _Search(scale_qp(mpc.build(), scale_parameters(mpc.X, 2)))
+    found = Search(scale_qp(mpc.build(), scale_parameters(mpc.X, 2)))
     found.begin()
     explore(found)
     return found
@@ -36,21 +36,21 @@ def explore(search):
 
 def forget_all_but_the_first(search):
     """Keep one region, with all its facets open, and no other active set."""
-    graph, counts = search.graph, search.graph.counts
+    graph, counts = search.regions.graph, search.regions.graph.counts
     graph.masks[0] = graph.masks[graph.queue[0]]
     graph.kinds[0], graph.queue[0], graph.table[:] = FULL, 0, -1
     counts[[KNOWN, QUEUED, DONE]] = 1
-    counts[ROWS] = search.facets.offsets[1]
-    search.facets.state[: counts[ROWS]] = OPEN
-    search._rehash()
+    counts[ROWS] = search.regions.facets.offsets[1]
+    search.regions.facets.state[: counts[ROWS]] = OPEN
+    search.regions.rehash()
 
 
 def test_points_beyond_a_facet_lie_above_it_and_behind_no_other_side(search):
-    rows, offsets = search.facets.rows, search.facets.offsets
+    rows, offsets = search.regions.facets.rows, search.regions.facets.offsets
     for r in range(search.done):
         own = rows[offsets[r] : offsets[r + 1]]
         for facet, (a, b) in enumerate(zip(own[:, :-1], own[:, -1])):
-            for point in points_beyond(own, facet, search.qp):
+            for point in points_beyond(own, facet, search.regions.qp):
                 height = a @ point - b
                 assert height >= 0.99 * CROSSING
                 foot = point - height * a
@@ -60,30 +60,31 @@ def test_points_beyond_a_facet_lie_above_it_and_behind_no_other_side(search):
 def test_every_region_is_found_from_the_open_facets_of_one(search):
     regions = set(search.found(MPQPStatus.COMPLETE).active_sets)
     forget_all_but_the_first(search)
-    while search.looks_across(np.inf):
+    while search.holes.look_across(np.inf):
         explore(search)
     assert set(search.found(MPQPStatus.COMPLETE).active_sets) == regions
-    assert search.uncovered == 0
+    assert search.holes.uncovered == 0
 
 
 def test_facets_beyond_which_nothing_is_found_are_counted(search, monkeypatch):
     forget_all_but_the_first(search)
-    monkeypatch.setattr(search, "_consider", lambda act: None)
-    assert not search.looks_across(np.inf)
+    monkeypatch.setattr(search.regions, "consider", lambda act: None)
+    assert not search.holes.look_across(np.inf)
     # it borders on regions all round, and two points are looked at beyond each facet
-    assert search.found(MPQPStatus.INACCURATE).uncovered == search.uncovered == 2 * search.graph.counts[ROWS]
+    count = 2 * search.regions.graph.counts[ROWS]
+    assert search.found(MPQPStatus.INACCURATE).uncovered == search.holes.uncovered == count
 
 
 def test_looking_across_stops_at_the_deadline(search):
     forget_all_but_the_first(search)
-    assert search.looks_across(-np.inf)
+    assert search.holes.look_across(-np.inf)
     assert search.done == search.queued
-    assert (search.facets.state[: search.graph.counts[ROWS]] == OPEN).all()
+    assert (search.regions.facets.state[: search.regions.graph.counts[ROWS]] == OPEN).all()
 
 
 def test_points_behind_facets_that_led_somewhere_lie_above_one_of_them(search):
-    rows, offsets = search.facets.rows, search.facets.offsets
-    points = search._behind_facets(1000)
+    rows, offsets = search.regions.facets.rows, search.regions.facets.offsets
+    points = search.holes.behind_facets(1000)
     assert len(points) == 1000
     for point in points:
         feet = []
@@ -98,55 +99,55 @@ def test_points_behind_facets_that_led_somewhere_lie_above_one_of_them(search):
 
 def hollow(search):
     """Take away a region in the middle, so that all facets around it have led to a region that is not there."""
-    first, last = search.facets.offsets[:2]
-    search.facets.rows[first:last, -1] = -10.0
-    assert np.abs(search.facets.centres[0]).max() < 0.5
+    first, last = search.regions.facets.offsets[:2]
+    search.regions.facets.rows[first:last, -1] = -10.0
+    assert np.abs(search.regions.facets.centres[0]).max() < 0.5
 
 
 @pytest.mark.parametrize("source", ["_ANYWHERE", "_BETWEEN", "_BEHIND"])
 def test_a_hole_is_seen_by_each_way_of_looking(search, monkeypatch, source):
     hollow(search)
-    assert search.uncovered == 0
+    assert search.holes.uncovered == 0
     for name in ("_ANYWHERE", "_BETWEEN", "_BEHIND"):
-        monkeypatch.setattr(exploration, name, 300 if name == source else 0)
-    monkeypatch.setattr(exploration, "_PER_REGION", 10**9)
-    assert not search.looks_again(np.inf)
-    assert search.uncovered > 0
+        monkeypatch.setattr(holes, name, 300 if name == source else 0)
+    monkeypatch.setattr(holes, "_PER_REGION", 10**9)
+    assert not search.holes.look_around(np.inf)
+    assert search.holes.uncovered > 0
 
 
 def test_points_between_facets_are_feasible_whatever_the_compiled_solver_says(search, monkeypatch):
     hollow(search)
-    monkeypatch.setattr("mpc.explicit.kernels.exploration.look_at", lambda qp, graph, t: np.zeros(len(t), dtype=bool))
-    assert not search.looks_again(np.inf)
-    assert search.uncovered > 0
+    monkeypatch.setattr("mpc.explicit.kernels.places.look_at", lambda qp, graph, t: np.zeros(len(t), dtype=bool))
+    assert not search.holes.look_around(np.inf)
+    assert search.holes.uncovered > 0
 
 
 def test_what_is_pending_is_asked_about_the_next_time(search, monkeypatch):
     hollow(search)
     for name in ("_ANYWHERE", "_BETWEEN", "_BEHIND"):
-        monkeypatch.setattr(exploration, name, 0)
-    monkeypatch.setattr(exploration, "_PER_REGION", 10**9)
-    search.pending = np.tile(search.facets.centres[0], (40, 1))
-    assert not search.looks_again(np.inf)
-    assert search.uncovered == 40
-    assert not len(search.pending)
+        monkeypatch.setattr(holes, name, 0)
+    monkeypatch.setattr(holes, "_PER_REGION", 10**9)
+    search.holes.pending = np.tile(search.regions.facets.centres[0], (40, 1))
+    assert not search.holes.look_around(np.inf)
+    assert search.holes.uncovered == 40
+    assert not len(search.holes.pending)
 
 
 def test_the_second_look_keeps_its_deadline(search):
-    assert search.looks_again(-np.inf)
+    assert search.holes.look_around(-np.inf)
     assert search.queued == search.done
 
 
 def test_a_thin_gap_is_no_hole(search):
     forget_all_but_the_first(search)
-    hit, row = search.facets.hits[0], search.facets.rows[0]
+    hit, row = search.regions.facets.hits[0], search.regions.facets.rows[0]
     for distance, count in ((0.5 * THIN, 0), (2 * THIN, 1)):
-        search.feasible = (hit + (distance + row[-1] - row[:-1] @ hit) * row[:-1])[None]
-        assert search.uncovered == count
+        search.holes.feasible = (hit + (distance + row[-1] - row[:-1] @ hit) * row[:-1])[None]
+        assert search.holes.uncovered == count
 
 
 def test_a_solver_that_fails_does_not_make_a_parameter_infeasible(search, monkeypatch):
-    online = OnlineQP(search.qp)
+    online = OnlineQP(search.regions.qp)
     far = QPResult(np.full(5, 1e3), np.zeros(20), Residuals(1.0, 1.0, 1.0, 1.0), False, "none")
     monkeypatch.setattr(online.solver, "solve", lambda *_, **__: far)
     assert online.at(np.zeros(2)) == ([], True)
@@ -156,21 +157,21 @@ def test_a_solver_that_fails_does_not_make_a_parameter_infeasible(search, monkey
 def test_a_region_is_found_though_every_facet_claims_to_have_led_somewhere(search):
     regions = set(search.found(MPQPStatus.COMPLETE).active_sets)
     forget_all_but_the_first(search)
-    search.facets.state[: search.graph.counts[ROWS]] = CROSSED
-    while search.looks_again(np.inf):
+    search.regions.facets.state[: search.regions.graph.counts[ROWS]] = CROSSED
+    while search.holes.look_around(np.inf):
         explore(search)
     assert set(search.found(MPQPStatus.COMPLETE).active_sets) == regions
 
 
 def test_the_active_sets_at_a_parameter_carry_its_optimum(search):
-    online = OnlineQP(search.qp)
+    online = OnlineQP(search.regions.qp)
     for t in np.random.default_rng(0).uniform(-1, 1, size=(50, 2)):
         opening = online.at(t)
         for act in map(list, opening.candidates):
-            d = search.qp.D @ np.append(t, 1.0)
-            pull = np.linalg.solve(search.qp.gram[np.ix_(act, act)], d[act])
+            d = search.regions.qp.D @ np.append(t, 1.0)
+            pull = np.linalg.solve(search.regions.qp.gram[np.ix_(act, act)], d[act])
             assert (pull <= 1e-9).all()
-            assert (search.qp.M @ (search.qp.M[act].T @ pull) <= d + 1e-7).all()
+            assert (search.regions.qp.M @ (search.regions.qp.M[act].T @ pull) <= d + 1e-7).all()
         assert bool(opening.candidates) == opening.feasible
 
 

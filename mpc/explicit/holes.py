@@ -1,0 +1,148 @@
+"""The search for holes: points beyond, behind and between facets that lie in no region, and the QP solved there."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from mpc.checks import Array
+from mpc.explicit.kernels.data import ASKED, CROSSED, OPEN, ROWS
+from mpc.explicit.openings import OnlineQP, points_beyond
+from mpc.explicit.partition import Ints
+from mpc.explicit.region_graph import Bools, RegionGraph
+from mpc.tolerances import CROSSING, THIN
+
+# what is looked at before a small law is called complete:
+_ANYWHERE = 4  # random parameters, and as many near the border,
+_BETWEEN = 100  # points between facets,
+_BEHIND = 500  # and behind facets that led to a region,
+_FARTHEST = 0.01  # at most at this distance, scaled parameters
+_PER_REGION = 8  # regions for which, in a large law, there is one more of each,
+_MOST = 2000  # but no more than so many
+_AT_ONCE = 20_000_000  # pairs of a point and a region between two looks at the clock
+_FEW = 16  # points where the QP is solved between two looks at the clock
+_ASKED = 64  # points where it is solved once one of them lies in a hole
+_ACROSS = 64  # open facets that are looked across in a small law,
+_MOST_ACROSS = 500  # and in a large one
+
+
+class Holes:
+    """Looks for parameters that are feasible and in no region; what it finds there joins the graph of regions.
+
+    feasible : (k, nt) parameters that were feasible, with room, and in no region when they were met;
+    pending : (k, nt) parameters in no region when they were met, about which the QP was not asked yet.
+    """
+
+    def __init__(self, regions: RegionGraph, rng: np.random.Generator) -> None:
+        self.regions = regions
+        self.rng = rng
+        self.feasible = np.empty((0, regions.parameters))
+        self.pending = self.feasible
+        self.online: OnlineQP | None = None
+
+    @property
+    def uncovered(self) -> int:
+        """Number of feasible parameters met that lie in no region, nor in a thin gap between two."""
+        return int((~self.regions.covered(self.feasible, THIN)).sum()) if len(self.feasible) else 0
+
+    def lead_on(self, deadline: float) -> bool:
+        """Look beyond what is explored; True when that leads to regions, or the deadline is past."""
+        return self.look_across(deadline) or self.look_around(deadline)
+
+    def look_across(self, deadline: float) -> bool:
+        """Solve the QP beyond facets that led nowhere; True when that leads to regions, or the deadline is past.
+
+        Of very many facets some are drawn: a hole of any size has many.
+        """
+        regions = self.regions
+        still = self._some(np.flatnonzero(regions.facet_states == OPEN), min(_ACROSS + regions.done // 8, _MOST_ACROSS))
+        offsets = regions.facets.offsets[: regions.done + 1]
+        for facet, r in zip(still, np.searchsorted(offsets, still, side="right") - 1):
+            if regions.queued > regions.done or time.perf_counter() > deadline:
+                return True
+            regions.facets.state[facet] = ASKED
+            own = slice(offsets[r], offsets[r + 1])
+            self.ask_at(points_beyond(regions.facets.rows[own], int(facet - own.start), regions.qp))
+        return regions.queued > regions.done
+
+    def look_around(self, deadline: float) -> bool:
+        """Look for a hole anywhere, near the border, between facets, and behind those that led to a region.
+
+        Where rounding decides, the region that a facet led to may lie elsewhere. True when that leads to regions, or
+        the deadline is past.
+        """
+        regions = self.regions
+        more = min(regions.done // _PER_REGION, _MOST)
+        between = self.between_facets(_BETWEEN + more)  # feasible, whatever a solver says
+        behind = self.behind_facets(_BEHIND + more)
+        anywhere = self.rng.uniform(-1, 1, size=(2 * (_ANYWHERE + more), regions.parameters))
+        near_the_border = regions.seed(anywhere[_ANYWHERE + more :])
+        places = np.vstack([between, behind, anywhere[: _ANYWHERE + more], near_the_border])
+        feasible = np.arange(len(places)) < len(between)
+        parts = 1 + len(places) * regions.done // _AT_ONCE
+        for first, last in zip(range(parts), range(1, parts + 1)):
+            if time.perf_counter() > deadline:
+                return True
+            part = slice(len(places) * first // parts, len(places) * last // parts)
+            self._look_at(places[part], feasible[part])
+        if len(self.pending):
+            self.pending = self.rng.permutation(self.pending[~regions.covered(self.pending)])
+        return self._ask(deadline)
+
+    def between_facets(self, count: int) -> Array:
+        """So many random points between two facets."""
+        from mpc.explicit.kernels.places import between_facets
+
+        regions = self.regions
+        points = np.empty((count, regions.parameters))
+        between_facets(regions.facets, regions.graph.counts[ROWS], self.rng.random((count, 3)), points)
+        return points
+
+    def behind_facets(self, most: int) -> Array:
+        """So many random points behind facets that led to a region: half of them just behind, the others farther."""
+        from mpc.explicit.kernels.places import behind_facets
+
+        regions = self.regions
+        chosen = self._some(np.flatnonzero(regions.facet_states == CROSSED), most)
+        points = np.empty((most if len(chosen) else 0, regions.parameters))
+        draws = self.rng.random((len(points), regions.parameters + 2))
+        behind_facets(regions.facets, regions.done, chosen, draws, CROSSING, _FARTHEST, points)
+        return points
+
+    def _some(self, numbers: Ints, most: int) -> Ints:
+        """So many of the numbers, at random and in order, or all of them."""
+        return numbers if len(numbers) <= most else np.sort(self.rng.choice(numbers, most, replace=False))
+
+    def _look_at(self, points: Array, feasible: Bools) -> None:
+        """Queue the active sets at points in no region; those that are feasible, or known to be, are pending."""
+        apart = ~self.regions.covered(points)
+        if apart.any():
+            found = self.regions.look_at(points[apart])
+            self.pending = np.vstack([self.pending, points[apart][found | feasible[apart]]])
+
+    def _ask(self, deadline: float) -> bool:
+        """Solve the QP at pending points; True when that leads to regions, or the deadline is past.
+
+        Some are enough once one of them has shown that there is a hole.
+        """
+        regions = self.regions
+        asked = 0
+        while regions.queued == regions.done and len(self.pending) and not (asked >= _ASKED and self.uncovered):
+            if time.perf_counter() > deadline:
+                return True
+            self.ask_at(self.pending[:_FEW])
+            self.pending = self.pending[_FEW:]
+            asked += _FEW
+        return regions.queued > regions.done
+
+    def ask_at(self, points: Array) -> None:
+        """Solve the QP at points in no region and queue its active sets; note the feasible ones."""
+        if self.online is None or self.online.qp is not self.regions.qp:
+            self.online = OnlineQP(self.regions.qp)
+        for point in points[~self.regions.covered(points)]:
+            opening = self.online.at(point)
+            for act in opening.candidates:
+                self.regions.consider(act)
+            if opening.feasible:
+                self.feasible = np.vstack([self.feasible, point])

@@ -1,0 +1,126 @@
+"""Compiled places in the parameter set: where an exploration starts, and where it looks for holes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from mpc.explicit.kernels.active_sets import consider_parameter
+from mpc.explicit.kernels.data import DONE, INFEASIBLE
+from mpc.explicit.kernels.halfspace import margin_at, project
+from mpc.tolerances import INSETS, PARALLEL, PROJECTION
+
+
+@njit(cache=True)
+def seed(qp, graph, J, h, targets, found):
+    """Queue the active sets at feasible parameters near the targets; J [t; v] <= h is the joint set with unit rows.
+
+    Writes the parameters with an interior around them into `found`; returns their number.
+    """
+    mj, nj = J.shape
+    n = targets.shape[1]
+    joint = np.empty(nj)
+    c = np.zeros(nj)
+    work = np.empty(nj + 1, np.int64)
+    lam = np.empty(nj + 1)
+    shrunk = np.empty(mj)
+    mask = np.empty(graph.masks.shape[1], np.uint64)
+    hits = 0
+    for t in range(len(targets)):
+        c[:n] = targets[t]
+        for inset in INSETS:
+            for i in range(mj):
+                shrunk[i] = h[i] - inset
+            if project(J, shrunk, mj, c, 10.0 * PROJECTION, joint, work, lam) >= 0:
+                found[hits] = joint[:n]
+                consider_parameter(qp, graph, found[hits], mask)
+                hits += 1
+                break
+        if hits == 0:
+            break  # infeasible from one target is infeasible from all
+    return hits
+
+
+@njit(cache=True)
+def look_at(qp, graph, targets):
+    """Queue the active sets at the targets; which of these lie in the parameter set and are feasible."""
+    mask = np.empty(graph.masks.shape[1], np.uint64)
+    feasible = np.zeros(len(targets), np.bool_)
+    for t in range(len(targets)):
+        if margin_at(qp.TA, qp.Tb, targets[t]) >= 0.0:
+            feasible[t] = consider_parameter(qp, graph, targets[t], mask) != INFEASIBLE
+    return feasible
+
+
+@njit(cache=True)
+def between_facets(facets, rows, draws, points):
+    """Points between two facets; each draw in [0, 1) holds the two and a share of the way."""
+    for p in range(len(points)):
+        first = int(rows * draws[p, 0])
+        last = int(rows * draws[p, 1])
+        for j in range(points.shape[1]):
+            points[p, j] = draws[p, 2] * facets.hits[first, j] + (1.0 - draws[p, 2]) * facets.hits[last, j]
+
+
+@njit(cache=True)
+def behind_facets(facets, done, chosen, draws, nearest, farthest, points):
+    """Points behind the chosen facets, half of them at the nearest distance, the others up to the farthest.
+
+    Each draw in [0, 1) holds a direction along the facet from the point hit, a share of the way to its end, and a
+    distance.
+    """
+    n = points.shape[1]
+    direction = np.empty(n)
+    for p in range(len(points)):
+        facet = chosen[p % len(chosen)]
+        row = facets.rows[facet]
+        hit = facets.hits[facet]
+        along = 0.0
+        for j in range(n):
+            direction[j] = 2.0 * draws[p, j] - 1.0
+            along += row[j] * direction[j]
+        length = 0.0
+        for j in range(n):
+            direction[j] -= along * row[j]
+            length += direction[j] * direction[j]
+        across = 2.0 * np.sqrt(n / max(length, PARALLEL))  # of the parameter set
+        first = -across
+        last = across
+        owner = np.searchsorted(facets.offsets[: done + 1], facet, side="right") - 1
+        for i in range(facets.offsets[owner], facets.offsets[owner + 1]):
+            slack = facets.rows[i, n]
+            rate = 0.0
+            for j in range(n):
+                slack -= facets.rows[i, j] * hit[j]
+                rate += facets.rows[i, j] * direction[j]
+            if i != facet and rate > PARALLEL:
+                last = min(last, max(slack, 0.0) / rate)
+            elif i != facet and rate < -PARALLEL:
+                first = max(first, max(slack, 0.0) / rate)
+        way = first + draws[p, n] * (last - first)
+        step = nearest
+        if draws[p, n + 1] > 0.5:
+            step *= (farthest / nearest) ** (2.0 * draws[p, n + 1] - 1.0)
+        for j in range(n):
+            points[p, j] = hit[j] + way * direction[j] + step * row[j]
+
+
+@njit(cache=True)
+def covered(facets, counts, points, distance):
+    """Which points lie in a region that is done, or not farther outside one than a distance."""
+    n = points.shape[1]
+    inside = np.zeros(len(points), np.bool_)
+    for p in range(len(points)):
+        for r in range(counts[DONE]):
+            within = True
+            for i in range(facets.offsets[r], facets.offsets[r + 1]):
+                s = -facets.rows[i, n]
+                for j in range(n):
+                    s += facets.rows[i, j] * points[p, j]
+                if s > distance:
+                    within = False
+                    break
+            if within:
+                inside[p] = True
+                break
+    return inside

@@ -1,0 +1,198 @@
+"""The active sets and regions known so far, in arrays that grow; the compiled kernels write into them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mpc.checks import Array
+from mpc.explicit.kernels.data import DONE, FULL, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
+from mpc.explicit.partition import Ints, MPQPStatus
+from mpc.explicit.scaled_qp import ScaledQP
+from mpc.tolerances import INSIDE
+
+Masks = np.ndarray[Any, np.dtype[np.uint64]]
+Bits = np.ndarray[Any, np.dtype[np.uint8]]
+Bools = np.ndarray[Any, np.dtype[np.bool_]]
+
+_CAPACITY = 1024  # active sets for which there is room at first
+_FACETS = 16  # facets a region for which there is room at first
+
+
+class Found(NamedTuple):
+    """Outcome of an exploration: facets [a, b] of region r in rows[offsets[r] : offsets[r + 1]], scaled.
+
+    qp : the problem explored, perhaps without rows that the others imply; active sets are numbers of its rows.
+    centres : a point in each region; uncovered : feasible parameters met that lie in no region.
+    """
+
+    status: MPQPStatus
+    qp: ScaledQP
+    active_sets: list[tuple[int, ...]]
+    rows: Array
+    offsets: Ints
+    centres: Array
+    uncovered: int = 0
+
+
+class RegionGraph:
+    """The graph of optimal active sets of one problem as far as it is known."""
+
+    def __init__(self, qp: ScaledQP) -> None:
+        self._take(qp)
+        self.graph, self.facets = _room(len(qp.M), self.parameters)
+
+    def _take(self, qp: ScaledQP) -> None:
+        """Take a problem."""
+        self.qp = qp
+        self.parameters = qp.D.shape[1] - 1
+        self.data = QPData(qp.M, qp.D, qp.tie, qp.gram, qp.TA, qp.Tb)
+
+    @property
+    def done(self) -> int:
+        """Number of regions whose facets are known."""
+        return int(self.graph.counts[DONE])
+
+    @property
+    def queued(self) -> int:
+        """Number of regions found."""
+        return int(self.graph.counts[QUEUED])
+
+    @property
+    def tied(self) -> bool:
+        """Whether several active sets are optimal on one region."""
+        return bool(self.graph.tied.any())
+
+    @property
+    def facet_states(self) -> np.ndarray[Any, np.dtype[np.int8]]:
+        """What became of the facets."""
+        return self.facets.state[: self.graph.counts[ROWS]]
+
+    def explore(self, regions: int) -> None:
+        """Find the facets of so many more regions, and their neighbours; of fewer where memory has to grow first."""
+        from mpc.explicit.kernels.exploration import GROW, explore
+
+        if explore(self.data, self.graph, self.facets, regions) == GROW:
+            self._grow()
+
+    def consider(self, act: tuple[int, ...]) -> None:
+        """Queue an active set if it has a region and was not met before."""
+        from mpc.explicit.kernels.active_sets import consider
+
+        self.make_room(1)
+        members = np.zeros((1, len(self.qp.M)), dtype=np.uint8)
+        members[0, list(act)] = 1
+        consider(self.data, self.graph, _masks(members, self.graph.masks.shape[1])[0])
+
+    def seed(self, targets: Array) -> Array:
+        """Queue the active sets at feasible parameters near the targets; returns those parameters."""
+        from mpc.explicit.kernels.places import seed
+
+        self.make_room(4 * len(targets))
+        found = np.empty_like(targets)
+        return found[: int(seed(self.data, self.graph, *self.qp.joint, targets, found))]
+
+    def look_at(self, points: Array) -> Bools:
+        """Queue the active sets at points; which of these lie in the parameter set and are feasible."""
+        from mpc.explicit.kernels.places import look_at
+
+        self.make_room(4 * len(points))
+        return np.asarray(look_at(self.data, self.graph, points))
+
+    def covered(self, points: Array, distance: float = INSIDE) -> Bools:
+        """Which points lie in a region that is done, or not farther outside one than a distance."""
+        from mpc.explicit.kernels.places import covered
+
+        return np.asarray(covered(self.facets, self.graph.counts, points, distance))
+
+    def active_bits(self, regions: int) -> Bits:
+        """Members of the active sets of the first regions, (regions, m)."""
+        return _bits(self.graph.masks[self.graph.queue[:regions]], len(self.qp.M))
+
+    def keep_rows(self, kept: Ints) -> None:
+        """Keep these rows of the problem, among them all active ones; forget the sets without region."""
+        members = self.active_bits(self.queued)[:, kept]
+        count = len(members)
+        old = self.graph
+        room = _room(len(kept), self.parameters, len(old.masks))[0]
+        self._take(self.qp.rows(kept))
+        room.masks[:count] = _masks(members, room.masks.shape[1])
+        room.kinds[:count] = FULL
+        room.queue[:count] = np.arange(count)
+        room.counts[:] = old.counts
+        room.counts[KNOWN] = count
+        room.tied[:] = old.tied[kept]
+        self.graph = room
+        self.rehash()
+
+    def make_room(self, sets: int) -> None:
+        """Make room for so many more active sets."""
+        while self.graph.counts[KNOWN] + sets >= len(self.graph.masks):
+            self._grow_sets()
+
+    def _grow(self) -> None:
+        """Twice the room for facets if that is scarce, else for active sets."""
+        facets = self.facets
+        if self.graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
+            longer = {name: _longer(getattr(facets, name)) for name in ("rows", "hits", "state")}
+            self.facets = facets._replace(**longer)
+        else:
+            self._grow_sets()
+
+    def _grow_sets(self) -> None:
+        """Twice the room for active sets."""
+        graph = self.graph
+        facets = self.facets
+        self.facets = facets._replace(offsets=_longer(facets.offsets), centres=_longer(facets.centres))
+        longer = {name: _longer(getattr(graph, name)) for name in ("masks", "kinds", "queue")}
+        self.graph = graph._replace(**longer, table=np.full(8 * len(graph.masks), -1, dtype=np.int64))
+        self.rehash()
+
+    def rehash(self) -> None:
+        """Fill the hash table."""
+        from mpc.explicit.kernels.active_sets import rehash
+
+        rehash(self.graph.masks, self.graph.table, self.graph.counts[KNOWN])
+
+    def found(self, status: MPQPStatus, uncovered: int) -> Found:
+        """The regions done."""
+        bits = self.active_bits(self.done)
+        members = np.nonzero(bits)[1].tolist()
+        ends = np.cumsum(bits.sum(axis=1, dtype=np.int64)).tolist()
+        sets = [tuple(members[first:last]) for first, last in zip([0, *ends], ends)]
+        rows = self.facets.rows[: self.graph.counts[ROWS]].copy()
+        offsets = self.facets.offsets[: self.done + 1].copy()
+        return Found(status, self.qp, sets, rows, offsets, self.facets.centres[: self.done].copy(), uncovered)
+
+
+def _room(m: int, n: int, capacity: int = _CAPACITY) -> tuple[Graph, Facets]:
+    """An empty graph of active sets among m rows, and facets in n parameters."""
+    graph = Graph(
+        masks=np.zeros((capacity, max(1, (m + 63) // 64)), dtype=np.uint64), kinds=np.zeros(capacity, dtype=np.int8),
+        table=np.full(4 * capacity, -1, dtype=np.int64), queue=np.zeros(capacity, dtype=np.int64),
+        counts=np.zeros(4, dtype=np.int64), tied=np.zeros(m, dtype=bool),
+    )  # fmt: skip
+    rows = np.empty((_FACETS * capacity, n + 1))
+    state = np.zeros(len(rows), dtype=np.int8)
+    hits = np.empty((len(rows), n))
+    return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), rows, np.empty((capacity, n)), hits, state)
+
+
+def _longer(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """A copy with room for twice as many entries, which have no value yet."""
+    longer = np.empty((2 * len(array), *array.shape[1:]), array.dtype)
+    longer[: len(array)] = array
+    return longer
+
+
+def _bits(masks: Masks, m: int) -> Bits:
+    """Members of active sets among m rows, (n, m), from bit masks."""
+    return np.unpackbits(np.ascontiguousarray(masks).view(np.uint8), axis=1, bitorder="little")[:, :m]
+
+
+def _masks(bits: Bits, words: int) -> Masks:
+    """Bit masks of so many words from members."""
+    padded = np.zeros((len(bits), 64 * words), dtype=np.uint8)
+    padded[:, : bits.shape[1]] = bits
+    return np.packbits(padded, axis=1, bitorder="little").view(np.uint64)
