@@ -35,6 +35,8 @@ class ImpliedEqualities(NamedTuple):
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
     """Pairs of rows of M that are opposite, with opposite bounds, judged in scaled coordinates."""
     first, second = np.nonzero(qp.gram < ZERO_ROW - 1)
+    if not len(first):
+        return []
     once = first < second
     first = first[once]
     second = second[once]

@@ -57,8 +57,8 @@ class Holes:
         """
         regions = self.regions
         still = self._some(np.flatnonzero(regions.facet_states == OPEN), min(_ACROSS + regions.done // 8, _MOST_ACROSS))
-        offsets = regions.facets.offsets[: regions.done + 1]
-        for facet, r in zip(still, np.searchsorted(offsets, still, side="right") - 1):
+        offsets = regions.facets.offsets
+        for facet, r in zip(still, self._owners(still)):
             if regions.queued > regions.done or time.perf_counter() > deadline:
                 return True
             regions.facets.state[facet] = ASKED
@@ -105,10 +105,16 @@ class Holes:
 
         regions = self.regions
         chosen = self._some(np.flatnonzero(regions.facet_states == CROSSED), most)
+        owners = self._owners(chosen)
         points = np.empty((most if len(chosen) else 0, regions.parameters))
         draws = self.rng.random((len(points), regions.parameters + 2))
-        behind_facets(regions.facets, regions.done, chosen, draws, CROSSING, _FARTHEST, points)
+        behind_facets(regions.facets, chosen, owners, draws, CROSSING, _FARTHEST, points)
         return points
+
+    def _owners(self, facets: Ints) -> Ints:
+        """Regions to which facets belong."""
+        offsets = self.regions.facets.offsets[: self.regions.done + 1]
+        return np.searchsorted(offsets, facets, side="right") - 1
 
     def _some(self, numbers: Ints, most: int) -> Ints:
         """So many of the numbers, at random and in order, or all of them."""

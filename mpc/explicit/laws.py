@@ -11,6 +11,7 @@ from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import LAW_ERROR
 
 _TOGETHER = 4096  # regions checked at once: bounds the memory
+_SIZES = 4  # sizes of active sets that are treated as one
 ActiveSets = list[tuple[int, ...]]
 
 
@@ -30,14 +31,31 @@ def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> Scale
     law = np.zeros((len(active_sets), qp.M.shape[1], qp.D.shape[1]))
     holds = np.ones(len(active_sets), dtype=bool)
     where = np.hstack([centres, np.ones((len(centres), 1))])
-    for size in {len(act) for act in active_sets} - {0}:  # together where the number of active rows is the same
-        which = np.array([r for r, act in enumerate(active_sets) if len(act) == size])
-        act = np.array([active_sets[r] for r in which])
-        law[which], missed, pull = _law(qp.M[act], qp.D[act], qp.gram[act[:, :, None], act[:, None, :]])
-        force = np.einsum("rac,rc->ra", pull, where[which])  # minus the multipliers
+    sizes = np.array([len(act) for act in active_sets])
+    for size in {*(-(-sizes // _SIZES)).tolist()} - {0}:  # those of similar size together
+        which = np.flatnonzero(-(-sizes // _SIZES) == size)
+        rows, right, gram = _padded(qp, [active_sets[r] for r in which])
+        law[which], missed, pull = _law(rows, right, gram)
+        force = (pull @ where[which, :, None])[:, :, 0]  # minus the multipliers
         holds[which] = missed <= LAW_ERROR
         holds[which] &= force.max(axis=1) <= LAW_ERROR * np.maximum(1.0, np.abs(force).max(axis=1))
     return ScaledLaws(law, holds & (_excess(qp, law, where) <= LAW_ERROR))
+
+
+def _padded(qp: ScaledQP, active_sets: ActiveSets) -> tuple[Array, Array, Array]:
+    """Rows of M and of D of each active set, and their Gram matrix; zero rows, of unit size, up to the largest set."""
+    width = max(len(act) for act in active_sets)
+    act = np.array([act + (-1,) * (width - len(act)) for act in active_sets])
+    rows = qp.M[act]
+    right = qp.D[act]
+    gram = qp.gram[act[:, :, None], act[:, None, :]]
+    none = act < 0
+    if none.any():
+        rows[none] = 0.0
+        right[none] = 0.0
+        gram[none[:, :, None] | none[:, None, :]] = 0.0
+        gram[:, np.arange(width), np.arange(width)] += none
+    return rows, right, gram
 
 
 def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:

@@ -165,6 +165,8 @@ def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.
 
 def with_parameter_rows(TA: Array, Tb: Array, right: Array) -> tuple[Array, Array]:
     """The parameter set {t : TA t <= Tb} with rows 0 <= right [t; 1] added, as unit rows."""
+    if not len(right):
+        return TA, Tb
     length = np.linalg.norm(right[:, :-1], axis=1)
     constant = length <= VANISHING_ROW * np.abs(right).max(axis=1, initial=0.0)
     if (right[constant, -1] < 0).any():
@@ -189,6 +191,8 @@ def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
     """Rows that remain when of equal normals in v and t only the tightest is kept."""
     first, second = np.nonzero(gram > 1 - DUPLICATE)
     once = first < second
+    if not once.any():
+        return np.arange(len(M))
     first = first[once]
     second = second[once]
     size = np.maximum(1.0, np.abs(D[first, :-1]).max(axis=1, initial=0.0))

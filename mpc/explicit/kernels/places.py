@@ -63,35 +63,34 @@ def between_facets(facets, rows, draws, points):
 
 
 @njit(cache=True)
-def behind_facets(facets, done, chosen, draws, nearest, farthest, points):
-    """Points behind the chosen facets, half of them at the nearest distance, the others up to the farthest.
+def behind_facets(facets, chosen, owners, draws, nearest, farthest, points):
+    """Points behind the chosen facets of their owners, half of them at the nearest distance, others up to the farthest.
 
     Each draw in [0, 1) holds a direction along the facet from the point hit, a share of the way to its end, and a
     distance.
     """
     n = points.shape[1]
     direction = np.empty(n)
+    decades = np.log(farthest / nearest)
     for p in range(len(points)):
         facet = chosen[p % len(chosen)]
-        row = facets.rows[facet]
-        hit = facets.hits[facet]
+        owner = owners[p % len(chosen)]
         along = 0.0
         for j in range(n):
             direction[j] = 2.0 * draws[p, j] - 1.0
-            along += row[j] * direction[j]
+            along += facets.rows[facet, j] * direction[j]
         length = 0.0
         for j in range(n):
-            direction[j] -= along * row[j]
+            direction[j] -= along * facets.rows[facet, j]
             length += direction[j] * direction[j]
         across = 2.0 * np.sqrt(n / max(length, PARALLEL))  # of the parameter set
         first = -across
         last = across
-        owner = np.searchsorted(facets.offsets[: done + 1], facet, side="right") - 1
         for i in range(facets.offsets[owner], facets.offsets[owner + 1]):
             slack = facets.rows[i, n]
             rate = 0.0
             for j in range(n):
-                slack -= facets.rows[i, j] * hit[j]
+                slack -= facets.rows[i, j] * facets.hits[facet, j]
                 rate += facets.rows[i, j] * direction[j]
             if i != facet and rate > PARALLEL:
                 last = min(last, max(slack, 0.0) / rate)
@@ -100,9 +99,9 @@ def behind_facets(facets, done, chosen, draws, nearest, farthest, points):
         way = first + draws[p, n] * (last - first)
         step = nearest
         if draws[p, n + 1] > 0.5:
-            step *= (farthest / nearest) ** (2.0 * draws[p, n + 1] - 1.0)
+            step *= np.exp(decades * (2.0 * draws[p, n + 1] - 1.0))
         for j in range(n):
-            points[p, j] = hit[j] + way * direction[j] + step * row[j]
+            points[p, j] = facets.hits[facet, j] + way * direction[j] + step * facets.rows[facet, j]
 
 
 @njit(cache=True)
