@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ccdtools.plants.discretisation import discretise
     from ccdtools.plants.linear_model import LinearModel
     from ccdtools.plants.plant import Plant
+    from ccdtools.plants.torch_function import to_torch
     from ccdtools.scenario import Scenario
     from ccdtools.simulation import simulate
     from ccdtools.statistics import mean_interval
@@ -96,6 +97,7 @@ __all__ = [
     "road_disturbance",
     "saturated_lqr",
     "simulate",
+    "to_torch",
     "updated_problem",
 ]
 
@@ -152,6 +154,7 @@ _HOMES = {
     "road_disturbance": "disturbances.roads",
     "saturated_lqr": "comparison.baselines",
     "simulate": "simulation",
+    "to_torch": "plants.torch_function",
     "updated_problem": "twin.replay",
 }
 

@@ -1,52 +1,113 @@
-"""CasADi functions on batches of NumPy arrays or torch tensors."""
+"""CasADi functions on batches of NumPy arrays or torch tensors: each instruction becomes one array operation."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import operator
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
 from ccdtools.exceptions import InputError
 
+Operations: TypeAlias = dict[int, Callable[..., Any]]
+
+_ARITHMETIC: Operations = {
+    ca.OP_ADD: operator.add, ca.OP_SUB: operator.sub, ca.OP_MUL: operator.mul, ca.OP_DIV: operator.truediv,
+    ca.OP_POW: operator.pow, ca.OP_CONSTPOW: operator.pow, ca.OP_NEG: operator.neg,
+    ca.OP_TWICE: lambda a: a + a, ca.OP_SQ: lambda a: a * a, ca.OP_INV: lambda a: 1.0 / a,
+    ca.OP_ASSIGN: lambda a: a, ca.OP_LIFT: lambda a, guess: a,
+}  # fmt: skip
+_LOGIC: Operations = {
+    ca.OP_LT: operator.lt, ca.OP_LE: operator.le, ca.OP_EQ: operator.eq, ca.OP_NE: operator.ne,
+    ca.OP_AND: lambda a, b: (a != 0) & (b != 0), ca.OP_OR: lambda a, b: (a != 0) | (b != 0),
+    ca.OP_NOT: lambda a: a == 0,
+}  # fmt: skip
 _UNARY = {
-    ca.OP_NEG: "negative", ca.OP_EXP: "exp", ca.OP_LOG: "log", ca.OP_SQRT: "sqrt", ca.OP_SQ: "square",
-    ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TAN: "tan", ca.OP_ASIN: "arcsin", ca.OP_ACOS: "arccos",
-    ca.OP_ATAN: "arctan", ca.OP_SINH: "sinh", ca.OP_COSH: "cosh", ca.OP_TANH: "tanh", ca.OP_FABS: "abs",
-    ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_INV: "reciprocal", ca.OP_ASINH: "arcsinh",
-    ca.OP_ACOSH: "arccosh", ca.OP_ATANH: "arctanh", ca.OP_LOG1P: "log1p", ca.OP_EXPM1: "expm1",
+    ca.OP_EXP: "exp", ca.OP_LOG: "log", ca.OP_SQRT: "sqrt", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TAN: "tan",
+    ca.OP_ASIN: "arcsin", ca.OP_ACOS: "arccos", ca.OP_ATAN: "arctan", ca.OP_SINH: "sinh", ca.OP_COSH: "cosh",
+    ca.OP_TANH: "tanh", ca.OP_ASINH: "arcsinh", ca.OP_ACOSH: "arccosh", ca.OP_ATANH: "arctanh", ca.OP_FABS: "abs",
+    ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_LOG1P: "log1p", ca.OP_EXPM1: "expm1",
 }  # fmt: skip
-_BINARY: dict[int, Callable[[Any, Any], Any]] = {
-    ca.OP_ADD: lambda a, b: a + b,
-    ca.OP_SUB: lambda a, b: a - b,
-    ca.OP_MUL: lambda a, b: a * b,
-    ca.OP_DIV: lambda a, b: a / b,
-    ca.OP_POW: lambda a, b: a**b,
-    ca.OP_CONSTPOW: lambda a, b: a**b,
-}
-_LOGIC: dict[int, Callable[[Any, Any], Any]] = {
-    ca.OP_AND: lambda a, b: (a != 0) & (b != 0),
-    ca.OP_OR: lambda a, b: (a != 0) | (b != 0),
-}
-_BINARY_NAMED = {
-    ca.OP_FMIN: "minimum", ca.OP_FMAX: "maximum", ca.OP_ATAN2: "arctan2", ca.OP_HYPOT: "hypot",
-    ca.OP_COPYSIGN: "copysign", ca.OP_FMOD: "fmod",
+_SPECIAL = {ca.OP_ERF: "erf", ca.OP_ERFINV: "erfinv"}
+_BINARY = {
+    ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax", ca.OP_ATAN2: "arctan2", ca.OP_HYPOT: "hypot", ca.OP_COPYSIGN: "copysign",
+    ca.OP_FMOD: "fmod",
 }  # fmt: skip
-_ARITHMETIC = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_TWICE, ca.OP_NOT, ca.OP_IF_ELSE_ZERO, *_BINARY, *_LOGIC}
-_COMPARE: dict[int, Callable[[Any, Any], Any]] = {
-    ca.OP_LT: lambda a, b: a < b,
-    ca.OP_LE: lambda a, b: a <= b,
-    ca.OP_EQ: lambda a, b: a == b,
-    ca.OP_NE: lambda a, b: a != b,
-}
+KNOWN = {
+    ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_REMAINDER, ca.OP_IF_ELSE_ZERO,
+    *_ARITHMETIC, *_LOGIC, *_UNARY, *_SPECIAL, *_BINARY,
+}  # fmt: skip
+
+
+class Tape:
+    """The instructions of an SX function, for batches: every value is an array over the batch or a number.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        SX function, or one that CasADi can expand into scalar instructions.
+    argument : str
+        What an error calls it.
+
+    Raises
+    ------
+    InputError
+        If the function cannot be expanded, or has an operation without an array counterpart.
+    """
+
+    def __init__(self, function: ca.Function, argument: str = "function") -> None:
+        if not function.is_a("SXFunction"):
+            try:
+                function = function.expand()
+            except RuntimeError as error:
+                raise InputError(
+                    argument, f"{function.name()}, which has no scalar instructions", "an SX function",
+                    "It calls an integrator, a solver or an external function.",
+                ) from error  # fmt: skip
+        steps = range(function.n_instructions())
+        unknown = sorted({function.instruction_id(k) for k in steps} - KNOWN)
+        if unknown:
+            names = [name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) in unknown]
+            raise InputError(
+                argument, f"the CasADi operations {', '.join(names) or unknown}, which arrays do not have",
+                "arithmetic, powers, exp, log, sqrt, erf, trigonometric and hyperbolic functions, abs, sign, min, max",
+            )  # fmt: skip
+        self.function = function
+        self._work_size = function.sz_w()
+        self._steps = [self._instruction(k) for k in steps]
+
+    def _instruction(self, k: int) -> tuple[int, tuple[int, ...], tuple[int, ...], float]:
+        """Operation, places of its inputs, places of its outputs, and the number that a constant is."""
+        f = self.function
+        op = f.instruction_id(k)
+        number = float(f.instruction_constant(k)) if op == ca.OP_CONST else 0.0
+        return op, tuple(f.instruction_input(k)), tuple(f.instruction_output(k)), number
+
+    def run(self, entries: Sequence[Sequence[Any]], operations: Operations) -> list[list[Any]]:
+        """Nonzeros of each output, from the nonzeros of each input."""
+        work: list[Any] = [0.0] * self._work_size
+        out: list[list[Any]] = [[0.0] * self.function.nnz_out(i) for i in range(self.function.n_out())]
+        for op, inputs, outputs, number in self._steps:
+            if op == ca.OP_INPUT:
+                work[outputs[0]] = entries[inputs[0]][inputs[1]]
+            elif op == ca.OP_OUTPUT:
+                out[outputs[0]][outputs[1]] = work[inputs[0]]
+            elif op == ca.OP_CONST:
+                work[outputs[0]] = number
+            elif len(inputs) == 1:
+                work[outputs[0]] = operations[op](work[inputs[0]])
+            else:
+                work[outputs[0]] = operations[op](work[inputs[0]], work[inputs[1]])
+        return out
 
 
 class Vectorised:
-    """Evaluates an SX `casadi.Function` elementwise over a batch.
+    """Evaluates an SX `casadi.Function` of vectors elementwise over a batch.
 
-    Each instruction of the function's tape becomes one array operation, so a batch of thousands costs little
-    more than one point, and torch tensors keep their gradient.
+    A batch of thousands costs little more than one point, and torch tensors keep their gradient.
 
     Parameters
     ----------
@@ -60,82 +121,64 @@ class Vectorised:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        if not function.is_a("SXFunction"):
-            function = function.expand()
+        self._tape = Tape(function, "dynamics")
         self.n_out = function.numel_out(0)
-        self._tape = [
-            (
-                function.instruction_id(k),
-                tuple(function.instruction_input(k)),
-                tuple(function.instruction_output(k)),
-                function.instruction_constant(k) if function.instruction_id(k) == ca.OP_CONST else 0.0,
-            )
-            for k in range(function.n_instructions())
-        ]
-        self._work_size = function.sz_w()
-        known = {*_ARITHMETIC, *_UNARY, *_BINARY_NAMED, *_COMPARE}
-        unknown = sorted({op for op, *_ in self._tape} - known)
-        if unknown:
-            names = [name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) in unknown]
-            raise InputError(
-                "dynamics", f"the CasADi operations {', '.join(names) or unknown}, which arrays do not have",
-                "arithmetic, powers, exp, log, sqrt, trigonometric and hyperbolic functions, abs, sign, min and max",
-            )  # fmt: skip
 
     def __call__(self, *arguments: Any) -> Any:
         """Values (..., n_out) at arguments of shape (..., n_i); leading shapes broadcast."""
-        torch_module = _torch_of(arguments)
-        xp: Any = torch_module or np
-        like: Any = None if torch_module is None else next(a for a in arguments if torch_module.is_tensor(a))
-        one: Any = 1.0 if like is None else like.new_ones(())  # of the arguments' precision, not torch's default
-        work: list[Any] = [0.0] * self._work_size
-        out: list[Any] = [0.0] * self.n_out
-        with np.errstate(all="ignore"):
-            for op, inputs, outputs, constant in self._tape:
-                if op == ca.OP_CONST:
-                    work[outputs[0]] = constant
-                elif op == ca.OP_INPUT:
-                    work[outputs[0]] = arguments[inputs[0]][..., inputs[1]]
-                elif op == ca.OP_OUTPUT:
-                    out[outputs[1]] = work[inputs[0]]
-                elif op in _BINARY:
-                    work[outputs[0]] = _BINARY[op](work[inputs[0]], work[inputs[1]])
-                elif op == ca.OP_TWICE:
-                    work[outputs[0]] = 2 * work[inputs[0]]
-                elif op in _COMPARE:
-                    work[outputs[0]] = _COMPARE[op](work[inputs[0]], work[inputs[1]]) * one
-                elif op in _LOGIC:
-                    work[outputs[0]] = _LOGIC[op](work[inputs[0]], work[inputs[1]]) * one
-                elif op == ca.OP_NOT:
-                    work[outputs[0]] = (work[inputs[0]] == 0) * one
-                elif op == ca.OP_IF_ELSE_ZERO:
-                    work[outputs[0]] = _if_else_zero(xp, work[inputs[0]], work[inputs[1]], like)
-                else:
-                    name = _UNARY.get(op) or _BINARY_NAMED[op]
-                    values = [work[i] for i in inputs[: 1 if op in _UNARY else 2]]
-                    if torch_module is not None:
-                        values = [v if torch_module.is_tensor(v) else like.new_tensor(v) for v in values]
-                    work[outputs[0]] = getattr(xp, name)(*values)
         shape = np.broadcast_shapes(*(tuple(a.shape[:-1]) for a in arguments))
-        if torch_module is None:
+        entries = [[a[..., i] for i in range(a.shape[-1])] for a in arguments]
+        if all(isinstance(a, np.ndarray) for a in arguments):  # torch is then never imported
+            with np.errstate(all="ignore"):
+                out = self._tape.run(entries, numpy_operations())[0]
             return np.stack([np.broadcast_to(o, shape) for o in out], axis=-1)
-        return torch_module.stack(
-            [torch_module.as_tensor(o, dtype=like.dtype, device=like.device).expand(shape) for o in out], dim=-1
-        )
+        import torch
+
+        like = next(a for a in arguments if torch.is_tensor(a))
+        out = self._tape.run(entries, torch_operations(like.dtype))[0]
+        return torch.stack([torch.as_tensor(o, dtype=like.dtype, device=like.device).expand(shape) for o in out], -1)
 
 
-def _if_else_zero(xp: Any, condition: Any, value: Any, like: Any) -> Any:
-    """`value` where `condition`, else 0: selected, not multiplied, so that an unused inf or NaN vanishes."""
-    if xp is np:
-        return np.where(np.asarray(condition) != 0, value, 0.0)
-    condition, value = (v if xp.is_tensor(v) else like.new_tensor(v) for v in (condition, value))
-    return xp.where(condition != 0, value, like.new_zeros(()))
+@cache
+def numpy_operations() -> Operations:
+    """Each operation on NumPy arrays."""
+    from scipy import special
+
+    table: Operations = {op: _returning(float, call) for op, call in _LOGIC.items()}
+    table |= _ARITHMETIC
+    table |= {op: getattr(np, name) for op, name in {**_UNARY, **_BINARY}.items()}
+    table |= {op: getattr(special, name) for op, name in _SPECIAL.items()}
+    table[ca.OP_REMAINDER] = lambda a, b: a - b * np.rint(a / b)
+    # selected, not multiplied, so that an unused inf or NaN vanishes
+    table[ca.OP_IF_ELSE_ZERO] = lambda condition, a: np.where(np.asarray(condition) != 0, a, 0.0)
+    return table
 
 
-def _torch_of(arguments: tuple[Any, ...]) -> Any:
-    """The torch module if any argument is a tensor, else None (torch is then never imported)."""
-    if all(isinstance(a, np.ndarray) for a in arguments):
-        return None
+@cache
+def torch_operations(dtype: Any) -> Operations:
+    """Each operation on torch tensors of one type; numbers may stand in their place."""
     import torch
 
-    return torch
+    def together(call: Callable[..., Any]) -> Callable[..., Any]:
+        """The call with numbers made tensors: one of the two is a tensor, or CasADi would have computed it."""
+
+        def both(a: Any, b: Any) -> Any:
+            like = a if torch.is_tensor(a) else b
+            return call(*(v if torch.is_tensor(v) else like.new_tensor(v) for v in (a, b)))
+
+        return both
+
+    table: Operations = {op: _returning(dtype, call) for op, call in _LOGIC.items()}
+    table |= _ARITHMETIC
+    table |= {op: getattr(torch, name) for op, name in {**_UNARY, **_SPECIAL}.items()}
+    table |= {op: together(getattr(torch, name)) for op, name in _BINARY.items()}
+    table[ca.OP_REMAINDER] = lambda a, b: a - b * torch.round(a / b).detach()
+    table[ca.OP_IF_ELSE_ZERO] = together(lambda condition, a: torch.where(condition != 0, a, a.new_zeros(())))
+    return table
+
+
+def _returning(kind: Any, call: Callable[..., Any]) -> Callable[..., Any]:
+    """A comparison that returns 0.0 and 1.0."""
+    if kind is float:
+        return lambda *values: call(*values) * 1.0
+    return lambda *values: call(*values).to(kind)
