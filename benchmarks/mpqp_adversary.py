@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -23,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "mpc")]
 
 import numpy as np  # noqa: E402
-from random_problems import nearly_parallel_rows, problem_of  # noqa: E402
+from random_problems import closing_slab, nearly_parallel_rows, problem_of  # noqa: E402
 from scipy.optimize import linprog  # noqa: E402
 
 from invariant_sets import Polytope  # noqa: E402
@@ -143,12 +144,12 @@ def judge_holes(problem, states=STATES):
     return f"{partition.status.name}, {left_out} of {states} parameters left out" if left_out else ""
 
 
-def nearly_dependent(name, count, first, opposite):
-    """Print one row for problems with rows that are parallel but for 1e-6."""
+def nearly_dependent(name, count, first, problem_of_seed):
+    """Print one row for problems with rows that are parallel, or opposite, but for 1e-6."""
     start, wrong = time.perf_counter(), []
     for seed in range(first, first + count):
         try:
-            verdict = judge_holes(nearly_parallel_rows(seed, opposite=opposite))
+            verdict = judge_holes(problem_of_seed(seed))
         except InputError:  # equalities that leave no freedom
             continue
         if verdict:
@@ -161,8 +162,9 @@ def nearly_dependent(name, count, first, opposite):
 def main(count=100, first=50_000):
     """Print one row a kind, and every problem that is wrong."""
     print("| kind | problems | wrong | s |\n|---|---|---|---|")
-    nearly_dependent("nearly parallel rows", 10 * count, first, False)
-    nearly_dependent("nearly opposite rows", 10 * count, first, True)
+    nearly_dependent("nearly parallel rows", 10 * count, first, nearly_parallel_rows)
+    nearly_dependent("nearly opposite rows", 10 * count, first, partial(nearly_parallel_rows, opposite=True))
+    nearly_dependent("slabs that close", 10 * count, first, closing_slab)
     for name, (change, same_regions) in KINDS.items():
         start, wrong = time.perf_counter(), []
         for seed in range(first, first + count):

@@ -20,7 +20,7 @@ _SETTINGS = {"primal_tol": PRIMAL, "iter_limit": 10_000, "fval_bound": 1e300}  #
 
 @dataclass(frozen=True, eq=False)
 class QPResult:
-    """Minimiser z, multipliers of Gz <= b, residuals, infeasibility flag and solver name."""
+    """Minimiser z, multipliers of Gz <= b (or what proves it infeasible), residuals, verdict and name of the solver."""
 
     z: Array
     multipliers: Array
@@ -97,6 +97,8 @@ class DenseQP:
                 residuals = second
                 solver = "Clarabel"
             infeasible = infeasible and not residuals.worst <= KKT
+            if infeasible:
+                y = y2
         multipliers = np.zeros(self._m)
         multipliers[self._rows] = y * self._r * size
         return QPResult(z * self._d * size, multipliers, residuals, infeasible or self._unreached(b), solver)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import linprog
 
 from mpc.checks import Array
 from mpc.exceptions import InputError
+from mpc.explicit.linear_programs import INFEASIBLE, solve_exactly
+from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP, with_parameter_rows
 from mpc.parametric_qp import Constraint
-from mpc.tolerances import EQUALITY, IMPLIED_EQUALITY, ZERO_ROW
+from mpc.tolerances import EQUALITY, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
+_NO_ROWS = np.zeros(0, dtype=np.int64)
 
 
 class FlatParameters(InputError):
@@ -24,12 +27,14 @@ class FlatParameters(InputError):
 class ImpliedEqualities(NamedTuple):
     """Rows of M that hold with equality at every feasible point, and whether a row of the parameter set does.
 
-    parameters : (k, nt) that are feasible: the last as far as can be from what the other rows forbid.
+    parameters : (k, nt) that are feasible, the last as far as can be from what the other rows forbid; status : COMPLETE
+    where this is settled, INFEASIBLE where there is no feasible point, TIME_LIMIT and INACCURATE where it is not.
     """
 
-    rows: Ints
-    of_parameters: bool
-    parameters: Array
+    status: MPQPStatus
+    rows: Ints = _NO_ROWS
+    of_parameters: bool = False
+    parameters: Array = np.zeros((0, 0))
 
 
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
@@ -46,46 +51,64 @@ def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in zip(first[close], second[close])]
 
 
-def implied_equalities(qp: ScaledQP) -> ImpliedEqualities | None:
+def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualities:
     """Rows that hold with equality at every feasible point.
 
     A linear program finds a point where the sum of the slacks, each counted up to a tenth, is largest. A row without
-    slack there may have given it up for the others, so each of them is asked for its own largest slack. None when there
-    is no feasible point.
+    slack there may have given it up for the others, so the sum of these rows alone is asked for, until none has any.
     """
     J, h = qp.joint
-    rows, columns = J.shape
-    program = linprog(
-        np.concatenate([np.zeros(columns), -np.ones(rows)]), A_ub=np.hstack([J, np.eye(rows)]), b_ub=h,
-        bounds=[(None, None)] * columns + [(0.0, 0.1)] * rows, method="highs",
-    )  # fmt: skip
-    if program.status != 0:
-        return None
-    slack = h - J @ program.x[:columns]
-    if slack.min() < -IMPLIED_EQUALITY:
-        return None
-    tight = np.array([i for i in np.flatnonzero(slack <= IMPLIED_EQUALITY) if not _has_slack(J, h, i)], dtype=np.int64)
-    points = [program.x, *_deepest(J, h, tight)]
+    tight = np.arange(len(h))
+    points: list[Array] = []
+    while len(tight):
+        program = _most_slack(J, h, tight, deadline)
+        if program.status == INFEASIBLE and not points:
+            return ImpliedEqualities(MPQPStatus.INFEASIBLE)
+        if program.status != 0:
+            late = time.perf_counter() > deadline
+            return ImpliedEqualities(MPQPStatus.TIME_LIMIT if late else MPQPStatus.INACCURATE)
+        point = program.x[: J.shape[1]]
+        points.append(point)
+        slack = h - J @ point
+        loose = slack[tight] > IMPLIED_EQUALITY
+        if not loose.any() and slack[tight].sum() > IMPLIED_EQUALITY:  # together they have some: which one has?
+            own = [_most_slack(J, h, np.array([i]), deadline) for i in tight]
+            loose = np.array([program.status == 0 and -program.fun > IMPLIED_EQUALITY for program in own])
+        if not loose.any():
+            break
+        tight = tight[~loose]
+    rows = tight[tight < len(qp.M)]
+    if _leave_freedom(qp.M[rows], float(slack[tight].max(initial=0.0))):
+        return ImpliedEqualities(MPQPStatus.INACCURATE)
+    points += _deepest(J, h, tight, deadline)
     parameters = np.array([point[: qp.D.shape[1] - 1] for point in points])
-    return ImpliedEqualities(tight[tight < len(qp.M)], bool((tight >= len(qp.M)).any()), parameters)
+    return ImpliedEqualities(MPQPStatus.COMPLETE, rows, len(rows) < len(tight), parameters)
 
 
-def _deepest(J: Array, h: Array, tight: Ints) -> list[Array]:
+def _leave_freedom(rows: Array, slack: float) -> bool:
+    """Whether so little slack in these rows, which may be nearly dependent, lets v move by more than rounding does."""
+    sizes = np.linalg.svd(rows, compute_uv=False) if len(rows) else np.ones(1)
+    return slack > LAW_ERROR * float(sizes[sizes > ZERO_ROW * sizes[0]].min())
+
+
+def _most_slack(J: Array, h: Array, counted: Ints, deadline: float) -> Any:
+    """The point of {x : J x <= h} where the counted rows have the most slack together, each up to a tenth."""
+    rows, columns = J.shape
+    slack = np.zeros((rows, len(counted)))
+    slack[counted, np.arange(len(counted))] = 1.0
+    cost = np.concatenate([np.zeros(columns), -np.ones(len(counted))])
+    limits = [(None, None)] * columns + [(0.0, 0.1)] * len(counted)
+    return solve_exactly(cost, np.hstack([J, slack]), h, limits, deadline)
+
+
+def _deepest(J: Array, h: Array, tight: Ints, deadline: float) -> list[Array]:
     """The point of {x : J x <= h} with the largest least slack, up to one, in the rows not tight; none if not found."""
     loose = np.ones((len(J), 1))
     loose[tight] = 0.0
     cost = np.append(np.zeros(J.shape[1]), -1.0)
     limits = [(None, None)] * J.shape[1] + [(0.0, 1.0)]
-    program = linprog(cost, A_ub=np.hstack([J, loose]), b_ub=h, bounds=limits, method="highs")
+    program = solve_exactly(cost, np.hstack([J, loose]), h, limits, deadline)
     return [program.x[:-1]] if program.status == 0 else []
-
-
-def _has_slack(J: Array, h: Array, row: np.intp) -> bool:
-    """Whether a point of {x : J x <= h} leaves one row more than rounding."""
-    program = linprog(J[row], A_ub=J, b_ub=h, bounds=(None, None), method="highs")
-    if program.status == 3:  # unbounded
-        return True
-    return program.status == 0 and bool(h[row] - J[row] @ program.x > IMPLIED_EQUALITY)
 
 
 def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...]) -> ScaledQP:

@@ -35,9 +35,9 @@ def explore_compiled(qp: ScaledQP, limits: Limits, feasible: Array | None = None
     feasible : (k, nt) parameters from which to start where random ones find nothing.
     """
     first = Search(qp, feasible)
-    first.begin()
+    first.begin(limits.deadline)
     search = first
-    status = None if first.queued else MPQPStatus.INACCURATE if first.holes.uncovered else MPQPStatus.INFEASIBLE
+    status = None if first.queued else first.nothing_found(limits.deadline)
     while status is None:
         search.advance(limits.max_regions)
         if search.queued > search.done >= limits.max_regions:
@@ -74,14 +74,25 @@ class Search:
         """Number of regions found."""
         return self.regions.queued
 
-    def begin(self) -> None:
-        """Queue the regions of a few parameters; more only where each of them lies on the border of regions."""
+    def begin(self, deadline: float = np.inf) -> None:
+        """Queue the regions of a few parameters; more only where each of them lies on the border of regions.
+
+        Where the compiled solver finds none at parameters that are feasible, the checked online solver is asked.
+        """
+        feasible = [np.empty((0, self.regions.parameters)) if self.known is None else self.known]
         for _ in range(_ROUNDS):
-            targets = self.rng.uniform(-1, 1, size=(_SEEDS, self.regions.parameters))
-            if len(self.regions.seed(targets)) == 0 or self.queued:
+            found = self.regions.seed(self.rng.uniform(-1, 1, size=(_SEEDS, self.regions.parameters)))
+            if len(found) == 0 or self.queued or time.perf_counter() > deadline:
                 break
-        if self.known is not None and not self.queued:
-            self.holes.ask_at(self.known)
+            feasible.append(found)
+        if not self.queued:
+            self.holes.ask_at(np.vstack(feasible), deadline)
+
+    def nothing_found(self, deadline: float) -> MPQPStatus:
+        """What it means that no region was found to begin with."""
+        if self.holes.uncovered:
+            return MPQPStatus.INACCURATE
+        return MPQPStatus.TIME_LIMIT if time.perf_counter() > deadline else MPQPStatus.INFEASIBLE
 
     def advance(self, most: int) -> None:
         """Find the facets of some more regions, and their neighbours, until it is time to look at the clock."""
@@ -91,7 +102,8 @@ class Search:
         stop = min(most, _MANY) if before < _MANY and not self.thinned else most
         self.regions.explore(min(self.portion, stop - before))
         taken = max(time.perf_counter() - start, 1e-6)
-        self.portion = max(1, int(_LOOK * (self.done - before + 1) / taken))
+        if self.done > before:  # else there was no room, and it grew
+            self.portion = max(1, int(_LOOK * (self.done - before) / taken))
 
     @property
     def should_be_thinned(self) -> bool:
@@ -113,16 +125,17 @@ class Search:
         if len(kept) == len(qp.M):
             return self
         if np.delete(self.regions.active_bits(self.queued), kept, axis=1).any():
-            return self._started_again(kept)
+            return self._started_again(kept, deadline)
         self.regions.keep_rows(kept)
         return self
 
-    def _started_again(self, kept: Ints) -> Search:
-        """A search with these rows only; this one where that finds no region."""
+    def _started_again(self, kept: Ints, deadline: float) -> Search:
+        """A search with these rows only, which knows of the holes found; this one where that finds no region."""
         other = Search(self.regions.qp.rows(kept), self.known)
         other.thinned = self.thinned
         other.thinned_for_speed = True
-        other.begin()
+        other.holes.pending = np.vstack([self.holes.feasible, self.holes.pending])
+        other.begin(deadline)
         return other if other.queued else self
 
     def found(self, status: MPQPStatus) -> Found:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from mpc.checks import Array
 from mpc.explicit.kernels.data import ASKED, CROSSED, OPEN, ROWS
 from mpc.explicit.openings import OnlineQP, points_beyond
 from mpc.explicit.partition import Ints
-from mpc.explicit.region_graph import Bools, RegionGraph
+from mpc.explicit.region_graph import RegionGraph
 from mpc.tolerances import CROSSING, THIN
 
 # what is looked at before a small law is called complete:
@@ -21,7 +22,8 @@ _FARTHEST = 0.01  # at most at this distance, scaled parameters
 _PER_REGION = 8  # regions for which, in a large law, there is one more of each,
 _MOST = 2000  # but no more than so many
 _AT_ONCE = 20_000_000  # pairs of a point and a region between two looks at the clock
-_FEW = 16  # points where the QP is solved between two looks at the clock
+_ROWS_AT_ONCE = 20_000  # rows of the QPs that are solved between two looks at the clock
+_FEW = 16  # points where the QP is solved before it is asked which of the others still lie in no region
 _ASKED = 64  # points where it is solved once one of them lies in a hole
 _ACROSS = 64  # open facets that are looked across in a small law,
 _MOST_ACROSS = 500  # and in a large one
@@ -63,7 +65,7 @@ class Holes:
                 return True
             regions.facets.state[facet] = ASKED
             own = slice(offsets[r], offsets[r + 1])
-            self.ask_at(points_beyond(regions.facets.rows[own], int(facet - own.start), regions.qp))
+            self.ask_at(points_beyond(regions.facets.rows[own], int(facet - own.start), regions.qp), deadline)
         return regions.queued > regions.done
 
     def look_around(self, deadline: float) -> bool:
@@ -77,15 +79,14 @@ class Holes:
         between = self.between_facets(_BETWEEN + more)  # feasible, whatever a solver says
         behind = self.behind_facets(_BEHIND + more)
         anywhere = self.rng.uniform(-1, 1, size=(2 * (_ANYWHERE + more), regions.parameters))
-        near_the_border = regions.seed(anywhere[_ANYWHERE + more :])
-        places = np.vstack([between, behind, anywhere[: _ANYWHERE + more], near_the_border])
-        feasible = np.arange(len(places)) < len(between)
-        parts = 1 + len(places) * regions.done // _AT_ONCE
-        for first, last in zip(range(parts), range(1, parts + 1)):
+        places = [anywhere[: _ANYWHERE + more], behind]
+        for targets in self._portions(anywhere[_ANYWHERE + more :]):
             if time.perf_counter() > deadline:
                 return True
-            part = slice(len(places) * first // parts, len(places) * last // parts)
-            self._look_at(places[part], feasible[part])
+            places.append(regions.seed(targets))  # near the border
+        in_time = self._look_at(between, True, deadline) and self._look_at(np.vstack(places), False, deadline)
+        if not in_time:
+            return True
         if len(self.pending):
             self.pending = self.rng.permutation(self.pending[~regions.covered(self.pending)])
         return self._ask(deadline)
@@ -120,12 +121,26 @@ class Holes:
         """So many of the numbers, at random and in order, or all of them."""
         return numbers if len(numbers) <= most else np.sort(self.rng.choice(numbers, most, replace=False))
 
-    def _look_at(self, points: Array, feasible: Bools) -> None:
-        """Queue the active sets at points in no region; those that are feasible, or known to be, are pending."""
-        apart = ~self.regions.covered(points)
-        if apart.any():
-            found = self.regions.look_at(points[apart])
-            self.pending = np.vstack([self.pending, points[apart][found | feasible[apart]]])
+    def _look_at(self, points: Array, feasible: bool, deadline: float) -> bool:
+        """Queue the active sets at points in no region; the feasible ones are pending. False when time is up.
+
+        feasible : whether they are known to be, whatever the compiled solver says.
+        """
+        parts = 1 + len(points) * self.regions.done // _AT_ONCE
+        for part in np.array_split(points, parts):
+            if time.perf_counter() > deadline:
+                return False
+            for few in self._portions(part[~self.regions.covered(part)]):
+                if time.perf_counter() > deadline:
+                    return False
+                found = self.regions.look_at(few)
+                self.pending = np.vstack([self.pending, few if feasible else few[found]])
+        return True
+
+    def _portions(self, points: Array) -> Iterator[Array]:
+        """The points, few at a time where there are many rows: a QP with thousands takes hundredths of a second."""
+        size = max(1, _ROWS_AT_ONCE // max(1, len(self.regions.qp.M)))
+        return (points[first : first + size] for first in range(0, len(points), size))
 
     def _ask(self, deadline: float) -> bool:
         """Solve the QP at pending points; True when that leads to regions, or the deadline is past.
@@ -137,16 +152,18 @@ class Holes:
         while regions.queued == regions.done and len(self.pending) and not (asked >= _ASKED and self.uncovered):
             if time.perf_counter() > deadline:
                 return True
-            self.ask_at(self.pending[:_FEW])
+            self.ask_at(self.pending[:_FEW], deadline)
             self.pending = self.pending[_FEW:]
             asked += _FEW
         return regions.queued > regions.done
 
-    def ask_at(self, points: Array) -> None:
-        """Solve the QP at points in no region and queue its active sets; note the feasible ones."""
+    def ask_at(self, points: Array, deadline: float) -> None:
+        """Solve the QP at points in no region, as far as time allows; queue its active sets, note the feasible ones."""
         if self.online is None or self.online.qp is not self.regions.qp:
             self.online = OnlineQP(self.regions.qp)
         for point in points[~self.regions.covered(points)]:
+            if time.perf_counter() > deadline:
+                break
             opening = self.online.at(point)
             for act in opening.candidates:
                 self.regions.consider(act)

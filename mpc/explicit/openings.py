@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linprog, nnls
+from scipy.optimize import nnls
 
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
+from mpc.explicit.linear_programs import solve_exactly
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import CROSSING, EXCLUDED, KKT, LAW_ERROR, OPTIMAL_SET, PARALLEL, TIE
 
@@ -62,11 +63,11 @@ class OnlineQP:
         """What the QP finds at the parameter t."""
         bounds = self.qp.D @ np.append(t, 1.0)
         result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
-        if result.infeasible:
-            return Opening([], feasible=False)
-        if not result.residuals.primal <= KKT:
-            return Opening([], self._has_room(bounds))
         y = result.multipliers
+        if result.infeasible and self._is_proof(y, bounds):
+            return Opening([], feasible=False)
+        if result.infeasible or not result.residuals.primal <= KKT:
+            return Opening([], self._has_room(bounds))
         taken = tuple(int(i) for i in np.flatnonzero(y > OPTIMAL_SET * y.max(initial=0.0)))
         return Opening([taken, self._independent(result.z, bounds)], self._has_room(bounds))
 
@@ -77,6 +78,10 @@ class OnlineQP:
             return ()
         share = nnls(np.ascontiguousarray(self.qp.M[near].T), -v)[0]
         return tuple(int(i) for i in near[share > 0])
+
+    def _is_proof(self, y: Array, bounds: Array) -> bool:
+        """Whether multipliers prove that no v holds the rows, unless it is EXCLUDED times the bounds (Farkas)."""
+        return bool((y >= 0).all() and y @ bounds < -EXCLUDED * np.abs(y @ self.qp.M).sum())
 
     def _has_room(self, bounds: Array) -> bool:
         """Whether a point holds every row, found with bounds a little tighter: no tolerance makes it feasible."""
@@ -89,5 +94,5 @@ class OnlineQP:
         cost = np.append(self.free, -1.0)
         rows = np.hstack([self.qp.M, room[:, None] / TIE])
         limits = [(-EXCLUDED, EXCLUDED)] * len(self.free) + [(None, 1.0)]
-        program = linprog(cost, A_ub=rows, b_ub=bounds, bounds=limits, method="highs")
+        program = solve_exactly(cost, rows, bounds, limits)
         return program.status == 0 and bool((bounds - self.qp.M @ program.x[:-1] >= room).all())

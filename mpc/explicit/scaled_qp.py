@@ -67,6 +67,8 @@ class ScaledQP:
         z = back v + free [t; 1].
     centre, half : (nt,) array
         θ = centre + half * t.
+    far : float
+        Distance of the unconstrained optimum v = 0 from the bounds, in units of what they leave between them.
     """
 
     M: Array
@@ -80,6 +82,7 @@ class ScaledQP:
     free: Array
     centre: Array
     half: Array
+    far: float = 0.0
 
     @cached_property
     def joint(self) -> tuple[Array, Array]:
@@ -95,7 +98,7 @@ class ScaledQP:
         return ScaledQP(
             np.ascontiguousarray(self.M[kept]), np.ascontiguousarray(self.D[kept]), self.tie[kept],
             np.ascontiguousarray(self.gram[np.ix_(kept, kept)]), self.TA, self.Tb, self.origin[kept],
-            self.back, self.free, self.centre, self.half,
+            self.back, self.free, self.centre, self.half, self.far,
         )  # fmt: skip
 
     def unscale_rows(self, rows: Array) -> tuple[Array, Array]:
@@ -127,11 +130,12 @@ def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
     M = M[origin] / length[origin, None]
     D = D[origin] / length[origin, None]
     unit = _unit_of(D)
+    far = unit / _unit_of(right[origin] / length[origin, None])
     D = D / unit
     gram = M @ M.T
     kept = _without_duplicates(M, D, gram)
     tie = 1.0 + 0.5 * np.sin(M @ _waves(M.shape[1]) + D @ _waves(D.shape[1]))
-    whole = ScaledQP(M, D, tie, gram, TA, Tb, origin, unit * back, back @ shift, domain.centre, domain.half)
+    whole = ScaledQP(M, D, tie, gram, TA, Tb, origin, unit * back, back @ shift, domain.centre, domain.half, far)
     return whole if len(kept) == len(M) else whole.rows(kept)
 
 

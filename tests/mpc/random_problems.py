@@ -40,6 +40,29 @@ def nearly_parallel_rows(seed, *, opposite=False):
     return problem_of(H, F, f, rows[:, :nz], rows[:, -1], rows[:, nz:-1])
 
 
+def closing_slab(seed):
+    """Two rows opposite but for 1e-8 to 3e-6: with the parameter they close, and open only far along the variables.
+
+    Two to four variables, one to three parameters, a few more rows, and mostly a box of 10 to 2000 about the variables.
+    """
+    rng = np.random.default_rng([seed, 5])
+    nz, nt, m = int(rng.integers(2, 5)), int(rng.integers(1, 4)), int(rng.integers(0, 4))
+    L = rng.normal(size=(nz, nz)) * (rng.random() < 0.6)
+    F, f = rng.normal(size=(nz, nt)) * rng.integers(2), rng.normal(size=nz) * rng.integers(2)
+    G, w, S = rng.normal(size=(m, nz)), rng.uniform(0.5, 2.0, m), rng.normal(size=(m, nt))
+    if rng.random() < 0.7:
+        G, S = np.vstack([G, np.eye(nz), -np.eye(nz)]), np.vstack([S, np.zeros((2 * nz, nt))])
+        w = np.append(w, np.full(2 * nz, 10.0 ** rng.uniform(1.0, 3.3)))
+    along = np.linalg.qr(rng.normal(size=(nz, nz)))[0]
+    gap = 10.0 ** rng.uniform(-8.0, -5.5)
+    close = gap * 10.0 ** rng.uniform(-1.0, 2.5)  # of the slab, for a parameter of one
+    tilt, towards = rng.normal(size=nt) * rng.integers(2), rng.normal(size=nt)
+    towards *= close / np.linalg.norm(towards)
+    G = np.vstack([G, along[0], -along[0] - gap * along[1]])
+    w = np.append(w, [close * rng.uniform(-0.7, 0.7), 0.0])
+    return problem_of(L @ L.T + 0.5 * np.eye(nz), F, f, G, w, np.vstack([S, tilt + towards, -tilt]))
+
+
 def random_plant(seed):
     """1 or 2 inputs, 2 to 4 states, stable or unstable, N = 2 … 5."""
     rng = np.random.default_rng(seed)

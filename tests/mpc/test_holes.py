@@ -1,9 +1,11 @@
 """Facets that led to no region are looked across: what lies beyond is found, or the status says that it is not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from plants import box, double_integrator
-from random_problems import hard_controller, nearly_parallel_rows
+from random_problems import closing_slab, hard_controller, nearly_parallel_rows, problem_of
 from scipy.optimize import linprog
 from test_mpqp import membership
 
@@ -163,6 +165,62 @@ def test_a_region_is_found_though_every_facet_claims_to_have_led_somewhere(searc
     assert set(search.found(MPQPStatus.COMPLETE).active_sets) == regions
 
 
+def test_two_solvers_that_call_it_infeasible_without_a_proof_are_not_believed(search, monkeypatch):
+    online = OnlineQP(search.regions.qp)
+    rows = len(search.regions.qp.M)
+    verdict = QPResult(np.full(5, 1e3), np.ones(rows), Residuals(1.0, 1.0, 1.0, 1.0), True, "none")
+    monkeypatch.setattr(online.solver, "solve", lambda *_, **__: verdict)
+    assert online.at(np.zeros(2)) == ([], True)
+    assert online.at(np.ones(2)) == ([], False)
+
+
+def test_a_proof_of_infeasibility_is_believed_and_costs_no_linear_program(search, monkeypatch):
+    online = OnlineQP(search.regions.qp)
+    monkeypatch.setattr(online, "_has_room", lambda bounds: pytest.fail("asked though it is proven"))
+    corners = np.random.default_rng(0).uniform(0.9, 1.0, size=(20, 2))
+    assert all(online.at(t) == ([], False) for t in corners)
+
+
+def test_no_point_is_asked_about_when_time_is_up(search):
+    hollow(search)
+    points = np.tile(search.regions.facets.centres[0], (3, 1))
+    search.holes.ask_at(points, -np.inf)
+    assert not len(search.holes.feasible)
+    search.holes.ask_at(points, np.inf)
+    assert len(search.holes.feasible) == 3
+
+
+def test_pending_points_are_asked_about_one_by_one_while_there_is_time(search, monkeypatch):
+    hollow(search)
+    ticks = iter(range(1000))
+    monkeypatch.setattr(holes, "time", SimpleNamespace(perf_counter=lambda: next(ticks)))
+    search.holes.pending = np.tile(search.regions.facets.centres[0], (100, 1))
+    assert search.holes._ask(10)  # time for one look before all of them, and for one before each of ten
+    assert len(search.holes.feasible) == 10
+
+
+def test_many_rows_are_looked_at_in_portions(search):
+    rows = len(search.regions.qp.M)
+    portions = list(search.holes._portions(np.zeros((3 * (20_000 // rows) + 1, 2))))
+    assert [len(part) for part in portions] == [20_000 // rows] * 3 + [1]
+    assert not list(search.holes._portions(np.zeros((0, 2))))
+
+
+def test_memory_that_grows_does_not_change_the_portion(search, monkeypatch):
+    portion = search.portion
+    monkeypatch.setattr(search.regions, "explore", lambda regions: None)
+    search.advance(10_000)
+    assert search.portion == portion
+
+
+def test_a_search_that_starts_again_knows_of_the_holes_found(search):
+    hollow(search)
+    hole = search.regions.facets.centres[:1]
+    search.holes.feasible, search.holes.pending = hole, 1.01 * hole
+    other = search._started_again(np.arange(len(search.regions.qp.M)), np.inf)
+    assert np.allclose(other.holes.pending, np.vstack([hole, 1.01 * hole]))
+
+
 def test_the_active_sets_at_a_parameter_carry_its_optimum(search):
     online = OnlineQP(search.regions.qp)
     for t in np.random.default_rng(0).uniform(-1, 1, size=(50, 2)):
@@ -187,6 +245,38 @@ def test_a_partition_with_a_hole_does_not_call_itself_complete(seed):
     assert hole.mean() < 0.01  # what is left are slivers
     assert partition.uncovered > 0 or not hole.any()
     assert partition.status is (MPQPStatus.INACCURATE if partition.uncovered else MPQPStatus.COMPLETE)
+
+
+@pytest.mark.parametrize("gap", [1e-5, 1e-6, 1e-7])
+@pytest.mark.parametrize("reach", [1.0, 10.0, 100.0])
+def test_a_slab_that_opens_far_away_leaves_no_hole_unsaid(gap, reach):
+    """z1 <= gap reach θ and z1 + gap z2 >= 0: every θ is feasible, with z2 <= 1000 it needs z2 >= -reach θ."""
+    G = np.array([[1.0, 0.0], [-1.0, -gap], [0.0, 1.0], [0.0, -1.0]])
+    S = np.array([[gap * reach], [0.0], [0.0], [0.0]])
+    problem = problem_of(np.eye(2), np.zeros((2, 1)), np.zeros(2), G, np.array([0.0, 0.0, 1e3, 1e3]), S)
+    partition = solve_mpqp(problem, Polytope.from_bounds([-1.0], [1.0]))
+    inside = membership(partition, np.linspace(-1, 1, 41)[:, None]).min(axis=1) <= THIN
+    assert partition.status is (MPQPStatus.COMPLETE if inside.all() else MPQPStatus.INACCURATE)
+
+
+@pytest.mark.parametrize("seed", [17, 30, 89, 96, 115, 162, 174, 194, 0, 1, 2, 3])
+def test_slabs_that_close_with_the_parameter_leave_no_hole_unsaid(seed):
+    problem = closing_slab(seed)
+    ones = np.ones(problem.nt)
+    partition = solve_mpqp(problem, Polytope.from_bounds(-2 * ones, 2 * ones))
+    theta = np.random.default_rng(seed).uniform(-2, 2, size=(200, problem.nt))
+    apart = theta if not len(partition) else theta[membership(partition, theta).min(axis=1) > THIN]
+    if partition.status is not MPQPStatus.INACCURATE:
+        assert not online_feasible(problem, apart).any()
+
+
+@pytest.mark.parametrize(("weight", "status"), [(1e-6, MPQPStatus.COMPLETE), (1e-9, MPQPStatus.INACCURATE)])
+def test_a_linear_program_but_for_its_last_digits_says_so(weight, status):
+    one = np.ones((1, 1))
+    problem = problem_of(weight * one, one, np.zeros(1), np.array([[1.0], [-1.0]]), np.ones(2), np.zeros((2, 1)))
+    partition = solve_mpqp(problem, Polytope.from_bounds([-1.0], [1.0]))
+    assert partition.status is status
+    assert "Raise the smallest weights" in MPQPStatus.INACCURATE.advice
 
 
 def online_feasible(problem, theta):

@@ -103,7 +103,7 @@ def test_a_restart_that_finds_nothing_leaves_the_first_search_as_it_was(touched,
     begin = Search.begin
     restarts = []
 
-    def begin_once(search):
+    def begin_once(search, deadline):
         return begin(search) if len(search.regions.qp.M) == len(qp.M) else restarts.append(search)
 
     monkeypatch.setattr(Search, "begin", begin_once)

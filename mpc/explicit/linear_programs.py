@@ -1,0 +1,30 @@
+"""Linear programs of the exploration: with the least tolerances that HiGHS allows, and in time."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linprog
+
+from mpc.checks import Array
+from mpc.tolerances import LP_FEASIBLE
+
+INFEASIBLE, UNBOUNDED = 2, 3  # what `status` says beside 0, solved
+_EXACTLY = {"primal_feasibility_tolerance": LP_FEASIBLE, "dual_feasibility_tolerance": LP_FEASIBLE}
+
+
+def solve_exactly(cost: Array, rows: Array, right: Array, limits: Any, deadline: float = np.inf) -> Any:
+    """Minimise cost'x subject to rows x <= right and limits on x, as `scipy.optimize.linprog` says it.
+
+    HiGHS accepts 1e-7 by its default, in the rows and in the optimality: more than the room that is asked for here.
+    Where it does not end with the least tolerance it may with its own.
+    """
+    options: dict[str, Any] = dict(_EXACTLY)
+    if np.isfinite(deadline):
+        options["time_limit"] = max(deadline - time.perf_counter(), 0.0)
+    program = linprog(cost, A_ub=rows, b_ub=right, bounds=limits, method="highs", options=options)
+    if program.status in (0, INFEASIBLE, UNBOUNDED) or time.perf_counter() > deadline:
+        return program
+    return linprog(cost, A_ub=rows, b_ub=right, bounds=limits, method="highs")
