@@ -14,7 +14,7 @@ from mpc.explicit.linear_programs import INFEASIBLE, solve_exactly
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP, with_parameter_rows
 from mpc.parametric_qp import Constraint
-from mpc.tolerances import EQUALITY, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
+from mpc.tolerances import EQUALITY, EXCLUDED, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 _NO_ROWS = np.zeros(0, dtype=np.int64)
@@ -80,7 +80,7 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
     rows = tight[tight < len(qp.M)]
     if _leave_freedom(qp.M[rows], float(slack[tight].max(initial=0.0))):
         return ImpliedEqualities(MPQPStatus.INACCURATE)
-    points += _deepest(J, h, tight, deadline)
+    points += _deepest(J, h, tight, qp.D.shape[1] - 1, deadline)
     parameters = np.array([point[: qp.D.shape[1] - 1] for point in points])
     return ImpliedEqualities(MPQPStatus.COMPLETE, rows, len(rows) < len(tight), parameters)
 
@@ -101,12 +101,15 @@ def _most_slack(J: Array, h: Array, counted: Ints, deadline: float) -> Any:
     return solve_exactly(cost, np.hstack([J, slack]), h, limits, deadline)
 
 
-def _deepest(J: Array, h: Array, tight: Ints, deadline: float) -> list[Array]:
-    """The point of {x : J x <= h} with the largest least slack, up to one, in the rows not tight; none if not found."""
+def _deepest(J: Array, h: Array, tight: Ints, nt: int, deadline: float) -> list[Array]:
+    """The point (t, v) in {x : J x <= h} with the largest least slack, up to one, in the rows not tight; or none.
+
+    With variables that are not EXCLUDED times the bounds: those with the most slack may be.
+    """
     loose = np.ones((len(J), 1))
     loose[tight] = 0.0
     cost = np.append(np.zeros(J.shape[1]), -1.0)
-    limits = [(None, None)] * J.shape[1] + [(0.0, 1.0)]
+    limits = [(None, None)] * nt + [(-EXCLUDED, EXCLUDED)] * (J.shape[1] - nt) + [(0.0, 1.0)]
     program = solve_exactly(cost, np.hstack([J, loose]), h, limits, deadline)
     return [program.x[:-1]] if program.status == 0 else []
 

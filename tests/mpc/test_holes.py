@@ -289,7 +289,7 @@ def online_feasible(problem, theta):
 @pytest.mark.parametrize(
     ("seed", "opposite"),
     [*((seed, False) for seed in (73, 357, 1134, 1569, 1721, 1781, 3156, 3773, 580, 3660)),
-     *((seed, True) for seed in (53, 166, 226, 401, 590, 805, 867, 994))],
+     *((seed, True) for seed in (53, 166, 226, 401, 590, 805, 867, 994, 9280))],
 )  # fmt: skip
 def test_nearly_parallel_rows_leave_no_hole_unsaid(seed, opposite):
     problem = nearly_parallel_rows(seed, opposite=opposite)
