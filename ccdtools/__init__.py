@@ -39,8 +39,9 @@ if TYPE_CHECKING:
     from ccdtools.studies.loading import load_study
     from ccdtools.studies.study import RealPlant, Study
     from ccdtools.trajectory import Trajectory
-    from ccdtools.twin.deployment import OnlineConfig, deploy, deploy_and_update
+    from ccdtools.twin.deployment import deploy, deploy_and_update
     from ccdtools.twin.free_running import free_running_bands
+    from ccdtools.twin.online import OnlineConfig
     from ccdtools.twin.replay import replay_problem, updated_problem
     from ccdtools.twin.twin import DigitalTwin
 
@@ -118,7 +119,7 @@ _HOMES = {
     "LimitWarning": "exceptions",
     "LinearFeedback": "controllers.controllers",
     "LinearModel": "plants.linear_model",
-    "OnlineConfig": "twin.deployment",
+    "OnlineConfig": "twin.online",
     "Passive": "controllers.controllers",
     "Plant": "plants.plant",
     "QuadraticObjective": "co_design.objective",

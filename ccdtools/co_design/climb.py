@@ -9,10 +9,10 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.sample_average import FIRST_STEP, SampleAverage
+from ccdtools.co_design.sample_average import UNIT_OF_Z, SampleAverage
 
 MEMORY = 20  # pairs that L-BFGS keeps
-OPTIONS = {"maxcor": MEMORY, "ftol": 1e-7, "gtol": 1e-5 / FIRST_STEP}
+OPTIONS = {"maxcor": MEMORY, "ftol": 1e-7, "gtol": 1e-5 / UNIT_OF_Z}
 
 
 class _StoppedError(Exception):

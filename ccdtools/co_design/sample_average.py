@@ -10,8 +10,8 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 
-FIRST_STEP = 0.03  # unit of z: how far the first step of a climb goes at most, in weights and in the unit box
-PER_UNIT = FIRST_STEP**-2  # unit of the value: where there are bounds, a first step is no longer than the gradient
+UNIT_OF_Z = 0.03  # unit of z: how far the first step of a climb goes at most, in weights and in the unit box
+PER_UNIT = UNIT_OF_Z**-2  # unit of the value: where there are bounds, a first step is no longer than the gradient
 TALL = 2.0  # relative cost from which on it counts by its logarithm: into lost runs it grows by 1e7 within one step
 STEEPEST = 1e3  # relative gradients are clipped here
 LOST = 1e9 * PER_UNIT  # value where the cost is not finite
@@ -36,7 +36,7 @@ class SampleAverage:
     Attributes
     ----------
     first : (m,) array
-        Where weights and design are at first, in units of `FIRST_STEP`: a quasi-Newton method begins with a step of
+        Where weights and design are at first, in units of `UNIT_OF_Z`: a quasi-Newton method begins with a step of
         length one.
     bounds : list of pairs
         The unit box for the design, nothing for the weights.
@@ -52,14 +52,14 @@ class SampleAverage:
         self._scale = scale
         self._slope = slope
         self._parts = weights if v is None else [*weights, v]
-        self.first: Array = torch.cat([part.detach().ravel() for part in self._parts]).double().numpy() / FIRST_STEP
+        self.first: Array = torch.cat([part.detach().ravel() for part in self._parts]).double().numpy() / UNIT_OF_Z
         designs = 0 if v is None else len(v)
         free: list[tuple[float | None, float | None]] = [(None, None)] * (len(self.first) - designs)
-        self.bounds = free + [(0.0, 1.0 / FIRST_STEP)] * designs
+        self.bounds = free + [(0.0, 1.0 / UNIT_OF_Z)] * designs
 
     def put(self, z: Array) -> None:
         """Let policy and design be those of `z`."""
-        values = torch.tensor(FIRST_STEP * z, dtype=torch.float32).split([part.numel() for part in self._parts])
+        values = torch.tensor(UNIT_OF_Z * z, dtype=torch.float32).split([part.numel() for part in self._parts])
         with torch.no_grad():
             for part, value in zip(self._parts, values):
                 part.copy_(value.reshape(part.shape))
@@ -80,4 +80,4 @@ class SampleAverage:
         if not (np.isfinite(value) and np.isfinite(length)):
             return LOST, np.zeros_like(gradient)
         clipped = gradient * min(1.0, STEEPEST / max(length, STEEPEST))
-        return PER_UNIT * value, PER_UNIT * FIRST_STEP * clipped
+        return PER_UNIT * value, PER_UNIT * UNIT_OF_Z * clipped

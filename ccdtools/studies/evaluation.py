@@ -27,12 +27,12 @@ from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import MINIMUM_LOG, Study
 from ccdtools.studies.warm_up import warm_up
-from ccdtools.twin.deployment import served
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
+from ccdtools.twin.update_judge import served
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
 
@@ -143,8 +143,16 @@ class Evaluation:
 
         Runs that met the same disturbance in several deployments make one group: only groups are independent evidence.
         """
-        split = ErrorSplit(self.study.model, self.problem.state_scale)
-        return self._whole_runs(split.replayed_model, Replay(tuple(logs), split))
+        return self._whole_runs(self.split.replayed_model, self.replay(logs))
+
+    @cached_property
+    def split(self) -> ErrorSplit:
+        """Of logged errors into what enters through E(p), and the rest."""
+        return ErrorSplit(self.study.model, self.problem.state_scale)
+
+    def replay(self, logs: Sequence[Residuals]) -> Replay:
+        """The errors of logs, as they drive the nominal model at any design."""
+        return Replay(tuple(logs), self.split)
 
     def on_updated_logs(self, twin: DigitalTwin) -> tuple[Scenario, NDArray[np.int64]]:
         """The same runs on the updated model, with what it leaves unexplained replayed."""

@@ -9,7 +9,7 @@ from ccdtools.checks import as_choice, as_positive
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.studies.options import EXPERTS, PRESETS, SETS
 from ccdtools.studies.study import Study
-from ccdtools.twin.deployment import ONLINE_TRAINING, OnlineConfig
+from ccdtools.twin.online import ONLINE_TRAINING, OnlineConfig
 from learning.networks import NetworkConfig
 from learning.ppo import PPOConfig
 from learning.quantile import QuantileConfig
@@ -38,13 +38,16 @@ class StudyConfig:
     sets_time_limit : float
         Processor time for these sets [s].
     model_runs, real_runs : int
-        Rollouts of a comparison on the model, and on a real plant of short runs.
+        Rollouts of a comparison on the model (and of the judgement of a redesign on recombined runs), and on a real
+        plant of short runs.
     mpc_runs : int
         Of them, those that online MPC sees.
     real_steps : int or None
         Cap on the length of a deployment.
     held_out_runs, held_out_steps : int
         Fresh runs of each held-out disturbance, and their length.
+    recombine : bool
+        Whether runs are recombined step by step where their errors do not depend on each other in time.
     network, cloning, codesign, redesign, online, quantile
         Configurations of the stages; `redesign` is the co-design on the updated model.
     """
@@ -62,6 +65,7 @@ class StudyConfig:
     real_steps: int | None = None
     held_out_runs: int = 20
     held_out_steps: int = 500
+    recombine: bool = True
     network: NetworkConfig = field(default_factory=NetworkConfig)
     cloning: CloningConfig = field(default_factory=CloningConfig)
     codesign: CoDesignConfig = field(default_factory=CoDesignConfig)

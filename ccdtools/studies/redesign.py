@@ -18,6 +18,7 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
 from ccdtools.studies.report.formatting import percent_interval
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.recombined_returns import LoggedGain, recombined_gain
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 from learning.networks import ActorCritic
@@ -63,8 +64,9 @@ class RedesignDecision:
     Attributes
     ----------
     gain : PairedDifference
-        Return of a deployment of the redesign minus that of what is in service: on whole runs of logged errors, each
-        met through E(p) of its own design.
+        Return of a deployment of the redesign minus that of what is in service, each through E(p) of its own design: on
+        whole runs of logged errors (the interval is of the mean over the runs), or on runs recombined of them where all
+        logs are `independent` (the interval is of the means of blocks of logged runs).
     updated_gain : PairedDifference
         The same on the updated model with the unexplained rest replayed; NaN where there is none, and where the
         redesign is not taken anyway.
@@ -130,7 +132,10 @@ def judge_redesign(
     evaluation: Evaluation, candidate: InService, current: InService, logs: Sequence[Residuals],
     twin: DigitalTwin | None = None,
 ) -> RedesignDecision:  # fmt: skip
-    """The decision between a redesign and what is in service, both on the same whole runs of logged errors.
+    """The decision between a redesign and what is in service, both on the same runs of logged errors.
+
+    These are the logged runs. Where the errors of all logs do not depend on each other in time, `model_runs` runs are
+    recombined of them step by step; the interval is then of the means of blocks of logged runs, not of those many runs.
 
     Each goes from the start of a run to its end, through states of its own: in a window that begins within a run the
     cost of a start that neither has earned can outweigh everything else. Both stand behind the study's filter. It is
@@ -141,25 +146,45 @@ def judge_redesign(
     """
     if not evaluation.can_serve(candidate.design):
         return _unfiltered(evaluation, candidate, current)
-    logged, labels = evaluation.on_logs(logs)
+    found = _gain_on_logs(evaluation, candidate, current, logs)
+    gain = found.gain
     nominal = evaluation.on_model(())
-    before, after = (_run(evaluation, choice, logged) for choice in (current, candidate))
-    gain = _clustered(evaluation, after, before, labels)
     nominal_before, nominal_after = (_mean_return(evaluation, choice, nominal) for choice in (current, candidate))
-    kept = ~(before.diverged | after.diverged)
-    own = before.returns(evaluation.study.objective)[kept]
-    part = logged.steps / nominal.steps
-    sizes = [abs(nominal_before) * part, abs(float(own.mean())) if len(own) else 0.0]
-    size = max(s for s in sizes if np.isfinite(s))
+    part = logs[-1].steps / nominal.steps
+    size = max(s for s in (abs(nominal_before) * part, found.size) if np.isfinite(s))
     moved = _moved(evaluation, candidate, current)
     price = evaluation.study.price if moved else _price_of_a_policy(evaluation.study.price, size, part)
     needed = price.of(size, part)
-    status = _status(gain, needed, safe=after.diverged.mean() <= before.diverged.mean())
+    status = _status(gain, needed, safe=not found.more_lost)
     updated = _no_gain()
     if status is RedesignStatus.TAKEN:
         updated = _updated_gain(evaluation, candidate, current, twin)
         status = RedesignStatus.CONTRADICTED if updated.ci95[1] < 0 else status
     return RedesignDecision(gain, updated, needed, size, nominal_before, nominal_after, moved, status, str(price))
+
+
+def _gain_on_logs(
+    evaluation: Evaluation, candidate: InService, current: InService, logs: Sequence[Residuals]
+) -> LoggedGain:  # fmt: skip
+    """What a redesign brings on the logged errors, recombined where that may be."""
+    replay = evaluation.replay(logs)
+    objective = evaluation.study.objective
+    count = evaluation.config.model_runs
+    if replay.recombines(count):
+        model = evaluation.split.replayed_model
+
+        def drive(x0: Array, w: Array) -> tuple[Trajectory, Trajectory]:
+            """The runs of both services."""
+            scenario = Scenario(model, x0, w)
+            return _run(evaluation, candidate, scenario), _run(evaluation, current, scenario)
+
+        return recombined_gain(replay, drive, objective, count, evaluation.rng("recombined runs"))
+    scenario, labels = evaluation.on_logs(logs)
+    before, after = (_run(evaluation, choice, scenario) for choice in (current, candidate))
+    own = before.returns(objective)[~(before.diverged | after.diverged)]
+    gain = _clustered(evaluation, after, before, labels)
+    size = abs(float(own.mean())) if len(own) else 0.0
+    return LoggedGain(gain, size, bool(after.diverged.mean() > before.diverged.mean()))
 
 
 def promised(evaluation: Evaluation, choice: InService, logs: Sequence[Residuals]) -> Summary:

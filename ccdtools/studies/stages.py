@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from ccdtools.arrays import Array
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.progress import Echo
+from ccdtools.scenario import Scenario
 from ccdtools.studies.account import account, region_line
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, former_services, held_out_stage
@@ -25,8 +28,9 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
 from ccdtools.twin.free_running import held_out_bands
+from ccdtools.twin.recombined_returns import NOT_ASKED, Independence, independence
 from ccdtools.twin.replay import replay_problem, updated_problem
-from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.residuals import Residuals, residuals
 from ccdtools.twin.twin import DigitalTwin
 from learning.warm_start import fit_actor_critic
 
@@ -182,8 +186,10 @@ class LoopStages:
         deployment = deploy_and_update(
             evaluation.problem, real.plant, current.agent, current.design, x0=np.tile(real.x0, (real.runs, 1)),
             disturbance=evaluation.deployment(generation), rng=rng,
-            config=replace(evaluation.config.online, window=evaluation.window), progress=self.progress,
-            admissible=evaluation.admissible(current.design),
+            config=replace(
+                evaluation.config.online, window=evaluation.window, recombine=evaluation.config.recombine
+            ),
+            progress=self.progress, admissible=evaluation.admissible(current.design),
         )  # fmt: skip
         log = deployment.log
         if former is None and log.diverged.all():
@@ -226,14 +232,34 @@ class LoopStages:
         bands = held_out_bands(updated, log, policy, rng=rng, since=since)
         if bands is not None:
             report += [f"free-running bands of {bands.steps[-1]} steps: coverage {_shares(bands.coverage[-1])} of 80%"]
-        values = {"scores": asdict(scores), "free_running": None if bands is None else bands.summary()}
+        independent = self._independence(log, policy, len(twin.logs))
+        if len(log.diverged) > 1:
+            report.append(independent.describe())
+        values = {"scores": asdict(scores), "free_running": None if bands is None else bands.summary(),
+                  "independence": asdict(independent)}  # fmt: skip
         return Stage(values | {"report": report}, networks=_networks(updated.discrepancy))
+
+    def _independence(self, log: Trajectory, policy: Controller, number: int) -> Independence:
+        """Whether the runs of a log may be recombined; decided once, on all of them."""
+        evaluation = self.evaluation
+        replay = evaluation.replay([residuals(evaluation.study.model, log)])
+
+        def drive(x0: Array, w: Array) -> tuple[Trajectory]:
+            """The runs of the policy in service."""
+            scenario = Scenario(evaluation.split.replayed_model, x0, w)
+            return (scenario.run(policy, design=log.design, limit=evaluation.problem.limit),)
+
+        if not evaluation.config.recombine:
+            return NOT_ASKED
+        return independence(replay, drive, evaluation.study.objective, evaluation.rng(f"independence-{number}"))
 
     def learned_twin(self, twin: DigitalTwin, log: Trajectory, learned: Stage) -> DigitalTwin:
         """The twin that `learn` has left behind."""
         if log.diverged.all():
             return twin
         taught = twin.remembering(log)
+        newest = replace(taught.logs[-1], independent=learned.values["independence"]["independent"])
+        taught = replace(taught, logs=(*taught.logs[:-1], newest))
         discrepancy = Discrepancy(
             learned.networks["quantiles"], self.evaluation.study.weight, transport=taught.transport,
             copula=learned.networks.get("copula"),

@@ -3,88 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_count, as_floats, as_generator, as_instance, as_share
+from ccdtools.checks import as_floats, as_generator, as_instance
 from ccdtools.co_design.codesign import codesign
-from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
-from ccdtools.controllers.filtered import Filtered
-from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
-from ccdtools.statistics import PairedDifference, paired_returns
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.replay import Replay, replay_problem
+from ccdtools.twin.online import OnlineConfig, OnlineUpdate
+from ccdtools.twin.replay import replay_problem
 from ccdtools.twin.residuals import Residuals, residuals
-from ccdtools.twin.transport import ErrorSplit
+from ccdtools.twin.update_judge import UpdateJudge, served
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
-
-ONLINE_TRAINING = CoDesignConfig(
-    iterations=20, pathwise_runs=256, design_rate=0.0, policy_rate=3e-4, evaluate_every=5, evaluation_runs=200
-)
-
-
-@dataclass(frozen=True)
-class OnlineConfig:
-    """How a policy is updated while it is deployed.
-
-    Attributes
-    ----------
-    updates : int
-        Updates, evenly spread over the deployment; 0 keeps the policy as it is.
-    window : int
-        Length of a replayed episode.
-    held_out : float
-        Last fraction of every part of the log, on which a candidate is judged.
-    judged : int
-        Largest number of runs of that judgement, where several are deployed.
-    least : float
-        Part of the return in service that an update has to bring.
-    training : CoDesignConfig
-        Of the candidate; the design is frozen, whatever its `design_rate`, as the plant is built.
-    """
-
-    updates: int = 4
-    window: int = 100
-    held_out: float = 0.3
-    judged: int = 400
-    least: float = 0.001
-    training: CoDesignConfig = field(default_factory=lambda: ONLINE_TRAINING)
-
-    def __post_init__(self) -> None:
-        for name, least in (("updates", 0), ("window", 1), ("judged", 2)):
-            as_count(name, getattr(self, name), least=least)
-        as_share("held_out", self.held_out)
-        as_share("least", self.least)
-        as_instance("training", self.training, CoDesignConfig, "a CoDesignConfig")
-
-
-@dataclass(frozen=True, eq=False)
-class OnlineUpdate(Immutable):
-    """One attempt to improve the policy in service.
-
-    Attributes
-    ----------
-    after : int
-        Samples logged before it.
-    gain : PairedDifference
-        Return of the candidate minus that of the policy in service on the held-out parts: of a run, or of all held-out
-        stretches of a single one.
-    accepted : bool
-        Whether the interval of the gain lies above zero, and the gain matters.
-    """
-
-    after: int
-    gain: PairedDifference
-    accepted: bool
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -158,7 +96,8 @@ def deploy_and_update(
     candidate is trained on the first part of every stretch and goes into service only if its paired return on the
     rest is better: the interval of the difference excludes zero, and it is worth a change. Of a single run both are
     replayed from the start of every stretch, so that what is judged begins in states of their own; several runs are
-    judged from their own starts.
+    judged from their own starts; where the errors logged so far do not depend on each other in time, on runs recombined
+    of them step by step (see `independence`).
 
     Parameters
     ----------
@@ -191,9 +130,9 @@ class _Service:
 
     Attributes
     ----------
-    train, test : list of Residuals
-        Errors of every part of the log: what candidates are trained on, and what they are judged on. Of a single run,
-        `test` holds whole stretches, of which only the last part is judged.
+    logs, train, test : list of Residuals
+        Errors of every part of the log: all of them, what candidates are trained on, and what they are judged on. Of a
+        single run, `test` holds whole stretches, of which only the last part is judged.
     """
 
     def __init__(
@@ -209,6 +148,8 @@ class _Service:
         self.admissible = admissible
         self.pieces: list[Trajectory] = []
         self.updates: list[OnlineUpdate] = []
+        self.judge = UpdateJudge(problem, design, config, len(whole.x0), rng.spawn(1)[0], rng, admissible)
+        self.logs: list[Residuals] = []
         self.train: list[Residuals] = []
         self.test: list[Residuals] = []
 
@@ -219,7 +160,7 @@ class _Service:
         for part in deployment_parts(runs, steps, count + 1):
             piece = self._serve(*part, progress)
             self.pieces.append(piece)
-            if len(self.pieces) <= count and self._learn(piece):
+            if len(self.pieces) <= count and self._learn(piece, part[0].start):
                 self._update()
         return Deployment(joined(self.pieces, runs), self.agent, tuple(self.updates))
 
@@ -232,15 +173,19 @@ class _Service:
             x0=x0, limit=self.problem.limit, progress=progress,
         )  # fmt: skip
 
-    def _learn(self, piece: Trajectory) -> bool:
-        """Add the errors along a piece of the log; False where too few runs survived to learn from."""
-        if piece.diverged.all():
+    def _learn(self, piece: Trajectory, before: int) -> bool:
+        """Add the errors along a piece of the log, after so many runs; False where too little is left to learn from."""
+        left = int((~piece.diverged).sum())
+        if left < (2 if self._several else 1):
             return False
-        first, rest = _split(residuals(self.problem.model, piece), self.config.held_out)
+        errors = residuals(self.problem.model, piece)
+        errors = replace(errors, numbers=before + errors.numbers)
+        first, rest = _split(errors, self.config.held_out)
         if min(first.steps, rest.steps) < self.config.window:
             return False
+        self.logs.append(errors)
         self.train.append(first)
-        self.test.append(rest if self._several else residuals(self.problem.model, piece))
+        self.test.append(rest if self._several else errors)
         return True
 
     @property
@@ -252,43 +197,15 @@ class _Service:
         """Train a candidate, and put it into service if it is better on what it was not trained on."""
         config = self.config
         training = replace(config.training, design_rate=0.0)
-        problem = replay_problem(self.problem, self.train, self.config.window)
+        independent = self.judge.independent(self.logs, self.agent)
+        trained = [replace(log, independent=independent) for log in self.train]
+        problem = replay_problem(self.problem, trained, self.config.window)
         candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=training).agent
-        gain, size = self._gain(candidate)
+        gain, size = self.judge.gain(candidate, self.agent, self.test, independent)
         accepted = gain.ci95[0] > 0 and gain.mean > config.least * size
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
         self.updates.append(OnlineUpdate(after, gain, accepted))
         self.agent = candidate if accepted else self.agent
-
-    def _gain(self, candidate: ActorCritic) -> tuple[PairedDifference, float]:
-        """Candidate minus policy in service, on replays of the held-out parts, and the size of the latter's return.
-
-        NaN where more of its runs diverge.
-        """
-        split = ErrorSplit(self.problem.model, self.problem.state_scale)
-        logs = self.test if self._several else _equally_long(self.test)
-        x0, w = Replay(tuple(logs), split).whole()
-        chosen = self.rng.permutation(len(x0))[: self.config.judged] if self._several else np.arange(len(x0))
-        scenario = Scenario(split.replayed_model, x0[chosen], w[chosen])
-        counted = scenario.steps if self._several else round(self.config.held_out * scenario.steps)
-        after, before = (
-            scenario.run(served(agent, self.design, self.admissible), design=self.design, limit=self.problem.limit)
-            for agent in (candidate, self.agent)
-        )
-        if after.diverged.mean() > before.diverged.mean():
-            return PairedDifference(np.nan, (np.nan, np.nan)), np.nan
-        kept = ~(after.diverged | before.diverged)
-        rewards = [run.rewards(self.problem.objective)[kept, -counted:] for run in (after, before)]
-        if not self._several:
-            rewards = [own.reshape(1, -1) for own in rewards]
-        size = abs(float(rewards[1].sum(axis=1).mean())) if len(rewards[1]) else np.nan
-        return paired_returns(*rewards, runs=len(self.whole.x0)), size
-
-
-def served(agent: ActorCritic, design: Array, admissible: AdmissibleInputs | None) -> Controller:
-    """The policy as it is in service: behind the filter, if there is one."""
-    policy = LearnedPolicy(agent, design)
-    return policy if admissible is None else Filtered(policy, admissible)
 
 
 def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
@@ -300,12 +217,6 @@ def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
         return errors.part(slice(None, cut), slice(None)), errors.part(slice(cut, None), slice(None))
     cut = steps - round(held_out * steps)
     return errors.part(slice(None), slice(None, cut)), errors.part(slice(None), slice(cut, None))
-
-
-def _equally_long(logs: Sequence[Residuals]) -> list[Residuals]:
-    """The logs without their first steps, as long as the shortest: stretches of a run differ by one step at most."""
-    shortest = min(log.steps for log in logs)
-    return [log.part(slice(None), slice(log.steps - shortest, None)) for log in logs]
 
 
 def possible_updates(runs: int, steps: int, config: OnlineConfig) -> int:

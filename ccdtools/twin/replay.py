@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,9 +11,13 @@ from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_count, as_generator, as_instance, shown
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.exceptions import InputError
+from ccdtools.twin.recombination import Indices, dealt, drawn, shuffled
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
+
+FEWEST_ROUNDS = 2  # in which every logged error is met: with one there are no more runs than were logged
+NUMBERS_AT_ONCE = 4_000_000  # errors of recombined runs that are in memory
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -26,6 +30,8 @@ class Replay(Immutable):
         Drawn from in proportion to the windows they hold.
     split : ErrorSplit, optional
         Of every error into (ŵ, r), for the model that these drive at any design; without it errors are as logged.
+
+    Every step of an episode of an `independent` log is of another run, drawn at the same time.
     """
 
     logs: Sequence[Residuals]
@@ -65,8 +71,9 @@ class Replay(Immutable):
         for errors, entering, first, last in zip(self.logs, self._entering, edges[:-1], edges[1:]):
             chosen = draw[(draw >= first) & (draw < last)] - first
             run, start = np.divmod(chosen, max(errors.x.shape[1] - steps + 1, 1))
+            source = drawn(run, errors.runs, steps, rng) if errors.independent else run[:, None]
             x0.append(errors.x[run, start])
-            w.append(entering[run[:, None], start[:, None] + np.arange(steps)])
+            w.append(entering[source, start[:, None] + np.arange(steps)])
         return np.concatenate(x0), np.concatenate(w)
 
     def whole(self) -> tuple[Array, Array]:
@@ -84,6 +91,41 @@ class Replay(Immutable):
         if len(lengths) > 1:
             raise InputError("logs", f"runs of {min(lengths)} to {max(lengths)} steps", "logs of one length")
         return np.concatenate([errors.x[:, 0] for errors in self.logs]), np.concatenate(self._entering)
+
+    def blocks(self) -> Indices | None:
+        """The block of every run, in the order of `whole`; None where there are too few runs."""
+        return dealt(np.concatenate([errors.numbers for errors in self.logs]))
+
+    def rounds(self, count: int) -> int:
+        """How often every logged error is met in so many recombined runs."""
+        return count // sum(errors.runs for errors in self.logs)
+
+    def recombines(self, count: int) -> bool:
+        """Whether all errors are independent, and so many runs are recombined out of enough that were logged."""
+        independent = all(errors.independent for errors in self.logs)
+        return independent and self.rounds(count) >= FEWEST_ROUNDS and self.blocks() is not None
+
+    def recombined(self, rounds: int, rng: np.random.Generator) -> Iterator[tuple[Array, Array, Indices]]:
+        """First states, errors and blocks of recombined runs, in parts that fit into memory.
+
+        The runs of a block of one log are recombined. In every round each of its errors is met once.
+
+        Raises
+        ------
+        InputError
+            If the logs are not equally long.
+        """
+        x0, w = self.whole()
+        blocks = self.blocks()
+        assert blocks is not None
+        logs = np.repeat(np.arange(len(self.logs)), [errors.runs for errors in self.logs])
+        own = logs * (blocks.max() + 1) + blocks
+        steps = np.arange(w.shape[1])
+        at_once = int(np.clip(NUMBERS_AT_ONCE // w.size, 1, rounds))
+        for begun in range(0, rounds, at_once):
+            n = min(at_once, rounds - begun)
+            source = np.concatenate([shuffled(own, len(steps), rng) for _ in range(n)])
+            yield np.tile(x0, (n, 1)), w[source, steps], np.tile(blocks, n)
 
     def _require(self, steps: int) -> None:
         """Raise an `InputError` unless some logged run is as long as `steps`."""

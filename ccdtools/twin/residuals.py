@@ -28,6 +28,9 @@ class Residuals(Immutable):
         e⁺ = x⁺ − A(p) x − B(p) u, at the measured state.
     numbers : (n,) int array
         Of the runs in their deployment, where some that diverged have been left out; 0, 1, … by default.
+    independent : bool
+        Whether errors of different steps were found not to depend on each other: then runs may be recombined step by
+        step, see `independence`.
     """
 
     e: Array
@@ -36,6 +39,7 @@ class Residuals(Immutable):
     p: Array
     e_next: Array
     numbers: ArrayField = None
+    independent: bool = False
 
     def __post_init__(self) -> None:
         for name in ("e", "x", "u", "p", "e_next"):

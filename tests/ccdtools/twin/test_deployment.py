@@ -12,7 +12,8 @@ from ccdtools import InputError, LearnedPolicy, deploy, simulate
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.controllers.controllers import Passive
 from ccdtools.statistics import PairedDifference, paired_returns
-from ccdtools.twin.deployment import OnlineConfig, deploy_and_update
+from ccdtools.twin.deployment import deploy_and_update
+from ccdtools.twin.online import OnlineConfig
 from ccdtools.twin.replay import Replay, replay_problem
 from ccdtools.twin.residuals import residuals
 from learning.ppo import PPOConfig
@@ -119,7 +120,7 @@ def test_a_candidate_is_judged_on_held_out_samples_as_one_series_or_on_held_out_
         judged.append((a.shape, runs))
         return paired_returns(a, b, runs=runs)
 
-    monkeypatch.setattr("ccdtools.twin.deployment.paired_returns", spy)
+    monkeypatch.setattr("ccdtools.twin.update_judge.paired_returns", spy)
     deployed(illustrative, clone(illustrative), runs=1, steps=601)  # 60 of every 200 samples are held out
     assert judged == [((1, 60), 1), ((1, 120), 1)]
     judged.clear()
@@ -315,7 +316,7 @@ def test_a_design_outside_its_bounds_is_refused(illustrative, clone):
 def test_an_update_must_bring_a_tenth_of_a_per_cent(illustrative, clone, monkeypatch, mean, taken):
     """A sure gain that is too small to matter is not worth another policy."""
     gain = (PairedDifference(mean, (0.05, 0.2)), 100.0)
-    monkeypatch.setattr("ccdtools.twin.deployment._Service._gain", lambda *_: gain)
+    monkeypatch.setattr("ccdtools.twin.update_judge.UpdateJudge.gain", lambda *_: gain)
     updates = deployed(illustrative, clone(illustrative), runs=12, steps=40).updates
     assert updates
     assert all(update.accepted is taken for update in updates)

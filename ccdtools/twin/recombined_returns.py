@@ -1,0 +1,185 @@
+"""Returns on recombined runs: whether they are those of the logged runs, and which of two services has the larger."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.statistics import PairedDifference
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.recombination import Dependence, Indices, dependence
+from ccdtools.twin.replay import Replay
+
+FEWEST_DECIDED = 36  # logged runs from which on it can be told whether errors depend on each other
+ROUNDS = 4  # that every logged error is met in at least, to tell it
+
+Drive = Callable[[Array, Array], tuple[Trajectory, ...]]
+Part = tuple[Array, Array, Indices]
+
+
+@dataclass(frozen=True)
+class Independence:
+    """Whether the runs of a log are recombined.
+
+    Attributes
+    ----------
+    dependence : str
+        What the errors themselves show: none, slight, plain, or not looked at.
+    change : PairedDifference
+        Mean return of what is in service on recombined runs, less that on the logged ones; NaN where it was not looked
+        at.
+    independent : bool
+    """
+
+    dependence: str
+    change: PairedDifference
+    independent: bool
+
+    def describe(self) -> str:
+        """What becomes of the log in one line."""
+        if self.independent:
+            return "errors of different steps are taken as independent: runs are recombined step by step"
+        return "runs are replayed as logged"
+
+
+NOT_ASKED = Independence("not looked at", PairedDifference(np.nan, (np.nan, np.nan)), False)
+
+
+@dataclass(frozen=True)
+class LoggedGain:
+    """What a candidate brings on logged errors.
+
+    Attributes
+    ----------
+    gain : PairedDifference
+        Its return less that of what is in service, over the runs that neither loses.
+    size : float
+        Mean return of what is in service, without its sign.
+    more_lost : bool
+        Whether more of its runs diverge.
+    """
+
+    gain: PairedDifference
+    size: float
+    more_lost: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Tally:
+    """Sums over the runs of every block (B,): runs, those that no controller lost, their returns, those lost (k, B)."""
+
+    runs: Array
+    kept: Array
+    returns: Array
+    lost: Array
+
+    def means(self) -> Array:
+        """Mean returns (k, B); zero of a block without a run."""
+        return self.returns / np.maximum(self.kept, 1)
+
+    def lost_shares(self) -> Array:
+        """Share of the runs that diverged (k, B)."""
+        return self.lost / np.maximum(self.runs, 1)
+
+
+def independence(log_of: Replay, drive: Drive, objective: QuadraticObjective, rng: np.random.Generator) -> Independence:
+    """Whether recombined runs of a log tell the same of what is in service as the log does.
+
+    The errors must show no plain dependence in time, and the mean return of what is in service must be the same on
+    recombined runs as on the logged ones: within its 95 % interval where the errors show no dependence at all, within
+    one standard error where they show a slight one, as it may be harmless.
+
+    Parameters
+    ----------
+    log_of : Replay
+        Of one deployment, as far as it went.
+    drive : callable
+        (x0, errors) → the run of what is in service, as the only one of a tuple.
+    """
+    runs = sum(log.runs for log in log_of.logs)
+    blocks = log_of.blocks()
+    if runs < FEWEST_DECIDED or blocks is None:
+        return NOT_ASKED
+    errors, states = (np.concatenate([getattr(log, name) for log in log_of.logs]) for name in ("e_next", "x"))
+    found = dependence(errors, states)
+    if found is Dependence.PLAIN:
+        return Independence(found.value, NOT_ASKED.change, False)
+    logged = _tally([(*log_of.whole(), blocks)], drive, objective, blocks)
+    recombined = _tally(log_of.recombined(ROUNDS, rng), drive, objective, blocks)
+    both = np.where((logged.kept > 0) & (recombined.kept > 0), logged.kept, 0)
+    change = over_blocks(recombined.means()[0] - logged.means()[0], both)
+    lost = over_blocks(recombined.lost_shares()[0] - logged.lost_shares()[0], logged.runs)
+    half = change.ci95[1] - change.mean
+    if found is Dependence.SLIGHT:
+        half /= float(stats.t.ppf(0.975, max((both > 0).sum() - 1, 1)))
+    return Independence(found.value, change, bool(abs(change.mean) <= half and lost.ci95[0] <= 0 <= lost.ci95[1]))
+
+
+def recombined_gain(
+    replay: Replay, drive: Drive, objective: QuadraticObjective, count: int, rng: np.random.Generator
+) -> LoggedGain:
+    """What a candidate brings on about `count` recombined runs; both meet the same ones.
+
+    The interval of the gain is of the means of blocks of logged runs, however many runs were recombined out of them,
+    and reaches to the mean over the logged runs themselves. Of many runs one or two more are lost by chance: they count
+    if the share differs beyond chance between the blocks, or by more than one of the logged number of runs.
+
+    Parameters
+    ----------
+    replay : Replay
+        With `recombines(count)`.
+    drive : callable
+        (x0, errors) → the runs of the candidate and of what is in service.
+    """
+    blocks = replay.blocks()
+    assert blocks is not None
+    found = _tally(replay.recombined(replay.rounds(count), rng), drive, objective, blocks)
+    after, before = found.means()
+    gain = over_blocks(after - before, found.kept)
+    logged = _tally([(*replay.whole(), blocks)], drive, objective, blocks)
+    if logged.kept.any():
+        gain = _reaching(gain, float((logged.returns[0] - logged.returns[1]).sum() / logged.kept.sum()))
+    lost = over_blocks(np.subtract(*found.lost_shares()), found.runs)
+    own = found.returns[1].sum() / found.kept.sum() if found.kept.any() else np.nan
+    return LoggedGain(gain, abs(float(own)), bool(lost.ci95[0] > 0 or lost.mean > 1 / len(blocks)))
+
+
+def over_blocks(values: Array, weights: Array) -> PairedDifference:
+    """Weighted mean of the means of blocks (B,) with its 95 % interval: blocks are independent, their runs are not."""
+    n = int((weights > 0).sum())
+    shares = weights / max(weights.sum(), 1)
+    mean = float(shares @ values) if n else float("nan")
+    if n < 2:
+        return PairedDifference(mean, (np.nan, np.nan))
+    error = np.sqrt(n / (n - 1) * float(shares**2 @ (values - mean) ** 2))
+    half = float(stats.t.ppf(0.975, n - 1) * error)
+    return PairedDifference(mean, (mean - half, mean + half))
+
+
+def _reaching(gain: PairedDifference, logged: float) -> PairedDifference:
+    """The gain with an interval that reaches to what the logged runs say: a dependence may be too weak to be seen."""
+    return PairedDifference(gain.mean, (min(gain.ci95[0], logged), max(gain.ci95[1], logged)))
+
+
+def _tally(parts: Iterable[Part], drive: Drive, objective: QuadraticObjective, blocks: Indices) -> _Tally:
+    """The sums over runs that come in parts, so that they need not fit into memory together."""
+    size = int(blocks.max()) + 1
+
+    def summed(labels: Indices, values: Array) -> Array:
+        """Sum of the values (n,) of every block."""
+        return np.bincount(labels, weights=values, minlength=size).astype(float)
+
+    sums = []
+    for x0, w, labels in parts:
+        driven = drive(x0, w)
+        kept = ~np.any([run.diverged for run in driven], axis=0)
+        returns = [summed(labels, np.where(kept, run.returns(objective), 0.0)) for run in driven]
+        lost = [summed(labels, run.diverged.astype(float)) for run in driven]
+        sums.append((summed(labels, np.ones(len(labels))), summed(labels, kept.astype(float)), returns, lost))
+    runs, kept, returns, lost = (np.sum([one[k] for one in sums], axis=0) for k in range(4))
+    return _Tally(runs, kept, returns, lost)

@@ -1,0 +1,135 @@
+"""Whether an update of the policy in service is better on what it was not trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.filtered import Filtered
+from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.scenario import Scenario
+from ccdtools.statistics import PairedDifference, paired_returns
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.online import OnlineConfig
+from ccdtools.twin.recombined_returns import Drive, LoggedGain, independence, recombined_gain
+from ccdtools.twin.replay import Replay
+from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.transport import ErrorSplit
+from invariant_sets import AdmissibleInputs
+from learning.networks import ActorCritic
+
+
+@dataclass(frozen=True, eq=False)
+class UpdateJudge:
+    """Compares policies at the deployed design on logged errors.
+
+    Attributes
+    ----------
+    problem : CoDesignProblem
+    design : (np,) array
+    config : OnlineConfig
+    runs : int
+        That are deployed.
+    rng, rng_of_runs : numpy.random.Generator
+        For recombined and nominal runs, and for the choice of logged ones.
+    admissible : AdmissibleInputs or None
+        The filter behind every policy.
+    """
+
+    problem: CoDesignProblem
+    design: Array
+    config: OnlineConfig
+    runs: int
+    rng: np.random.Generator
+    rng_of_runs: np.random.Generator
+    admissible: AdmissibleInputs | None
+
+    @property
+    def split(self) -> ErrorSplit:
+        """Of errors into what enters through E(p), and the rest."""
+        return ErrorSplit(self.problem.model, self.problem.state_scale)
+
+    def independent(self, logs: Sequence[Residuals], agent: ActorCritic) -> bool:
+        """Whether the runs logged so far may be recombined: told by all of them, the held-out ones are few."""
+        if self.runs == 1 or not self.config.recombine:
+            return False
+        replay = Replay(tuple(logs), self.split)
+        return independence(replay, self._drive(agent), self.problem.objective, self.rng).independent
+
+    def gain(
+        self, candidate: ActorCritic, agent: ActorCritic, held_out: Sequence[Residuals], independent: bool
+    ) -> tuple[PairedDifference, float]:
+        """Candidate minus policy in service on the held-out parts, and the size of the latter's return.
+
+        The size is that of its return on the held-out parts or on the nominal model, whichever is larger: errors of
+        hardly any size say little. NaN where more of the candidate's runs diverge.
+        """
+        several = self.runs > 1
+        logs = held_out if several else _equally_long(held_out)
+        replay = Replay(tuple(replace(log, independent=independent) for log in logs), self.split)
+        if several and replay.recombines(self.config.judged):
+            drive = self._drive(candidate, agent)
+            found = recombined_gain(replay, drive, self.problem.objective, self.config.judged, self.rng)
+        else:
+            found = self._logged_gain(candidate, agent, replay)
+        if found.more_lost:
+            return PairedDifference(np.nan, (np.nan, np.nan)), np.nan
+        counted = logs[0].steps if several else self._counted(logs[0].steps)
+        return found.gain, float(np.fmax(found.size, self._nominal_size(agent) * counted / self.problem.steps))
+
+    def _counted(self, steps: int) -> int:
+        """The held-out last steps of a stretch of a single run."""
+        return round(self.config.held_out * steps)
+
+    def _logged_gain(self, candidate: ActorCritic, agent: ActorCritic, replay: Replay) -> LoggedGain:
+        """Candidate minus policy in service on logged runs, of a single one on the ends of its stretches."""
+        x0, w = replay.whole()
+        several = self.runs > 1
+        chosen = self.rng_of_runs.permutation(len(x0))[: self.config.judged] if several else np.arange(len(x0))
+        after, before = self._drive(candidate, agent)(x0[chosen], w[chosen])
+        if after.diverged.mean() > before.diverged.mean():
+            return LoggedGain(PairedDifference(np.nan, (np.nan, np.nan)), np.nan, True)
+        kept = ~(after.diverged | before.diverged)
+        rewards = [run.rewards(self.problem.objective)[kept] for run in (after, before)]
+        if not several:
+            rewards = [own[:, -self._counted(w.shape[1]) :].reshape(1, -1) for own in rewards]
+        size = abs(float(rewards[1].sum(axis=1).mean())) if kept.any() else np.nan
+        return LoggedGain(paired_returns(*rewards, runs=self.runs), size, False)
+
+    def _nominal_size(self, agent: ActorCritic) -> float:
+        """Size of a policy's return on the nominal model; NaN where every run diverges, or the model is another."""
+        if self.problem.discrepancy is not None:
+            return np.nan
+        x0, w = self.problem.scenarios.sample(self.config.judged, self.problem.steps, self.rng)
+        (run,) = self._driven(Scenario(self.problem.model, x0, w), agent)
+        returns = run.returns(self.problem.objective)[~run.diverged]
+        return abs(float(returns.mean())) if len(returns) else np.nan
+
+    def _drive(self, *agents: ActorCritic) -> Drive:
+        """What runs policies over initial states and errors."""
+        model = self.split.replayed_model
+        return lambda x0, w: self._driven(Scenario(model, x0, w), *agents)
+
+    def _driven(self, scenario: Scenario, *agents: ActorCritic) -> tuple[Trajectory, ...]:
+        """The runs of every policy as it would be in service."""
+        controllers = (served(agent, self.design, self.admissible) for agent in agents)
+        return tuple(
+            scenario.run(controller, design=self.design, limit=self.problem.limit) for controller in controllers
+        )
+
+
+def served(agent: ActorCritic, design: Array, admissible: AdmissibleInputs | None) -> Controller:
+    """The policy as it is in service: behind the filter, if there is one."""
+    policy = LearnedPolicy(agent, design)
+    return policy if admissible is None else Filtered(policy, admissible)
+
+
+def _equally_long(logs: Sequence[Residuals]) -> list[Residuals]:
+    """The logs without their first steps, as long as the shortest: stretches of a run differ by one step at most."""
+    shortest = min(log.steps for log in logs)
+    return [log.part(slice(None), slice(log.steps - shortest, None)) for log in logs]
