@@ -71,7 +71,11 @@ class Measured:
     steps : tuple of Step
         Of the later generations.
     at_the_end : Step or None
-        What is in service after the last generation, less the first.
+        What is in service after the last generation, less the first as it was left in service.
+    designed : float
+        Mean return on the real plant of the first co-design as it was designed: before any update while deployed.
+    learned : Step or None
+        What is in service after the last generation, less that: all that was gained by learning of the real plant.
     depth, mpc_depth : float
         Mean over runs of the deepest excursion from X [half-widths], of the first co-design and of MPC at its design.
     beside_mpc : float
@@ -90,6 +94,13 @@ class Measured:
     mpc_depth: float
     beside_mpc: float
     at_the_end: Step | None = None
+    designed: float = np.nan
+    learned: Step | None = None
+
+    @property
+    def learned_percent(self) -> float:
+        """What was gained since the first co-design as designed [% of its return]; NaN before anything was deployed."""
+        return 100 * self.learned.difference / abs(self.designed) if self.learned is not None else np.nan
 
 
 def measured(study_name: str, folder: Path) -> Measured:
@@ -98,6 +109,8 @@ def measured(study_name: str, folder: Path) -> Measured:
     run = RunFolder(folder)
     generations = json.loads((folder / "results.json").read_text())["generations"]
     returns = [_deployed_returns(study, run, entry["generation"]) for entry in generations]
+    first = run.read_stage("codesign-1")
+    designed = _real_returns(study, first.networks["agent"], first.arrays["design"])
     service = returns[0]
     steps = []
     for entry, deployed in zip(generations[1:], returns[1:]):
@@ -105,8 +118,9 @@ def measured(study_name: str, folder: Path) -> Measured:
         steps.append(_step(deployed, service, kept))
         service = deployed if kept else service
     return replace(
-        measured_first(study_name, run.read_stage("codesign-1")), deployed=tuple(float(r.mean()) for r in returns),
-        steps=tuple(steps), at_the_end=_step(service, returns[0], True),
+        measured_first(study_name, first), deployed=tuple(float(r.mean()) for r in returns),
+        steps=tuple(steps), at_the_end=_step(service, returns[0], True), designed=float(designed.mean()),
+        learned=_step(service, designed, True),
     )  # fmt: skip
 
 
@@ -205,7 +219,12 @@ def _deployed_returns(study: Study, run: RunFolder, generation: int) -> Any:
     """Returns (n,) on the real plant of what a generation left in service."""
     stage = run.read_stage(f"deployment-{generation}")
     design = run.read_stage(f"codesign-{generation}").arrays["design"]
-    return _driven(study, LearnedPolicy(stage.networks["agent"], design), real=True).returns(study.objective)
+    return _real_returns(study, stage.networks["agent"], design)
+
+
+def _real_returns(study: Study, agent: Any, design: Any) -> Any:
+    """Returns (n,) of a policy at a design on the real plant."""
+    return _driven(study, LearnedPolicy(agent, design), real=True).returns(study.objective)
 
 
 def _step(after: Any, before: Any, kept: bool) -> Step:

@@ -44,8 +44,8 @@ def table_of(finished: Sequence[Row], broken: Sequence[str] = ()) -> str:
 
 def _rows(finished: Sequence[Row]) -> str:
     """One line per run."""
-    head = ["study", "start", "seed", "first design", "below the optimum", "status", "deployed, generation after "
-            "generation", "outside X, deepest (MPC)", "time", "memory"]  # fmt: skip
+    head = ["study", "start", "seed", "first design", "below the optimum", "status", "designed; deployed, generation "
+            "after generation", "learned", "outside X, deepest (MPC)", "time", "memory"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for run, found, ended in sorted(finished, key=lambda row: (row[0].study, row[0].start != "study", row[0].seed)):
         design = ", ".join(f"{name} {value:.4g}" for name, value in found.design.items())
@@ -54,7 +54,7 @@ def _rows(finished: Sequence[Row]) -> str:
         cells = [
             run.study, run.start, str(run.seed), design + valley,
             f"{found.shortfall:+.2f} ± {2 * found.shortfall_error:.2f} %", found.status, _deployed(found),
-            f"{found.depth:.3f}{mpc}", f"{ended['seconds']:.0f} s", _memory(ended["peak_bytes"]),
+            _learned(found), f"{found.depth:.3f}{mpc}", f"{ended['seconds']:.0f} s", _memory(ended["peak_bytes"]),
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -71,7 +71,16 @@ def _deployed(found: Measured) -> str:
     for value, step in zip(found.deployed[1:], found.steps):
         mark = {"worse": " ▼", "better": " ▲", "equal": ""}[step.verdict]
         texts.append(f"{value:.4g}{mark}{'' if step.kept else ' (taken back)'}")
-    return " → ".join(texts) or "–"
+    designed = f"{found.designed:.4g}; " if found.designed == found.designed else ""
+    return designed + " → ".join(texts) or "–"
+
+
+def _learned(found: Measured) -> str:
+    """What was gained on the real plant since the first co-design as designed, with its verdict."""
+    if found.learned is None:
+        return "–"
+    mark = {"worse": " ▼", "better": " ▲", "equal": ""}[found.learned.verdict]
+    return f"{found.learned_percent:+.2f} %{mark}"
 
 
 def summary(finished: Sequence[Row]) -> list[str]:
@@ -106,18 +115,17 @@ def summary(finished: Sequence[Row]) -> list[str]:
 
 
 def _where_truth_pays(finished: Sequence[Row]) -> list[str]:
-    """How often what is in service at the end is better than the first, where knowing the real plant pays."""
+    """How often what is in service at the end is better than what was first designed, where knowing the truth pays."""
     lines = []
     for study in sorted({run.study for run, _, _ in finished}):
         worth = reference(study).get("truth", {}).get("worth_percent", 0.0)
-        rows = [found for run, found, _ in finished if run.study == study and found.steps]
+        rows = [found for run, found, _ in finished if run.study == study and found.learned is not None]
         if worth < WORTH or not rows:
             continue
-        ends = [found.at_the_end for found in rows if found.at_the_end is not None]
-        gains = [100 * end.difference / abs(found.deployed[0]) for end, found in zip(ends, rows)]
-        better = sum(end.verdict == "better" for end in ends)
+        gains = [found.learned_percent for found in rows]
+        better = sum(found.learned is not None and found.learned.verdict == "better" for found in rows)
         lines.append(
             f"{study}, where knowing the real plant is worth {worth:.1f} %: better in {better} of {len(rows)} runs, "
-            f"by {min(gains):.1f} to {max(gains):.1f} % from the first to the last generation"
+            f"by {min(gains):.1f} to {max(gains):.1f} % from what was first designed to what is in service at the end"
         )
     return lines

@@ -17,12 +17,14 @@ def a_run(root, study="servo", start="study", seed=0, exit_code=0):
     return run
 
 
-def a_measurement(shortfall=0.1, *, error=0.01, steps=(), deployed=(-40.0,), valley=0, beside=np.nan):
+def a_measurement(
+    shortfall=0.1, *, error=0.01, steps=(), deployed=(-40.0,), valley=0, beside=np.nan, designed=np.nan, learned=None
+):
     """What a run might have reached."""
     end = Step(steps[-1].difference, steps[-1].low, steps[-1].high) if steps else None
     return Measured(
         {"n": 20.0}, shortfall, error, valley, "converged", True, deployed, tuple(steps), 0.0, np.nan, beside,
-        at_the_end=end,
+        at_the_end=end, designed=designed, learned=learned,
     )  # fmt: skip
 
 
@@ -61,10 +63,16 @@ def test_what_is_in_service_at_the_end_is_named_if_it_is_worse_than_the_first(ta
     assert "worse at the end: servo from the study, seed 0: -2" in text
 
 
-def test_where_the_truth_pays_the_gain_is_counted(table_of):
-    steps = [Step(3.0, 2.0, 4.0)]
-    text = table_of(a_measurement(steps=steps, deployed=(-80.0, -77.0)), study="pendulum")
-    assert "better in 1 of 1 runs, by 3.8 to 3.8 %" in text
+def test_where_the_truth_pays_the_gain_is_counted_since_what_was_first_designed(table_of):
+    """What updates gain during the first deployment was learned of the real plant, too."""
+    updated = a_measurement(
+        steps=[Step(0.0, -1.0, 1.0)], deployed=(-77.0, -77.0), designed=-80.0, learned=Step(3.0, 2.0, 4.0)
+    )
+    lost = a_measurement(deployed=(-82.0,), designed=-80.0, learned=Step(-2.0, -3.0, -1.0))
+    text = table_of(updated, lost, study="pendulum")
+    assert "better in 1 of 2 runs, by -2.5 to 3.8 % from what was first designed" in text
+    assert "| -80; -77 → -77 | +3.75 % ▲ |" in text
+    assert "| -80; -82 | -2.50 % ▼ |" in text
 
 
 def test_a_run_that_broke_is_listed_and_not_counted(table_of):
