@@ -10,6 +10,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.codesign import codesign
+from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.controllers.controllers import Controller
@@ -34,6 +35,7 @@ from ccdtools.twin.residuals import Residuals, residuals
 from ccdtools.twin.twin import DigitalTwin
 from learning.warm_start import fit_actor_critic
 
+MORE_EPISODES = 4  # a climb fits the runs that it is given: of 256, with tall costs, hardly anything is left on others
 POLICY_ALONE = "its policy at the present design"
 
 
@@ -87,6 +89,8 @@ class LoopStages:
 
         A redesign is trained on the median model, with what that leaves unexplained replayed, and judged on replays of
         the logged errors themselves: a model fitted in closed loop can mistake the road for a consequence of the state.
+        Where the errors do not depend on each other in time it is trained on what it is judged on, recombined: there
+        the median has nothing to tell, and what it says is chance.
         Beside it stand the start of the study and what has been in service before: the best of those taken is deployed.
         """
         problem = self.evaluation.problem
@@ -101,13 +105,15 @@ class LoopStages:
         limited = trust.limits(doubt)
         region = within(problem, current.design, trust.radius) if limited else problem
         window, before = self.evaluation.training_episode(twin.logs, region.design)
-        training = updated_problem(problem, twin, window, warm_up=before)
         judge = replay_problem(problem, twin.logs, window, warm_up=before)
+        independent = all(log.independent for log in twin.logs)
+        training = judge if independent else updated_problem(problem, twin, window, warm_up=before)
         if limited:  # only now: a log may be from outside the region
             training, judge = (within(one, current.design, trust.radius) for one in (training, judge))
         result = codesign(
             training, agent=current.agent, design=current.design, rng=rng, method=config.method,
-            config=config.redesign, judge=judge, progress=self.progress,
+            config=_of_many_runs(config.redesign) if independent else config.redesign, judge=judge,
+            progress=self.progress,
         )  # fmt: skip
         result = in_whole_box(result, region.design, problem.design)
         proposals = self._proposals(result, current, history)
@@ -285,6 +291,11 @@ class LoopStages:
         """Returns of the policy as designed, on every model."""
         assert twin.discrepancy is not None
         return self.evaluation.returns(designed.agent, designed.design, judged_on=logs, learned=twin.discrepancy)
+
+
+def _of_many_runs(config: CoDesignConfig) -> CoDesignConfig:
+    """The co-design with more episodes a gradient: where runs are recombined there are as many as are asked for."""
+    return replace(config, pathwise_runs=MORE_EPISODES * config.pathwise_runs)
 
 
 def _limits(result: CoDesignResult) -> dict[str, Any] | None:

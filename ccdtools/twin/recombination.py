@@ -13,9 +13,11 @@ from ccdtools.arrays import Array
 
 Indices = NDArray[np.int64]
 
-MOST_BLOCKS = 10  # of runs: with more there are fewer runs to recombine, with fewer the interval of their mean is wider
-FEWEST_BLOCKS = 6
-RUNS_OF_A_BLOCK = 6  # where so many are logged that there are more blocks than the fewest
+FEWEST_BLOCKS = 6  # of runs: with fewer the interval of their mean is wide, with more there are few runs to recombine
+SOME_BLOCKS = 10  # of six runs or more,
+SOME_RUNS = 6
+MOST_BLOCKS = 20  # of twelve runs or more
+MANY_RUNS = 12
 FEWEST_RUNS = 2  # of a block
 LAGS = 30  # steps between two errors at which a correlation is looked for
 SLIGHT = 0.03  # correlation at one lag that counts, beyond `SURE` standard errors,
@@ -96,7 +98,8 @@ def dealt(numbers: Indices) -> Indices | None:
     if several < FEWEST_BLOCKS * FEWEST_RUNS:
         return None
     pairs = np.unique(numbers // 2, return_inverse=True)[1]
-    return pairs % int(np.clip(several // RUNS_OF_A_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS))
+    some = np.clip(several // SOME_RUNS, FEWEST_BLOCKS, SOME_BLOCKS)
+    return pairs % int(max(some, min(several // MANY_RUNS, MOST_BLOCKS)))
 
 
 def shuffled(blocks: Indices, steps: int, rng: np.random.Generator) -> Indices:
