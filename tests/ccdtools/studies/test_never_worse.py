@@ -8,9 +8,10 @@ import pytest
 from small_runs import tiny
 
 from ccdtools import DesignSpace, Gaussian, InputError, Plant, QuadraticObjective, RealPlant, Study, load_policy
+from ccdtools.co_design.codesign import codesign
 from ccdtools.statistics import PairedDifference
 from ccdtools.studies import Generations, RunFolder, configuration, stages
-from ccdtools.studies.redesign import InService, RedesignDecision, RedesignStatus
+from ccdtools.studies.redesign import InService, RedesignDecision, RedesignStatus, judge_redesign
 from ccdtools.studies.report.report import write_report
 from invariant_sets import Polytope
 
@@ -94,3 +95,36 @@ def test_the_next_generation_begins_from_what_is_in_service_and_trusts_less(monk
     assert third["redesign"]["from"] == results["generations"][0]["design"]
     moved = {"within chance": 0.5, "more than promised": 0.25}.get(second["delivery"]["judge"], 0.125)
     assert second["trust"]["radius"] == moved
+
+
+@pytest.mark.parametrize("recombine", [True, False])
+def test_independent_runs_are_recombined_in_the_next_generation_unless_that_is_off(tmp_path, monkeypatch, recombine):
+    """Here the real plant is the model, so that its errors are the white disturbance."""
+    study = damped()
+    study = replace(study, real=replace(study.real, plant=study.plant, runs=40))
+    config = replace(tiny(configuration(study, quick=True)), model_runs=80, recombine=recombine)
+    judged, trained = [], []
+
+    def spy(evaluation, candidate, current, logs, twin):
+        judged.append([log.independent for log in logs])
+        return judge_redesign(evaluation, candidate, current, logs, twin)
+
+    def climb(problem, **options):
+        trained.append((problem.discrepancy is None, options["config"].pathwise_runs))
+        return codesign(problem, **options)
+
+    monkeypatch.setattr(stages, "judge_redesign", spy)
+    monkeypatch.setattr(stages, "codesign", climb)
+    folder = RunFolder.create(tmp_path / "run")
+    lines = []
+    results = Generations(study, config, folder, generations=2, seed=3, echo=lines.append, progress=False).run()
+    told = folder.read_stage("twin-1").values["independence"]
+    assert told["independent"] is recombine
+    assert told["dependence"] == ("none" if recombine else "not looked at")
+    assert any("runs are recombined step by step" in line for line in lines) is recombine
+    assert judged
+    assert all(all(flags) is recombine for flags in judged)
+    assert trained[1] == ((True, 4 * 16) if recombine else (False, 16))
+    again = Generations(study, config, RunFolder(tmp_path / "run"), generations=2, seed=3, echo=lines.append,
+                        progress=False).run()  # fmt: skip
+    assert again["generations"] == results["generations"]

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.redesign import WORTH_A_POLICY, InService, RedesignStatus, judge_redesign, promised
 from ccdtools.twin.deployment import deploy
+from ccdtools.twin.recombined_returns import independence, recombined_gain
 from ccdtools.twin.residuals import residuals
 
 STEPS = 100
@@ -129,3 +131,51 @@ def test_the_promise_is_the_deployment_itself_where_the_plant_is_the_model(evalu
     assert promised(evaluation, at(agent, 2.0), noisy).mean == pytest.approx(run.returns(study.objective).mean())
     before_any_log = promised(evaluation, at(agent, 2.0), ())
     assert before_any_log.ci95[0] < before_any_log.mean < 0
+
+
+# ── recombined runs ──
+
+
+def told(evaluation, agent, logs):
+    """The logs with what is told of them where the policy is in service at the design of the logs."""
+    policy = LearnedPolicy(agent, [2.0])
+    drive = lambda x0, w: (Scenario(evaluation.split.replayed_model, x0, w).run(policy, design=[2.0]),)  # noqa: E731
+    found = independence(evaluation.replay(logs), drive, evaluation.study.objective, np.random.default_rng(0))
+    return [replace(one, independent=found.independent) for one in logs]
+
+
+def test_independent_errors_are_recombined_and_say_the_same(evaluation, agent, noisy):
+    (recombined,) = told(evaluation, agent, noisy)
+    assert recombined.independent
+    for one, other in ((2.2, 1.2), (1.9, 2.0)):
+        whole, made = (judge_redesign(evaluation, at(agent, one), at(agent, other), [log]) for log in
+                       (noisy[0], recombined))  # fmt: skip
+        again = judge_redesign(evaluation, at(agent, one), at(agent, other), [recombined])
+        assert again == made
+        assert made.gain.ci95[0] < whole.gain.mean < made.gain.ci95[1]
+        assert whole.gain.ci95[0] < made.gain.mean < whole.gain.ci95[1]
+        assert made.gain.mean != whole.gain.mean
+        assert np.diff(made.gain.ci95) < 1.5 * np.diff(whole.gain.ci95)  # of few blocks, where nothing is gained
+    assert judge_redesign(evaluation, at(agent, 2.2), at(agent, 1.2), [recombined]).accepted
+
+
+def test_the_number_of_recombined_runs_is_that_of_the_configuration(evaluation, agent, noisy, monkeypatch):
+    counts = []
+
+    def spy(replay, drive, objective, count, rng):
+        counts.append(count)
+        return recombined_gain(replay, drive, objective, count, rng)
+
+    monkeypatch.setattr("ccdtools.studies.redesign.recombined_gain", spy)
+    log = replace(noisy[0], independent=True)
+    few = replace(evaluation, config=replace(evaluation.config, model_runs=119))
+    for one in (evaluation, few):
+        judge_redesign(one, at(agent, 2.2), at(agent, 2.0), [log])
+    assert counts == [300]
+
+
+def test_what_was_not_told_of_every_log_is_judged_on_whole_runs(evaluation, agent, noisy):
+    mixed = [replace(noisy[0], independent=True), noisy[0]]
+    whole = [noisy[0], noisy[0]]
+    one, other = (judge_redesign(evaluation, at(agent, 2.2), at(agent, 2.0), logs) for logs in (mixed, whole))
+    assert one == other

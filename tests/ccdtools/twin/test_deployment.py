@@ -14,8 +14,10 @@ from ccdtools.controllers.controllers import Passive
 from ccdtools.statistics import PairedDifference, paired_returns
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.online import OnlineConfig
+from ccdtools.twin.recombined_returns import NOT_ASKED, recombined_gain
 from ccdtools.twin.replay import Replay, replay_problem
 from ccdtools.twin.residuals import residuals
+from ccdtools.twin.update_judge import UpdateJudge
 from learning.ppo import PPOConfig
 
 DESIGN = np.array([2.0])
@@ -296,6 +298,8 @@ def test_a_deployment_too_short_to_judge_every_update_gets_fewer(illustrative, c
         ({"window": 0}, "window: got 0, expected a whole number, at least 1"),
         ({"judged": 1}, "judged: got 1, expected a whole number, at least 2"),
         ({"held_out": 0.0}, r"held_out: got 0.0, expected a fraction between 0 and 1"),
+        ({"least": -0.1}, r"least: got -0.1, expected a fraction from 0 to 1"),
+        ({"recombine": 1}, "recombine: got 1, expected True or False"),
         ({"held_out": 1.0}, r"held_out: got 1.0, expected a fraction between 0 and 1"),
     ],
 )
@@ -320,3 +324,100 @@ def test_an_update_must_bring_a_tenth_of_a_per_cent(illustrative, clone, monkeyp
     updates = deployed(illustrative, clone(illustrative), runs=12, steps=40).updates
     assert updates
     assert all(update.accepted is taken for update in updates)
+
+
+def test_any_gain_beyond_chance_is_an_update_where_none_is_asked_for(illustrative, clone, monkeypatch):
+    gain = (PairedDifference(1e-9, (1e-10, 2e-9)), 100.0)
+    monkeypatch.setattr("ccdtools.twin.update_judge.UpdateJudge.gain", lambda *_: gain)
+    config = replace(ONLINE, least=0.0)
+    updates = deployed(illustrative, clone(illustrative), runs=12, steps=40, config=config).updates
+    assert updates
+    assert all(update.accepted for update in updates)
+
+
+@pytest.mark.parametrize("runs", [1, 12])
+def test_a_gain_is_a_part_of_the_nominal_return_where_the_logged_one_is_small(illustrative, clone, monkeypatch, runs):
+    """Without any disturbance and from the origin the return in service is next to nothing, and so is a part of it."""
+    good, weak = clone(illustrative), weakened(clone(illustrative))
+    training_gives(monkeypatch, good)
+    sizes = []
+
+    def spy(self, *arguments):
+        sizes.append(gain(self, *arguments)[1])
+        return PairedDifference(0.0, (0.0, 0.0)), sizes[-1]
+
+    gain = UpdateJudge.gain
+    monkeypatch.setattr(UpdateJudge, "gain", spy)
+    steps = 400 if runs == 1 else 40
+    problem = illustrative.problem()
+    deploy_and_update(
+        problem, illustrative.plant, weak, DESIGN, x0=1e-6 * np.ones((runs, 2)), disturbance=np.zeros((runs, steps, 2)),
+        rng=np.random.default_rng(0), config=ONLINE,
+    )  # fmt: skip
+    x0, w = problem.scenarios.sample(300, problem.steps, np.random.default_rng(1))
+    run = simulate(illustrative.plant, LearnedPolicy(weak, DESIGN), x0=x0, steps=problem.steps, disturbance=w,
+                   design=DESIGN)  # fmt: skip
+    counted = {1: 0.3 * 400 / 3, 12: 40}[runs]
+    nominal = -run.returns(problem.objective).mean() * counted / problem.steps
+    assert sizes == pytest.approx([nominal] * len(sizes), rel=0.3)
+
+
+# ── updates on recombined runs ──
+
+
+def told_independent(monkeypatch, answer=True):
+    """Let every log be found so, and keep the runs that were looked at, and what was judged."""
+    looked, judged = [], []
+
+    def told(replay, *_):
+        looked.append(np.concatenate([log.numbers for log in replay.logs]))
+        return replace(NOT_ASKED, independent=answer)
+
+    def spy(replay, drive, objective, count, rng):
+        judged.append(np.concatenate([log.numbers for log in replay.logs]))
+        return recombined_gain(replay, drive, objective, count, rng)
+
+    monkeypatch.setattr("ccdtools.twin.update_judge.independence", told)
+    monkeypatch.setattr("ccdtools.twin.update_judge.recombined_gain", spy)
+    return looked, judged
+
+
+def test_updates_are_told_by_all_runs_so_far_and_judged_on_recombined_held_out_ones(illustrative, clone, monkeypatch):
+    good, weak = clone(illustrative), weakened(clone(illustrative))
+    trained = training_gives(monkeypatch, good)
+    looked, judged = told_independent(monkeypatch)
+    config = replace(ONLINE, judged=100)
+    done = deployed(illustrative, weak, runs=120, steps=40, config=config)
+    np.testing.assert_array_equal(looked[0], np.arange(40))
+    np.testing.assert_array_equal(looked[1], np.arange(80))
+    np.testing.assert_array_equal(judged[0], np.arange(28, 40))
+    np.testing.assert_array_equal(judged[1], [*range(28, 40), *range(68, 80)])
+    assert all(log.independent for problem, _ in trained for log in problem.scenarios.logs)
+    assert done.updates[0].accepted
+    again = deployed(illustrative, weak, runs=120, steps=40, config=config)
+    assert [update.gain for update in again.updates] == [update.gain for update in done.updates]
+
+
+def test_updates_are_judged_on_runs_as_logged_where_recombination_is_off_or_refused(illustrative, clone, monkeypatch):
+    trained = training_gives(monkeypatch, clone(illustrative))
+    looked, judged = told_independent(monkeypatch, answer=False)
+    refused = deployed(illustrative, weakened(clone(illustrative)), runs=60, steps=40)
+    assert len(looked) == 2
+    plain = replace(ONLINE, recombine=False)
+    off = deployed(illustrative, weakened(clone(illustrative)), runs=60, steps=40, config=plain)
+    assert len(looked) == 2
+    assert not judged
+    assert not any(log.independent for problem, _ in trained for log in problem.scenarios.logs)
+    assert [update.gain for update in off.updates] == [update.gain for update in refused.updates]
+
+
+def test_a_piece_of_which_one_run_survived_teaches_nothing(illustrative, clone, monkeypatch):
+    """Its only run would be cut in time, and be shorter than those of the other pieces."""
+    trained = training_gives(monkeypatch, clone(illustrative))
+    x0 = start(12)
+    x0[:3] = [-5e3, -2.5e3]  # of the first four
+    done = deployed(illustrative, clone(illustrative), runs=12, steps=80, x0=x0, config=replace(ONLINE, window=20))
+    np.testing.assert_array_equal(done.log.diverged, np.arange(12) < 3)
+    assert len(done.updates) == 1
+    ((problem, _),) = trained
+    np.testing.assert_array_equal(problem.scenarios.logs[0].numbers, [4, 5, 6])

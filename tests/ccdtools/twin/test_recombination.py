@@ -213,12 +213,13 @@ def test_runs_of_two_logs_are_recombined_with_those_of_their_own():
     assert w.shape == (360, 5, 1)
     logs = w[..., 0] >= 1000
     np.testing.assert_array_equal(logs, np.tile(logs[:, :1], (1, 5)))
-    np.testing.assert_array_equal(dealt(np.arange(60))[(w[..., 0] % 1000).astype(int)], np.tile(blocks[:, None], (1, 5)))
+    met = dealt(np.arange(60))[(w[..., 0] % 1000).astype(int)]
+    np.testing.assert_array_equal(met, np.tile(blocks[:, None], (1, 5)))
 
 
 def test_episodes_of_independent_logs_take_every_step_at_its_own_time():
     time = np.tile(np.arange(30.0), (50, 1)) + 1e-3 * np.arange(50)[:, None]
-    x0, w = Replay([log_of(time, independent=True)]).sample(200, 10, np.random.default_rng(0))
+    _, w = Replay([log_of(time, independent=True)]).sample(200, 10, np.random.default_rng(0))
     steps, runs = np.floor(w[..., 0]), np.round((w[..., 0] % 1) * 1e3)
     np.testing.assert_array_equal(np.diff(steps, axis=1), 1.0)
     assert len(np.unique(runs)) == 50
