@@ -197,11 +197,11 @@ class _Service:
         """Train a candidate, and put it into service if it is better on what it was not trained on."""
         config = self.config
         training = replace(config.training, design_rate=0.0)
-        independent = self.judge.independent(self.logs, self.agent)
-        trained = [replace(log, independent=independent) for log in self.train]
+        told = self.judge.told(self.logs, self.agent)
+        trained = [replace(log, independent=told.possible) for log in self.train]  # what it finds there is judged
         problem = replay_problem(self.problem, trained, self.config.window)
         candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=training).agent
-        gain, size = self.judge.gain(candidate, self.agent, self.test, independent)
+        gain, size = self.judge.gain(candidate, self.agent, self.test, self.logs, told)
         accepted = gain.ci95[0] > 0 and gain.mean > config.least * size
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
         self.updates.append(OnlineUpdate(after, gain, accepted))

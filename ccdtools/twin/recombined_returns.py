@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -13,7 +13,7 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.statistics import PairedDifference
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.recombination import Dependence, Indices, dependence
-from ccdtools.twin.replay import Replay
+from ccdtools.twin.replay import FEWEST_ROUNDS, Replay
 
 FEWEST_DECIDED = 36  # logged runs from which on it can be told whether errors depend on each other
 ROUNDS = 4  # that every logged error is met in at least, to tell it
@@ -34,11 +34,14 @@ class Independence:
         Mean return of what is in service on recombined runs, less that on the logged ones; NaN where it was not looked
         at.
     independent : bool
+    possible : bool
+        Whether the log does not speak against it, if not for it either.
     """
 
     dependence: str
     change: PairedDifference
     independent: bool
+    possible: bool
 
     def describe(self) -> str:
         """What becomes of the log in one line."""
@@ -47,7 +50,7 @@ class Independence:
         return "runs are replayed as logged"
 
 
-NOT_ASKED = Independence("not looked at", PairedDifference(np.nan, (np.nan, np.nan)), False)
+NOT_ASKED = Independence("not looked at", PairedDifference(np.nan, (np.nan, np.nan)), False, False)
 
 
 @dataclass(frozen=True)
@@ -108,16 +111,17 @@ def independence(log_of: Replay, drive: Drive, objective: QuadraticObjective, rn
     errors, states = (np.concatenate([getattr(log, name) for log in log_of.logs]) for name in ("e_next", "x"))
     found = dependence(errors, states)
     if found is Dependence.PLAIN:
-        return Independence(found.value, NOT_ASKED.change, False)
+        return replace(NOT_ASKED, dependence=found.value)
     logged = _tally([(*log_of.whole(), blocks)], drive, objective, blocks)
     recombined = _tally(log_of.recombined(ROUNDS, rng), drive, objective, blocks)
     both = np.where((logged.kept > 0) & (recombined.kept > 0), logged.kept, 0)
     change = over_blocks(recombined.means()[0] - logged.means()[0], both)
     lost = over_blocks(recombined.lost_shares()[0] - logged.lost_shares()[0], logged.runs)
     half = change.ci95[1] - change.mean
-    if found is Dependence.SLIGHT:
-        half /= float(stats.t.ppf(0.975, max((both > 0).sum() - 1, 1)))
-    return Independence(found.value, change, bool(abs(change.mean) <= half and lost.ci95[0] <= 0 <= lost.ci95[1]))
+    error = half / float(stats.t.ppf(0.975, max((both > 0).sum() - 1, 1)))
+    possible = bool(abs(change.mean) <= half and lost.ci95[0] <= 0 <= lost.ci95[1])
+    harmless = found is Dependence.NONE or abs(change.mean) <= error
+    return Independence(found.value, change, bool(possible and harmless), possible)
 
 
 def recombined_gain(
@@ -132,18 +136,19 @@ def recombined_gain(
     Parameters
     ----------
     replay : Replay
-        With `recombines(count)`.
+        Of runs that are dealt to blocks.
     drive : callable
         (x0, errors) → the runs of the candidate and of what is in service.
     """
     blocks = replay.blocks()
     assert blocks is not None
-    found = _tally(replay.recombined(replay.rounds(count), rng), drive, objective, blocks)
+    rounds = max(replay.rounds(count), FEWEST_ROUNDS)
+    found = _tally(replay.recombined(rounds, rng), drive, objective, blocks)
     after, before = found.means()
     gain = over_blocks(after - before, found.kept)
     logged = _tally([(*replay.whole(), blocks)], drive, objective, blocks)
     if logged.kept.any():
-        gain = _reaching(gain, float((logged.returns[0] - logged.returns[1]).sum() / logged.kept.sum()))
+        gain = reaching(gain, float((logged.returns[0] - logged.returns[1]).sum() / logged.kept.sum()))
     lost = over_blocks(np.subtract(*found.lost_shares()), found.runs)
     own = found.returns[1].sum() / found.kept.sum() if found.kept.any() else np.nan
     return LoggedGain(gain, abs(float(own)), bool(lost.ci95[0] > 0 or lost.mean > 1 / len(blocks)))
@@ -161,9 +166,9 @@ def over_blocks(values: Array, weights: Array) -> PairedDifference:
     return PairedDifference(mean, (mean - half, mean + half))
 
 
-def _reaching(gain: PairedDifference, logged: float) -> PairedDifference:
-    """The gain with an interval that reaches to what the logged runs say: a dependence may be too weak to be seen."""
-    return PairedDifference(gain.mean, (min(gain.ci95[0], logged), max(gain.ci95[1], logged)))
+def reaching(gain: PairedDifference, other: float) -> PairedDifference:
+    """The gain with an interval that reaches to what other runs say: a dependence may be too weak to be seen."""
+    return PairedDifference(gain.mean, (min(gain.ci95[0], other), max(gain.ci95[1], other)))
 
 
 def _tally(parts: Iterable[Part], drive: Drive, objective: QuadraticObjective, blocks: Indices) -> _Tally:

@@ -16,7 +16,15 @@ from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference, paired_returns
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.online import OnlineConfig
-from ccdtools.twin.recombined_returns import Drive, LoggedGain, independence, recombined_gain
+from ccdtools.twin.recombined_returns import (
+    NOT_ASKED,
+    Drive,
+    Independence,
+    LoggedGain,
+    independence,
+    reaching,
+    recombined_gain,
+)  # fmt: skip
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
@@ -54,33 +62,45 @@ class UpdateJudge:
         """Of errors into what enters through E(p), and the rest."""
         return ErrorSplit(self.problem.model, self.problem.state_scale)
 
-    def independent(self, logs: Sequence[Residuals], agent: ActorCritic) -> bool:
+    def told(self, logs: Sequence[Residuals], agent: ActorCritic) -> Independence:
         """Whether the runs logged so far may be recombined: told by all of them, the held-out ones are few."""
         if self.runs == 1 or not self.config.recombine:
-            return False
+            return NOT_ASKED
         replay = Replay(tuple(logs), self.split)
-        return independence(replay, self._drive(agent), self.problem.objective, self.rng).independent
+        return independence(replay, self._drive(agent), self.problem.objective, self.rng)
 
     def gain(
-        self, candidate: ActorCritic, agent: ActorCritic, held_out: Sequence[Residuals], independent: bool
-    ) -> tuple[PairedDifference, float]:
+        self, candidate: ActorCritic, agent: ActorCritic, held_out: Sequence[Residuals], logs: Sequence[Residuals],
+        told: Independence,
+    ) -> tuple[PairedDifference, float]:  # fmt: skip
         """Candidate minus policy in service on the held-out parts, and the size of the latter's return.
 
         The size is that of its return on the held-out parts or on the nominal model, whichever is larger: errors of
         hardly any size say little. NaN where more of the candidate's runs diverge.
+
+        Where all runs so far may be recombined, the interval reaches to what they say then: a dozen held-out runs may
+        know nothing of the few that decide, and those that the candidate was trained on would rather flatter it.
         """
         several = self.runs > 1
-        logs = held_out if several else _equally_long(held_out)
-        replay = Replay(tuple(replace(log, independent=independent) for log in logs), self.split)
+        parts = held_out if several else _equally_long(held_out)
+        replay = Replay(tuple(replace(log, independent=told.independent) for log in parts), self.split)
         if several and replay.recombines(self.config.judged):
-            drive = self._drive(candidate, agent)
-            found = recombined_gain(replay, drive, self.problem.objective, self.config.judged, self.rng)
+            found = self._recombined_gain(candidate, agent, replay)
         else:
             found = self._logged_gain(candidate, agent, replay)
-        if found.more_lost:
+        everywhere = found
+        if told.possible:
+            everywhere = self._recombined_gain(candidate, agent, Replay(tuple(logs), self.split))
+        if found.more_lost or everywhere.more_lost:
             return PairedDifference(np.nan, (np.nan, np.nan)), np.nan
-        counted = logs[0].steps if several else self._counted(logs[0].steps)
-        return found.gain, float(np.fmax(found.size, self._nominal_size(agent) * counted / self.problem.steps))
+        counted = parts[0].steps if several else self._counted(parts[0].steps)
+        nominal = self._nominal_size(agent) * counted / self.problem.steps
+        return reaching(found.gain, everywhere.gain.mean), float(np.fmax(found.size, nominal))
+
+    def _recombined_gain(self, candidate: ActorCritic, agent: ActorCritic, replay: Replay) -> LoggedGain:
+        """Candidate minus policy in service on recombined runs."""
+        drive = self._drive(candidate, agent)
+        return recombined_gain(replay, drive, self.problem.objective, self.config.judged, self.rng)
 
     def _counted(self, steps: int) -> int:
         """The held-out last steps of a stretch of a single run."""
