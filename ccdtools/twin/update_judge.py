@@ -78,7 +78,7 @@ class UpdateJudge:
         The size is that of its return on the held-out parts or on the nominal model, whichever is larger: errors of
         hardly any size say little. NaN where more of the candidate's runs diverge.
 
-        Where all runs so far may be recombined, the interval reaches to what they say then: a dozen held-out runs may
+        Where all runs so far may be recombined, the interval reaches down to that of theirs: a dozen held-out runs may
         know nothing of the few that decide, and those that the candidate was trained on would rather flatter it.
         """
         several = self.runs > 1
@@ -95,7 +95,7 @@ class UpdateJudge:
             return PairedDifference(np.nan, (np.nan, np.nan)), np.nan
         counted = parts[0].steps if several else self._counted(parts[0].steps)
         nominal = self._nominal_size(agent) * counted / self.problem.steps
-        return reaching(found.gain, everywhere.gain.mean), float(np.fmax(found.size, nominal))
+        return reaching(found.gain, everywhere.gain.ci95[0]), float(np.fmax(found.size, nominal))
 
     def _recombined_gain(self, candidate: ActorCritic, agent: ActorCritic, replay: Replay) -> LoggedGain:
         """Candidate minus policy in service on recombined runs."""

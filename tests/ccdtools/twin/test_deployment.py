@@ -420,7 +420,7 @@ def test_an_update_that_all_runs_so_far_deny_is_not_taken(illustrative, clone, m
         "ccdtools.twin.update_judge.recombined_gain",
         lambda replay, *_: LoggedGain(says[sum(log.runs for log in replay.logs)], 10.0, False),
     )
-    for possible, low in ((True, -0.5), (False, 1.0)):
+    for possible, low in ((True, -1.0), (False, 1.0)):
         told = replace(NOT_ASKED, independent=True, possible=possible)
         monkeypatch.setattr("ccdtools.twin.update_judge.independence", lambda *_, told=told: told)
         config = replace(ONLINE, updates=1, judged=100)
