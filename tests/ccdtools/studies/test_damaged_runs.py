@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import small_runs
 
 from ccdtools.cli import main
 from ccdtools.studies import RunFolder, preparation
+from ccdtools.studies.fingerprint import differences
 
 COMMAND = [sys.executable, small_runs.__file__]
 
@@ -220,15 +222,24 @@ def test_a_run_of_a_study_that_was_edited_since_is_refused_with_the_difference(w
     assert "Undo the change, or begin a new run." in error
 
 
-def test_a_run_with_another_configuration_is_refused(copy, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "value", "message"), [("model_runs", 31, "was 30, is 31"), ("recombine", False, "was true, is false")]
+)
+def test_a_run_with_another_configuration_is_refused(copy, capsys, monkeypatch, name, value, message):
     tiny = small_runs.tiny
-
-    def other(config):
-        return tiny(config).__class__(**{**vars(tiny(config)), "model_runs": 31})
-
-    monkeypatch.setattr(small_runs, "tiny", other)
+    monkeypatch.setattr(small_runs, "tiny", lambda config: replace(tiny(config), **{name: value}))
     assert call("resume", str(copy)) == 2
-    assert "configuration.model_runs was 30, is 31" in capsys.readouterr().err
+    assert f"configuration.{name} {message}" in capsys.readouterr().err
+
+
+def test_a_folder_that_was_begun_before_runs_were_recombined_is_another(copy):
+    """Its stages say nothing of it."""
+    kept = json.loads((copy / "run.json").read_text())
+    now = kept["begun_with"]
+    before = {name: value for name, value in now.items() if "recombine" not in name}
+    assert differences(before, now) == [
+        "configuration.online.recombine was null, is true", "configuration.recombine was null, is true"
+    ]  # fmt: skip
 
 
 def test_a_second_process_in_the_folder_is_refused(copy, capsys):
