@@ -183,8 +183,9 @@ class LoopStages:
         return Stage(values, {"design": chosen.design, **arrays}, {"agent": chosen.agent})
 
     def deploy(
-        self, rng: np.random.Generator, generation: int, found: Stage, former: Served | None, trust: Trust
-    ) -> Stage:
+        self, rng: np.random.Generator, generation: int, found: Stage, former: Served | None, trust: Trust,
+        known: Sequence[Residuals] = (),
+    ) -> Stage:  # fmt: skip
         """The policy on the real plant, updated on the way; the log, and whether it stays in service."""
         real = self.evaluation.study.real
         evaluation = self.evaluation
@@ -196,6 +197,7 @@ class LoopStages:
                 evaluation.config.online, window=evaluation.window, recombine=evaluation.config.recombine
             ),
             progress=self.progress, admissible=evaluation.admissible(current.design),
+            former=[one for one in known if one.independent],
         )  # fmt: skip
         log = deployment.log
         if former is None and log.diverged.all():

@@ -88,6 +88,7 @@ def deploy_and_update(
     rng: np.random.Generator,
     config: OnlineConfig | None = None,
     admissible: AdmissibleInputs | None = None,
+    former: Sequence[Residuals] = (),
     progress: bool = False,
 ) -> Deployment:
     """A deployment in stretches, with an update of the policy after each but the last.
@@ -112,6 +113,9 @@ def deploy_and_update(
         updates gets fewer, or none.
     admissible : AdmissibleInputs, optional
         A filter behind the policy in service, see `Filtered`; it is judged with the filter, too.
+    former : sequence of Residuals
+        Errors along former deployments of several runs, as long as these: candidates, which are not trained on them,
+        are judged on them, too. Each is met through E(p) of this design.
     """
     config = OnlineConfig() if config is None else config
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
@@ -122,7 +126,11 @@ def deploy_and_update(
     whole = Scenario(plant, x0, disturbance)
     if admissible is not None:
         as_instance("admissible", admissible, AdmissibleInputs, "an AdmissibleInputs or None")
-    return _Service(problem, whole, design, agent, rng, config, admissible).run(progress)
+    for log in former:
+        as_instance("former", log, Residuals, "a sequence of Residuals")
+    service = _Service(problem, whole, design, agent, rng, config, admissible)
+    service.former = [log for log in former if log.runs > 1 and log.steps == whole.steps]
+    return service.run(progress)
 
 
 class _Service:
@@ -130,6 +138,8 @@ class _Service:
 
     Attributes
     ----------
+    former : list of Residuals
+        Errors of other deployments, which candidates are judged on, too.
     logs, train, test : list of Residuals
         Errors of every part of the log: all of them, what candidates are trained on, and what they are judged on. Of a
         single run, `test` holds whole stretches, of which only the last part is judged.
@@ -146,6 +156,7 @@ class _Service:
         self.rng = rng
         self.config = config
         self.admissible = admissible
+        self.former: list[Residuals] = []
         self.pieces: list[Trajectory] = []
         self.updates: list[OnlineUpdate] = []
         self.judge = UpdateJudge(problem, design, config, len(whole.x0), rng.spawn(1)[0], rng, admissible)
@@ -201,7 +212,8 @@ class _Service:
         trained = [replace(log, independent=told.possible) for log in self.train]  # what it finds there is judged
         problem = replay_problem(self.problem, trained, self.config.window)
         candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=training).agent
-        gain, size = self.judge.gain(candidate, self.agent, self.test, self.logs, told)
+        evidence = [*self.former, *self.test] if self._several else self.test
+        gain, size = self.judge.gain(candidate, self.agent, evidence, self.logs, told)
         accepted = gain.ci95[0] > 0 and gain.mean > config.least * size
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
         self.updates.append(OnlineUpdate(after, gain, accepted))

@@ -73,7 +73,7 @@ class UpdateJudge:
         self, candidate: ActorCritic, agent: ActorCritic, held_out: Sequence[Residuals], logs: Sequence[Residuals],
         told: Independence,
     ) -> tuple[PairedDifference, float]:  # fmt: skip
-        """Candidate minus policy in service on the held-out parts, and the size of the latter's return.
+        """Candidate minus policy in service on held-out parts and runs, and the size of the latter's return.
 
         The size is that of its return on the held-out parts or on the nominal model, whichever is larger: errors of
         hardly any size say little. NaN where more of the candidate's runs diverge.

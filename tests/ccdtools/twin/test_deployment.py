@@ -429,6 +429,40 @@ def test_an_update_that_all_runs_so_far_deny_is_not_taken(illustrative, clone, m
         assert update.accepted is not possible
 
 
+def test_updates_are_judged_on_former_deployments_too(illustrative, clone, monkeypatch):
+    """No candidate was trained on them, and they are more than the held-out runs."""
+    weak = weakened(clone(illustrative))
+    trained = training_gives(monkeypatch, clone(illustrative))
+    judged = []
+
+    def spy(self, candidate, agent, replay):
+        judged.append([log.runs for log in replay.logs])
+        return gain(self, candidate, agent, replay)
+
+    gain = UpdateJudge._logged_gain
+    monkeypatch.setattr(UpdateJudge, "_logged_gain", spy)
+    w = disturbances(illustrative, 30, 40, seed=5)
+    log = deploy(illustrative.real.plant, LearnedPolicy(weak, DESIGN), DESIGN, w, x0=start(30))
+    long, short, single = (residuals(illustrative.model, log).part(*cut) for cut in (
+        (slice(None), slice(None)), (slice(None), slice(0, 30)), (slice(0, 1), slice(None))
+    ))  # fmt: skip
+
+    def done(runs, steps, former):
+        """Return the gains of a deployment."""
+        updates = deploy_and_update(
+            illustrative.problem(), illustrative.real.plant, weak, DESIGN, x0=start(runs), former=former,
+            disturbance=disturbances(illustrative, runs, steps), rng=np.random.default_rng(0), config=ONLINE,
+        ).updates  # fmt: skip
+        return [update.gain for update in updates]
+
+    done(15, 40, [long, short, single])
+    assert judged == [[30, 2], [30, 2, 2]]
+    assert all(log.runs < 5 for problem, _ in trained for log in problem.scenarios.logs)
+    assert done(1, 600, [long]) == done(1, 600, [])
+    with pytest.raises(InputError, match="former: got"):
+        done(15, 40, [log])
+
+
 def test_a_piece_of_which_one_run_survived_teaches_nothing(illustrative, clone, monkeypatch):
     """Its only run would be cut in time, and be shorter than those of the other pieces."""
     trained = training_gives(monkeypatch, clone(illustrative))
