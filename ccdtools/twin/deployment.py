@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_floats, as_generator, as_instance
+from ccdtools.checks import as_floats, as_generator, as_instance, shown
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
+from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
 from ccdtools.trajectory import Trajectory
@@ -126,11 +127,10 @@ def deploy_and_update(
     whole = Scenario(plant, x0, disturbance)
     if admissible is not None:
         as_instance("admissible", admissible, AdmissibleInputs, "an AdmissibleInputs or None")
-    for log in former:
-        as_instance("former", log, Residuals, "a sequence of Residuals")
-    service = _Service(problem, whole, design, agent, rng, config, admissible)
-    service.former = [log for log in former if log.runs > 1 and log.steps == whole.steps]
-    return service.run(progress)
+    if not isinstance(former, list | tuple) or not all(isinstance(log, Residuals) for log in former):
+        raise InputError("former", shown(former), "a sequence of Residuals")
+    alike = [log for log in former if log.runs > 1 and log.steps == whole.steps and len(whole.x0) > 1]
+    return _Service(problem, whole, design, agent, rng, config, admissible, alike).run(progress)
 
 
 class _Service:
@@ -138,7 +138,7 @@ class _Service:
 
     Attributes
     ----------
-    former : list of Residuals
+    former : sequence of Residuals
         Errors of other deployments, which candidates are judged on, too.
     logs, train, test : list of Residuals
         Errors of every part of the log: all of them, what candidates are trained on, and what they are judged on. Of a
@@ -147,7 +147,7 @@ class _Service:
 
     def __init__(
         self, problem: CoDesignProblem, whole: Scenario, design: Array, agent: ActorCritic, rng: np.random.Generator,
-        config: OnlineConfig, admissible: AdmissibleInputs | None,
+        config: OnlineConfig, admissible: AdmissibleInputs | None, former: Sequence[Residuals],
     ) -> None:  # fmt: skip
         self.problem = problem
         self.whole = whole
@@ -156,7 +156,7 @@ class _Service:
         self.rng = rng
         self.config = config
         self.admissible = admissible
-        self.former: list[Residuals] = []
+        self.former = former
         self.pieces: list[Trajectory] = []
         self.updates: list[OnlineUpdate] = []
         self.judge = UpdateJudge(problem, design, config, len(whole.x0), rng.spawn(1)[0], rng, admissible)
@@ -212,7 +212,7 @@ class _Service:
         trained = [replace(log, independent=told.possible) for log in self.train]  # what it finds there is judged
         problem = replay_problem(self.problem, trained, self.config.window)
         candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=training).agent
-        evidence = [*self.former, *self.test] if self._several else self.test
+        evidence = [*self.former, *self.test]
         gain, size = self.judge.gain(candidate, self.agent, evidence, self.logs, told)
         accepted = gain.ci95[0] > 0 and gain.mean > config.least * size
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
