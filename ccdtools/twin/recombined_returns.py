@@ -16,6 +16,7 @@ from ccdtools.twin.recombination import Dependence, Indices, dependence
 from ccdtools.twin.replay import FEWEST_ROUNDS, Replay
 
 FEWEST_DECIDED = 36  # logged runs from which on it can be told whether errors depend on each other
+RECOMBINED = 0.5  # share of recombined runs in a gain; the rest is of the logged ones
 ROUNDS = 4  # that every logged error is met in at least, to tell it
 
 Drive = Callable[[Array, Array], tuple[Trajectory, ...]]
@@ -129,8 +130,9 @@ def recombined_gain(
 ) -> LoggedGain:
     """What a candidate brings on about `count` recombined runs; both meet the same ones.
 
-    The interval of the gain is of the means of blocks of logged runs, however many runs were recombined out of them,
-    and reaches to the mean over the logged runs themselves. Of many runs one or two more are lost by chance: they count
+    The gain of a block is half that of the runs recombined in it and half that of its logged runs: what a dependence in
+    time that is too weak to be seen does to the recombined ones counts half. The interval is of the means of the
+    blocks, however many runs were recombined. Of many runs one or two more are lost by chance: they count
     if the share differs beyond chance between the blocks, or by more than one of the logged number of runs.
 
     Parameters
@@ -144,11 +146,9 @@ def recombined_gain(
     assert blocks is not None
     rounds = max(replay.rounds(count), FEWEST_ROUNDS)
     found = _tally(replay.recombined(rounds, rng), drive, objective, blocks)
-    after, before = found.means()
-    gain = over_blocks(after - before, found.kept)
     logged = _tally([(*replay.whole(), blocks)], drive, objective, blocks)
-    if logged.kept.any():
-        gain = reaching(gain, float((logged.returns[0] - logged.returns[1]).sum() / logged.kept.sum()))
+    made, met = (np.subtract(*one.means()) for one in (found, logged))
+    gain = over_blocks(np.where(logged.kept > 0, RECOMBINED * made + (1 - RECOMBINED) * met, made), found.kept)
     lost = over_blocks(np.subtract(*found.lost_shares()), found.runs)
     own = found.returns[1].sum() / found.kept.sum() if found.kept.any() else np.nan
     return LoggedGain(gain, abs(float(own)), bool(lost.ci95[0] > 0 or lost.mean > 1 / len(blocks)))
@@ -164,11 +164,6 @@ def over_blocks(values: Array, weights: Array) -> PairedDifference:
     error = np.sqrt(n / (n - 1) * float(shares**2 @ (values - mean) ** 2))
     half = float(stats.t.ppf(0.975, n - 1) * error)
     return PairedDifference(mean, (mean - half, mean + half))
-
-
-def reaching(gain: PairedDifference, other: float) -> PairedDifference:
-    """The gain with an interval that reaches to what other runs say: a dependence may be too weak to be seen."""
-    return PairedDifference(gain.mean, (min(gain.ci95[0], other), max(gain.ci95[1], other)))
 
 
 def _tally(parts: Iterable[Part], drive: Drive, objective: QuadraticObjective, blocks: Indices) -> _Tally:

@@ -22,7 +22,6 @@ from ccdtools.twin.recombined_returns import (
     Independence,
     LoggedGain,
     independence,
-    reaching,
     recombined_gain,
 )  # fmt: skip
 from ccdtools.twin.replay import Replay
@@ -95,7 +94,9 @@ class UpdateJudge:
             return PairedDifference(np.nan, (np.nan, np.nan)), np.nan
         counted = parts[0].steps if several else self._counted(parts[0].steps)
         nominal = self._nominal_size(agent) * counted / self.problem.steps
-        return reaching(found.gain, everywhere.gain.ci95[0]), float(np.fmax(found.size, nominal))
+        low, high = found.gain.ci95
+        gain = PairedDifference(found.gain.mean, (min(low, everywhere.gain.ci95[0]), high))
+        return gain, float(np.fmax(found.size, nominal))
 
     def _recombined_gain(self, candidate: ActorCritic, agent: ActorCritic, replay: Replay) -> LoggedGain:
         """Candidate minus policy in service on recombined runs."""
