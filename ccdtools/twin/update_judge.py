@@ -92,7 +92,7 @@ class UpdateJudge:
             everywhere = self._recombined_gain(candidate, agent, Replay(tuple(logs), self.split))
         if found.more_lost or everywhere.more_lost:
             return PairedDifference(np.nan, (np.nan, np.nan)), np.nan
-        counted = parts[0].steps if several else self._counted(parts[0].steps)
+        counted = parts[0].steps if several else len(parts) * self._counted(parts[0].steps)
         nominal = self._nominal_size(agent) * counted / self.problem.steps
         low, high = found.gain.ci95
         gain = PairedDifference(found.gain.mean, (min(low, everywhere.gain.ci95[0]), high))
