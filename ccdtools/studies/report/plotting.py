@@ -111,7 +111,7 @@ def plot_trajectories(
     """
     names = list(next(iter(columns.values())))
     colours = controller_colours(names)
-    grid = figure.subplots(len(labels), len(columns), squeeze=False, sharex=True, sharey="row")
+    grid = figure.subplots(len(labels), len(columns), squeeze=False, sharex="col", sharey="row")
     for c, (title, controllers) in enumerate(columns.items()):
         for name, (low, mean, high) in controllers.items():
             for row in range(len(labels)):
