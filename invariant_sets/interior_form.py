@@ -110,7 +110,8 @@ def _solved(A: Array, b: Array, E: Array, e: Array, scale: Array) -> Body | None
             return None
         widths = half_widths(window)
         within_rounding = window.is_flat and window.pinch.decided_by_rounding  # such a set tells no scale
-        measured = scale if within_rounding else np.where(widths > 0.0, widths, scale)
+        endless = window.basis[:, window.unbounded].any(axis=1)  # what is seen of it is the window's own width
+        measured = np.where((widths > 0.0) & ~endless & (not within_rounding), widths, scale)
         if not window.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > UNLIKE:
             centre = window.centre
             scale = measured

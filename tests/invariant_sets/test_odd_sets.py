@@ -135,3 +135,20 @@ def test_a_time_limit_holds_for_any_number_of_steps():
         result = call()
         assert result.status is Status.TIME_LIMIT
         assert result.set.is_subset(result.outer, 1e-8)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.1])
+@pytest.mark.parametrize(
+    "units", [np.ones(5), [1, 1e-7, 10, 1e3, 1e-8], [1e8, 1e-8, 1e8, 1e-8, 1e8], [2, 3e-7, 6, 5e2, 2e-8]]
+)
+def test_what_has_no_end_tells_no_length(units, e):
+    """A narrow cone cut by an equality: each of its four rows is met at its only vertex."""
+    A = np.array([[-0.141, 0.247, -0.106, -2.196, 0.607], [-0.587, 1.056, 0.235, 1.172, -0.542],
+                  [-1.064, 1.093, 0.15, -0.946, -0.884], [0.202, -0.001, 0.734, 0.73, -1.357]])  # fmt: skip
+    E = np.array([[-0.853, 1.322, -0.576, 1.407, 1.203]])
+    b = np.array([0.56, 0.46, 0.82, 0.37])
+    P = Polytope(A / units, b, E / units, [e])
+    np.testing.assert_allclose(P.support(A / units), b, rtol=1e-10)
+    vertex = np.linalg.solve(np.vstack([A, E]), [*b, e])
+    assert P.contains(vertex * units)
+    assert not P.is_bounded
