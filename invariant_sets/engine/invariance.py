@@ -7,8 +7,8 @@
    is taken back to 1.
 4. `inner_sets`: (1 − tol/10) Ω is invariant with room to spare, because inputs scale with the state. Disturbances
    do not scale; there the recursion is repeated from Ω for a contraction factor just below one. Where a cap came
-   first, the invariant set of a linear feedback is grown from inside. Where half of the time has gone, one such set is
-   put in reserve before the recursion goes on.
+   first, the invariant set of a linear feedback is grown from inside. Where two fifths of the time have gone, one such
+   set is put in reserve before the recursion goes on.
 5. `certificate`: only a set that passes its check at every vertex (or facet) is returned, and only one that one more
    backward step does not enlarge is called maximal.
 
@@ -40,8 +40,8 @@ from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
 from invariant_sets.tolerances import GAP_ROUNDING, INVARIANT, MISSING, STOP
 
 Array = np.ndarray
-_OUTER_SHARE = 0.5  # of the time limit: a recursion that ends within it needs no inner set in reserve
-_RESERVE_SHARE = 0.5  # of the time left then, for an inner set that is kept in reserve
+_OUTER_SHARE = 0.4  # of the time limit: a recursion that ends within it needs no inner set in reserve
+_RESERVE_SHARE = 0.7  # of the time left then at most, for an inner set that is kept in reserve
 _LAST_SHARE = 0.5  # of the time left after that, for the rest of the recursion
 _INNER_SHARE = 0.6  # of the time left then for better inner sets; the rest is for the certificate
 
