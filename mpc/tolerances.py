@@ -168,9 +168,9 @@ EXCLUDED = 1e4
 """Size of the variables, in units of the bounds, up to which a proof of infeasibility holds though its rows are rounded
 [-]."""
 
-FAR_OPTIMUM = 1e7
-"""Distance of the unconstrained optimum from the bounds, in units of what these leave between them, beyond which their
-rounding decides [-]: the problem is a linear program but for its last digits."""
+FAR_OPTIMUM = 1e8
+"""Distance of the unconstrained optimum from the bounds, in units of their size, beyond which rounding decides which
+rows hold with equality [-]: the problem is a linear program but for its last digits."""
 
 DUPLICATE = 1e-9
 """Difference of two unit rows below which only the tighter of them is kept [-]."""

@@ -74,6 +74,7 @@ class Tape:
             raise InputError(
                 argument, f"the CasADi operations {', '.join(names) or unknown}, which arrays do not have",
                 "arithmetic, powers, exp, log, sqrt, erf, trigonometric and hyperbolic functions, abs, sign, min, max",
+                "It has operations without an array counterpart.",
             )  # fmt: skip
         self.function = function
         self._work_size = function.sz_w()

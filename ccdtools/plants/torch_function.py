@@ -20,7 +20,9 @@ def to_torch(function: ca.Function) -> TorchFunction:
 
     Each scalar instruction of the function becomes one torch operation over the whole batch, so torch differentiates
     it by itself. A function without scalar instructions (it calls an integrator, a solver or C code) is evaluated by
-    CasADi point by point, in double precision on the processor, with CasADi's own derivatives; a warning says so.
+    CasADi point by point, in double precision on the processor, with CasADi's own derivatives; a warning says so, and
+    `torch.func` and `vmap` do not take it. As with `torch.where`, the gradient is NaN where a branch that is not taken
+    has no derivative: keep its argument in range, as in `if_else(y > 0, sqrt(fmax(y, 1e-9)), 0)`.
 
     Parameters
     ----------
@@ -68,7 +70,7 @@ class TorchFunction:
         except InputError as error:
             self._tape = None
             warnings.warn(
-                f"to_torch: CasADi evaluates {function.name()} point by point, because it is {error.got}.", stacklevel=3
+                f"to_torch: CasADi evaluates {function.name()} point by point. {error.cure}".rstrip(), stacklevel=3
             )
 
     @property
@@ -152,7 +154,7 @@ class TorchFunction:
         """Outputs by CasADi's own evaluation."""
         f = self.function
         batch = torch.broadcast_shapes(*(value.shape[:-1] for value in columns))
-        flat = [value.expand(*batch, value.shape[-1]).reshape(-1, value.shape[-1]) for value in columns]
+        flat = [value.expand(*batch, value.shape[-1]).reshape(batch.numel(), value.shape[-1]) for value in columns]
         outputs = _Called.apply(f, *flat)
         return [_shaped(out.unflatten(0, batch) if batch else out[0], f.size_out(i)) for i, out in enumerate(outputs)]
 

@@ -9,15 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mpc.checks import Array
+from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
-from mpc.explicit.linear_programs import INFEASIBLE, solve_exactly
+from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, solve_exactly
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP, with_parameter_rows
 from mpc.parametric_qp import Constraint
-from mpc.tolerances import EQUALITY, EXCLUDED, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
+from mpc.tolerances import EQUALITY, EXCLUDED, FAR_OPTIMUM, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
-_NO_ROWS = np.zeros(0, dtype=np.int64)
+_NO_ROWS = np.broadcast_to(np.int64(0), 0)
+_NO_PARAMETERS = np.broadcast_to(0.0, (0, 0))
 
 
 class FlatParameters(InputError):
@@ -34,7 +36,7 @@ class ImpliedEqualities(NamedTuple):
     status: MPQPStatus
     rows: Ints = _NO_ROWS
     of_parameters: bool = False
-    parameters: Array = np.zeros((0, 0))
+    parameters: Array = _NO_PARAMETERS
 
 
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
@@ -52,37 +54,51 @@ def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
 
 
 def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualities:
-    """Rows that hold with equality at every feasible point.
+    """Rows that hold with equality at every feasible point with variables of up to EXCLUDED times the bounds.
 
     A linear program finds a point where the sum of the slacks, each counted up to a tenth, is largest. A row without
     slack there may have given it up for the others, so the sum of these rows alone is asked for, until none has any.
     """
     J, h = qp.joint
+    nt = qp.D.shape[1] - 1
+    nothing = np.zeros(J.shape[1])
+    verdict = DenseQP(np.eye(J.shape[1]), J).solve(nothing, h, confirm_infeasible=True)
+    if verdict.infeasible and proves_infeasible(verdict.multipliers, J, h):
+        return ImpliedEqualities(MPQPStatus.INFEASIBLE)
+    if qp.far > FAR_OPTIMUM:
+        return ImpliedEqualities(MPQPStatus.INACCURATE)
     tight = np.arange(len(h))
     points: list[Array] = []
     while len(tight):
-        program = _most_slack(J, h, tight, deadline)
+        program = _most_slack(J, h, tight, nt, deadline)
         if program.status == INFEASIBLE and not points:
             return ImpliedEqualities(MPQPStatus.INFEASIBLE)
-        if program.status != 0:
-            late = time.perf_counter() > deadline
-            return ImpliedEqualities(MPQPStatus.TIME_LIMIT if late else MPQPStatus.INACCURATE)
+        if program.status != SOLVED:
+            return _unsettled(deadline)
         point = program.x[: J.shape[1]]
         points.append(point)
         slack = h - J @ point
         loose = slack[tight] > IMPLIED_EQUALITY
         if not loose.any() and slack[tight].sum() > IMPLIED_EQUALITY:  # together they have some: which one has?
-            own = [_most_slack(J, h, np.array([i]), deadline) for i in tight]
-            loose = np.array([program.status == 0 and -program.fun > IMPLIED_EQUALITY for program in own])
+            own = [_most_slack(J, h, np.array([i]), nt, deadline) for i in tight]
+            if any(program.status != SOLVED for program in own):
+                return _unsettled(deadline)
+            loose = np.array([-program.fun > IMPLIED_EQUALITY for program in own])
         if not loose.any():
             break
         tight = tight[~loose]
     rows = tight[tight < len(qp.M)]
     if _leave_freedom(qp.M[rows], float(slack[tight].max(initial=0.0))):
         return ImpliedEqualities(MPQPStatus.INACCURATE)
-    points += _deepest(J, h, tight, qp.D.shape[1] - 1, deadline)
-    parameters = np.array([point[: qp.D.shape[1] - 1] for point in points])
+    points += _deepest(J, h, tight, nt, deadline)
+    parameters = np.array([point[:nt] for point in points])
     return ImpliedEqualities(MPQPStatus.COMPLETE, rows, len(rows) < len(tight), parameters)
+
+
+def _unsettled(deadline: float) -> ImpliedEqualities:
+    """What a program that did not end leaves: the time limit, or nothing that can be said."""
+    late = time.perf_counter() > deadline
+    return ImpliedEqualities(MPQPStatus.TIME_LIMIT if late else MPQPStatus.INACCURATE)
 
 
 def _leave_freedom(rows: Array, slack: float) -> bool:
@@ -91,27 +107,29 @@ def _leave_freedom(rows: Array, slack: float) -> bool:
     return slack > LAW_ERROR * float(sizes[sizes > ZERO_ROW * sizes[0]].min())
 
 
-def _most_slack(J: Array, h: Array, counted: Ints, deadline: float) -> Any:
-    """The point of {x : J x <= h} where the counted rows have the most slack together, each up to a tenth."""
+def _most_slack(J: Array, h: Array, counted: Ints, nt: int, deadline: float) -> Any:
+    """The point (t, v) of {x : J x <= h} where the counted rows have the most slack together, each up to a tenth."""
     rows, columns = J.shape
     slack = np.zeros((rows, len(counted)))
     slack[counted, np.arange(len(counted))] = 1.0
     cost = np.concatenate([np.zeros(columns), -np.ones(len(counted))])
-    limits = [(None, None)] * columns + [(0.0, 0.1)] * len(counted)
+    limits = [*_sizes(nt, columns), *[(0.0, 0.1)] * len(counted)]
     return solve_exactly(cost, np.hstack([J, slack]), h, limits, deadline)
 
 
 def _deepest(J: Array, h: Array, tight: Ints, nt: int, deadline: float) -> list[Array]:
-    """The point (t, v) in {x : J x <= h} with the largest least slack, up to one, in the rows not tight; or none.
-
-    With variables that are not EXCLUDED times the bounds: those with the most slack may be.
-    """
+    """The point (t, v) in {x : J x <= h} with the largest least slack, up to one, in the rows not tight; or none."""
     loose = np.ones((len(J), 1))
     loose[tight] = 0.0
     cost = np.append(np.zeros(J.shape[1]), -1.0)
-    limits = [(None, None)] * nt + [(-EXCLUDED, EXCLUDED)] * (J.shape[1] - nt) + [(0.0, 1.0)]
+    limits = [*_sizes(nt, J.shape[1]), (0.0, 1.0)]
     program = solve_exactly(cost, np.hstack([J, loose]), h, limits, deadline)
-    return [program.x[:-1]] if program.status == 0 else []
+    return [program.x[:-1]] if program.status == SOLVED else []
+
+
+def _sizes(nt: int, columns: int) -> list[tuple[float | None, float | None]]:
+    """Limits of (t, v): v that are EXCLUDED times the bounds count as infeasible; without any HiGHS may not end."""
+    return [(None, None)] * nt + [(-EXCLUDED, EXCLUDED)] * (columns - nt)
 
 
 def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...]) -> ScaledQP:

@@ -1,4 +1,4 @@
-"""Linear programs of the exploration: with the least tolerances that HiGHS allows, and in time."""
+"""Linear programs of the exploration, with the least tolerances that HiGHS allows, and proofs of infeasibility."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from scipy.optimize import linprog
 
 from mpc.checks import Array
-from mpc.tolerances import LP_FEASIBLE
+from mpc.tolerances import EXCLUDED, LP_FEASIBLE
 
-INFEASIBLE, UNBOUNDED = 2, 3  # what `status` says beside 0, solved
+SOLVED, INFEASIBLE, UNBOUNDED = 0, 2, 3  # what `status` says
 _EXACTLY = {"primal_feasibility_tolerance": LP_FEASIBLE, "dual_feasibility_tolerance": LP_FEASIBLE}
 
 
@@ -25,6 +25,13 @@ def solve_exactly(cost: Array, rows: Array, right: Array, limits: Any, deadline:
     if np.isfinite(deadline):
         options["time_limit"] = max(deadline - time.perf_counter(), 0.0)
     program = linprog(cost, A_ub=rows, b_ub=right, bounds=limits, method="highs", options=options)
-    if program.status in (0, INFEASIBLE, UNBOUNDED) or time.perf_counter() > deadline:
+    left = deadline - time.perf_counter()
+    if program.status in (SOLVED, INFEASIBLE, UNBOUNDED) or left <= 0:
         return program
-    return linprog(cost, A_ub=rows, b_ub=right, bounds=limits, method="highs")
+    coarse = {"time_limit": left} if np.isfinite(left) else {}
+    return linprog(cost, A_ub=rows, b_ub=right, bounds=limits, method="highs", options=coarse)
+
+
+def proves_infeasible(y: Array, rows: Array, right: Array) -> bool:
+    """Whether multipliers prove that no x holds rows x <= right, unless it is EXCLUDED times the bounds (Farkas)."""
+    return bool((y >= 0).all() and y @ right < -EXCLUDED * np.abs(y @ rows).sum())

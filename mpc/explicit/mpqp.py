@@ -24,11 +24,9 @@ from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP, scale_parameters, scale_qp
 from mpc.parametric_qp import ParametricQP
-from mpc.tolerances import FAR_OPTIMUM, THIN
+from mpc.tolerances import THIN
 
 __all__ = ["MPQPStatus", "Partition", "solve_mpqp"]
-
-_SETTLED = (MPQPStatus.COMPLETE, MPQPStatus.INFEASIBLE)
 
 
 def solve_mpqp(
@@ -63,8 +61,8 @@ def solve_mpqp(
     -------
     Partition
         Its status says whether it is complete. Regions in which the law fails its check are left out: INACCURATE,
-        as where a feasible parameter was met that lies in no region (`uncovered` counts them), or where the
-        unconstrained optimum is so far from the bounds that rounding decides.
+        as where a feasible parameter was met that lies in no region (`uncovered` counts them), or where rounding
+        decides whether there is a feasible one.
 
     Raises
     ------
@@ -94,8 +92,6 @@ def solve_mpqp(
         qp = eliminate(qp, always, problem.labels)
     explore = _explorer(compiled)
     found = explore(qp, limits)
-    if found.status in _SETTLED and qp.far > FAR_OPTIMUM:
-        found = found._replace(status=MPQPStatus.INACCURATE)
     if found.status is MPQPStatus.INFEASIBLE:
         implied = implied_equalities(qp, limits.deadline)
         reduced = _without(implied, qp, problem)

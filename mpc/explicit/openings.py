@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
-from mpc.explicit.linear_programs import solve_exactly
+from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, solve_exactly
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import CROSSING, EXCLUDED, KKT, LAW_ERROR, OPTIMAL_SET, PARALLEL, TIE
 
@@ -64,7 +64,7 @@ class OnlineQP:
         bounds = self.qp.D @ np.append(t, 1.0)
         result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
         y = result.multipliers
-        if result.infeasible and self._is_proof(y, bounds):
+        if result.infeasible and proves_infeasible(y, self.qp.M, bounds):
             return Opening([], feasible=False)
         if result.infeasible or not result.residuals.primal <= KKT:
             return Opening([], self._has_room(bounds))
@@ -79,10 +79,6 @@ class OnlineQP:
         share = nnls(np.ascontiguousarray(self.qp.M[near].T), -v)[0]
         return tuple(int(i) for i in near[share > 0])
 
-    def _is_proof(self, y: Array, bounds: Array) -> bool:
-        """Whether multipliers prove that no v holds the rows, unless it is EXCLUDED times the bounds (Farkas)."""
-        return bool((y >= 0).all() and y @ bounds < -EXCLUDED * np.abs(y @ self.qp.M).sum())
-
     def _has_room(self, bounds: Array) -> bool:
         """Whether a point holds every row, found with bounds a little tighter: no tolerance makes it feasible."""
         room = TIE * (1.0 + np.abs(bounds))
@@ -90,9 +86,14 @@ class OnlineQP:
         return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room)
 
     def _linear_program_finds_room(self, bounds: Array, room: Array) -> bool:
-        """The same asked of HiGHS, for v that are not too large: of nearly opposite rows a QP solver finds no point."""
+        """The same asked of HiGHS, for v that are not too large: of nearly opposite rows a QP solver finds no point.
+
+        Where HiGHS does not end, nobody can tell, and the parameter counts.
+        """
         cost = np.append(self.free, -1.0)
         rows = np.hstack([self.qp.M, room[:, None] / TIE])
         limits = [(-EXCLUDED, EXCLUDED)] * len(self.free) + [(None, 1.0)]
         program = solve_exactly(cost, rows, bounds, limits)
-        return program.status == 0 and bool((bounds - self.qp.M @ program.x[:-1] >= room).all())
+        if program.status != SOLVED:
+            return bool(program.status != INFEASIBLE)
+        return bool((bounds - self.qp.M @ program.x[:-1] >= room).all())

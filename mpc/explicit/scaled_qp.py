@@ -68,7 +68,7 @@ class ScaledQP:
     centre, half : (nt,) array
         θ = centre + half * t.
     far : float
-        Distance of the unconstrained optimum v = 0 from the bounds, in units of what they leave between them.
+        Distance of the unconstrained optimum v = 0 from the bounds, in units of their own sizes.
     """
 
     M: Array
@@ -130,7 +130,7 @@ def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
     M = M[origin] / length[origin, None]
     D = D[origin] / length[origin, None]
     unit = _unit_of(D)
-    far = unit / _unit_of(right[origin] / length[origin, None])
+    far = unit / _typical(np.abs(right[origin]).sum(axis=1) / length[origin])
     D = D / unit
     gram = M @ M.T
     kept = _without_duplicates(M, D, gram)
@@ -189,6 +189,12 @@ def _unit_of(D: Array) -> float:
     change = np.sort(np.abs(D[:, :-1]).sum(axis=1))[len(D) // 2]
     nearest = float(np.abs(D).sum(axis=1).min())
     return max(float(change), nearest) or 1.0
+
+
+def _typical(sizes: Array) -> float:
+    """The middle one of the sizes that are not zero."""
+    positive = sizes[sizes > 0]
+    return float(np.median(positive)) if len(positive) else 1.0
 
 
 def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:

@@ -130,6 +130,19 @@ def test_what_cannot_be_translated_is_called_and_says_so():
     assert torch.allclose(of_p, (x / (1 + 3 * z**2)).sum().detach())
 
 
+def test_an_integrator_with_arguments_of_no_entries_is_called():
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    integrator = ca.integrator("I", "cvodes", {"x": x, "u": u, "ode": ca.vertcat(x[1], u - x[0])}, 0, 0.1)
+    with pytest.warns(UserWarning, match="evaluates I point by point"):
+        f = to_torch(integrator)
+    shapes = [integrator.size_in(i) for i in range(integrator.n_in())]
+    arguments = [torch.zeros(*(size[:1] if size[1] == 1 else size), dtype=torch.float64) for size in shapes]
+    arguments[0] = torch.tensor([[1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
+    end = f(*arguments)[0]
+    turned = torch.tensor([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]], dtype=torch.float64)
+    assert torch.allclose(end, turned, atol=1e-6)
+
+
 def test_a_translated_function_is_silent_and_copies():
     f = random_function(0)
     with warnings.catch_warnings():
