@@ -7,6 +7,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.fft import next_fast_len
 from scipy.special import ndtri
 
 from ccdtools.arrays import Array
@@ -20,12 +21,15 @@ MOST_BLOCKS = 20  # of twelve runs or more
 MANY_RUNS = 12
 FEWEST_RUNS = 2  # of a block
 LAGS = 30  # steps between two errors at which a correlation is looked for
-SLIGHT = 0.03  # correlation at one lag that counts, beyond `SURE` standard errors,
-SLIGHT_SURE = 2.5  # and standard errors of the variance of sums: it adds up what is small at every lag
-PLAIN = 0.1  # correlation at one lag that is never recombined, beyond `SURE` standard errors,
-PLAIN_SUMS = 0.5  # and relative change of the variance of sums
-SURE = 4.0
-ROUNDING = 1e-9  # of the largest |x|: an error below it is none
+FALSE_ALARM = 0.1  # of logs without any dependence that are said to have one, over all that is looked at together,
+SUMS = 0.6  # of it by sums of the errors themselves, which add up what is small at every lag,
+LOOKS = 0.2  # and each by all other sums, and by single lags
+SLIGHT = 0.03  # correlation at one lag that counts, beyond chance
+PLAIN = 0.1  # correlation at one lag that is never recombined, beyond chance,
+PLAIN_SUMS = 0.5  # and relative change of the variance of sums,
+PLAIN_ALARM = 1e-3  # which is said of so many logs without any dependence
+ROUNDING = 1e-9  # of the largest |x|: errors that differ by less among the runs tell nothing
+NUMBERS_AT_ONCE = 4_000_000  # of spectra that are in memory
 
 
 class Dependence(Enum):
@@ -39,25 +43,32 @@ class Dependence(Enum):
 def dependence(errors: Array, states: Array) -> Dependence:
     """How far errors (n, T, nx) depend on each other in time, along runs with `states` (n, T, nx).
 
-    Looked at are the correlations at up to 30 lags, and the variance of sums over 2, 4, 8 … steps and over whole runs.
-    Of every step the errors are replaced by the normal scores of their ranks among the runs: neither a loud start nor
-    one spike of any size can hide what all the others show, and no unit matters. Errors that are rounding are none.
+    Looked at are the correlations between all states, and between their sizes |e|, at up to 30 lags, and the
+    covariances of sums over 2, 4, 8 … steps and over whole runs. Of every step the errors are replaced by the normal
+    scores of their ranks among the runs: neither a loud start nor one spike of any size can hide what all the others
+    show, and no unit matters. Errors that are the same in all runs, or up to rounding, are left out step by step.
     """
-    scores = _scores(errors[:, :, _seen(errors, states)])
-    if scores.shape[2] == 0 or scores.shape[1] < 3 or scores.shape[0] < 3:
+    runs, steps, nx = errors.shape
+    if steps < 3 or runs < 3:
         return Dependence.NONE
-    lags, chance = _lags(scores)
-    sums, sums_chance = _sums(scores)
-    if (lags > np.maximum(PLAIN, SURE * chance)).any() or (sums > np.maximum(PLAIN_SUMS, SURE * sums_chance)).any():
-        return Dependence.PLAIN
-    if (lags > np.maximum(SLIGHT, SURE * chance)).any() or (sums > SLIGHT_SURE * sums_chance).any():
-        return Dependence.SLIGHT
+    seen = np.tile(np.ptp(errors, axis=0) > ROUNDING * np.abs(states).max(axis=(0, 1)), 2)
+    sizes = np.abs(errors - np.median(errors, axis=0))
+    scores = seen * _scores(np.concatenate([errors, sizes], axis=2))
+    if not seen.any():
+        return Dependence.NONE
+    found, chance = _correlations(scores, seen)
+    lags = np.abs(found[1 : LAGS + 1]), chance[1 : LAGS + 1]
+    sums = _sums(found, chance)
+    own = np.arange(2 * nx) < nx
+    itself = own[:, None] & own
+    for verdict, alarm, lag, total in (
+        (Dependence.PLAIN, PLAIN_ALARM, PLAIN, PLAIN_SUMS),
+        (Dependence.SLIGHT, FALSE_ALARM, SLIGHT, 0.0),
+    ):
+        if (_beyond(*lags, lag, LOOKS * alarm) or _beyond(*(v[:, itself] for v in sums), total, SUMS * alarm)
+                or _beyond(*(v[:, ~itself] for v in sums), total, LOOKS * alarm)):  # fmt: skip
+            return verdict
     return Dependence.NONE
-
-
-def _seen(errors: Array, states: Array) -> NDArray[np.bool_]:
-    """The states (nx,) whose errors are more than rounding."""
-    return np.abs(errors).max(axis=(0, 1)) > ROUNDING * np.abs(states).max(axis=(0, 1))
 
 
 def _scores(errors: Array) -> Array:
@@ -67,25 +78,52 @@ def _scores(errors: Array) -> Array:
     return (scores - scores.mean(axis=0)) / np.where(size > 0, size, 1.0)
 
 
-def _lags(scores: Array) -> tuple[Array, Array]:
-    """The largest correlation of any state at every lag, without its sign, and its standard error by chance."""
-    runs, steps, _ = scores.shape
-    lags = np.arange(1, min(LAGS, steps - 1) + 1)
-    found = np.array([np.abs((scores[:, k:] * scores[:, :-k]).mean(axis=(0, 1))).max() for k in lags])
-    return found, 1 / np.sqrt(runs * (steps - lags))
+def _correlations(scores: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Correlations (T, ·, ·) of scores k steps later with scores, over what is seen, and their errors by chance.
 
-
-def _sums(scores: Array) -> tuple[Array, Array]:
-    """The largest relative change, of any state, of the variance of sums over some lengths, and its standard error.
-
-    A sum over L steps holds the correlation at lag k with the weight 2 (1 − k/L); near L = T there are few sums.
+    Under independence products of scores have variance one and no correlation, whatever that of the states at one step.
+    The error is infinite where nothing is seen k steps apart.
     """
-    runs, steps, _ = scores.shape
+    pairs = np.round(_lagged(seen[None].astype(float)))
+    count = np.where(pairs > 0, pairs, np.inf)
+    return _lagged(scores) / (len(scores) * count), np.where(pairs > 0, 1 / np.sqrt((len(scores) - 1) * count), np.inf)
+
+
+def _lagged(values: Array) -> Array:
+    """Sums (T, ·, ·) over runs (n, T, ·) and steps of the values k steps later times the values."""
+    runs, steps, several = values.shape
+    length = next_fast_len(2 * steps, real=True)
+    spectrum = np.zeros((length // 2 + 1, several, several), dtype=complex)
+    at_once = max(NUMBERS_AT_ONCE // (length * several), 1)
+    for begun in range(0, runs, at_once):
+        waves = np.fft.rfft(values[begun : begun + at_once], length, axis=1).transpose(1, 2, 0)
+        spectrum += waves @ waves.conj().transpose(0, 2, 1)
+    lagged: Array = np.fft.irfft(spectrum, length, axis=0)[:steps]
+    return lagged
+
+
+def _sums(found: Array, chance: Array) -> tuple[Array, Array]:
+    """Changes (lengths, ·, ·) of the covariances of sums over some lengths against no dependence, without their sign.
+
+    A sum over L steps holds the correlations at lag k with the weight 1 − k/L, those of either state with the other
+    later. With them come their errors by chance: that of both together depends on the correlation at one step.
+    """
+    steps = len(found)
     lengths = np.unique([*(2 ** np.arange(1, int(np.log2(steps)) + 1)), steps])
-    total = np.cumsum(np.pad(scores, ((0, 0), (1, 0), (0, 0))), axis=1)
-    found = [np.abs(np.square(total[:, k:] - total[:, :-k]).mean(axis=(0, 1)) / k - 1).max() for k in lengths]
-    weights = (lengths - 1) * (2 * lengths - 1) / (1.5 * lengths)
-    return np.array(found), np.sqrt(weights / (runs * steps) * (1 + lengths / (2 * steps)))
+    weights = np.maximum(1 - np.arange(steps) / lengths[:, None], 0)
+    weights[:, 0] = 0
+    both = found + found.transpose(0, 2, 1)
+    known = np.isfinite(chance)
+    variance = np.where(known, chance, 0.0) ** 2
+    spread = (variance + variance.transpose(0, 2, 1)) * (1 + found[0] ** 2)
+    change, error = (np.tensordot(w, v, 1) for w, v in ((weights, both), (weights**2, spread)))
+    return np.abs(change), np.where(error > 0, np.sqrt(error), np.inf)
+
+
+def _beyond(found: Array, chance: Array, least: float, alarm: float) -> bool:
+    """Whether any of what was found is more than `least` and more than chance, by so many false alarms of them all."""
+    sure = -ndtri(alarm / (2 * max(np.isfinite(chance).sum(), 1)))
+    return bool((found > np.maximum(least, sure * chance)).any())
 
 
 def dealt(numbers: Indices) -> Indices | None:

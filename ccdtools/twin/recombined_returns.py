@@ -63,7 +63,7 @@ class LoggedGain:
     gain : PairedDifference
         Its return less that of what is in service, over the runs that neither loses.
     size : float
-        Mean return of what is in service, without its sign.
+        Mean return of what is in service, without its sign; zero where no run is kept.
     more_lost : bool
         Whether more of its runs diverge.
     """
@@ -132,8 +132,9 @@ def recombined_gain(
 
     The gain of a block is half that of the runs recombined in it and half that of its logged runs: what a dependence in
     time that is too weak to be seen does to the recombined ones counts half. The interval is of the means of the
-    blocks, however many runs were recombined. Of many runs one or two more are lost by chance: they count
-    if the share differs beyond chance between the blocks, or by more than one of the logged number of runs.
+    blocks, however many runs were recombined. More of the logged runs must not be lost. Of many recombined runs one or
+    two more are lost by chance: they count if the share differs beyond chance between the blocks, or by more than one
+    of the logged number of runs.
 
     Parameters
     ----------
@@ -150,8 +151,9 @@ def recombined_gain(
     made, met = (np.subtract(*one.means()) for one in (found, logged))
     gain = over_blocks(np.where(logged.kept > 0, RECOMBINED * made + (1 - RECOMBINED) * met, made), found.kept)
     lost = over_blocks(np.subtract(*found.lost_shares()), found.runs)
-    own = found.returns[1].sum() / found.kept.sum() if found.kept.any() else np.nan
-    return LoggedGain(gain, abs(float(own)), bool(lost.ci95[0] > 0 or lost.mean > 1 / len(blocks)))
+    own = found.returns[1].sum() / found.kept.sum() if found.kept.any() else 0.0
+    more_lost = logged.lost[0].sum() > logged.lost[1].sum() or lost.ci95[0] > 0 or lost.mean > 1 / len(blocks)
+    return LoggedGain(gain, abs(float(own)), bool(more_lost))
 
 
 def over_blocks(values: Array, weights: Array) -> PairedDifference:

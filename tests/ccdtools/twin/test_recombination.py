@@ -114,6 +114,73 @@ def test_errors_that_are_rounding_are_none():
     assert dependence(np.zeros_like(errors), np.ones_like(errors)) is Dependence.NONE
 
 
+def bursts(runs, rng):
+    """White noise that is loud for ten steps in every fourth run."""
+    size = np.ones((runs, STEPS))
+    for run in np.flatnonzero(rng.random(runs) < 0.25):
+        size[run, (begun := rng.integers(0, STEPS - 10)) : begun + 10] = 5
+    return size * rng.standard_normal((runs, STEPS))
+
+
+@pytest.mark.parametrize("runs", [36, 60, 200])
+def test_errors_of_one_state_that_come_later_in_another_are_plainly_dependent(runs):
+    """Each state alone is white: a road that meets the second wheel later."""
+    rng = np.random.default_rng(13)
+    for later, sign in ((1, 1), (7, -1), (25, 1)):
+        w = rng.standard_normal((runs, STEPS + later))
+        errors = np.stack([w[:, later:], sign * w[:, :-later]], axis=-1)
+        assert all(seen(errors[..., k]) is not Dependence.PLAIN for k in (0, 1))
+        assert dependence(errors, np.ones_like(errors)) is Dependence.PLAIN
+
+
+def test_a_slow_part_that_only_two_states_together_show_is_seen_in_sums():
+    """What the second state holds of the first is so small that no single lag and no state alone shows it."""
+    rng = np.random.default_rng(14)
+    both, alone = [], []
+    for _ in range(4):
+        w = rng.standard_normal((1000, STEPS + 40))
+        slow = lfilter(np.ones(40), [1], w[:, :-1], axis=1)[:, 39:]
+        errors = np.stack([w[:, 40:], 0.007 * slow + rng.standard_normal((1000, STEPS))], axis=-1)
+        both.append(dependence(errors, np.ones_like(errors)) is not Dependence.NONE)
+        alone.append(seen(errors[..., 1]) is not Dependence.NONE)
+    assert all(both)
+    assert sum(alone) <= 2
+
+
+@pytest.mark.parametrize("runs", [36, 60, 200])
+def test_errors_that_are_loud_together_are_dependent_however_white_their_signs(runs):
+    rng = np.random.default_rng(15)
+    found = [seen(bursts(runs, rng)) for _ in range(10)]
+    assert sum(one is Dependence.NONE for one in found) <= (2 if runs == 36 else 0)
+    by_run = np.exp(rng.standard_normal((runs, 1))) * rng.standard_normal((runs, STEPS))
+    assert seen(by_run) is Dependence.PLAIN
+
+
+def test_independent_errors_pass_as_often_however_many_states_they_have():
+    """In at least nine of ten logs, less two and a half standard errors of 80."""
+    rng = np.random.default_rng(16)
+    mixed = np.array([[1.0, 0.9], [0.0, np.sqrt(0.19)]])
+    for states in (1, 2, 4, 8):
+        passed = [dependence(rng.standard_normal((60, STEPS, states)), np.ones((60, STEPS, states)))
+                  for _ in range(80)]  # fmt: skip
+        assert sum(one is Dependence.NONE for one in passed) >= 65, states
+    passed = [dependence(rng.standard_normal((60, STEPS, 2)) @ mixed, np.ones((60, STEPS, 2))) for _ in range(80)]
+    assert sum(one is Dependence.NONE for one in passed) >= 65
+
+
+def test_errors_that_are_the_same_in_all_runs_change_nothing():
+    rng = np.random.default_rng(17)
+    for e in (rng.standard_normal((60, STEPS)), coloured(60, 0.3, rng), coloured(60, 0.9, rng, share=0.02)):
+        x = np.cumsum(e, axis=1)
+        bias = np.stack([np.full_like(e, 0.1), (x + 0.1) - x, np.tile(e[:1], (60, 1))], axis=-1)
+        errors, states = np.concatenate([e[..., None], bias], axis=-1), np.repeat(x[..., None], 4, axis=-1)
+        assert dependence(bias, states[..., 1:]) is Dependence.NONE
+        assert dependence(errors, states) is dependence(e[..., None], x[..., None])
+    late = np.where(np.arange(STEPS) < 55, 0.3, rng.standard_normal((60, STEPS)))
+    assert seen(late) is Dependence.NONE
+    assert seen(np.where(np.arange(STEPS) < 55, 0.3, coloured(60, 0.3, rng))) is Dependence.PLAIN
+
+
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_units_do_not_matter(unit):
     rng = np.random.default_rng(4)
@@ -319,6 +386,24 @@ def test_one_or_two_lost_runs_among_many_are_chance_and_a_share_is_not():
                            np.random.default_rng(0))  # fmt: skip
     assert none.more_lost
     assert np.isnan(none.gain.mean)
+
+
+def test_a_candidate_that_loses_logged_runs_has_more_lost_whatever_becomes_of_recombined_ones():
+    e = np.random.default_rng(1).standard_normal((60, STEPS))
+    logged = {run.tobytes() for run in e[:6]}
+
+    def drive(x0, w):
+        """Return the runs of a candidate that only these six logged runs throw off."""
+        run = loop(0.8)(x0, w)
+        lost = np.array([one.tobytes() in logged for one in w[..., 0]])
+        return replace(run, diverged_at=np.where(lost, 50, -1)), loop(0.95)(x0, w)
+
+    found = recombined_gain(Replay([log_of(e, independent=True)]), drive, COST, 4000, np.random.default_rng(0))
+    assert found.gain.ci95[0] > 0
+    assert found.more_lost
+    turned = lambda x0, w: drive(x0, w)[::-1]  # noqa: E731
+    assert not recombined_gain(Replay([log_of(e, independent=True)]), turned, COST, 4000,
+                               np.random.default_rng(0)).more_lost  # fmt: skip
 
 
 def test_equal_blocks_have_students_interval_and_empty_ones_count_for_nothing():
