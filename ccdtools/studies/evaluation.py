@@ -27,6 +27,7 @@ from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import MINIMUM_LOG, Study
 from ccdtools.studies.warm_up import warm_up
+from ccdtools.twin.common_runs import groups, is_common
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import Residuals
@@ -163,11 +164,10 @@ class Evaluation:
     def _whole_runs(self, plant: Any, replay: Replay) -> tuple[Scenario, NDArray[np.int64]]:
         """At most `model_runs` whole runs of a replay as a scenario, with their groups."""
         x0, w = replay.whole()
-        groups = _groups(replay.logs, self.study.real.runs)
         chosen = np.arange(len(x0))
         if len(x0) > self.config.model_runs:
             chosen = self.rng("replayed runs").permutation(len(x0))[: self.config.model_runs]
-        return Scenario(plant, x0[chosen], w[chosen]), groups[chosen]
+        return Scenario(plant, x0[chosen], w[chosen]), groups(replay.logs)[chosen]
 
     def nominal_deployment(self) -> Scenario:
         """What the nominal model expects of a deployment, of many runs: a promise should not be wrong by chance."""
@@ -187,7 +187,7 @@ class Evaluation:
         if runs == 1:
             return common
         w = self.recorded(runs, f"deployment-{generation}")
-        return np.where((np.arange(runs) % 2 == 0)[:, None, None], common, w)
+        return np.where(is_common(np.arange(runs))[:, None, None], common, w)
 
     def on_updated(self, discrepancy: Discrepancy, *, noise: str) -> Scenario:
         """From x0 on the model updated by a discrepancy."""
@@ -334,19 +334,6 @@ class Evaluation:
                 low, high = np.percentile(kept, [2.5, 97.5], axis=0)
                 bands[f"{name}_{kind}"] = np.stack([low, kept.mean(axis=0), high])
         return bands
-
-
-def common_runs(runs: int) -> slice:
-    """The runs of a deployment that meet the same disturbances in every generation."""
-    return slice(None, None, 2 if runs > 1 else 1)
-
-
-def _groups(logs: Sequence[Residuals], runs: int) -> NDArray[np.int64]:
-    """The group of every run of logs: its number where it met the same disturbance in all of them, else its own."""
-    common = np.arange(runs)[common_runs(runs)]
-    groups = [np.where(np.isin(log.numbers, common), log.numbers, (k + 1) * runs + log.numbers)
-              for k, log in enumerate(logs)]  # fmt: skip
-    return np.concatenate(groups)
 
 
 def model_name(logs: Sequence[Residuals]) -> str:

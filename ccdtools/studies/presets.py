@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from ccdtools.checks import as_choice, as_positive
+from ccdtools.checks import as_choice, as_flag, as_positive
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.studies.options import EXPERTS, PRESETS, SETS
 from ccdtools.studies.study import Study
@@ -72,6 +72,9 @@ class StudyConfig:
     redesign: CoDesignConfig = field(default_factory=lambda: CoDesignConfig(iterations=200, policy_rate=3e-4))
     online: OnlineConfig = field(default_factory=OnlineConfig)
     quantile: QuantileConfig = field(default_factory=QuantileConfig)
+
+    def __post_init__(self) -> None:
+        as_flag("recombine", self.recombine)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from ccdtools.arrays import Array
 from ccdtools.plants.design_space import SAME_DESIGN, DesignSpace
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
+from ccdtools.statistics import PairedDifference, Summary, summarise_returns
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
 from ccdtools.studies.report.formatting import percent_interval
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.common_runs import paired_over_groups
 from ccdtools.twin.recombined_returns import LoggedGain, recombined_gain
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
@@ -151,7 +152,7 @@ def judge_redesign(
     nominal = evaluation.on_model(())
     nominal_before, nominal_after = (_mean_return(evaluation, choice, nominal) for choice in (current, candidate))
     part = logs[-1].steps / nominal.steps
-    size = max(s for s in (abs(nominal_before) * part, found.size) if np.isfinite(s))
+    size = float(np.nan_to_num(np.fmax(abs(nominal_before) * part, found.size)))
     moved = _moved(evaluation, candidate, current)
     price = evaluation.study.price if moved else _price_of_a_policy(evaluation.study.price, size, part)
     needed = price.of(size, part)
@@ -170,7 +171,7 @@ def _gain_on_logs(
     replay = evaluation.replay(logs)
     objective = evaluation.study.objective
     count = evaluation.config.model_runs
-    if replay.recombines(count):
+    if replay.recombines:
         model = evaluation.split.replayed_model
 
         def drive(x0: Array, w: Array) -> tuple[Trajectory, Trajectory]:
@@ -257,16 +258,8 @@ def _clustered(
     """Mean difference of the returns, over groups of runs that met the same disturbance; of one, that of its series."""
     kept = ~(after.diverged | before.diverged)
     objective = evaluation.study.objective
-    rewards = (_grouped(run.rewards(objective)[kept], labels[kept]) for run in (after, before))
-    return paired_returns(*rewards, runs=evaluation.study.real.runs)
-
-
-def _grouped(rewards: Array, labels: NDArray[np.int64]) -> Array:
-    """Mean rewards (groups, T) of the runs (n, T) with the same label."""
-    _, group, sizes = np.unique(labels, return_inverse=True, return_counts=True)
-    means = np.zeros((len(sizes), rewards.shape[1]))
-    np.add.at(means, group, rewards / sizes[group, None])
-    return means
+    made, met = (run.rewards(objective)[kept] for run in (after, before))
+    return paired_over_groups(made, met, labels[kept], runs=evaluation.study.real.runs)
 
 
 def _run(evaluation: Evaluation, choice: InService, scenario: Scenario) -> Trajectory:

@@ -12,9 +12,9 @@ from scipy import stats
 
 from ccdtools.arrays import Array
 from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, paired_returns, summarise_returns
-from ccdtools.studies.evaluation import common_runs
 from ccdtools.studies.redesign import InService
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.common_runs import common_runs
 
 FALSE_ALARM = 0.002  # chance that a judge who is right is called wrong in one generation: one per cent in five
 FEWEST_DEGREES = 2  # of freedom in the interval of a single run

@@ -106,13 +106,13 @@ class LoopStages:
         region = within(problem, current.design, trust.radius) if limited else problem
         window, before = self.evaluation.training_episode(twin.logs, region.design)
         judge = replay_problem(problem, twin.logs, window, warm_up=before)
-        independent = all(log.independent for log in twin.logs)
-        training = judge if independent else updated_problem(problem, twin, window, warm_up=before)
+        recombines = self.evaluation.replay(twin.logs).recombines
+        training = judge if recombines else updated_problem(problem, twin, window, warm_up=before)
         if limited:  # only now: a log may be from outside the region
             training, judge = (within(one, current.design, trust.radius) for one in (training, judge))
         result = codesign(
             training, agent=current.agent, design=current.design, rng=rng, method=config.method,
-            config=_of_many_runs(config.redesign) if independent else config.redesign, judge=judge,
+            config=_of_many_runs(config.redesign) if recombines else config.redesign, judge=judge,
             progress=self.progress,
         )  # fmt: skip
         result = in_whole_box(result, region.design, problem.design)
@@ -189,12 +189,13 @@ class LoopStages:
         """The policy on the real plant, updated on the way; the log, and whether it stays in service."""
         real = self.evaluation.study.real
         evaluation = self.evaluation
+        online = evaluation.config.online
         current = InService(found.networks["agent"], found.arrays["design"])
         deployment = deploy_and_update(
             evaluation.problem, real.plant, current.agent, current.design, x0=np.tile(real.x0, (real.runs, 1)),
             disturbance=evaluation.deployment(generation), rng=rng,
             config=replace(
-                evaluation.config.online, window=evaluation.window, recombine=evaluation.config.recombine
+                online, window=evaluation.window, recombine=evaluation.config.recombine and online.recombine
             ),
             progress=self.progress, admissible=evaluation.admissible(current.design),
             former=[one for one in known if one.independent],

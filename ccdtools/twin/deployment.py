@@ -18,9 +18,10 @@ from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.replay import replay_problem
-from ccdtools.twin.residuals import Residuals, residuals
+from ccdtools.twin.residuals import Residuals, check_errors, residuals
 from ccdtools.twin.update_judge import UpdateJudge, served
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
@@ -116,7 +117,9 @@ def deploy_and_update(
         A filter behind the policy in service, see `Filtered`; it is judged with the filter, too.
     former : sequence of Residuals
         Errors along former deployments of several runs, as long as these: candidates, which are not trained on them,
-        are judged on them, too. Each is met through E(p) of this design.
+        are judged on them, too. Each is met through E(p) of this design. Every second run, from the first on, counts
+        as one that met the same disturbance in every deployment: together these are one piece of evidence, and those
+        of a disturbance that a candidate was trained on are left out.
     """
     config = OnlineConfig() if config is None else config
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
@@ -129,6 +132,8 @@ def deploy_and_update(
         as_instance("admissible", admissible, AdmissibleInputs, "an AdmissibleInputs or None")
     if not isinstance(former, list | tuple) or not all(isinstance(log, Residuals) for log in former):
         raise InputError("former", shown(former), "a sequence of Residuals")
+    for k, log in enumerate(former):
+        check_errors(f"former[{k}]", problem.model, log)
     alike = [log for log in former if log.runs > 1 and log.steps == whole.steps and len(whole.x0) > 1]
     return _Service(problem, whole, design, agent, rng, config, admissible, alike).run(progress)
 
@@ -212,12 +217,20 @@ class _Service:
         trained = [replace(log, independent=told.possible) for log in self.train]  # what it finds there is judged
         problem = replay_problem(self.problem, trained, self.config.window)
         candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=training).agent
-        evidence = [*self.former, *self.test]
+        evidence = [replace(log, independent=told.independent and log.independent) for log in self._unseen()]
+        evidence += [replace(log, independent=told.independent) for log in self.test]
         gain, size = self.judge.gain(candidate, self.agent, evidence, self.logs, told)
         accepted = gain.ci95[0] > 0 and gain.mean > config.least * size
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
         self.updates.append(OnlineUpdate(after, gain, accepted))
         self.agent = candidate if accepted else self.agent
+
+
+    def _unseen(self) -> list[Residuals]:
+        """Former runs without those of a disturbance that candidates are trained on."""
+        trained = np.concatenate([log.numbers for log in self.train])
+        kept = [~(is_common(log.numbers) & np.isin(log.numbers, trained)) for log in self.former]
+        return [log.part(own, slice(None)) for log, own in zip(self.former, kept) if own.any()]
 
 
 def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:

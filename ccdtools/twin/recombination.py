@@ -57,17 +57,18 @@ def dependence(errors: Array, states: Array) -> Dependence:
     if not seen.any():
         return Dependence.NONE
     found, chance = _correlations(scores, seen)
-    lags = np.abs(found[1 : LAGS + 1]), chance[1 : LAGS + 1]
-    sums = _sums(found, chance)
+    sums, sums_chance = _sums(found, chance)
     own = np.arange(2 * nx) < nx
-    itself = own[:, None] & own
-    for verdict, alarm, lag, total in (
-        (Dependence.PLAIN, PLAIN_ALARM, PLAIN, PLAIN_SUMS),
-        (Dependence.SLIGHT, FALSE_ALARM, SLIGHT, 0.0),
-    ):
-        if (_beyond(*lags, lag, LOOKS * alarm) or _beyond(*(v[:, itself] for v in sums), total, SUMS * alarm)
-                or _beyond(*(v[:, ~itself] for v in sums), total, LOOKS * alarm)):  # fmt: skip
-            return verdict
+    itself = np.outer(own, own)
+    looks = (
+        (np.abs(found[1 : LAGS + 1]), chance[1 : LAGS + 1], LOOKS, SLIGHT, PLAIN),
+        (sums[:, itself], sums_chance[:, itself], SUMS, 0.0, PLAIN_SUMS),
+        (sums[:, ~itself], sums_chance[:, ~itself], LOOKS, 0.0, PLAIN_SUMS),
+    )
+    if any(_beyond(value, error, plain, share * PLAIN_ALARM) for value, error, share, _, plain in looks):
+        return Dependence.PLAIN
+    if any(_beyond(value, error, slight, share * FALSE_ALARM) for value, error, share, slight, _ in looks):
+        return Dependence.SLIGHT
     return Dependence.NONE
 
 

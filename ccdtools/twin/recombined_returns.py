@@ -13,9 +13,10 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.statistics import PairedDifference
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.recombination import Dependence, Indices, dependence
-from ccdtools.twin.replay import FEWEST_ROUNDS, Replay
+from ccdtools.twin.replay import Replay
 
-FEWEST_DECIDED = 36  # logged runs from which on it can be told whether errors depend on each other
+FEWEST_DECIDED = 36  # logged runs from which on it can be told whether errors depend on each other,
+FEWEST_STEPS = 3  # and steps: of two the first stays with its state
 RECOMBINED = 0.5  # share of recombined runs in a gain; the rest is of the logged ones
 ROUNDS = 4  # that every logged error is met in at least, to tell it
 
@@ -36,22 +37,32 @@ class Independence:
         at.
     independent : bool
     possible : bool
-        Whether the log does not speak against it, if not for it either.
+        Whether the log does not speak against it, if not for it either: the errors show a slight dependence, and the
+        mean return is the same within its 95 % interval, if not within a standard error.
+    reason : str
+        Why it is not independent.
     """
 
     dependence: str
     change: PairedDifference
     independent: bool
     possible: bool
+    reason: str = ""
 
     def describe(self) -> str:
         """What becomes of the log in one line."""
         if self.independent:
             return "errors of different steps are taken as independent: runs are recombined step by step"
-        return "runs are replayed as logged"
+        return f"runs are replayed as logged: {self.reason}"
 
 
-NOT_ASKED = Independence("not looked at", PairedDifference(np.nan, (np.nan, np.nan)), False, False)
+TOO_FEW = "the runs are too few or too short to tell whether errors of different steps depend on each other"
+PLAINLY = "errors of different steps depend on each other"
+MOVED = "recombined they move the return of what is in service"
+SLIGHTLY = "errors of different steps may depend on each other, and the return on recombined runs does not deny it"
+NOT_ASKED = Independence(
+    "not looked at", PairedDifference(np.nan, (np.nan, np.nan)), False, False, "recombination is switched off"
+)
 
 
 @dataclass(frozen=True)
@@ -107,12 +118,13 @@ def independence(log_of: Replay, drive: Drive, objective: QuadraticObjective, rn
     """
     runs = sum(log.runs for log in log_of.logs)
     blocks = log_of.blocks()
-    if runs < FEWEST_DECIDED or blocks is None:
-        return NOT_ASKED
+    shortest = min(log.steps for log in log_of.logs)
+    if runs < FEWEST_DECIDED or blocks is None or shortest < FEWEST_STEPS:
+        return replace(NOT_ASKED, reason=TOO_FEW)
     errors, states = (np.concatenate([getattr(log, name) for log in log_of.logs]) for name in ("e_next", "x"))
     found = dependence(errors, states)
     if found is Dependence.PLAIN:
-        return replace(NOT_ASKED, dependence=found.value)
+        return replace(NOT_ASKED, dependence=found.value, reason=PLAINLY)
     logged = _tally([(*log_of.whole(), blocks)], drive, objective, blocks)
     recombined = _tally(log_of.recombined(ROUNDS, rng), drive, objective, blocks)
     both = np.where((logged.kept > 0) & (recombined.kept > 0), logged.kept, 0)
@@ -122,7 +134,8 @@ def independence(log_of: Replay, drive: Drive, objective: QuadraticObjective, rn
     error = half / float(stats.t.ppf(0.975, max((both > 0).sum() - 1, 1)))
     possible = bool(abs(change.mean) <= half and lost.ci95[0] <= 0 <= lost.ci95[1])
     harmless = found is Dependence.NONE or abs(change.mean) <= error
-    return Independence(found.value, change, bool(possible and harmless), possible)
+    reason = MOVED if not possible else "" if harmless else SLIGHTLY
+    return Independence(found.value, change, bool(possible and harmless), possible, reason)
 
 
 def recombined_gain(
@@ -145,8 +158,7 @@ def recombined_gain(
     """
     blocks = replay.blocks()
     assert blocks is not None
-    rounds = max(replay.rounds(count), FEWEST_ROUNDS)
-    found = _tally(replay.recombined(rounds, rng), drive, objective, blocks)
+    found = _tally(replay.recombined(replay.rounds(count), rng), drive, objective, blocks)
     logged = _tally([(*replay.whole(), blocks)], drive, objective, blocks)
     made, met = (np.subtract(*one.means()) for one in (found, logged))
     gain = over_blocks(np.where(logged.kept > 0, RECOMBINED * made + (1 - RECOMBINED) * met, made), found.kept)

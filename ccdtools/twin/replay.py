@@ -31,7 +31,7 @@ class Replay(Immutable):
     split : ErrorSplit, optional
         Of every error into (ŵ, r), for the model that these drive at any design; without it errors are as logged.
 
-    Every step of an episode of an `independent` log is of another run, drawn at the same time.
+    Where runs are recombined, every step of an episode is of another run of its log, drawn at the same time.
     """
 
     logs: Sequence[Residuals]
@@ -64,6 +64,7 @@ class Replay(Immutable):
         as_generator("rng", rng)
         self._require(steps)
         windows = np.array([len(e.x) * max(e.x.shape[1] - steps + 1, 0) for e in self.logs])
+        recombines = self.recombines
         draw = np.sort(rng.integers(0, windows.sum(), runs))
         edges = np.concatenate([[0], np.cumsum(windows)])
         x0 = []
@@ -71,7 +72,7 @@ class Replay(Immutable):
         for errors, entering, first, last in zip(self.logs, self._entering, edges[:-1], edges[1:]):
             chosen = draw[(draw >= first) & (draw < last)] - first
             run, start = np.divmod(chosen, max(errors.x.shape[1] - steps + 1, 1))
-            source = drawn(run, errors.runs, steps, rng) if errors.independent else run[:, None]
+            source = drawn(run, errors.runs, steps, rng) if recombines else run[:, None]
             x0.append(errors.x[run, start])
             w.append(entering[source, start[:, None] + np.arange(steps)])
         return np.concatenate(x0), np.concatenate(w)
@@ -97,13 +98,13 @@ class Replay(Immutable):
         return dealt(np.concatenate([errors.numbers for errors in self.logs]))
 
     def rounds(self, count: int) -> int:
-        """How often every logged error is met in so many recombined runs."""
-        return count // sum(errors.runs for errors in self.logs)
+        """How often every logged error is met in about so many recombined runs, twice at least."""
+        return max(count // sum(errors.runs for errors in self.logs), FEWEST_ROUNDS)
 
-    def recombines(self, count: int) -> bool:
-        """Whether all errors are independent, and so many runs are recombined out of enough that were logged."""
-        independent = all(errors.independent for errors in self.logs)
-        return independent and self.rounds(count) >= FEWEST_ROUNDS and self.blocks() is not None
+    @property
+    def recombines(self) -> bool:
+        """Whether runs are recombined, to train and to judge: all logs are `independent`, and hold enough runs."""
+        return all(errors.independent for errors in self.logs) and self.blocks() is not None
 
     def recombined(self, rounds: int, rng: np.random.Generator) -> Iterator[tuple[Array, Array, Indices]]:
         """First states, errors and blocks of recombined runs, in parts that fit into memory.

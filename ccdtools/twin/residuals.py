@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_floats, as_instance
+from ccdtools.checks import as_floats, as_instance, finite
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.trajectory import Trajectory
@@ -63,8 +64,8 @@ class Residuals(Immutable):
         """Length T of a run."""
         return self.x.shape[1]
 
-    def part(self, runs: slice, steps: slice) -> Residuals:
-        """A stretch of the log."""
+    def part(self, runs: slice | NDArray[np.bool_], steps: slice) -> Residuals:
+        """A stretch of the log, of all or some of its runs."""
         columns = {name: getattr(self, name)[runs, steps] for name in ("e", "x", "u", "e_next")}
         return replace(self, **columns, numbers=self.numbers[runs])
 
@@ -110,6 +111,18 @@ def check_log(model: LinearModel, log: Trajectory) -> None:
         raise InputError("log", f"dt = {log.dt:g} s", f"dt = {model.dt:g} s of the model")
     if model.design is not None:
         model.design.check_one(log.design, argument="log.design")
+
+
+def check_errors(argument: str, model: LinearModel, log: Residuals) -> None:
+    """Raise an `InputError` unless `log` has the states, inputs and design parameters of `model`, and is finite."""
+    sizes = (log.x.shape[2], log.e_next.shape[2], log.u.shape[2])
+    if sizes != (model.nx, model.nx, model.nu):
+        got = f"{sizes[0]} states with {sizes[1]} errors and {sizes[2]} inputs"
+        raise InputError(argument, got, f"{model.nx} states with as many errors and {model.nu} inputs of the model")
+    if model.design is not None:
+        model.design.check_one(log.p, argument=f"{argument}.p")
+    for name in ("x", "u", "e_next"):
+        finite(f"{argument}.{name}", getattr(log, name))
 
 
 def block_parts(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[Residuals]:

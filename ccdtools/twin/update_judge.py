@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import PairedDifference, paired_returns
+from ccdtools.statistics import PairedDifference
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.common_runs import groups, paired_over_groups
 from ccdtools.twin.online import OnlineConfig
 from ccdtools.twin.recombined_returns import (
     NOT_ASKED,
@@ -77,13 +78,16 @@ class UpdateJudge:
         The size is that of its return on the held-out parts or on the nominal model, whichever is larger: errors of
         hardly any size say little. NaN where more of the candidate's runs diverge.
 
+        Held-out runs are recombined where all of them are `independent`. Runs that met the same disturbance, in this
+        and in former deployments, are one piece of evidence.
+
         Where all runs so far may be recombined, the interval reaches down to that of theirs: a dozen held-out runs may
         know nothing of the few that decide, and those that the candidate was trained on would rather flatter it.
         """
         several = self.runs > 1
         parts = held_out if several else _equally_long(held_out)
-        replay = Replay(tuple(replace(log, independent=told.independent) for log in parts), self.split)
-        if several and replay.recombines(self.config.judged):
+        replay = Replay(tuple(parts), self.split)
+        if replay.recombines:
             found = self._recombined_gain(candidate, agent, replay)
         else:
             found = self._logged_gain(candidate, agent, replay)
@@ -117,10 +121,12 @@ class UpdateJudge:
             return LoggedGain(PairedDifference(np.nan, (np.nan, np.nan)), np.nan, True)
         kept = ~(after.diverged | before.diverged)
         rewards = [run.rewards(self.problem.objective)[kept] for run in (after, before)]
+        labels = groups(replay.logs)[chosen][kept]
         if not several:
+            labels = np.zeros(1, dtype=np.int64)
             rewards = [own[:, -self._counted(w.shape[1]) :].reshape(1, -1) for own in rewards]
         size = abs(float(rewards[1].sum(axis=1).mean())) if kept.any() else np.nan
-        return LoggedGain(paired_returns(*rewards, runs=self.runs), size, False)
+        return LoggedGain(paired_over_groups(rewards[0], rewards[1], labels, runs=self.runs), size, False)
 
     def _nominal_size(self, agent: ActorCritic) -> float:
         """Size of a policy's return on the nominal model; NaN where every run diverges, or the model is another."""

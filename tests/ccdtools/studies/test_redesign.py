@@ -5,12 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ccdtools import InputError
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
+from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.redesign import WORTH_A_POLICY, InService, RedesignStatus, judge_redesign, promised
+from ccdtools.studies.stage_storage import Stage
+from ccdtools.studies.stages import LoopStages
+from ccdtools.studies.trust_region import Trust
 from ccdtools.twin.deployment import deploy
 from ccdtools.twin.recombined_returns import independence, recombined_gain
 from ccdtools.twin.residuals import residuals
@@ -171,7 +176,23 @@ def test_the_number_of_recombined_runs_is_that_of_the_configuration(evaluation, 
     few = replace(evaluation, config=replace(evaluation.config, model_runs=119))
     for one in (evaluation, few):
         judge_redesign(one, at(agent, 2.2), at(agent, 2.0), [log])
-    assert counts == [300]
+    assert counts == [300, 119]
+
+
+@pytest.mark.parametrize("independent", [True, False])
+def test_a_redesign_has_no_gain_where_the_service_loses_every_run(evaluation, agent, noisy, monkeypatch, independent):
+    """There is no return to compare with, and it is not the redesign that loses runs."""
+
+    def lost(self, controller, **options):
+        """Return runs of a plant that all are lost."""
+        run = driven(self, controller, **options)
+        return replace(run, diverged_at=np.full(len(run.states), 5))
+
+    driven = Scenario.run
+    monkeypatch.setattr(Scenario, "run", lost)
+    decision = judge_redesign(evaluation, at(agent, 2.2), at(agent, 2.0), [replace(noisy[0], independent=independent)])
+    assert decision.status is RedesignStatus.NO_GAIN
+    assert decision.size == 0
 
 
 def test_what_was_not_told_of_every_log_is_judged_on_whole_runs(evaluation, agent, noisy):
@@ -179,3 +200,26 @@ def test_what_was_not_told_of_every_log_is_judged_on_whole_runs(evaluation, agen
     whole = [noisy[0], noisy[0]]
     one, other = (judge_redesign(evaluation, at(agent, 2.2), at(agent, 2.0), logs) for logs in (mixed, whole))
     assert one == other
+
+
+@pytest.mark.parametrize(("everywhere", "online"), [(True, True), (True, False), (False, True), (False, False)])
+def test_updates_are_recombined_where_both_options_say_so(evaluation, agent, monkeypatch, everywhere, online):
+    class Begun(Exception):
+        """Ends a stage that has begun a deployment."""
+
+    def begin(*_, config, **options):
+        assert config.recombine is (everywhere and online)
+        raise Begun
+
+    monkeypatch.setattr("ccdtools.studies.stages.deploy_and_update", begin)
+    config = evaluation.config
+    config = replace(config, recombine=everywhere, online=replace(config.online, recombine=online))
+    stages = LoopStages(replace(evaluation, config=config), progress=False)
+    found = Stage({}, {"design": np.array([2.0])}, {"agent": agent})
+    with pytest.raises(Begun):
+        stages.deploy(np.random.default_rng(0), 1, found, None, Trust())
+
+
+def test_an_option_that_is_neither_on_nor_off_is_refused():
+    with pytest.raises(InputError, match="recombine: got 'no', expected True or False"):
+        StudyConfig(recombine="no")

@@ -122,7 +122,7 @@ def test_a_candidate_is_judged_on_held_out_samples_as_one_series_or_on_held_out_
         judged.append((a.shape, runs))
         return paired_returns(a, b, runs=runs)
 
-    monkeypatch.setattr("ccdtools.twin.update_judge.paired_returns", spy)
+    monkeypatch.setattr("ccdtools.twin.common_runs.paired_returns", spy)
     deployed(illustrative, clone(illustrative), runs=1, steps=601)  # 60 of every 200 samples are held out
     assert judged == [((1, 60), 1), ((1, 120), 1)]
     judged.clear()
@@ -430,13 +430,16 @@ def test_an_update_that_all_runs_so_far_deny_is_not_taken(illustrative, clone, m
 
 
 def test_updates_are_judged_on_former_deployments_too(illustrative, clone, monkeypatch):
-    """No candidate was trained on them, and they are more than the held-out runs."""
+    """No candidate was trained on them, and they are more than the held-out runs.
+
+    Those of a disturbance that it was trained on are left out: first those of the runs 0 and 2, then also that of 6.
+    """
     weak = weakened(clone(illustrative))
     trained = training_gives(monkeypatch, clone(illustrative))
     judged = []
 
     def spy(self, candidate, agent, replay):
-        judged.append([log.runs for log in replay.logs])
+        judged.append([log.numbers.tolist() for log in replay.logs])
         return gain(self, candidate, agent, replay)
 
     gain = UpdateJudge._logged_gain
@@ -456,7 +459,8 @@ def test_updates_are_judged_on_former_deployments_too(illustrative, clone, monke
         return [update.gain for update in updates]
 
     done(15, 40, [long, short, single])
-    assert judged == [[30, 2], [30, 2, 2]]
+    first, second = ([k for k in range(30) if k not in trained] for trained in ((0, 2), (0, 2, 6)))
+    assert judged == [[first, [3, 4]], [second, [3, 4], [8, 9]]]
     assert all(log.runs < 5 for problem, _ in trained for log in problem.scenarios.logs)
     assert done(1, 600, [long]) == done(1, 600, [])
     with pytest.raises(InputError, match="former: got"):
@@ -473,3 +477,75 @@ def test_a_piece_of_which_one_run_survived_teaches_nothing(illustrative, clone, 
     assert len(done.updates) == 1
     ((problem, _),) = trained
     np.testing.assert_array_equal(problem.scenarios.logs[0].numbers, [4, 5, 6])
+
+
+@pytest.fixture(scope="module")
+def former(illustrative, clone):
+    """Return the errors of a former deployment of 60 runs."""
+    w = disturbances(illustrative, 60, 40, seed=5)
+    log = deploy(illustrative.real.plant, LearnedPolicy(clone(illustrative), DESIGN), DESIGN, w, x0=start(60))
+    return residuals(illustrative.model, log)
+
+
+def judge(study, **options):
+    """Return what compares policies on logged errors of 60 runs."""
+    rng = np.random.default_rng(0)
+    return UpdateJudge(study.problem(), DESIGN, replace(ONLINE, **options), 60, rng.spawn(1)[0], rng, None)
+
+
+def test_runs_that_met_the_same_disturbance_in_several_deployments_are_one_piece_of_evidence(
+    illustrative, clone, former
+):
+    """Five deployments that met nothing new say what one says: the same gain with the same interval."""
+    good, weak = clone(illustrative), weakened(clone(illustrative))
+    common = former.part(former.numbers % 2 == 0, slice(None))
+    judged = judge(illustrative, judged=400)
+    one, five = (judged.gain(good, weak, [common] * times, [common], NOT_ASKED)[0] for times in (1, 5))
+    assert five.mean == pytest.approx(one.mean)
+    np.testing.assert_allclose(five.ci95, one.ci95)
+    others = former.part(former.numbers % 2 == 1, slice(None))
+    fresh = judged.gain(good, weak, [others] * 5, [others], NOT_ASKED)[0]
+    assert np.diff(fresh.ci95) < 0.6 * np.diff(one.ci95)
+
+
+def test_updates_are_recombined_at_the_defaults_however_many_former_runs_there_are(
+    illustrative, clone, former, monkeypatch
+):
+    """Of 60 former runs and some held-out ones there are more than half of the 400 that a judgement asks for."""
+    training_gives(monkeypatch, clone(illustrative))
+    _, judged = told_independent(monkeypatch)
+    long = replace(former, independent=True)
+    for known in ([long] * 4, [long, former]):
+        judged.clear()
+        deploy_and_update(
+            illustrative.problem(), illustrative.real.plant, weakened(clone(illustrative)), DESIGN, x0=start(60),
+            former=known, disturbance=disturbances(illustrative, 60, 40), rng=np.random.default_rng(0),
+            config=replace(ONLINE, updates=1, judged=400),
+        )  # fmt: skip
+        if known[-1].independent:
+            held_out, everything = judged
+            assert len(held_out) == 4 * (60 - 11) + 9  # the disturbances of 11 common runs were trained on
+            np.testing.assert_array_equal(everything, np.arange(30))
+        else:  # what a former log was told is respected
+            (everything,) = judged
+            np.testing.assert_array_equal(everything, np.arange(30))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda log: replace(log, x=log.x[..., :1]), r"former\[1\]: got 1 states with 2 errors"),
+        (lambda log: replace(log, e_next=log.e_next[..., :1]), r"former\[1\]: got 2 states with 1 errors"),
+        (lambda log: replace(log, u=np.repeat(log.u, 2, axis=2)), r"former\[1\]: got 2 states .* 2 inputs"),
+        (lambda log: replace(log, p=[2.0, 2.0]), r"former\[1\].p: got"),
+        (lambda log: replace(log, p=[9.0]), r"former\[1\].p: got p = 9"),
+        (lambda log: replace(log, x=np.nan * log.x), r"former\[1\].x: got a value that is not finite"),
+    ],
+)  # fmt: skip
+def test_former_errors_of_another_plant_are_refused(illustrative, clone, former, change, message):
+    with pytest.raises(InputError, match=message):
+        deploy_and_update(
+            illustrative.problem(), illustrative.real.plant, clone(illustrative), DESIGN, x0=start(12),
+            former=[former, change(former)], disturbance=disturbances(illustrative, 12, 40),
+            rng=np.random.default_rng(0), config=ONLINE,
+        )  # fmt: skip

@@ -11,7 +11,16 @@ from ccdtools import InputError, QuadraticObjective
 from ccdtools.statistics import summarise
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.recombination import Dependence, dealt, dependence, drawn, shuffled
-from ccdtools.twin.recombined_returns import NOT_ASKED, independence, over_blocks, recombined_gain
+from ccdtools.twin.recombined_returns import (
+    MOVED,
+    NOT_ASKED,
+    PLAINLY,
+    SLIGHTLY,
+    TOO_FEW,
+    independence,
+    over_blocks,
+    recombined_gain,
+)  # fmt: skip
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import Residuals
 
@@ -232,19 +241,52 @@ def test_an_error_that_follows_the_state_is_refused():
 def test_few_runs_and_single_runs_are_replayed_as_logged():
     rng = np.random.default_rng(8)
     for runs in (1, 2, 3, 35):
-        assert told(rng.standard_normal((runs, STEPS))) is NOT_ASKED
+        found = told(rng.standard_normal((runs, STEPS)))
+        assert found == replace(NOT_ASKED, change=found.change, reason=TOO_FEW)
+    assert told(rng.standard_normal((60, 2))).reason == TOO_FEW
     few = Replay([log_of(rng.standard_normal((11, STEPS)), independent=True)])
     assert few.blocks() is None
-    assert not few.recombines(4000)
+    assert not few.recombines
 
 
-def test_fewer_recombined_runs_than_twice_the_logged_ones_are_not_made():
+def test_every_logged_error_is_met_twice_at_least_however_few_runs_are_asked_for():
     e = np.random.default_rng(9).standard_normal((60, STEPS))
     replay = Replay([log_of(e, independent=True)])
-    assert not replay.recombines(119)
-    assert replay.recombines(120)
-    assert not Replay([log_of(e)]).recombines(4000)
-    assert not Replay([log_of(e, independent=True), log_of(e)]).recombines(4000)
+    assert [replay.rounds(count) for count in (30, 119, 120, 200)] == [2, 2, 2, 3]
+    made = []
+
+    def drive(x0, w):
+        """Return runs, and keep their number."""
+        made.append(len(x0))
+        return both(0.9, 0.9)(x0, w)
+
+    recombined_gain(replay, drive, COST, 30, np.random.default_rng(0))
+    assert made == [120, 60]
+
+
+def test_runs_are_recombined_only_where_all_logs_are_independent_to_train_and_to_judge():
+    e = np.arange(60)[:, None] + np.zeros((60, 5))
+    assert Replay([log_of(e, independent=True), log_of(e, independent=True)]).recombines
+    assert not Replay([log_of(e)]).recombines
+    mixed = Replay([log_of(e, independent=True), log_of(e)])
+    assert not mixed.recombines
+    _, w = mixed.sample(100, 5, np.random.default_rng(0))
+    np.testing.assert_array_equal(w, np.tile(w[:, :1], (1, 5, 1)))
+
+
+def test_the_line_of_a_log_says_why_its_runs_are_not_recombined():
+    rng = np.random.default_rng(18)
+    e = rng.standard_normal((60, STEPS))
+    lines = {told(e).describe(), told(e[:20]).describe(), told(coloured(60, 0.9, rng)).describe()}
+    assert lines == {
+        "errors of different steps are taken as independent: runs are recombined step by step",
+        f"runs are replayed as logged: {TOO_FEW}", f"runs are replayed as logged: {PLAINLY}",
+    }  # fmt: skip
+    found = [told(coloured(60, 0.9, rng, share=share), 0.99) for share in (0.03, 0.04, 0.05) for _ in range(20)]
+    for one in found:
+        reasons = {(True, True): "", (True, False): SLIGHTLY, (False, False): MOVED}
+        assert one.reason == (PLAINLY if one.dependence == "plain" else reasons[one.possible, one.independent])
+    assert {one.reason for one in found} >= {MOVED, SLIGHTLY}
 
 
 # ── recombined runs ──
