@@ -126,7 +126,7 @@ def row(noise: Noise, poles: tuple[float, float], runs: int, logs: int, seed: in
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--logs", type=int, default=200)
+    parser.add_argument("--logs", type=int, default=100)
     parser.add_argument("--errors", nargs="+", choices=NOISES, default=list(NOISES))
     parser.add_argument("--runs", type=int, nargs="+", default=[200, 60, 36])
     given = parser.parse_args()

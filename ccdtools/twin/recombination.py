@@ -51,9 +51,10 @@ def dependence(errors: Array, states: Array) -> Dependence:
     runs, steps, nx = errors.shape
     if steps < 3 or runs < 3:
         return Dependence.NONE
-    seen = np.tile(np.ptp(errors, axis=0) > ROUNDING * np.abs(states).max(axis=(0, 1)), 2)
     sizes = np.abs(errors - np.median(errors, axis=0))
-    scores = seen * _scores(np.concatenate([errors, sizes], axis=2))
+    both = np.concatenate([errors, sizes], axis=2)
+    seen = np.ptp(both, axis=0) > ROUNDING * np.tile(np.abs(states).max(axis=(0, 1)), 2)
+    scores = seen * _scores(both)
     if not seen.any():
         return Dependence.NONE
     found, chance = _correlations(scores, seen)
