@@ -32,6 +32,7 @@ from mpc import InputError, MPQPStatus, solve_mpqp  # noqa: E402
 from mpc.dense_qp import DenseQP  # noqa: E402
 
 STATES = 400  # random parameters of each comparison
+NEXT_TO_NOTHING = 1e-4  # of the typical bound: z that are smaller are judged as if they were so large
 
 
 def plain(rng):
@@ -90,11 +91,30 @@ def with_equality(rng, problem, half):
     return problem_of(problem.H, problem.F, problem.f, G, np.append(problem.w, [a * bound, -b * bound]), S), half
 
 
+def with_odd_bounds(rng, problem, half):
+    """Lower bounds that are zero, zero but for rounding, or tiny; every second time with the least z as the cost."""
+    w = problem.w.copy()
+    odd = np.flatnonzero(rng.random(problem.nz) < 0.6)
+    w[problem.nz + odd] = rng.choice([0.0, 0.1 + 0.2 - 0.3, 10.0 ** rng.uniform(-12, -2)], len(odd))
+    F, f = (rng.integers(2) * cost for cost in (problem.F, problem.f))
+    return problem_of(problem.H, F, f, problem.G, w, problem.S), half
+
+
+def with_spread_weights(rng, problem, half):
+    """Weights of the variables up to four powers of ten apart."""
+    d = 10.0 ** rng.uniform(-1, 1, problem.nz)
+    H = problem.H * np.outer(d, d)
+    return problem_of(H, problem.F * d[:, None], problem.f * d, problem.G, problem.w, problem.S), half
+
+
 KINDS = {
     "plain": (lambda rng, problem, half: (problem, half), True), "other units": (in_units, True),
     "rows that say nothing": (with_rows, True), "dependent rows": (with_dependent_rows, False),
     "an equality": (with_equality, False),
     "dependent rows in other units": (lambda rng, *p: in_units(rng, *with_dependent_rows(rng, *p)), False),
+    "odd bounds": (with_odd_bounds, False),
+    "odd bounds in other units": (lambda rng, *p: in_units(rng, *with_odd_bounds(rng, *p)), False),
+    "spread weights": (with_spread_weights, False),
 }  # fmt: skip
 
 
@@ -117,7 +137,9 @@ def judge(problem, half, regions, states=STATES):
     z = np.einsum("nij,nj->ni", law[:, :, :-1], theta[known]) + law[:, :, -1]
     truth = np.array([results[i].z for i in np.flatnonzero(known)]).reshape(z.shape)
     size = np.sqrt(np.diag(problem.H))
-    error = np.abs((z - truth) * size).max(initial=0.0) / max(np.abs(truth * size).max(initial=0.0), 1e-300)
+    typical = float(np.median(np.abs(problem.w) / np.linalg.norm(problem.G / size, axis=1)))
+    largest = max(np.abs(truth * size).max(initial=0.0), NEXT_TO_NOTHING * typical)
+    error = np.abs((z - truth) * size).max(initial=0.0) / max(largest, 1e-300)
     wrong = {
         f"law {error:.1e}": error > 1e-6,
         "holes": np.mean(feasible & ~known) > 1e-3,

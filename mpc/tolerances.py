@@ -165,12 +165,13 @@ EXCHANGE = 1e-9
 """Least coefficient of a dependent row on a member of the active set that can leave for it [-]."""
 
 EXCLUDED = 1e4
-"""Size of the variables, in units of the bounds, up to which a proof of infeasibility holds though its rows are rounded
-[-]."""
+"""Size of the variables, in units of the larger bounds, up to which a proof of infeasibility holds though its rows are
+rounded; and the largest such unit, in units of the bounds [-]."""
 
 FAR_OPTIMUM = 1e8
 """Distance of the unconstrained optimum from the bounds, in units of their size, beyond which rounding decides which
-rows hold with equality [-]: the problem is a linear program but for its last digits."""
+rows hold with equality and which lie in front of others [-]: the problem is a linear program but for its last digits.
+"""
 
 DUPLICATE = 1e-9
 """Difference of two unit rows below which only the tighter of them is kept [-]."""
@@ -188,11 +189,20 @@ LAW_ERROR = 1e-7
 """Error of a law, in its active rows, in any row or multiplier at the centre of its region, relative to the bounds, the
 variables or the multipliers, up to which the law is accepted [-]."""
 
+UNCHANGED = 1e-9
+"""Size of a bound, or of its change by the parameters, relative to the typical bound, that says nothing [-]."""
+
 VANISHING_ROW = 1e-14
 """Effect of the inputs on a row, relative to that of the parameters, below which the row restricts parameters only."""
 
 OPTIMAL_SET = 1e-10
 """Violation of a unit row accepted, and relative multiplier dropped, in the QP at one parameter [-]."""
+
+LAW_ROUNDING_FAR = 1e-14
+"""The least part of the distance to the bounds that LAW_ERROR of the bounds is taken as [-]: nothing is more exact."""
+
+NEARLY_DEPENDENT = 1e5
+"""Entry of the inverse of a Gram matrix of unit rows from which on a law is computed by orthogonal directions [-]."""
 
 PROJECTION = 1e-13
 """Violation of a unit row accepted when a point is projected onto a region, scaled parameters [-]."""

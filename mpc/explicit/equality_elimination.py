@@ -15,9 +15,10 @@ from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, 
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP, with_parameter_rows
 from mpc.parametric_qp import Constraint
-from mpc.tolerances import EQUALITY, EXCLUDED, FAR_OPTIMUM, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
+from mpc.tolerances import EQUALITY, FAR_OPTIMUM, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
+Limits = list[tuple[float | None, float | None]]
 _NO_ROWS = np.broadcast_to(np.int64(0), 0)
 _NO_PARAMETERS = np.broadcast_to(0.0, (0, 0))
 
@@ -40,21 +41,21 @@ class ImpliedEqualities(NamedTuple):
 
 
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
-    """Pairs of rows of M that are opposite, with opposite bounds, judged in scaled coordinates."""
+    """Pairs of rows of M that are opposite, with opposite bounds, judged in units of the bounds themselves."""
     first, second = np.nonzero(qp.gram < ZERO_ROW - 1)
     if not len(first):
         return []
     once = first < second
     first = first[once]
     second = second[once]
-    size = np.maximum(1.0, np.maximum(np.abs(qp.D[first]), np.abs(qp.D[second])).max(axis=1, initial=0.0))
-    apart = np.abs(qp.D[first] + qp.D[second]).max(axis=1, initial=0.0) / size
+    size = np.maximum(1.0, np.maximum(np.abs(qp.own[first]), np.abs(qp.own[second])).max(axis=1, initial=0.0))
+    apart = np.abs(qp.own[first] + qp.own[second]).max(axis=1, initial=0.0) / size
     close = (apart < EQUALITY) & (np.abs(qp.M[first] + qp.M[second]).max(axis=1, initial=0.0) < EQUALITY)
     return [(int(i), int(j)) for i, j in zip(first[close], second[close])]
 
 
 def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualities:
-    """Rows that hold with equality at every feasible point with variables of up to EXCLUDED times the bounds.
+    """Rows that hold with equality at every feasible point with variables of up to `qp.reach`.
 
     A linear program finds a point where the sum of the slacks, each counted up to a tenth, is largest. A row without
     slack there may have given it up for the others, so the sum of these rows alone is asked for, until none has any.
@@ -62,15 +63,16 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
     J, h = qp.joint
     nt = qp.D.shape[1] - 1
     nothing = np.zeros(J.shape[1])
+    sizes: Limits = [(None, None)] * nt + [(-qp.reach, qp.reach)] * (J.shape[1] - nt)  # without any HiGHS may not end
     verdict = DenseQP(np.eye(J.shape[1]), J).solve(nothing, h, confirm_infeasible=True)
-    if verdict.infeasible and proves_infeasible(verdict.multipliers, J, h):
+    if verdict.infeasible and proves_infeasible(verdict.multipliers, J, h, qp.reach):
         return ImpliedEqualities(MPQPStatus.INFEASIBLE)
     if qp.far > FAR_OPTIMUM:
         return ImpliedEqualities(MPQPStatus.INACCURATE)
     tight = np.arange(len(h))
     points: list[Array] = []
     while len(tight):
-        program = _most_slack(J, h, tight, nt, deadline)
+        program = _most_slack(J, h, tight, sizes, deadline)
         if program.status == INFEASIBLE and not points:
             return ImpliedEqualities(MPQPStatus.INFEASIBLE)
         if program.status != SOLVED:
@@ -80,7 +82,7 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
         slack = h - J @ point
         loose = slack[tight] > IMPLIED_EQUALITY
         if not loose.any() and slack[tight].sum() > IMPLIED_EQUALITY:  # together they have some: which one has?
-            own = [_most_slack(J, h, np.array([i]), nt, deadline) for i in tight]
+            own = [_most_slack(J, h, np.array([i]), sizes, deadline) for i in tight]
             if any(program.status != SOLVED for program in own):
                 return _unsettled(deadline)
             loose = np.array([-program.fun > IMPLIED_EQUALITY for program in own])
@@ -88,9 +90,9 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
             break
         tight = tight[~loose]
     rows = tight[tight < len(qp.M)]
-    if _leave_freedom(qp.M[rows], float(slack[tight].max(initial=0.0))):
+    if _leave_freedom(qp.M[rows], float(slack[tight].max(initial=0.0)) * max(1.0, qp.far)):
         return ImpliedEqualities(MPQPStatus.INACCURATE)
-    points += _deepest(J, h, tight, nt, deadline)
+    points += _deepest(J, h, tight, sizes, deadline)
     parameters = np.array([point[:nt] for point in points])
     return ImpliedEqualities(MPQPStatus.COMPLETE, rows, len(rows) < len(tight), parameters)
 
@@ -107,29 +109,24 @@ def _leave_freedom(rows: Array, slack: float) -> bool:
     return slack > LAW_ERROR * float(sizes[sizes > ZERO_ROW * sizes[0]].min())
 
 
-def _most_slack(J: Array, h: Array, counted: Ints, nt: int, deadline: float) -> Any:
+def _most_slack(J: Array, h: Array, counted: Ints, sizes: Limits, deadline: float) -> Any:
     """The point (t, v) of {x : J x <= h} where the counted rows have the most slack together, each up to a tenth."""
     rows, columns = J.shape
     slack = np.zeros((rows, len(counted)))
     slack[counted, np.arange(len(counted))] = 1.0
     cost = np.concatenate([np.zeros(columns), -np.ones(len(counted))])
-    limits = [*_sizes(nt, columns), *[(0.0, 0.1)] * len(counted)]
+    limits = [*sizes, *[(0.0, 0.1)] * len(counted)]
     return solve_exactly(cost, np.hstack([J, slack]), h, limits, deadline)
 
 
-def _deepest(J: Array, h: Array, tight: Ints, nt: int, deadline: float) -> list[Array]:
+def _deepest(J: Array, h: Array, tight: Ints, sizes: Limits, deadline: float) -> list[Array]:
     """The point (t, v) in {x : J x <= h} with the largest least slack, up to one, in the rows not tight; or none."""
     loose = np.ones((len(J), 1))
     loose[tight] = 0.0
     cost = np.append(np.zeros(J.shape[1]), -1.0)
-    limits = [*_sizes(nt, J.shape[1]), (0.0, 1.0)]
+    limits = [*sizes, (0.0, 1.0)]
     program = solve_exactly(cost, np.hstack([J, loose]), h, limits, deadline)
     return [program.x[:-1]] if program.status == SOLVED else []
-
-
-def _sizes(nt: int, columns: int) -> list[tuple[float | None, float | None]]:
-    """Limits of (t, v): v that are EXCLUDED times the bounds count as infeasible; without any HiGHS may not end."""
-    return [(None, None)] * nt + [(-EXCLUDED, EXCLUDED)] * (columns - nt)
 
 
 def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...]) -> ScaledQP:
@@ -174,5 +171,5 @@ def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...
     M = np.ascontiguousarray(M[inside] / length[inside, None])
     return replace(
         qp, M=M, D=np.ascontiguousarray(D[inside] / length[inside, None]), tie=qp.tie[inside], gram=M @ M.T, TA=TA,
-        Tb=Tb, origin=qp.origin[inside], back=qp.back @ P, free=qp.free + qp.back @ solution,
+        Tb=Tb, origin=qp.origin[inside], back=qp.back @ P, free=qp.free + qp.back @ solution, own=qp.own[inside],
     )  # fmt: skip

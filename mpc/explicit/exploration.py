@@ -20,6 +20,7 @@ _LOOK = 0.05  # wall time between two looks at the clock [s]
 _MANY = 300  # regions from which on it pays to leave out rows that the others imply
 _SHARE = 0.25  # share of the time left that may be spent on that
 _LIMITED = (MPQPStatus.REGION_LIMIT, MPQPStatus.TIME_LIMIT)
+_ROWS_AT_ONCE = 2_000  # of the programs that find a feasible parameter, between two looks at the clock
 
 
 class Limits(NamedTuple):
@@ -81,12 +82,22 @@ class Search:
         """
         feasible = [np.empty((0, self.regions.parameters)) if self.known is None else self.known]
         for _ in range(_ROUNDS):
-            found = self.regions.seed(self.rng.uniform(-1, 1, size=(_SEEDS, self.regions.parameters)))
+            targets = self.rng.uniform(-1, 1, size=(_SEEDS, self.regions.parameters))
+            found = self._seeded(targets, deadline)
             if len(found) == 0 or self.queued or time.perf_counter() > deadline:
                 break
             feasible.append(found)
         if not self.queued:
             self.holes.ask_at(np.vstack(feasible), deadline)
+
+    def _seeded(self, targets: Array, deadline: float) -> Array:
+        """Feasible parameters near the targets, their active sets queued; one after the other where rows are many."""
+        found = [np.empty((0, self.regions.parameters))]
+        for few in self.holes.portions(targets, _ROWS_AT_ONCE):
+            found.append(self.regions.seed(few))
+            if time.perf_counter() > deadline:
+                break
+        return np.vstack(found)
 
     def nothing_found(self, deadline: float) -> MPQPStatus:
         """What it means that no region was found to begin with."""

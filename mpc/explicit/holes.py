@@ -80,7 +80,7 @@ class Holes:
         behind = self.behind_facets(_BEHIND + more)
         anywhere = self.rng.uniform(-1, 1, size=(2 * (_ANYWHERE + more), regions.parameters))
         places = [anywhere[: _ANYWHERE + more], behind]
-        for targets in self._portions(anywhere[_ANYWHERE + more :]):
+        for targets in self.portions(anywhere[_ANYWHERE + more :]):
             if time.perf_counter() > deadline:
                 return True
             places.append(regions.seed(targets))  # near the border
@@ -130,16 +130,16 @@ class Holes:
         for part in np.array_split(points, parts):
             if time.perf_counter() > deadline:
                 return False
-            for few in self._portions(part[~self.regions.covered(part)]):
+            for few in self.portions(part[~self.regions.covered(part)]):
                 if time.perf_counter() > deadline:
                     return False
                 found = self.regions.look_at(few)
                 self.pending = np.vstack([self.pending, few if feasible else few[found]])
         return True
 
-    def _portions(self, points: Array) -> Iterator[Array]:
+    def portions(self, points: Array, rows: int = _ROWS_AT_ONCE) -> Iterator[Array]:
         """The points, few at a time where there are many rows: a QP with thousands takes hundredths of a second."""
-        size = max(1, _ROWS_AT_ONCE // max(1, len(self.regions.qp.M)))
+        size = max(1, rows // max(1, len(self.regions.qp.M)))
         return (points[first : first + size] for first in range(0, len(points), size))
 
     def _ask(self, deadline: float) -> bool:
@@ -164,7 +164,7 @@ class Holes:
         for point in points[~self.regions.covered(points)]:
             if time.perf_counter() > deadline:
                 break
-            opening = self.online.at(point)
+            opening = self.online.at(point, deadline)
             for act in opening.candidates:
                 self.regions.consider(act)
             if opening.feasible:

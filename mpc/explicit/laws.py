@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from mpc.checks import Array
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import LAW_ERROR
+from mpc.tolerances import LAW_ERROR, LAW_ROUNDING_FAR, NEARLY_DEPENDENT
 
 _TOGETHER = 4096  # regions checked at once: bounds the memory
 _SIZES = 4  # sizes of active sets that are treated as one
@@ -29,6 +30,7 @@ def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> Scale
     in units of the bounds and of the variables.
     """
     law = np.zeros((len(active_sets), qp.M.shape[1], qp.D.shape[1]))
+    accepted = max(LAW_ERROR / max(1.0, qp.far), LAW_ROUNDING_FAR)  # in units of how far the optimum is
     holds = np.ones(len(active_sets), dtype=bool)
     where = np.hstack([centres, np.ones((len(centres), 1))])
     sizes = np.array([len(act) for act in active_sets])
@@ -37,9 +39,9 @@ def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> Scale
         rows, right, gram = _padded(qp, [active_sets[r] for r in which])
         law[which], missed, pull = _law(rows, right, gram)
         force = (pull @ where[which, :, None])[:, :, 0]  # minus the multipliers
-        holds[which] = missed <= LAW_ERROR
+        holds[which] = missed <= accepted
         holds[which] &= force.max(axis=1) <= LAW_ERROR * np.maximum(1.0, np.abs(force).max(axis=1))
-    return ScaledLaws(law, holds & (_excess(qp, law, where) <= LAW_ERROR))
+    return ScaledLaws(law, holds & (_excess(qp, law, where) <= accepted))
 
 
 def _padded(qp: ScaledQP, active_sets: ActiveSets) -> tuple[Array, Array, Array]:
@@ -65,9 +67,21 @@ def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:
     pull = inverse @ right
     law = across @ pull
     law += across @ (inverse @ (right - rows @ law))  # the rounding of a nearly singular gram is taken out
+    for k in np.flatnonzero(np.abs(inverse).max(axis=(1, 2)) > NEARLY_DEPENDENT):
+        law[k], pull[k] = _law_by_directions(rows[k], right[k])
     size = 1.0 + np.abs(right).sum(axis=2) + np.linalg.norm(law, axis=1).sum(axis=1)[:, None]
     missed = (np.abs(rows @ law - right).sum(axis=2) / size).max(axis=1)
     return law, missed, pull
+
+
+def _law_by_directions(rows: Array, right: Array) -> tuple[Array, Array]:
+    """The same of one active set by orthogonal directions: a Gram matrix squares what is lost by nearly equal rows."""
+    real = rows.any(axis=1)
+    Q, R = np.linalg.qr(rows[real].T)
+    along = solve_triangular(R, right[real], trans="T")
+    pull = np.zeros_like(right)
+    pull[real] = solve_triangular(R, along)
+    return Q @ along, pull
 
 
 def _excess(qp: ScaledQP, law: Array, where: Array) -> Array:

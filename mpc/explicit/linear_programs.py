@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from mpc.checks import Array
-from mpc.tolerances import EXCLUDED, LP_FEASIBLE
+from mpc.tolerances import CERTIFICATE, LP_FEASIBLE
 
 SOLVED, INFEASIBLE, UNBOUNDED = 0, 2, 3  # what `status` says
 _EXACTLY = {"primal_feasibility_tolerance": LP_FEASIBLE, "dual_feasibility_tolerance": LP_FEASIBLE}
@@ -32,6 +32,17 @@ def solve_exactly(cost: Array, rows: Array, right: Array, limits: Any, deadline:
     return linprog(cost, A_ub=rows, b_ub=right, bounds=limits, method="highs", options=coarse)
 
 
-def proves_infeasible(y: Array, rows: Array, right: Array) -> bool:
-    """Whether multipliers prove that no x holds rows x <= right, unless it is EXCLUDED times the bounds (Farkas)."""
-    return bool((y >= 0).all() and y @ right < -EXCLUDED * np.abs(y @ rows).sum())
+def proves_infeasible(y: Array, rows: Array, right: Array, reach: float) -> bool:
+    """Whether multipliers prove that no x of entries up to `reach` holds rows x <= right (Farkas).
+
+    What a solver leaves of y' rows is taken out by least squares where it is in the way.
+    """
+    if not (y >= 0).all():
+        return False
+    if y @ right < -reach * np.abs(y @ rows).sum():
+        return True
+    taken = np.flatnonzero(y > CERTIFICATE * y.max(initial=0.0))
+    if not len(taken) or not y @ right < 0:
+        return False
+    own = y[taken] - np.linalg.lstsq(rows[taken].T, rows[taken].T @ y[taken], rcond=None)[0]
+    return bool((own >= 0).all() and own @ right[taken] < -reach * np.abs(own @ rows[taken]).sum())

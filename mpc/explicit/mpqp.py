@@ -24,7 +24,7 @@ from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP, scale_parameters, scale_qp
 from mpc.parametric_qp import ParametricQP
-from mpc.tolerances import THIN
+from mpc.tolerances import FAR_OPTIMUM, THIN
 
 __all__ = ["MPQPStatus", "Partition", "solve_mpqp"]
 
@@ -62,12 +62,13 @@ def solve_mpqp(
     Partition
         Its status says whether it is complete. Regions in which the law fails its check are left out: INACCURATE,
         as where a feasible parameter was met that lies in no region (`uncovered` counts them), or where rounding
-        decides whether there is a feasible one.
+        decides whether there is a feasible one, or which of two rows is in front of the other.
 
     Raises
     ------
     InputError
-        `theta_set` has the wrong dimension, is empty, flat or unbounded; equalities leave no input free.
+        `theta_set` has the wrong dimension, is empty, flat or unbounded; the data are not finite; equalities leave no
+        input free, or can be met at a flat set of parameters only.
     NotConvexError
         The Hessian is not positive definite.
 
@@ -102,6 +103,8 @@ def solve_mpqp(
         elif implied.status is not MPQPStatus.COMPLETE:
             found = found._replace(status=implied.status)
     found, law = _without_wrong_laws(qp, found)
+    if qp.far > FAR_OPTIMUM and found.status is MPQPStatus.COMPLETE:
+        found = found._replace(status=MPQPStatus.INACCURATE)
     H, h = qp.unscale_rows(found.rows)
     origin = qp.origin.tolist()
     sets = tuple(tuple(sorted((*equalities, *(origin[i] for i in act)))) for act in found.active_sets)

@@ -11,7 +11,7 @@ from mpc.checks import Array
 from mpc.dense_qp import DenseQP
 from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, solve_exactly
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import CROSSING, EXCLUDED, KKT, LAW_ERROR, OPTIMAL_SET, PARALLEL, TIE
+from mpc.tolerances import CROSSING, KKT, LAW_ERROR, OPTIMAL_SET, PARALLEL, TIE
 
 _FAR = 0.1  # the farther point beyond a facet, in radii of the facet
 Candidates = list[tuple[int, ...]]
@@ -59,17 +59,17 @@ class OnlineQP:
         self.free = np.zeros(qp.M.shape[1])
         self.solver = DenseQP(np.eye(len(self.free)), qp.M)
 
-    def at(self, t: Array) -> Opening:
-        """What the QP finds at the parameter t."""
+    def at(self, t: Array, deadline: float = np.inf) -> Opening:
+        """What the QP finds at the parameter t; past the deadline a feasible one may be taken for one without room."""
         bounds = self.qp.D @ np.append(t, 1.0)
         result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
         y = result.multipliers
-        if result.infeasible and proves_infeasible(y, self.qp.M, bounds):
+        if result.infeasible and proves_infeasible(y, self.qp.M, bounds, self.qp.reach):
             return Opening([], feasible=False)
         if result.infeasible or not result.residuals.primal <= KKT:
-            return Opening([], self._has_room(bounds))
+            return Opening([], self._has_room(bounds, deadline))
         taken = tuple(int(i) for i in np.flatnonzero(y > OPTIMAL_SET * y.max(initial=0.0)))
-        return Opening([taken, self._independent(result.z, bounds)], self._has_room(bounds))
+        return Opening([taken, self._independent(result.z, bounds)], self._has_room(bounds, deadline))
 
     def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:
         """Rows active at v that carry it, as few as can: their multipliers are positive, so they are independent."""
@@ -79,21 +79,21 @@ class OnlineQP:
         share = nnls(np.ascontiguousarray(self.qp.M[near].T), -v)[0]
         return tuple(int(i) for i in near[share > 0])
 
-    def _has_room(self, bounds: Array) -> bool:
+    def _has_room(self, bounds: Array, deadline: float) -> bool:
         """Whether a point holds every row, found with bounds a little tighter: no tolerance makes it feasible."""
         room = TIE * (1.0 + np.abs(bounds))
         found = self.solver.solve(self.free, bounds - room, confirm_infeasible=True).z
-        return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room)
+        return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room, deadline)
 
-    def _linear_program_finds_room(self, bounds: Array, room: Array) -> bool:
+    def _linear_program_finds_room(self, bounds: Array, room: Array, deadline: float) -> bool:
         """The same asked of HiGHS, for v that are not too large: of nearly opposite rows a QP solver finds no point.
 
         Where HiGHS does not end, nobody can tell, and the parameter counts.
         """
         cost = np.append(self.free, -1.0)
         rows = np.hstack([self.qp.M, room[:, None] / TIE])
-        limits = [(-EXCLUDED, EXCLUDED)] * len(self.free) + [(None, 1.0)]
-        program = solve_exactly(cost, rows, bounds, limits)
+        limits = [(-self.qp.reach, self.qp.reach)] * len(self.free) + [(None, 1.0)]
+        program = solve_exactly(cost, rows, bounds, limits, deadline)
         if program.status != SOLVED:
             return bool(program.status != INFEASIBLE)
         return bool((bounds - self.qp.M @ program.x[:-1] >= room).all())

@@ -13,7 +13,7 @@ from mpc.checks import Array, as_halfspaces
 from mpc.exceptions import InputError, NotConvexError
 from mpc.halfspaces import box_of
 from mpc.parametric_qp import ParametricQP
-from mpc.tolerances import DEFINITE, DUPLICATE, FLAT_INTERVAL, VANISHING_ROW
+from mpc.tolerances import DEFINITE, DUPLICATE, EXCLUDED, FLAT_INTERVAL, UNCHANGED, VANISHING_ROW
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -69,6 +69,9 @@ class ScaledQP:
         θ = centre + half * t.
     far : float
         Distance of the unconstrained optimum v = 0 from the bounds, in units of their own sizes.
+    own : (k, nt + 1) array
+        The bounds as the user states them, where z = 0 is v = 0, in units of their own sizes: the same however far the
+        optimum is.
     """
 
     M: Array
@@ -82,7 +85,15 @@ class ScaledQP:
     free: Array
     centre: Array
     half: Array
-    far: float = 0.0
+    far: float
+    own: Array
+
+    @cached_property
+    def reach(self) -> float:
+        """Size of the variables up to which feasibility is asked for: EXCLUDED times the larger ones of the bounds."""
+        sizes = np.sort(np.abs(self.D).sum(axis=1))
+        larger = float(sizes[(3 * len(sizes)) // 4]) if len(sizes) else 1.0
+        return EXCLUDED * min(max(larger, 1.0), EXCLUDED)
 
     @cached_property
     def joint(self) -> tuple[Array, Array]:
@@ -98,7 +109,7 @@ class ScaledQP:
         return ScaledQP(
             np.ascontiguousarray(self.M[kept]), np.ascontiguousarray(self.D[kept]), self.tie[kept],
             np.ascontiguousarray(self.gram[np.ix_(kept, kept)]), self.TA, self.Tb, self.origin[kept],
-            self.back, self.free, self.centre, self.half, self.far,
+            self.back, self.free, self.centre, self.half, self.far, self.own[kept],
         )  # fmt: skip
 
     def unscale_rows(self, rows: Array) -> tuple[Array, Array]:
@@ -110,33 +121,56 @@ class ScaledQP:
 def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
     """The problem with a unit Hessian, unit rows and parameters in [-1, 1].
 
+    Rows without a bound (w = inf) are left out.
+
     Raises
     ------
+    InputError
+        The data hold NaN or infinite numbers, or a row without inputs excludes every parameter.
     NotConvexError
         The Hessian is not positive definite.
     """
+    bounded = _bounded_rows(problem)
     size, factor = _unit_hessian(problem)
     cost = size[:, None] * np.hstack([problem.F * domain.half, (problem.F @ domain.centre + problem.f)[:, None]])
     solved = solve_triangular(factor, np.hstack([cost, np.eye(problem.nz)]), lower=True)
     shift = -solved[:, : cost.shape[1]]  # the unconstrained v
     back = size[:, None] * solved[:, cost.shape[1] :].T
-    M = problem.G @ back
-    right = np.hstack([problem.S * domain.half, (problem.w + problem.S @ domain.centre)[:, None]])
+    M = problem.G[bounded] @ back
+    S = problem.S[bounded]
+    right = np.hstack([S * domain.half, (problem.w[bounded] + S @ domain.centre)[:, None]])
     D = right - M @ shift
     length = np.linalg.norm(M, axis=1)
     vanishing = _vanishing(length, right, shift)
-    TA, Tb = with_parameter_rows(domain.normals, domain.bounds, right[vanishing])
+    nothing = VANISHING_ROW * _typical(np.abs(right).sum(axis=1))
+    TA, Tb = with_parameter_rows(domain.normals, domain.bounds, right[vanishing], nothing)
     origin = np.flatnonzero(~vanishing)
     M = M[origin] / length[origin, None]
     D = D[origin] / length[origin, None]
+    own = right[origin] / length[origin, None]
+    own_unit = _typical(np.abs(own).sum(axis=1))
+    own = own / own_unit
     unit = _unit_of(D)
-    far = unit / _typical(np.abs(right[origin]).sum(axis=1) / length[origin])
+    far = unit / own_unit
     D = D / unit
     gram = M @ M.T
-    kept = _without_duplicates(M, D, gram)
+    kept = _without_duplicates(M, own, gram)
     tie = 1.0 + 0.5 * np.sin(M @ _waves(M.shape[1]) + D @ _waves(D.shape[1]))
-    whole = ScaledQP(M, D, tie, gram, TA, Tb, origin, unit * back, back @ shift, domain.centre, domain.half, far)
+    whole = ScaledQP(
+        M, D, tie, gram, TA, Tb, bounded[origin], unit * back, back @ shift, domain.centre, domain.half, far, own
+    )
     return whole if len(kept) == len(M) else whole.rows(kept)
+
+
+def _bounded_rows(problem: ParametricQP) -> Ints:
+    """Rows with a bound, of data that are finite but for it."""
+    for name in ("H", "F", "f", "G", "S", "w"):
+        values = getattr(problem, name)
+        strange = ~np.isfinite(values) & ~((name == "w") & (values == np.inf))
+        if strange.any():
+            place = np.argwhere(strange)[0].tolist()
+            raise InputError("problem", f"{values[tuple(place)]} in {name} at {place}", "finite numbers")
+    return np.flatnonzero(np.isfinite(problem.w))
 
 
 def _waves(n: int) -> Array:
@@ -161,19 +195,22 @@ def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
 def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Which rows restrict the parameter only: moving v by its own size changes them by rounding."""
     moved = length > 0
-    reach = _unit_of(right[moved] / length[moved, None])  # what the bounds ask of v, where its optimum is zero
+    reach = _typical(np.abs(right[moved]).sum(axis=1) / length[moved])  # what bounds ask of v where its optimum is zero
     typical = max(float(np.abs(shift).sum(axis=1).max(initial=0.0)), reach)
     theta = np.abs(right[:, :-1]).max(axis=1, initial=0.0)
     return (length == 0) | (length * typical < VANISHING_ROW * theta)
 
 
-def with_parameter_rows(TA: Array, Tb: Array, right: Array) -> tuple[Array, Array]:
-    """The parameter set {t : TA t <= Tb} with rows 0 <= right [t; 1] added, as unit rows."""
+def with_parameter_rows(TA: Array, Tb: Array, right: Array, nothing: float = 0.0) -> tuple[Array, Array]:
+    """The parameter set {t : TA t <= Tb} with rows 0 <= right [t; 1] added, as unit rows.
+
+    nothing : size of what is rounding of a bound.
+    """
     if not len(right):
         return TA, Tb
     length = np.linalg.norm(right[:, :-1], axis=1)
     constant = length <= VANISHING_ROW * np.abs(right).max(axis=1, initial=0.0)
-    if (right[constant, -1] < 0).any():
+    if (right[constant, -1] < -nothing).any():
         raise InputError("theta_set", "a set that one constraint without inputs excludes", "some feasible parameter")
     rows = right[~constant] / length[~constant, None]
     return np.ascontiguousarray(np.vstack([TA, -rows[:, :-1]])), np.concatenate([Tb, rows[:, -1]])
@@ -182,13 +219,18 @@ def with_parameter_rows(TA: Array, Tb: Array, right: Array) -> tuple[Array, Arra
 def _unit_of(D: Array) -> float:
     """Size of the bounds: what parameters change in most rows, or the nearest row where that is more.
 
-    Rows far away have large constants, so the constants say nothing.
+    Rows far away have large constants, so the constants say nothing. Where parameters change less than half of the
+    rows, it is the size of the lower quarter of those that are not zero: one row may be as near as it likes.
     """
+    sizes = np.abs(D).sum(axis=1)
+    typical = _typical(sizes)
     if not len(D):
         return 1.0
-    change = np.sort(np.abs(D[:, :-1]).sum(axis=1))[len(D) // 2]
-    nearest = float(np.abs(D).sum(axis=1).min())
-    return max(float(change), nearest) or 1.0
+    change = float(np.sort(np.abs(D[:, :-1]).sum(axis=1))[len(D) // 2])
+    if change > UNCHANGED * typical:
+        return max(change, float(sizes.min()))
+    positive = np.sort(sizes[sizes > UNCHANGED * typical])
+    return float(positive[len(positive) // 4]) if len(positive) else 1.0
 
 
 def _typical(sizes: Array) -> float:
@@ -198,7 +240,7 @@ def _typical(sizes: Array) -> float:
 
 
 def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
-    """Rows that remain when of equal normals in v and t only the tightest is kept."""
+    """Rows that remain when of equal normals in v and t only the tightest is kept, by their own bounds D."""
     first, second = np.nonzero(gram > 1 - DUPLICATE)
     once = first < second
     if not once.any():

@@ -201,9 +201,9 @@ def test_pending_points_are_asked_about_one_by_one_while_there_is_time(search, m
 
 def test_many_rows_are_looked_at_in_portions(search):
     rows = len(search.regions.qp.M)
-    portions = list(search.holes._portions(np.zeros((3 * (20_000 // rows) + 1, 2))))
+    portions = list(search.holes.portions(np.zeros((3 * (20_000 // rows) + 1, 2))))
     assert [len(part) for part in portions] == [20_000 // rows] * 3 + [1]
-    assert not list(search.holes._portions(np.zeros((0, 2))))
+    assert not list(search.holes.portions(np.zeros((0, 2))))
 
 
 def test_memory_that_grows_does_not_change_the_portion(search, monkeypatch):
