@@ -165,7 +165,7 @@ EXCHANGE = 1e-9
 """Least coefficient of a dependent row on a member of the active set that can leave for it [-]."""
 
 EXCLUDED = 1e4
-"""Size of the variables, in units of the larger bounds, up to which a proof of infeasibility holds though its rows are
+"""Size of the variables, in units of the largest bound, up to which a proof of infeasibility holds though its rows are
 rounded; and the largest such unit, in units of the bounds [-]."""
 
 FAR_OPTIMUM = 1e8
@@ -190,7 +190,13 @@ LAW_ERROR = 1e-7
 variables or the multipliers, up to which the law is accepted [-]."""
 
 UNCHANGED = 1e-9
-"""Size of a bound, or of its change by the parameters, relative to the typical bound, that says nothing [-]."""
+"""Change of a bound by the parameters, relative to the largest such change, that says nothing of sizes [-]."""
+
+NOT_NEAR = 10.0
+"""Size of a bound, in units of the distance to the unconstrained optimum, from which on it is never met [-]."""
+
+ROUNDED = 1e-12
+"""Size of a bound, relative to the largest change of a bound by the parameters, that is zero but for rounding [-]."""
 
 VANISHING_ROW = 1e-14
 """Effect of the inputs on a row, relative to that of the parameters, below which the row restricts parameters only."""

@@ -31,26 +31,28 @@ class ImpliedEqualities(NamedTuple):
     """Rows of M that hold with equality at every feasible point, and whether a row of the parameter set does.
 
     parameters : (k, nt) that are feasible, the last as far as can be from what the other rows forbid; status : COMPLETE
-    where this is settled, INFEASIBLE where there is no feasible point, TIME_LIMIT and INACCURATE where it is not.
+    where this is settled, INFEASIBLE where there is no feasible point, TIME_LIMIT and INACCURATE where it is not;
+    exact : whether the little slack of the rows moves the optimum by rounding only.
     """
 
     status: MPQPStatus
     rows: Ints = _NO_ROWS
     of_parameters: bool = False
     parameters: Array = _NO_PARAMETERS
+    exact: bool = True
 
 
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
-    """Pairs of rows of M that are opposite, with opposite bounds, judged in units of the bounds themselves."""
+    """Pairs of rows of M that are opposite, with opposite bounds, judged by the two bounds alone."""
     first, second = np.nonzero(qp.gram < ZERO_ROW - 1)
     if not len(first):
         return []
     once = first < second
     first = first[once]
     second = second[once]
-    size = np.maximum(1.0, np.maximum(np.abs(qp.own[first]), np.abs(qp.own[second])).max(axis=1, initial=0.0))
-    apart = np.abs(qp.own[first] + qp.own[second]).max(axis=1, initial=0.0) / size
-    close = (apart < EQUALITY) & (np.abs(qp.M[first] + qp.M[second]).max(axis=1, initial=0.0) < EQUALITY)
+    size = np.maximum(np.abs(qp.own[first]), np.abs(qp.own[second])).max(axis=1, initial=0.0)
+    apart = np.abs(qp.own[first] + qp.own[second]).max(axis=1, initial=0.0)
+    close = (apart <= EQUALITY * size) & (np.abs(qp.M[first] + qp.M[second]).max(axis=1, initial=0.0) < EQUALITY)
     return [(int(i), int(j)) for i, j in zip(first[close], second[close])]
 
 
@@ -90,11 +92,10 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
             break
         tight = tight[~loose]
     rows = tight[tight < len(qp.M)]
-    if _leave_freedom(qp.M[rows], float(slack[tight].max(initial=0.0)) * max(1.0, qp.far)):
-        return ImpliedEqualities(MPQPStatus.INACCURATE)
+    exact = not _leave_freedom(qp.M[rows], float(slack[tight].max(initial=0.0)) * max(1.0, qp.far))
     points += _deepest(J, h, tight, sizes, deadline)
     parameters = np.array([point[:nt] for point in points])
-    return ImpliedEqualities(MPQPStatus.COMPLETE, rows, len(rows) < len(tight), parameters)
+    return ImpliedEqualities(MPQPStatus.COMPLETE, rows, len(rows) < len(tight), parameters, exact)
 
 
 def _unsettled(deadline: float) -> ImpliedEqualities:

@@ -100,6 +100,8 @@ def solve_mpqp(
             equalities += qp.origin[implied.rows].tolist()
             qp = reduced
             found = explore(qp, limits, implied.parameters)
+            if not implied.exact and found.status is MPQPStatus.COMPLETE:
+                found = found._replace(status=MPQPStatus.INACCURATE)
         elif implied.status is not MPQPStatus.COMPLETE:
             found = found._replace(status=implied.status)
     found, law = _without_wrong_laws(qp, found)

@@ -13,7 +13,17 @@ from mpc.checks import Array, as_halfspaces
 from mpc.exceptions import InputError, NotConvexError
 from mpc.halfspaces import box_of
 from mpc.parametric_qp import ParametricQP
-from mpc.tolerances import DEFINITE, DUPLICATE, EXCLUDED, FLAT_INTERVAL, UNCHANGED, VANISHING_ROW
+from mpc.tolerances import (
+    DEFINITE,
+    DUPLICATE,
+    EXCLUDED,
+    FLAT_INTERVAL,
+    NOT_NEAR,
+    ROUNDED,
+    ROUNDING,
+    UNCHANGED,
+    VANISHING_ROW,
+)
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -68,7 +78,7 @@ class ScaledQP:
     centre, half : (nt,) array
         θ = centre + half * t.
     far : float
-        Distance of the unconstrained optimum v = 0 from the bounds, in units of their own sizes.
+        Distance of the unconstrained optimum v = 0 from the bounds, in units of the largest of those that may be met.
     own : (k, nt + 1) array
         The bounds as the user states them, where z = 0 is v = 0, in units of their own sizes: the same however far the
         optimum is.
@@ -90,10 +100,9 @@ class ScaledQP:
 
     @cached_property
     def reach(self) -> float:
-        """Size of the variables up to which feasibility is asked for: EXCLUDED times the larger ones of the bounds."""
-        sizes = np.sort(np.abs(self.D).sum(axis=1))
-        larger = float(sizes[(3 * len(sizes)) // 4]) if len(sizes) else 1.0
-        return EXCLUDED * min(max(larger, 1.0), EXCLUDED)
+        """Size of the variables up to which feasibility is asked for: EXCLUDED times the largest bound."""
+        largest = float(np.abs(self.D).sum(axis=1).max(initial=1.0))
+        return EXCLUDED * min(largest, EXCLUDED)
 
     @cached_property
     def joint(self) -> tuple[Array, Array]:
@@ -142,16 +151,17 @@ def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
     D = right - M @ shift
     length = np.linalg.norm(M, axis=1)
     vanishing = _vanishing(length, right, shift)
-    nothing = VANISHING_ROW * _typical(np.abs(right).sum(axis=1))
+    nothing = VANISHING_ROW * _typical(right)
     TA, Tb = with_parameter_rows(domain.normals, domain.bounds, right[vanishing], nothing)
     origin = np.flatnonzero(~vanishing)
     M = M[origin] / length[origin, None]
     D = D[origin] / length[origin, None]
     own = right[origin] / length[origin, None]
-    own_unit = _typical(np.abs(own).sum(axis=1))
+    own_unit = _typical(own)
     own = own / own_unit
     unit = _unit_of(D)
-    far = unit / own_unit
+    near = np.abs(own).sum(axis=1) * own_unit
+    far = unit / float(near[near <= NOT_NEAR * unit].max(initial=0.0) or own_unit)
     D = D / unit
     gram = M @ M.T
     kept = _without_duplicates(M, own, gram)
@@ -195,7 +205,7 @@ def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
 def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Which rows restrict the parameter only: moving v by its own size changes them by rounding."""
     moved = length > 0
-    reach = _typical(np.abs(right[moved]).sum(axis=1) / length[moved])  # what bounds ask of v where its optimum is zero
+    reach = _typical(right[moved] / length[moved, None])  # what the bounds ask of v, where its optimum is zero
     typical = max(float(np.abs(shift).sum(axis=1).max(initial=0.0)), reach)
     theta = np.abs(right[:, :-1]).max(axis=1, initial=0.0)
     return (length == 0) | (length * typical < VANISHING_ROW * theta)
@@ -222,21 +232,26 @@ def _unit_of(D: Array) -> float:
     Rows far away have large constants, so the constants say nothing. Where parameters change less than half of the
     rows, it is the size of the lower quarter of those that are not zero: one row may be as near as it likes.
     """
-    sizes = np.abs(D).sum(axis=1)
-    typical = _typical(sizes)
     if not len(D):
         return 1.0
-    change = float(np.sort(np.abs(D[:, :-1]).sum(axis=1))[len(D) // 2])
-    if change > UNCHANGED * typical:
-        return max(change, float(sizes.min()))
-    positive = np.sort(sizes[sizes > UNCHANGED * typical])
-    return float(positive[len(positive) // 4]) if len(positive) else 1.0
+    changes = np.sort(np.abs(D[:, :-1]).sum(axis=1))
+    change = float(changes[len(D) // 2])
+    if change > max(UNCHANGED * float(changes[-1]), ROUNDING * _typical(D)):
+        return max(change, float(np.abs(D).sum(axis=1).min()))
+    sizes = np.sort(_beyond_rounding(D))
+    return float(sizes[len(sizes) // 4]) if len(sizes) else 1.0
 
 
-def _typical(sizes: Array) -> float:
-    """The middle one of the sizes that are not zero."""
-    positive = sizes[sizes > 0]
-    return float(np.median(positive)) if len(positive) else 1.0
+def _typical(D: Array) -> float:
+    """The middle one of the sizes of bounds that are not zero."""
+    sizes = _beyond_rounding(D)
+    return float(np.median(sizes)) if len(sizes) else 1.0
+
+
+def _beyond_rounding(D: Array) -> Array:
+    """Sizes of the bounds that are not zero, nor rounding of what the parameters change."""
+    sizes = np.abs(D).sum(axis=1)
+    return sizes[sizes > ROUNDED * np.abs(D[:, :-1]).sum(axis=1).max(initial=0.0)]
 
 
 def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
@@ -247,9 +262,9 @@ def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
         return np.arange(len(M))
     first = first[once]
     second = second[once]
-    size = np.maximum(1.0, np.abs(D[first, :-1]).max(axis=1, initial=0.0))
-    apart = np.abs(D[first, :-1] - D[second, :-1]).max(axis=1, initial=0.0) / size
-    close = (apart < DUPLICATE) & (np.abs(M[first] - M[second]).max(axis=1, initial=0.0) < DUPLICATE)
+    size = np.maximum(np.abs(D[first, :-1]), np.abs(D[second, :-1])).max(axis=1, initial=0.0)
+    apart = np.abs(D[first, :-1] - D[second, :-1]).max(axis=1, initial=0.0)
+    close = (apart <= DUPLICATE * size) & (np.abs(M[first] - M[second]).max(axis=1, initial=0.0) < DUPLICATE)
     dropped = np.zeros(len(M), dtype=bool)
     for i, j in zip(first[close], second[close]):
         if not dropped[i] and not dropped[j]:

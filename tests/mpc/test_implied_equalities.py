@@ -52,9 +52,11 @@ def test_slack_that_is_less_than_rounding_settles_nothing_where_rows_are_nearly_
     G = [[1, 0], [-1, close], [-1, -close], *[[0, 1], [0, -1], [1, 1], [1, -1]]]
     right = [1e-9, 1e-9, 1e-9, 2, 2, 2, 2]
     S = np.array([0, 0, 0, 1, 1, 1, 1])[:, None]
-    assert implied_equalities(scaled(G, right, S)).status is MPQPStatus.INACCURATE
+    assert not implied_equalities(scaled(G, right, S)).exact
     right[:3] = [0, 0, 0]
-    assert implied_equalities(scaled(G, right, S)).rows.tolist() == [0, 1, 2]
+    known = implied_equalities(scaled(G, right, S))
+    assert known.exact
+    assert known.rows.tolist() == [0, 1, 2]
 
 
 def test_no_feasible_point_is_infeasible():

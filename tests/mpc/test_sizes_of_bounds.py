@@ -181,3 +181,62 @@ def test_an_mpc_with_an_implied_equality_and_a_tiny_limit_has_a_law():
     mpc = LinearMPC(A, B, Q=np.eye(2), R=np.eye(3), horizon=3, X=box([5.0, 5.0]), U=U)
     partition = solve_mpqp(mpc.build(), Polytope.from_bounds([-1.0, -0.5], [1.0, 0.5]))
     assert partition.status is MPQPStatus.COMPLETE
+
+
+@pytest.mark.parametrize("unlimited", [1e7, 1e8, 4e8, 1e12])
+def test_states_without_a_limit_that_matters_leave_the_limits_of_an_input_as_they_are(unlimited):
+    """Most rows say 1e8; the limits of 0.05 and the rates of 0.02 are neither repeated rows nor equalities."""
+    A, B = np.array([[1, 0.1, 0], [0, 1, 0.1], [0, 0, 0.9]]), np.array([[0], [0], [0.5]])
+    half = np.array([1.0, 1.0, 1.0, 0.05])
+
+    def law(X):
+        mpc = LinearMPC(A, B, Q=np.eye(3), R=1.0, horizon=3, X=X, U=(-0.05, 0.05), P=np.eye(3), rate_limit=0.02)
+        return solve_mpqp(mpc.build(), Polytope.from_bounds(-half, half))
+
+    without, with_rows = law(None), law((-unlimited, unlimited))
+    assert with_rows.status is MPQPStatus.COMPLETE
+    assert len(with_rows) == len(without)
+    for theta in np.random.default_rng(0).uniform(-1, 1, (40, 4)) * half:
+        np.testing.assert_allclose(at(with_rows, theta)[0], at(without, theta)[0], atol=1e-7)
+
+
+@pytest.mark.parametrize("rounded", [0.0, 1e-300, 0.1 + 0.2 - 0.3, 1e-16, 1e-13, 1e-9])
+def test_most_bounds_may_be_zero_but_for_rounding(rounded):
+    G = np.vstack([-np.eye(3), -np.ones((1, 3))])
+    allocated = least_norm(G, [rounded, rounded, rounded, 0.2], np.array([[0.0], [0.0], [0.0], [-1.0]]))
+    assert allocated.status is MPQPStatus.COMPLETE
+    for theta in np.linspace(-0.9, 0.95, 12):
+        np.testing.assert_allclose(at(allocated, theta), np.full(3, max(theta - 0.2, 0.0) / 3), atol=1e-8)
+    wanted = np.random.default_rng(0).normal(size=(3, 2))
+    G = np.vstack([-np.eye(3), np.ones((1, 3))])
+    w, S = np.array([rounded, rounded, rounded, 1.0]), np.zeros((4, 2))
+    square = Polytope.from_bounds([-1.0, -1.0], [1.0, 1.0])
+    nearest = solve_mpqp(problem_of(np.eye(3), -wanted, np.zeros(3), G, w, S), square)
+    assert (nearest.status, len(nearest)) == (MPQPStatus.COMPLETE, 6)
+
+
+@pytest.mark.parametrize("small", [1e-3, 1e-5, 1e-7])
+def test_one_large_variable_beside_many_small_ones_makes_nothing_infeasible(small):
+    n = 10
+    G = np.vstack([np.eye(n), -np.eye(n), np.eye(n)[:1] + np.eye(n)[1:2], -np.eye(n)[2:3]])
+    w = np.concatenate([np.full(9, small), [1.0], np.full(9, small), [-0.5], [small], [0.2 * small]])
+    w[n : n + 2] = -small / 2  # with z1 + z2 <= small that is an implied equality
+    S = np.zeros((len(w), 1))
+    S[-1] = 0.5 * small
+    partition = least_norm(G, w, S)
+    assert partition.status is MPQPStatus.COMPLETE
+    np.testing.assert_allclose(at(partition, -0.3)[[0, 1, 9]], [small / 2, small / 2, 0.5], rtol=1e-6)
+
+
+@pytest.mark.parametrize("width", [1e-7, 1e-5])
+def test_a_nearly_locked_input_with_a_far_optimum_keeps_its_law_and_says_how_sure_it_is(width):
+    A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005, 0.003], [0.1, 0.05]])
+    limit = 1e-3
+    U = Polytope.from_bounds([0.3 * limit, -limit], [(0.3 + width) * limit, limit])
+    mpc = LinearMPC(A, B, Q=np.eye(2), R=0.01 * np.eye(2), horizon=3, U=U)
+    partition = solve_mpqp(mpc.build(), Polytope.from_bounds([-1.0, -1.0], [1.0, 1.0]))
+    assert partition.status in (MPQPStatus.COMPLETE, MPQPStatus.INACCURATE)
+    assert len(partition)
+    for theta in np.random.default_rng(0).uniform(-1, 1, (20, 2)):
+        z = at(partition, theta)
+        assert z is None or np.abs(z[0] - 0.3 * limit) <= 1.1 * width * limit
