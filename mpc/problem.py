@@ -146,15 +146,30 @@ class MPCProblem:
             extent = np.where(extent > 0, extent, other)
         return extent
 
+    @property
+    def _moved_states(self) -> Array:
+        """How far (nx,) the inputs at their bounds move each state over the horizon; 0 where they do not."""
+        size = np.where(self.input_extent > 0, self.input_extent, 1.0)
+        block = self.B * size
+        moved = np.abs(block).sum(axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(self.horizon - 1):
+                block = self.A @ block
+                moved = moved + np.abs(block).sum(axis=1)
+        return np.nan_to_num(moved, nan=np.inf)
+
     @cached_property
     def row_units(self) -> dict[str, Array]:
         """Unit of each row of each set, in which violations of different rows are compared: the size of its bound.
 
-        Where a bound is zero (or vanishes beside the set) the extent of the set along the row takes its place.
+        Where a bound is zero (or vanishes beside the set) the extent of the set along the row takes its place, or what
+        the inputs move over the horizon where that is less: bounds of 1e6 on a state say nothing of its size.
         """
         units = {}
+        moved = self._moved_states
+        size = np.where(moved > 0, np.minimum(self.state_extent, moved), self.state_extent)
         for kind, (H, h), extent in (
-            ("state", self.state_rows, self.state_extent), ("terminal", self.terminal_rows, self.state_extent),
+            ("state", self.state_rows, size), ("terminal", self.terminal_rows, size),
             ("input", self.input_rows, self.input_extent),
         ):  # fmt: skip
             reach = np.abs(H) @ extent

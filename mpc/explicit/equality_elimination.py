@@ -13,7 +13,7 @@ from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, solve_exactly
 from mpc.explicit.partition import MPQPStatus
-from mpc.explicit.scaled_qp import ScaledQP, with_parameter_rows
+from mpc.explicit.scaled_qp import ScaledQP, widths, with_parameter_rows
 from mpc.parametric_qp import Constraint
 from mpc.tolerances import EQUALITY, FAR_OPTIMUM, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
 
@@ -93,6 +93,9 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
         tight = tight[~loose]
     rows = tight[tight < len(qp.M)]
     exact = not _leave_freedom(qp.M[rows], float(slack[tight].max(initial=0.0)) * max(1.0, qp.far))
+    wide = widths(qp.gram, np.abs(qp.own).sum(axis=1) * qp.own_unit)[rows]
+    # no slab that is only thin beside others
+    exact &= bool((slack[rows] <= np.maximum(LAW_ERROR * wide, ZERO_ROW)).all())
     points += _deepest(J, h, tight, sizes, deadline)
     parameters = np.array([point[:nt] for point in points])
     return ImpliedEqualities(MPQPStatus.COMPLETE, rows, len(rows) < len(tight), parameters, exact)

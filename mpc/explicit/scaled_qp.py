@@ -82,6 +82,8 @@ class ScaledQP:
     own : (k, nt + 1) array
         The bounds as the user states them, where z = 0 is v = 0, in units of their own sizes: the same however far the
         optimum is.
+    own_unit : float
+        That size, in units of D.
     """
 
     M: Array
@@ -97,6 +99,7 @@ class ScaledQP:
     half: Array
     far: float
     own: Array
+    own_unit: float
 
     @cached_property
     def reach(self) -> float:
@@ -118,7 +121,7 @@ class ScaledQP:
         return ScaledQP(
             np.ascontiguousarray(self.M[kept]), np.ascontiguousarray(self.D[kept]), self.tie[kept],
             np.ascontiguousarray(self.gram[np.ix_(kept, kept)]), self.TA, self.Tb, self.origin[kept],
-            self.back, self.free, self.centre, self.half, self.far, self.own[kept],
+            self.back, self.free, self.centre, self.half, self.far, self.own[kept], self.own_unit,
         )  # fmt: skip
 
     def unscale_rows(self, rows: Array) -> tuple[Array, Array]:
@@ -160,15 +163,16 @@ def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
     own_unit = _typical(own)
     own = own / own_unit
     unit = _unit_of(D)
-    near = np.abs(own).sum(axis=1) * own_unit
-    far = unit / float(near[near <= NOT_NEAR * unit].max(initial=0.0) or own_unit)
-    D = D / unit
     gram = M @ M.T
+    wide = widths(gram, np.abs(own).sum(axis=1) * own_unit)
+    far = unit / float(wide[(wide <= NOT_NEAR * unit) & (wide > ROUNDED * unit)].max(initial=0.0) or own_unit)
+    D = D / unit
     kept = _without_duplicates(M, own, gram)
     tie = 1.0 + 0.5 * np.sin(M @ _waves(M.shape[1]) + D @ _waves(D.shape[1]))
     whole = ScaledQP(
-        M, D, tie, gram, TA, Tb, bounded[origin], unit * back, back @ shift, domain.centre, domain.half, far, own
-    )
+        M, D, tie, gram, TA, Tb, bounded[origin], unit * back, back @ shift, domain.centre, domain.half, far, own,
+        own_unit / unit,
+    )  # fmt: skip
     return whole if len(kept) == len(M) else whole.rows(kept)
 
 
@@ -181,6 +185,14 @@ def _bounded_rows(problem: ParametricQP) -> Ints:
             place = np.argwhere(strange)[0].tolist()
             raise InputError("problem", f"{values[tuple(place)]} in {name} at {place}", "finite numbers")
     return np.flatnonzero(np.isfinite(problem.w))
+
+
+def widths(gram: Array, sizes: Array) -> Array:
+    """The size of each bound, or of an opposite one where that is larger: the wider side says how wide a slab is."""
+    wide = sizes.copy()
+    first, second = np.nonzero(gram < DUPLICATE - 1)
+    np.maximum.at(wide, first, sizes[second])
+    return wide
 
 
 def _waves(n: int) -> Array:

@@ -240,3 +240,28 @@ def test_a_nearly_locked_input_with_a_far_optimum_keeps_its_law_and_says_how_sur
     for theta in np.random.default_rng(0).uniform(-1, 1, (20, 2)):
         z = at(partition, theta)
         assert z is None or np.abs(z[0] - 0.3 * limit) <= 1.1 * width * limit
+
+
+@pytest.mark.parametrize("gentle", [1.0, 100.0])
+@pytest.mark.parametrize("rounded", [0.0, 0.1 + 0.2 - 0.3, 1e-12, 1e-10])
+def test_an_input_of_one_sign_with_a_rounded_lower_bound_has_a_complete_law(gentle, rounded):
+    A, B = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.0], [0.1]])
+    mpc = LinearMPC(A, B, Q=np.eye(2), R=gentle, horizon=3, U=([-rounded], [1.0]))
+    partition = solve_mpqp(mpc.build(), Polytope.from_bounds([-0.1, -0.1], [0.1, 0.1]))
+    assert (partition.status, len(partition)) == (MPQPStatus.COMPLETE, 6)
+
+
+@pytest.mark.parametrize(("dt", "limit"), [(1e-3, 1e-4), (5e-4, 1e-3), (1e-4, 1e-2)])
+def test_an_input_that_is_weak_beside_the_states_is_not_silently_taken_for_locked(dt, limit):
+    """Two triple integrators, sampled fast: the rows of the states dwarf those of the second input."""
+    A = np.array([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]])
+    B = np.array([[dt**3 / 6], [dt**2 / 2], [dt]])
+    A, B = np.kron(np.eye(2), A), np.kron(np.eye(2), B)
+    mpc = LinearMPC(
+        A, B, Q=np.eye(6), R=1e-2, horizon=3, U=([-1.0, -limit], [1.0, limit]), X=(-3.0, 3.0), P=np.eye(6)
+    )
+    partition = solve_mpqp(mpc.build(), Polytope.from_bounds(-np.ones(6), np.ones(6)))
+    assert partition.status is not MPQPStatus.INFEASIBLE
+    if partition.status is MPQPStatus.COMPLETE:
+        for theta in np.random.default_rng(0).uniform(-1, 1, (10, 6)):
+            np.testing.assert_allclose(at(partition, theta)[1], mpc(theta)[1], atol=1e-3 * limit)
