@@ -30,8 +30,13 @@ if TYPE_CHECKING:
     from ccdtools.limits import depth_outside, excursions
     from ccdtools.plants.design_space import DesignSpace
     from ccdtools.plants.discretisation import discretise
+    from ccdtools.plants.equilibrium import Equilibrium, equilibrium
+    from ccdtools.plants.first_order_hold import FirstOrderHold, first_order_hold
     from ccdtools.plants.linear_model import LinearModel
+    from ccdtools.plants.linearisation import deviations, linearise
+    from ccdtools.plants.noise_covariance import noise_covariance
     from ccdtools.plants.plant import Plant
+    from ccdtools.plants.sampled_model import SampledModel
     from ccdtools.plants.torch_function import to_torch
     from ccdtools.scenario import Scenario
     from ccdtools.simulation import simulate
@@ -53,7 +58,9 @@ __all__ = [
     "CoDesignResult",
     "DesignSpace",
     "DigitalTwin",
+    "Equilibrium",
     "Filtered",
+    "FirstOrderHold",
     "FixedStart",
     "Gaussian",
     "GeneratedRoad",
@@ -69,6 +76,7 @@ __all__ = [
     "RealPlant",
     "Recorded",
     "Reference",
+    "SampledModel",
     "SamplingWarning",
     "Scenario",
     "Study",
@@ -82,15 +90,20 @@ __all__ = [
     "deploy",
     "deploy_and_update",
     "depth_outside",
+    "deviations",
     "discretise",
+    "equilibrium",
     "excursions",
     "expert_dataset",
     "feasible_sets",
+    "first_order_hold",
     "free_running_bands",
     "least_depth",
+    "linearise",
     "load_policy",
     "load_study",
     "mean_interval",
+    "noise_covariance",
     "read_disturbance",
     "read_road",
     "read_speed",
@@ -110,7 +123,9 @@ _HOMES = {
     "CoDesignResult": "co_design.result",
     "DesignSpace": "plants.design_space",
     "DigitalTwin": "twin.twin",
+    "Equilibrium": "plants.equilibrium",
     "Filtered": "controllers.filtered",
+    "FirstOrderHold": "plants.first_order_hold",
     "FixedStart": "co_design.problem",
     "Gaussian": "disturbances.disturbance",
     "GeneratedRoad": "disturbances.roads",
@@ -126,6 +141,7 @@ _HOMES = {
     "RealPlant": "studies.study",
     "Recorded": "disturbances.disturbance",
     "Reference": "controllers.signals",
+    "SampledModel": "plants.sampled_model",
     "SamplingWarning": "exceptions",
     "Scenario": "scenario",
     "Study": "studies.study",
@@ -139,15 +155,20 @@ _HOMES = {
     "deploy": "twin.deployment",
     "deploy_and_update": "twin.deployment",
     "depth_outside": "limits",
+    "deviations": "plants.linearisation",
     "discretise": "plants.discretisation",
+    "equilibrium": "plants.equilibrium",
     "excursions": "limits",
     "expert_dataset": "co_design.expert",
     "feasible_sets": "co_design.expert",
+    "first_order_hold": "plants.first_order_hold",
     "free_running_bands": "twin.free_running",
     "least_depth": "co_design.least_depth",
+    "linearise": "plants.linearisation",
     "load_policy": "controllers.learned",
     "load_study": "studies.loading",
     "mean_interval": "statistics",
+    "noise_covariance": "plants.noise_covariance",
     "read_disturbance": "disturbances.recordings",
     "read_road": "disturbances.recordings",
     "read_speed": "disturbances.recordings",

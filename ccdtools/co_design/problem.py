@@ -23,7 +23,7 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.linear_model import LinearModel, as_linear_model
 from invariant_sets import Polytope
 
 DIVERGENCE = 1e3  # a run is lost when a state exceeds this many half-widths of X
@@ -130,7 +130,7 @@ class CoDesignProblem(Immutable):
     warm_up: int = 0
 
     def __post_init__(self) -> None:
-        model = as_instance("model", self.model, LinearModel, "a LinearModel", "Pass discretise(plant).")
+        model = as_linear_model("model", self.model)
         if model.design is None or model.design.dim == 0:
             raise InputError("model", "a model without design parameters", "one of a plant with a DesignSpace")
         _check_widths(model.design)

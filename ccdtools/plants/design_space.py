@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -157,6 +158,17 @@ class DesignSpace(Immutable):
 def sample_designs(design: DesignSpace | None) -> Array:
     """Samples of a box of designs; the empty design where there is none, (n, np)."""
     return np.zeros((1, 0)) if design is None else design.spread()
+
+
+def check_finite(function: Callable[[Array], Any], design: DesignSpace | None, what: str) -> None:
+    """Raise an `InputError` if `function` of the design is not finite at some sample of its box."""
+    for p in sample_designs(design):
+        if not np.isfinite(np.asarray(function(p), dtype=float)).all():
+            where = design.describe(p) if design is not None else "the only design"
+            raise InputError(
+                "design", f"bounds that hold {where}, where {what} are not finite", "a box in which they are",
+                "Move the bounds, or look for a division by zero.",
+            )  # fmt: skip
 
 
 def _unit(unit: str) -> str:

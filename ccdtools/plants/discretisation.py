@@ -1,72 +1,161 @@
-"""Exact zero-order-hold discretisation, symbolic in the design."""
+"""Discrete models of plants: exact and symbolic in the design of linear ones, integrated to an accuracy of others."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from ccdtools.checks import as_choice, as_instance, as_positive
+from ccdtools.arrays import Array
+from ccdtools.checks import as_choice, as_instance, as_limits, as_positive
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel, check_finite
-from ccdtools.plants.plant import Plant
+from ccdtools.plants.collocation import ImplicitStep
+from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
+from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.plant import Plant, linear_matrices
+from ccdtools.plants.runge_kutta import ExplicitStep
+from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.sampling_guard import warn_of_aliasing
 from ccdtools.plants.zero_order_hold import zero_order_hold
 
+ACCURACY = 1e-6  # of half the range of each state, a sample
+MOST_PARTS = {"rk4": 64, "collocation": 64}  # of a sample
 
-def discretise(plant: Plant, dt: float | None = None, *, sampling_guard: str = "warn") -> LinearModel:
-    """The exact zero-order-hold model of a linear plant, symbolic in its design.
+
+def discretise(
+    plant: Plant,
+    dt: float | None = None,
+    *,
+    method: str = "auto",
+    accuracy: float = ACCURACY,
+    X: Any = None,
+    U: Any = None,
+    W: Any = None,
+    sampling_guard: str = "warn",
+) -> LinearModel | SampledModel:
+    """The discrete model of a plant, with inputs and disturbances held over a sample.
+
+    A plant that is linear in x, u and w, with or without a constant term, has an exact one, symbolic in its design. Any
+    other is integrated: by as few Runge–Kutta steps a sample as keep the accuracy over the limits X, U and W and all
+    designs, or by collocation where these are not enough. Without X nothing is measured, and a sample is
+    `plant.substeps` Runge–Kutta steps.
 
     Parameters
     ----------
     plant : Plant
-        Linear in x, u and w; any smooth dependence on p. A discrete plant is taken as it is.
+        Any smooth dependence on p. A discrete plant is taken as it is.
     dt : float, optional
         Sampling time [s]; the plant's own by default.
+    method : {"auto", "rk4", "collocation"}
+        Of a nonlinear plant: explicit Runge–Kutta of order 4, or Radau IIA collocation of order 5 for stiff ones.
+    accuracy : float
+        Of a nonlinear plant: largest error of a sample, relative to half the range of each state in X.
+    X, U, W : Polytope, or bounds (lower, upper), optional
+        Of a nonlinear plant: where the accuracy is asked for. U and W are 0 by default. Each bound is a number for all
+        coordinates, or one number each.
     sampling_guard : {"warn", "ignore"}
         Whether a `SamplingWarning` says that some design has an oscillation near or beyond half the sampling rate.
 
     Returns
     -------
-    LinearModel
+    LinearModel or SampledModel
 
     Raises
     ------
     InputError
-        If the dynamics are not linear in (x, u, w), have a constant term, are not finite over the whole box of
-        designs, or a discrete plant is given another `dt`.
+        If the dynamics of a linear plant are not finite over the whole box of designs, a discrete plant is given
+        another `dt`, a set is unbounded or of another dimension, or the accuracy is not reached.
 
     References
     ----------
     Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23(3), 1978, eq. (1.1);
     Moler and Van Loan, "Nineteen dubious ways …, twenty-five years later", SIAM Review 45, 2003, method 3
-    (scaling and squaring), after balancing.
+    (scaling and squaring), after balancing; Hairer and Wanner, "Solving ordinary differential equations II",
+    2nd ed., 1996, section IV.5 (Radau IIA).
     """
     as_instance("plant", plant, Plant, "a Plant")
     as_choice("sampling_guard", sampling_guard, ("warn", "ignore"))
+    as_choice("method", method, ("auto", *METHODS))
+    accuracy = as_positive("accuracy", accuracy)
     dt = as_positive("dt", plant.dt if dt is None else dt, unit="s")
-    A, B, E = _linear_matrices(plant)
+    if not plant.continuous and not math.isclose(dt, plant.dt):
+        raise InputError("dt", dt, f"{plant.dt} or nothing", f"The plant is discrete, sampled at {plant.dt} s.")
+    region = _region(plant, X, U, W)
+    if plant.continuous and sampling_guard == "warn":
+        warn_of_aliasing(plant, dt, None if region is None else region.centre)
+    if plant.linear:
+        return _exact(plant, dt)
     if not plant.continuous:
-        if not math.isclose(dt, plant.dt):
-            raise InputError("dt", dt, f"{plant.dt} or nothing", f"The plant is discrete, sampled at {plant.dt} s.")
+        return SampledModel(plant, dt)
+    if region is None:
+        chosen = "rk4" if method == "auto" else method
+        return SampledModel(plant, dt, chosen, plant.substeps)
+    return _accurate(plant, dt, METHODS if method == "auto" else (method,), accuracy, region)
+
+
+def _exact(plant: Plant, dt: float) -> LinearModel:
+    """The model of a plant that is linear in x, u and w."""
+    A, B, E, constant = linear_matrices(plant)
+    if not plant.continuous:
+        return LinearModel(plant.p, A, B, E, dt, plant.design, constant)
+    if constant.is_zero():
+        A, B, E = zero_order_hold(A, B, E, dt, symbols=plant.p, design=plant.design)
         return LinearModel(plant.p, A, B, E, dt, plant.design)
-    if sampling_guard == "warn":
-        warn_of_aliasing(plant, dt)
-    A, B, E = zero_order_hold(A, B, E, dt, symbols=plant.p, design=plant.design)
-    return LinearModel(plant.p, A, B, E, dt, plant.design)
+    A, B, both = zero_order_hold(A, B, ca.horzcat(E, constant), dt, symbols=plant.p, design=plant.design)
+    return LinearModel(plant.p, A, B, both[:, :-1], dt, plant.design, both[:, -1])
 
 
-def _linear_matrices(plant: Plant) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """∂f/∂x, ∂f/∂u and ∂f/∂w of linear dynamics f, finite over the box of designs."""
-    z = ca.vertcat(plant.x, plant.u, plant.w)
-    M = ca.jacobian(plant.dynamics, z)
-    if ca.depends_on(M, z):
-        rows = [plant.state_names[i] for i in range(plant.nx) if ca.depends_on(ca.jacobian(plant.dynamics[i], z), z)]
-        raise InputError("plant", f"dynamics nonlinear in x, u or w for {', '.join(rows)}", "linear ones")
-    check_finite(ca.Function("M", [plant.p], [ca.densify(M)]), plant.design, "the dynamics")
-    rest = ca.Function("rest", [z, plant.p], [plant.dynamics])(ca.SX.zeros(z.shape), plant.p)
-    if not ca.simplify(rest).is_zero():
-        raise InputError("plant", "a constant term in the dynamics", "linear ones", "State it as a disturbance.")
-    nx = plant.nx
-    nu = plant.nu
-    return M[:, :nx], M[:, nx : nx + nu], M[:, nx + nu :]
+def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
+    """Where a nonlinear plant is to be accurate; None where nothing is said."""
+    if X is None:
+        if U is not None or W is not None:
+            raise InputError("X", "nothing, beside limits of u or w", "limits of the states too")
+        return None
+    boxes = [
+        _box("X", X, plant.nx, "one per state"),
+        _box("U", U, plant.nu, "one per input"),
+        _box("W", W, plant.nw, "one per disturbance"),
+    ]
+    region = Region.of(*boxes, (plant.design.lower, plant.design.upper))
+    flat = np.flatnonzero(region.extent <= 0)
+    if len(flat):
+        raise InputError("X", f"no width in {plant.state_names[flat[0]]}", "limits with a width for every state")
+    return region
+
+
+def _box(name: str, value: Any, size: int, of: str) -> tuple[Array, Array]:
+    """Lower and upper bounds (size,) of a set; zeros where there is none."""
+    if value is None or size == 0:
+        return np.zeros(size), np.zeros(size)
+    limits = as_limits(name, value, size, of)
+    if limits.is_empty or not np.isfinite(np.concatenate(limits.bounding_box())).all():
+        raise InputError(name, "an empty or unbounded set", "a bounded one with at least one point")
+    return limits.bounding_box()
+
+
+def _accurate(plant: Plant, dt: float, methods: Any, accuracy: float, region: Region) -> SampledModel:
+    """The cheapest of the methods that keeps the accuracy."""
+    best: IntegrationError | None = None
+    for method in methods:
+        parts = 1
+        while parts <= MOST_PARTS[method]:
+            coarse, fine = (_step(plant, dt, method, number, region) for number in (parts, 2 * parts))
+            error = measured_error(coarse, fine, region)
+            if error.relative <= accuracy:
+                return SampledModel(plant, dt, method, parts, error, region.extent)
+            best = error if best is None or not error.relative >= best.relative else best
+            parts *= 2
+    assert best is not None
+    where = f"x = {best.x.round(6).tolist()}, {plant.design.describe(best.p)}"
+    raise InputError(
+        "accuracy", f"{accuracy:g}, of which {best.relative:.2g} is reached (worst at {where})", "one that is reached",
+        "Shorten dt, allow a larger error, or narrow X, U and W to where the plant is smooth.",
+    )  # fmt: skip
+
+
+def _step(plant: Plant, dt: float, method: str, parts: int, region: Region) -> ExplicitStep | ImplicitStep:
+    """A step of so many parts."""
+    f = plant.right_hand_side
+    return ExplicitStep.of(f, dt, parts) if method == "rk4" else ImplicitStep(f, dt, parts, region.extent)

@@ -15,14 +15,15 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finite, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.design_space import DesignSpace, sample_designs
+from ccdtools.plants.design_space import DesignSpace, check_finite
+from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
 from ccdtools.plants.zero_order_hold import zero_order_hold
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearModel:
-    """x⁺ = A(p) x + B(p) u + E(p) w, exact, symbolic and differentiable in p.
+    """x⁺ = A(p) x + B(p) u + E(p) w + c(p), exact, symbolic and differentiable in p.
 
     Made by `discretise` or `LinearModel.from_state_space`.
 
@@ -36,6 +37,8 @@ class LinearModel:
         Sampling time [s].
     design : DesignSpace or None
         The box of designs; None where the model has none.
+    c : casadi.SX (nx, 1), optional
+        Constant term, such as what gravity adds in a step; none by default.
 
     Raises
     ------
@@ -49,11 +52,13 @@ class LinearModel:
     E: ca.SX
     dt: float
     design: DesignSpace | None
+    c: ca.SX | None = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         set_(self, "symbols", as_symbols("symbols", self.symbols))
-        for name in ("A", "B", "E"):
+        set_(self, "c", ca.SX.zeros(ca.SX(self.A).shape[0], 1) if self.c is None else self.c)
+        for name in ("A", "B", "E", "c"):
             M = as_expression(name, getattr(self, name))
             check_known(name, M, symbols=self.symbols)
             set_(self, name, M)
@@ -63,10 +68,13 @@ class LinearModel:
         for name, M in (("B", self.B), ("E", self.E)):
             if M.shape[0] != nx:
                 raise InputError(name, f"shape {M.shape}", f"{nx} rows, one per state")
+        if self._c.shape != (nx, 1):
+            raise InputError("c", f"shape {self._c.shape}", f"({nx}, 1), one row per state")
         set_(self, "dt", as_positive("dt", self.dt, unit="s"))
         if self.design is not None:
             as_instance("design", self.design, DesignSpace, "a DesignSpace or None")
         check_finite(self.function, self.design, "the matrices")
+        check_finite(self._constant, self.design, "the constant term")
 
     @classmethod
     def from_state_space(cls, system: Any, *, E: ArrayLike | None = None, dt: float | None = None) -> LinearModel:
@@ -87,7 +95,7 @@ class LinearModel:
             If `system` is no state space; a continuous system comes without a positive `dt`, or a discrete one with
             a different `dt`; or if `E` has the wrong number of rows.
         """
-        A, B = _state_space_matrices(system)
+        A, B = state_space_matrices(system)
         E = np.zeros((len(A), 0)) if E is None else as_floats("E", E)
         E = E.reshape(len(E), -1) if E.ndim == 1 else E
         if E.ndim != 2 or len(E) != len(A):
@@ -107,16 +115,17 @@ class LinearModel:
         return cls(p, *zero_order_hold(*constants, dt, symbols=p, design=None), dt, None)
 
     def __repr__(self) -> str:
-        sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances, dt = {self.dt:g} s"
+        constant = ", a constant term" if self.affine else ""
+        sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances{constant}, dt = {self.dt:g} s"
         return f"LinearModel({sizes}, design: {self.design!r})"
 
     def __getstate__(self) -> dict[str, Any]:
-        packed = pack([self.symbols], [self.A, self.B, self.E])
+        packed = pack([self.symbols], [self.A, self.B, self.E, self._c])
         return {"expressions": packed, "dt": self.dt, "design": self.design}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        (symbols,), (A, B, E) = unpack(state["expressions"])
-        values = {"symbols": symbols, "A": A, "B": B, "E": E, "dt": state["dt"], "design": state["design"]}
+        (symbols,), (A, B, E, c) = unpack(state["expressions"])
+        values = {"symbols": symbols, "A": A, "B": B, "E": E, "c": c, "dt": state["dt"], "design": state["design"]}
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -134,6 +143,22 @@ class LinearModel:
     def nw(self) -> int:
         """Number of disturbances."""
         return self.E.shape[1]
+
+    @property
+    def affine(self) -> bool:
+        """Whether there is a constant term: x = 0, u = 0 is then no equilibrium."""
+        return not self._c.is_zero()
+
+    @property
+    def _c(self) -> ca.SX:
+        """The constant term."""
+        assert self.c is not None
+        return self.c
+
+    @cached_property
+    def _constant(self) -> ca.Function:
+        """p → c, (nx, 1)."""
+        return ca.Function("constant", [self.symbols], [ca.densify(self._c)])
 
     @cached_property
     def function(self) -> ca.Function:
@@ -168,6 +193,12 @@ class LinearModel:
             np.ascontiguousarray(M[..., self.nx + self.nu :]),
         )
 
+    def constant(self, p: ArrayLike = ()) -> Array:
+        """c (nx,) at a design (np,); stacked along axis 0 for designs (n, np)."""
+        p = self._checked(p)
+        c = np.asarray(self._constant(np.atleast_2d(p).T), dtype=float).T
+        return np.ascontiguousarray(c if p.ndim == 2 else c[0])
+
     def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
         """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) at a design (np,)."""
         p = self._checked(p) if self.design is None else self.design.check_one(p)
@@ -176,16 +207,34 @@ class LinearModel:
         return T[:, : self.nx], T[:, self.nx : self.nx + self.nu], T[:, self.nx + self.nu :]
 
     def state_space(self, p: ArrayLike = ()):
-        """The model at one design as a `control.StateSpace` with inputs u, outputs x and its dt."""
+        """The model at one design as a `control.StateSpace` with inputs u, outputs x and its dt.
+
+        Raises
+        ------
+        InputError
+            If the model has a constant term, for which a state space has no place.
+        """
         import control
 
+        if self.affine:
+            cure = "Linearise the plant about its equilibrium: linearise(plant, equilibrium(plant, p))."
+            raise InputError("model", "a constant term", "a linear model", cure)
         A, B, _ = self.matrices(p)
         return control.ss(A, B, np.eye(self.nx), np.zeros((self.nx, self.nu)), self.dt)
+
+    def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
+        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` (np,) where w is 0."""
+        A, B, _ = self.matrices(p)
+        c = self.constant(p)
+        return lambda x, u: x @ A.T + u @ B.T + c
 
     def stepper(self, p: ArrayLike, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,)."""
         A, B, E = self.matrices(p)
-        return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T
+        if not self.affine:
+            return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T
+        c = self.constant(p)
+        return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T + c
 
     def _checked(self, p: ArrayLike) -> Array:
         """Designs within their bounds; nothing for a model without a design."""
@@ -196,18 +245,19 @@ class LinearModel:
         return np.zeros(0)
 
 
-def check_finite(function: ca.Function, design: DesignSpace | None, what: str) -> None:
-    """Raise an `InputError` if `function` of the design is not finite at some sample of its box."""
-    for p in sample_designs(design):
-        if not np.isfinite(np.asarray(function(p), dtype=float)).all():
-            where = design.describe(p) if design is not None else "the only design"
-            raise InputError(
-                "design", f"bounds that hold {where}, where {what} are not finite", "a box in which they are",
-                "Move the bounds, or look for a division by zero.",
-            )  # fmt: skip
+def as_linear_model(argument: str, value: Any, *, constant: bool = False) -> LinearModel:
+    """`value`, if it is a `LinearModel`, and has no constant term unless that is allowed; else an `InputError`."""
+    linearised = "Linearise the plant about its equilibrium: discretise(linearise(plant, equilibrium(plant, p)))."
+    if isinstance(value, SampledModel):
+        got = f"dynamics nonlinear in x, u or w for {', '.join(value.plant.nonlinear_states)}"
+        raise InputError(argument, got, "linear ones", linearised)
+    as_instance(argument, value, LinearModel, "a LinearModel", "Pass discretise(plant).")
+    if value.affine and not constant:
+        raise InputError(argument, "a constant term in the dynamics", "linear ones", linearised)
+    return value
 
 
-def _state_space_matrices(system: Any) -> tuple[Array, Array]:
+def state_space_matrices(system: Any) -> tuple[Array, Array]:
     """A (nx, nx) and B (nx, nu) of a `control.StateSpace`."""
     if not all(hasattr(system, name) for name in ("A", "B", "dt")):
         cure = "Convert it with control.ss(system)." if hasattr(system, "num") else ""

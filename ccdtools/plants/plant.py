@@ -9,12 +9,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_flag, as_instance, as_names, as_positive
+from ccdtools.arrays import Array, frozen
+from ccdtools.checks import as_count, as_flag, as_floats, as_instance, as_names, as_positive, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
-from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.design_space import DesignSpace, check_finite
+from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.symbols import as_expression, as_symbols, check_distinct, check_known, pack, unpack
 
 NATIVE_BATCH = 8  # below this, CasADi's own machine is faster than one array operation per instruction
@@ -40,6 +42,12 @@ class Plant:
         Runge–Kutta steps per sample, for simulating a continuous plant.
     state_names, input_names : sequence of str, optional
         Labels with units, for figures.
+    outputs : casadi.SX (ny, 1), or a list of ny expressions, optional
+        y = h(x, u, p): what is measured, limited, or judged beside the states.
+    output_names : sequence of str, optional
+        Labels with units.
+    output_limits : (lower, upper), optional
+        Of the outputs, each a number or (ny,); infinite where there is none.
 
     Raises
     ------
@@ -59,6 +67,9 @@ class Plant:
     substeps: int = 10
     state_names: Sequence[str] = ()
     input_names: Sequence[str] = ()
+    outputs: Any = ()
+    output_names: Sequence[str] = ()
+    output_limits: Any = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -78,24 +89,56 @@ class Plant:
         set_(self, "dt", as_positive("dt", self.dt, unit="s"))
         set_(self, "continuous", as_flag("continuous", self.continuous))
         set_(self, "substeps", as_count("substeps", self.substeps))
-        for name, letter, n in (("state_names", "x", self.nx), ("input_names", "u", self.nu)):
+        self._check_outputs()
+        named = (("state_names", "x", self.nx), ("input_names", "u", self.nu), ("output_names", "y", self.ny))
+        for name, letter, n in named:
             given = getattr(self, name)
             set_(self, name, _labels(letter, n) if isinstance(given, tuple) and not given else as_names(name, given, n))
         Vectorised(self.right_hand_side)  # refuses operations that have no array counterpart
+
+    @classmethod
+    def from_matrices(cls, A: Any, B: Any, E: Any = None, **options: Any) -> Plant:
+        """The plant dx/dt = A(p) x + B(p) u + E(p) w + c(p); see `plant_from_matrices`."""
+        from ccdtools.plants.linear_plants import plant_from_matrices
+
+        return plant_from_matrices(A, B, E, **options)
+
+    @classmethod
+    def from_state_space(cls, system: Any, *, dt: float | None = None, E: ArrayLike | None = None) -> Plant:
+        """The plant of a `control.StateSpace`, without a design; see `plant_from_state_space`."""
+        from ccdtools.plants.linear_plants import plant_from_state_space
+
+        return plant_from_state_space(system, dt=dt, E=E)
+
+    def _check_outputs(self) -> None:
+        """Raise an `InputError` unless the outputs are expressions in x, u and p, with limits in order."""
+        set_ = object.__setattr__
+        y = as_expression("outputs", self.outputs) if np.size(self.outputs) else ca.SX(0, 1)
+        if y.shape[1] != 1:
+            raise InputError("outputs", f"shape {y.shape}", "a column of expressions (ny, 1)")
+        check_known("outputs", y, x=self.x, u=self.u, p=self.p)
+        set_(self, "outputs", y)
+        given = (-np.inf, np.inf) if self.output_limits is None else self.output_limits
+        if not isinstance(given, tuple | list) or len(given) != 2:
+            raise InputError("output_limits", shown(given), "bounds (lower, upper)")
+        low, high = (_bound(f"output_limits, {side}", value, self.ny) for side, value in zip(("lower", "upper"), given))
+        if not (low < high).all():
+            raise InputError("output_limits", f"{low.tolist()} and {high.tolist()}", "lower < upper")
+        set_(self, "output_limits", (low, high))
 
     def __repr__(self) -> str:
         kind = f"continuous, sampled every {self.dt:g} s" if self.continuous else f"discrete, dt = {self.dt:g} s"
         return f"Plant({self.nx} states, {self.nu} inputs, {self.nw} disturbances, {kind}, design: {self.design!r})"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"expressions": pack([self.x, self.u, self.w, self.p], [self.dynamics])} | {
-            name: getattr(self, name)
-            for name in ("design", "dt", "continuous", "substeps", "state_names", "input_names")
-        }
+        plain = ("design", "dt", "continuous", "substeps", "state_names", "input_names", "output_names",
+                 "output_limits")  # fmt: skip
+        expressions = pack([self.x, self.u, self.w, self.p], [self.dynamics, self.outputs])
+        return {"expressions": expressions} | {name: getattr(self, name) for name in plain}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        symbols, (dynamics,) = unpack(state.pop("expressions"))
-        named = dict(zip(("x", "u", "w", "p"), symbols), dynamics=dynamics)
+        symbols, (dynamics, outputs) = unpack(state.pop("expressions"))
+        named = dict(zip(("x", "u", "w", "p"), symbols), dynamics=dynamics, outputs=outputs)
         for name, value in (named | state).items():
             object.__setattr__(self, name, value)
 
@@ -114,6 +157,38 @@ class Plant:
         """Number of disturbances."""
         return self.w.numel()
 
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return self.outputs.numel()
+
+    @cached_property
+    def output(self) -> ca.Function:
+        """(x, u, p) → y."""
+        return ca.Function("outputs", [self.x, self.u, self.p], [self.outputs], ["x", "u", "p"], ["y"])
+
+    def observe(self, x: ArrayLike, u: ArrayLike, p: ArrayLike = ()) -> Array:
+        """Outputs (..., ny) of states (..., nx) and inputs (..., nu) at a design (np,)."""
+        x, u = as_floats("x", x), as_floats("u", u)
+        for name, value, size in (("x", x, self.nx), ("u", u, self.nu)):
+            if value.ndim == 0 or value.shape[-1] != size:
+                raise InputError(name, f"shape {value.shape}", f"(..., {size})")
+        if self.ny == 0:
+            return np.zeros((*np.broadcast_shapes(x.shape[:-1], u.shape[:-1]), 0))
+        return np.asarray(Vectorised(self.output)(x, u, self.design.check_one(p)))
+
+    @cached_property
+    def nonlinear_states(self) -> tuple[str, ...]:
+        """Names of the states whose dynamics are not linear in x, u and w, up to a constant term."""
+        z = ca.vertcat(self.x, self.u, self.w)
+        J = ca.jacobian(self.dynamics, z)
+        return tuple(name for i, name in enumerate(self.state_names) if ca.depends_on(J[i, :], z))
+
+    @property
+    def linear(self) -> bool:
+        """Whether the dynamics are linear in x, u and w, up to a constant term; any dependence on p."""
+        return not self.nonlinear_states
+
     @cached_property
     def right_hand_side(self) -> ca.Function:
         """(x, u, w, p) → dynamics."""
@@ -127,17 +202,7 @@ class Plant:
         """
         if not self.continuous:
             return self.right_hand_side
-        f = self.right_hand_side
-        h = self.dt / self.substeps
-        x = self.x
-        held = (self.u, self.w, self.p)
-        for _ in range(self.substeps):
-            k1 = f(x, *held)
-            k2 = f(x + h / 2 * k1, *held)
-            k3 = f(x + h / 2 * k2, *held)
-            k4 = f(x + h * k3, *held)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        return ca.Function("step", [self.x, *held], [ca.densify(x)])
+        return ExplicitStep.of(self.right_hand_side, self.dt, self.substeps).function
 
     def stepper(self, p, *, batch: int) -> Callable:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,), for batches of n = `batch`."""
@@ -173,6 +238,35 @@ class Plant:
     def _vectorised_step(self) -> Vectorised:
         """`step` on batches of arrays."""
         return Vectorised(self.step)
+
+
+def linear_matrices(plant: Plant) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """∂f/∂x, ∂f/∂u, ∂f/∂w and the constant term of dynamics f that are linear, finite over the box of designs.
+
+    Raises
+    ------
+    InputError
+        If they are not linear in x, u and w, or not finite.
+    """
+    if not plant.linear:
+        got = f"dynamics nonlinear in x, u or w for {', '.join(plant.nonlinear_states)}"
+        raise InputError("plant", got, "linear ones", "Linearise it: linearise(plant, equilibrium(plant, p)).")
+    z = ca.vertcat(plant.x, plant.u, plant.w)
+    M = ca.jacobian(plant.dynamics, z)
+    rest = ca.Function("rest", [z, plant.p], [plant.dynamics])(ca.SX.zeros(z.shape), plant.p)
+    constant = ca.densify(ca.simplify(rest))
+    check_finite(ca.Function("M", [plant.p], [ca.densify(ca.horzcat(M, constant))]), plant.design, "the dynamics")
+    nx = plant.nx
+    nu = plant.nu
+    return M[:, :nx], M[:, nx : nx + nu], M[:, nx + nu :], constant
+
+
+def _bound(argument: str, value: Any, size: int) -> Array:
+    """One side of the limits of the outputs (size,), which may be infinite."""
+    bound = as_floats(argument, value)
+    if bound.shape not in ((), (size,)) or np.isnan(bound).any():
+        raise InputError(argument, f"{bound.tolist()} of shape {bound.shape}", f"a number, or ({size},) of them")
+    return frozen(np.broadcast_to(bound, (size,)).copy())
 
 
 def _labels(letter: str, n: int) -> tuple[str, ...]:

@@ -72,7 +72,10 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
 
     def frequency(v: Array) -> float:
         """Fastest damped frequency [Hz] at a point of the unit box."""
-        modes = np.linalg.eigvals(np.asarray(A(design.from_unit(v)), dtype=float))
+        matrix = np.asarray(A(design.from_unit(v)), dtype=float)
+        if not np.isfinite(matrix).all():  # said elsewhere, with the design
+            return 0.0
+        modes = np.linalg.eigvals(matrix)
         living = modes[modes.real * dt > DEAD]
         return float(np.abs(living.imag).max(initial=0.0)) / (2 * np.pi)
 
@@ -90,19 +93,28 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
     return FastestMode(found, design.from_unit(fastest), dt)
 
 
-def sampling_note(plant: Plant, dt: float | None = None) -> str:
-    """One sentence if a linear plant oscillates near or beyond half the sampling rate at some design; else nothing.
+def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None) -> str:
+    """One sentence if a plant oscillates near or beyond half the sampling rate at some design; else nothing.
 
     Parameters
     ----------
     plant : Plant
-        Linear in x; a discrete one has no modes to judge.
+        A discrete one has no modes to judge.
     dt : float, optional
         Sampling time [s]; the plant's own by default.
+    x : (nx,) array, optional
+        State about which a nonlinear plant is linearised; 0 by default. Its input and disturbance are 0.
     """
     if not plant.continuous:
         return ""
-    A = ca.Function("A", [plant.p], [ca.densify(ca.jacobian(plant.dynamics, plant.x))])
+    given = [plant.x, plant.u, plant.w, plant.p]
+    jacobian = ca.Function("A", given, [ca.densify(ca.jacobian(plant.dynamics, plant.x))])
+    state = np.zeros(plant.nx) if x is None else x
+
+    def A(p: Array) -> Any:
+        """∂f/∂x at a design."""
+        return jacobian(state, 0, 0, p)
+
     mode = fastest_mode(A, plant.design, plant.dt if dt is None else dt)
     if mode.resolved:
         return ""
@@ -113,9 +125,9 @@ def sampling_note(plant: Plant, dt: float | None = None) -> str:
     )
 
 
-def warn_of_aliasing(plant: Plant, dt: float) -> None:
+def warn_of_aliasing(plant: Plant, dt: float, x: Array | None = None) -> None:
     """Issue a `SamplingWarning` if `sampling_note` has something to say."""
-    note = sampling_note(plant, dt)
+    note = sampling_note(plant, dt, x)
     if note:
         intended = 'If this is intended, pass sampling_guard="ignore".'
         warnings.warn(f"{note}. {intended}", SamplingWarning, stacklevel=3)

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import matrix_balance
 
+from ccdtools.arrays import Array
 from ccdtools.plants.design_space import DesignSpace, sample_designs
 
 TAYLOR_DEGREE = 14  # with ‖M‖₁ ≤ 1/2 the first neglected term is (1/2)¹⁵/15! ≈ 2e-17
@@ -28,16 +29,28 @@ def zero_order_hold(
     inputs = B.shape[1] + E.shape[1]
     M = ca.SX(nx + inputs, nx + inputs)
     M[:nx, :] = ca.horzcat(A, B, E) * dt
-    function = ca.Function("M", [symbols], [M])
-    samples = np.array([np.asarray(function(p), dtype=float) for p in sample_designs(design)])
-    # One fixed diagonal similarity for the whole box: symbolic in p, and it keeps the norm, hence the rounding, small.
-    _, (scale, _) = matrix_balance(np.max(np.abs(samples), axis=0), permute=False, separate=True)
-    norm = max(float(np.linalg.norm(S / scale[:, None] * scale[None, :], 1)) for S in samples)
-    squarings = max(0, math.ceil(math.log2(max(norm, 1e-300))) + 2)
+    F = exponential(M, symbols=symbols, design=design)
+    return F[:nx, :nx], F[:nx, nx : nx + B.shape[1]], F[:nx, nx + B.shape[1] :]
+
+
+def exponential(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> ca.SX:
+    """exp(M) for a matrix that is symbolic in the design, to rounding over its box."""
+    scale, squarings = balanced(M, symbols=symbols, design=design)
     D = ca.diag(ca.DM(scale))
     D_inv = ca.diag(ca.DM(1 / scale))
-    F = D @ expm(D_inv @ M @ D, squarings=squarings) @ D_inv
-    return F[:nx, :nx], F[:nx, nx : nx + B.shape[1]], F[:nx, nx + B.shape[1] :]
+    return D @ expm(D_inv @ M @ D, squarings=squarings) @ D_inv
+
+
+def balanced(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> tuple[Array, int]:
+    """A diagonal similarity d (n,), and how often D⁻¹ M D is halved until its norm is at most a half, over the box.
+
+    One fixed similarity for the whole box is symbolic in p, and keeps the norm, hence the rounding, small.
+    """
+    function = ca.Function("M", [symbols], [ca.densify(M)])
+    samples = np.array([np.asarray(function(p), dtype=float) for p in sample_designs(design)])
+    _, (scale, _) = matrix_balance(np.max(np.abs(samples), axis=0), permute=False, separate=True)
+    norm = max(float(np.linalg.norm(S / scale[:, None] * scale[None, :], 1)) for S in samples)
+    return scale, max(0, math.ceil(math.log2(max(norm, 1e-300))) + 2)
 
 
 def expm(M: ca.SX, *, squarings: int) -> ca.SX:

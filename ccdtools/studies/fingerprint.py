@@ -47,7 +47,10 @@ def jsonable_of(value: Any) -> Any:
     if isinstance(value, Plant):
         arguments = [value.x, value.u, value.w, value.p]
         dynamics = ca.Function("dynamics", arguments, [value.dynamics]).serialize()
-        return {"dynamics": dynamics, **{name: jsonable_of(getattr(value, name)) for name in PLANT_NUMBERS}}
+        numbers = {name: jsonable_of(getattr(value, name)) for name in PLANT_NUMBERS}
+        if value.ny:
+            numbers["outputs"] = [value.output.serialize(), value.output_names, jsonable_of(list(value.output_limits))]
+        return {"dynamics": dynamics, **numbers}
     if isinstance(value, Polytope):
         return {name: jsonable_of(getattr(value, name)) for name in ("A", "b", "A_eq", "b_eq")}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -29,7 +29,7 @@ from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.disturbances.disturbance import Disturbance, is_recorded
 from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.linear_model import LinearModel, as_linear_model
 from ccdtools.plants.plant import Plant
 from ccdtools.studies.options import FILTERS, SETS
 from ccdtools.studies.price import DEFAULT_PRICE, RedesignPrice
@@ -238,7 +238,7 @@ class Study(Immutable):
     @cached_property
     def model(self) -> LinearModel:
         """The exact discrete model, symbolic in the design."""
-        return discretise(self.plant, sampling_guard=self.sampling_guard)
+        return as_linear_model("plant", discretise(self.plant, sampling_guard=self.sampling_guard))
 
     @property
     def price(self) -> RedesignPrice:

@@ -14,7 +14,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_choice, as_flag, as_instance, as_weight
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.linear_model import LinearModel, as_linear_model
 from ccdtools.twin.residuals import Residuals, stacked
 from ccdtools.twin.transport import Transport
 from learning.copula import InnovationCopula
@@ -177,7 +177,7 @@ class TwinPlant(Immutable):
     error: ArrayField | None = None
 
     def __post_init__(self) -> None:
-        as_instance("model", self.model, LinearModel, "a LinearModel")
+        as_linear_model("model", self.model, constant=True)
         as_instance("discrepancy", self.discrepancy, Discrepancy, "a Discrepancy")
         if self.discrepancy.network.outputs != self.model.nx:
             raise InputError("discrepancy", f"{self.discrepancy.network.outputs} states", f"{self.model.nx}")
@@ -225,9 +225,9 @@ class TwinStepper:
 
     def __init__(self, plant: TwinPlant, p: Array, batch: int) -> None:
         self._discrepancy = plant.discrepancy
-        self._A, self._B, E = plant.model.matrices(p)
+        self._model = plant.model.undisturbed(p)
         transport = plant.discrepancy.transport
-        self._carry = np.eye(plant.nx) if transport is None else transport.matrix(E)
+        self._carry = np.eye(plant.nx) if transport is None else transport.matrix(plant.model.matrices(p)[2])
         self._p = torch.tensor(p, dtype=torch.float32)
         self._e = np.zeros((batch, plant.nx)) if plant.error is None else plant.error
 
@@ -236,7 +236,7 @@ class TwinStepper:
         e, state, applied, drawn = (torch.tensor(a, dtype=torch.float32) for a in (self._e, x, u, w))
         with torch.no_grad():
             self._e = self._discrepancy.advance(e, state, applied, self._p, drawn)[0].double().numpy()
-        return x @ self._A.T + u @ self._B.T + self._e[:, : x.shape[1]] @ self._carry.T
+        return self._model(x, u) + self._e[:, : x.shape[1]] @ self._carry.T
 
 
 @dataclass(frozen=True)

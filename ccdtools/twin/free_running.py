@@ -212,8 +212,7 @@ def _as_learned(twin: DigitalTwin, errors: Residuals) -> Residuals:
 
 def _last(twin: DigitalTwin, errors: Residuals) -> Array:
     """The states (n, 1, nx) after the last step of every run."""
-    A, B, _ = twin.model.matrices(errors.p)
-    return errors.x[:, -1:] @ A.T + errors.u[:, -1:] @ B.T + errors.e_next[:, -1:]
+    return twin.model.undisturbed(errors.p)(errors.x[:, -1:], errors.u[:, -1:]) + errors.e_next[:, -1:]
 
 
 def _compared(horizons: NDArray[np.int64], drawn: Array, actual: Array) -> FreeRunningBands:

@@ -101,7 +101,7 @@ class _Loop:
     @torch.no_grad()
     def simulated(self, discrepancy: Discrepancy, rng: np.random.Generator) -> Array | None:
         """Inputs (n, d) of the network along runs of draws from logged samples; None if they run away."""
-        A, B, _ = self.model.matrices(self.p)
+        model = self.model.undisturbed(self.p)
         begun = rng.integers(0, len(self.x), RUNS)
         x = self.x[begun]
         p = torch.tensor(self.p, dtype=torch.float32)
@@ -112,7 +112,7 @@ class _Loop:
             state, applied, noise = (torch.tensor(a, dtype=torch.float32) for a in (x, u, rng.random(x.shape)))
             reached.append(discrepancy.features(error[:, : x.shape[1]], state, applied, p).double().numpy())
             error = discrepancy.advance(error, state, applied, p, noise)[0]
-            x = x @ A.T + u @ B.T + error[:, : x.shape[1]].double().numpy()
+            x = model(x, u) + error[:, : x.shape[1]].double().numpy()
             if not (np.abs(x) <= RUNAWAY * np.abs(self.x).max(axis=0)).all():
                 return None
         return np.concatenate(reached[SETTLING:])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_floats, as_instance, finite
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.linear_model import LinearModel, as_linear_model
 from ccdtools.trajectory import Trajectory
 
 
@@ -26,7 +26,7 @@ class Residuals(Immutable):
     p : (np,) array
         Design of the log.
     e_next : (n, T, nx) array
-        e⁺ = x⁺ − A(p) x − B(p) u, at the measured state.
+        e⁺ = x⁺ − (A(p) x + B(p) u + c(p)), at the measured state.
     numbers : (n,) int array
         Of the runs in their deployment, where some that diverged have been left out; 0, 1, … by default.
     independent : bool
@@ -88,15 +88,14 @@ def residuals(model: LinearModel, log: Trajectory) -> Residuals:
     InputError
         If every run diverged, or the log is not of such a plant, or of a design outside the model's box.
     """
-    as_instance("model", model, LinearModel, "a LinearModel", "Pass discretise(plant).")
+    as_linear_model("model", model, constant=True)
     check_log(model, log)
     kept = ~log.diverged
     if not kept.any():
         raise InputError("log", f"{len(kept)} runs that all diverged", "at least one that did not")
-    A, B, _ = model.matrices(log.design)
     x = log.states[kept]
     u = log.inputs[kept]
-    e_next = x[:, 1:] - x[:, :-1] @ A.T - u @ B.T
+    e_next = x[:, 1:] - model.undisturbed(log.design)(x[:, :-1], u)
     e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_floats, as_instance
+from ccdtools.checks import as_floats
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.linear_model import LinearModel, as_linear_model
 from ccdtools.twin.residuals import Residuals
 
 RANK = 1e-6  # columns of E, each of length one, are dependent below this singular value, relative to the largest
@@ -47,7 +47,7 @@ class Transport(Immutable):
     @classmethod
     def at(cls, model: LinearModel, p: ArrayLike, scale: ArrayLike) -> Transport:
         """The split at a design (np,); `scale` (nx,) is the extent of each state, such as half the width of X."""
-        as_instance("model", model, LinearModel, "a LinearModel", "Pass discretise(plant).")
+        as_linear_model("model", model, constant=True)
         scale = as_extent(scale, model.nx)
         E = model.matrices(p)[2]
         scaled, lengths = _columns_of_length_one(E / scale[:, None])
@@ -84,7 +84,7 @@ class ErrorSplit(Immutable):
     scale: ArrayField
 
     def __post_init__(self) -> None:
-        as_instance("model", self.model, LinearModel, "a LinearModel", "Pass discretise(plant).")
+        as_linear_model("model", self.model, constant=True)
         object.__setattr__(self, "scale", as_extent(self.scale, self.model.nx))
 
     def __repr__(self) -> str:

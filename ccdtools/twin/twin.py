@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import ArrayField, Immutable
 from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_share, as_weight, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.linear_model import LinearModel, as_linear_model
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
 from ccdtools.twin.loop_moments import matched_in_the_loop
@@ -46,7 +46,7 @@ class DigitalTwin(Immutable):
     scale: ArrayField | None = None
 
     def __post_init__(self) -> None:
-        as_instance("model", self.model, LinearModel, "a LinearModel", "Pass discretise(plant).")
+        as_linear_model("model", self.model, constant=True)
         if not isinstance(self.logs, tuple | list) or not all(isinstance(log, Residuals) for log in self.logs):
             raise InputError("logs", shown(self.logs), "a tuple of Residuals")
         object.__setattr__(self, "logs", tuple(self.logs))

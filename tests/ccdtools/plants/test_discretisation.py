@@ -8,7 +8,17 @@ import mpmath
 import numpy as np
 import pytest
 
-from ccdtools import DesignSpace, InputError, LinearModel, Plant, discretise
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    LinearModel,
+    Plant,
+    QuadraticObjective,
+    discretise,
+)
 from ccdtools.plants.zero_order_hold import expm, zero_order_hold
 from ccdtools.studies.cases.suspension import quarter_car
 from mpc import lqr
@@ -199,16 +209,18 @@ def nonlinear(expression):
         (lambda x, u, w, p: ca.vertcat(x[1], u + p), "got a constant term in the dynamics"),
     ],
 )
-def test_dynamics_that_are_not_linear_are_refused_with_their_states(expression, message):
+def test_a_co_design_refuses_dynamics_that_are_not_linear_with_their_states(expression, message):
+    model = discretise(nonlinear(expression))
     with pytest.raises(InputError, match=message):
-        discretise(nonlinear(expression))
+        CoDesignProblem(
+            model, X=(-1, 1), U=(-1, 1), objective=QuadraticObjective(np.eye(2), [[1.0]]),
+            scenarios=FixedStart([0.0, 0.0], Gaussian([0.1])),
+        )  # fmt: skip
 
 
-def test_the_real_plants_are_refused_as_models(suspension, illustrative):
-    with pytest.raises(InputError, match=r"nonlinear in x, u or w for ż_us \[m/s\], ż_s \[m/s\]"):
-        discretise(suspension.real.plant)
-    with pytest.raises(InputError, match="nonlinear in x, u or w for x1, x2"):
-        discretise(illustrative.real.plant)
+def test_the_real_plants_are_no_linear_models(suspension, illustrative):
+    assert suspension.real.plant.nonlinear_states == ("ż_us [m/s]", "ż_s [m/s]")
+    assert illustrative.real.plant.nonlinear_states == ("x1", "x2")
 
 
 @pytest.mark.parametrize("dt", [0.0, -0.1, np.nan, np.inf])

@@ -1,0 +1,149 @@
+"""Radau IIA collocation over one held sample: implicit, fifth order, for stiff plants."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.plants.casadi_arrays import Vectorised
+
+STAGES = 3
+MOST_ITERATIONS = 50  # of Newton's method
+CLOSE = 1e-7  # of the size of a state: a Newton step so small is followed by one last, which doubles the digits
+CONVERGED = 1e-13  # residual and step of CasADi's own Newton solver, in extents of the states
+DIFFERENTIABLE = 2  # last Newton steps that derivatives go through: one gives the first, two the second and third
+
+
+class ImplicitStep:
+    """(x, u, w, p) → x⁺ by collocation: the solution of equations, found by Newton's method for all runs at once.
+
+    Z_i = x + h Σ_j a_ij f(Z_j), x⁺ = Z_3, of each of `substeps` equal parts. A run for which Newton's method does not
+    converge gets NaN. `scale` (nx,) is the extent of each state, for the tolerances of CasADi's solver.
+
+    References
+    ----------
+    Hairer and Wanner, "Solving ordinary differential equations II", 2nd ed., 1996, section IV.5 and table 5.6.
+    """
+
+    def __init__(self, f: ca.Function, dt: float, substeps: int, scale: Array | None = None) -> None:
+        self.f = f
+        self.dt = dt
+        self.substeps = substeps
+        self.weights = radau_weights()
+        self.scale = np.ones(f.numel_out(0)) if scale is None else scale
+
+    @cached_property
+    def _dynamics(self) -> Vectorised:
+        """f on batches."""
+        return Vectorised(self.f)
+
+    @cached_property
+    def _jacobian(self) -> Vectorised:
+        """∂f/∂x by rows, on batches."""
+        arguments = [ca.SX.sym(name, *self.f.size_in(i)) for i, name in enumerate("xuwp")]
+        J = ca.jacobian(self.f(*arguments), arguments[0])
+        return Vectorised(ca.Function("jacobian", arguments, [ca.densify(ca.vec(J.T))]))
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """The whole step by CasADi's Newton solver; differentiable by the implicit function theorem."""
+        nx = self.f.numel_out(0)
+        h = self.dt / self.substeps
+        x, u, w, p = (ca.SX.sym(name, *self.f.size_in(i)) for i, name in enumerate("xuwp"))
+        unit = ca.DM(self.scale)
+        z = ca.SX.sym("z", nx, STAGES)  # stages in units of the scale
+        rates = ca.horzcat(*(self.f(unit * z[:, j], u, w, p) for j in range(STAGES)))
+        residual = z - ca.repmat(x / unit, 1, STAGES) - h * (rates / ca.repmat(unit, 1, STAGES)) @ ca.DM(self.weights).T
+        equations = {"x": ca.vec(z), "p": ca.vertcat(x, u, w, p), "g": ca.vec(residual)}
+        options = {"max_iter": MOST_ITERATIONS, "error_on_fail": False, "abstol": CONVERGED, "abstolStep": CONVERGED}
+        solve = ca.rootfinder("stages", "newton", equations, options)
+        given = [ca.MX.sym(name, *self.f.size_in(i)) for i, name in enumerate("xuwp")]
+        after = given[0]
+        for _ in range(self.substeps):
+            after = unit * solve(ca.repmat(after / unit, STAGES, 1), ca.vertcat(after, *given[1:]))[-nx:]
+        return ca.Function("step", given, [after], list("xuwp"), ["x_next"])
+
+    def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
+        """x⁺ (..., nx) of arrays or tensors (..., n), whose leading shapes broadcast."""
+        arrays = isinstance(x, np.ndarray)
+        if arrays:
+            with np.errstate(all="ignore"):
+                return self._parts(np, x, (u, w, p))
+        import torch
+
+        return self._parts(torch, x, (u, w, p))
+
+    def _parts(self, xp: Any, x: Any, held: tuple[Any, ...]) -> Any:
+        """x⁺ by the functions of NumPy or torch."""
+        batch = np.broadcast_shapes(*(tuple(a.shape[:-1]) for a in (x, *held)))
+        x = xp.broadcast_to(x, (*batch, x.shape[-1]))
+        along = tuple(a[..., None, :] for a in held)  # the same for every stage
+        for _ in range(self.substeps):
+            x = self._part(xp, x, along)
+        return x
+
+    def _part(self, xp: Any, x: Any, along: tuple[Any, ...]) -> Any:
+        """x (..., nx) after one part of the sample."""
+        if xp is np:
+            return self._solved(xp, x, along)[..., -1, :]
+        with xp.no_grad():
+            Z = self._solved(xp, x.detach(), tuple(a.detach() for a in along))
+        for _ in range(DIFFERENTIABLE):
+            Z = Z - self._newton(xp, Z, x, along)
+        return Z[..., -1, :]
+
+    def _solved(self, xp: Any, x: Any, along: tuple[Any, ...]) -> Any:
+        """Stages Z (..., 3, nx); NaN where Newton's method does not converge."""
+        Z = xp.stack([x] * STAGES, -2)
+        largest = abs(Z)
+        done = xp.isfinite(Z).all(-1).all(-1)
+        for _ in range(MOST_ITERATIONS):
+            step = self._newton(xp, Z, x, along)
+            Z = Z - step
+            largest = xp.maximum(largest, xp.maximum(abs(step), abs(Z)))
+            small = (abs(step) <= CLOSE * largest.max(-2, keepdims=True)[0] if xp is not np else
+                     abs(step) <= CLOSE * largest.max(-2, keepdims=True))  # fmt: skip
+            done = small.all(-1).all(-1)
+            if bool((done | ~xp.isfinite(Z).all(-1).all(-1)).all()):
+                break
+        Z = Z - self._newton(xp, Z, x, along)
+        return xp.where(done[..., None, None], Z, Z * float("nan"))
+
+    def _newton(self, xp: Any, Z: Any, x: Any, along: tuple[Any, ...]) -> Any:
+        """Newton's step (..., 3, nx) at stages Z."""
+        nx = x.shape[-1]
+        h = self.dt / self.substeps
+        weights = h * self.weights if xp is np else Z.new_tensor((h * self.weights).tolist())
+        rates = self._dynamics(Z, *along)
+        J = self._jacobian(Z, *along).reshape(*Z.shape, nx)
+        residual = Z - x[..., None, :] - weights @ rates
+        blocks = -weights[:, None, :, None] * xp.swapaxes(J, -3, -2)[..., None, :, :, :]
+        M = blocks.reshape(*Z.shape[:-2], STAGES * nx, STAGES * nx)
+        eye = np.eye(STAGES * nx) if xp is np else xp.eye(STAGES * nx, dtype=Z.dtype, device=Z.device)
+        flat = residual.reshape(*Z.shape[:-2], STAGES * nx, 1)
+        if xp is np:
+            return _solved_or_nan(eye + M, flat).reshape(Z.shape)
+        return xp.linalg.solve_ex(eye + M, flat)[0].reshape(Z.shape)
+
+
+def radau_weights() -> Array:
+    """a_ij of Radau IIA with three stages, (3, 3): the integrals of the Lagrange polynomials up to each point."""
+    points = np.array(ca.collocation_points(STAGES, "radau"))
+    powers = np.vander(points, increasing=True)  # (i, k): c_i^k
+    integrals = np.array([[c ** (k + 1) / (k + 1) for k in range(STAGES)] for c in points])
+    return np.asarray(np.linalg.solve(powers.T, integrals.T).T)
+
+
+def _solved_or_nan(M: Array, b: Array) -> Array:
+    """M⁻¹ b of every run; NaN where M is not finite."""
+    bad = ~(np.isfinite(M).all((-1, -2), keepdims=True) & np.isfinite(b).all((-1, -2), keepdims=True))
+    safe = np.where(bad, np.eye(M.shape[-1]), M)
+    try:
+        found = np.linalg.solve(safe, b)
+    except np.linalg.LinAlgError:  # one of them is singular
+        found = np.linalg.pinv(safe) @ b
+    return np.where(bad, np.nan, found)

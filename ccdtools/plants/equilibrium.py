@@ -1,0 +1,179 @@
+"""Where a plant rests, as a function of its design."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.checks import as_floats, as_instance, as_vector
+from ccdtools.exceptions import InputError
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.rates import Rates, independent, newton_step, rest_near
+
+PATHS = ((1, 0), (1, 1), (1, 2), (1, 4), (2, 2), (4, 2), (8, 2), (16, 2))  # stations on the way, Newton steps at each
+POLISH = 3  # last Newton steps, where there is a way
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Equilibrium(Immutable):
+    """A state and input at which a plant rests, and how they follow the design.
+
+    Attributes
+    ----------
+    plant : Plant
+    x, u, w : arrays (nx,), (nu,) and (nw,)
+        State, input and disturbance at rest.
+    p : (np,) array
+        The design it was found at.
+    free : (nx + nu,) bool array
+        Which entries of (x, u) were looked for; the others are given, at every design.
+    unique : bool
+        Whether no other point near it is an equilibrium with the given entries; where some are, the entries that
+        decide nothing keep the values of the guess.
+    """
+
+    plant: Plant
+    x: Array
+    u: Array
+    w: Array
+    p: Array
+    free: Array
+    unique: bool
+
+    def __repr__(self) -> str:
+        where = f" at {self.plant.design.describe(self.p)}" if self.plant.design.dim else ""
+        return f"Equilibrium(x = {np.round(self.x, 6).tolist()}, u = {np.round(self.u, 6).tolist()}{where})"
+
+    @property
+    def dx_dp(self) -> Array:
+        """∂x/∂p (nx, np) at the design."""
+        return self._derivative[: self.plant.nx]
+
+    @property
+    def du_dp(self) -> Array:
+        """∂u/∂p (nu, np) at the design."""
+        return self._derivative[self.plant.nx :]
+
+    @cached_property
+    def _derivative(self) -> Array:
+        """∂(x, u)/∂p (nx + nu, np), by the implicit function theorem."""
+        rates = Rates(self.plant, self.w)
+        z = np.r_[self.x, self.u]
+        rows, columns = independent(rates.jacobian(z, self.p)[:, self.free])
+        chosen = np.flatnonzero(self.free)[columns]
+        full = np.zeros((len(z), len(self.p)))
+        if len(chosen):
+            J = rates.jacobian(z, self.p)[np.ix_(rows, chosen)]
+            full[chosen] = -np.linalg.solve(J, rates.by_design(z, self.p)[rows])
+        return full
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """p → (x, u) at rest, as an expression: Newton's method along the way from the design here to another.
+
+        The way has as few stations, and each as few steps, as the box of designs needs; one step where the plant is
+        linear.
+
+        Raises
+        ------
+        InputError
+            If it does not come to rest at some design of the box.
+        """
+        plant = self.plant
+        rates = Rates(plant, self.w)
+        start = np.r_[self.x, self.u]
+        rows, columns = independent(rates.jacobian(start, self.p)[:, self.free])
+        chosen = [int(i) for i in np.flatnonzero(self.free)[columns]]
+        z, p = rates.z, plant.p
+        step = ca.Function("step", [z, p], [newton_step(rates, rows, chosen)])
+        designs = plant.design.spread()
+        worst = 0
+        for stations, steps in PATHS:
+            found = ca.SX(ca.DM(start))
+            for k in range(1, stations + 1):
+                station = ca.DM(self.p) + (p - ca.DM(self.p)) * (k / stations)
+                for _ in range(steps + POLISH * (k == stations > 1)):
+                    found = step(found, station)
+            function = ca.Function("equilibrium", [p], [found[: plant.nx], found[plant.nx :]], ["p"], ["x", "u"])
+            rest = [rates.at_rest(np.concatenate([np.asarray(v).ravel() for v in function(q)]), q) for q in designs]
+            if all(rest):
+                return function
+            worst = rest.index(False)
+        place = plant.design.describe(designs[worst])
+        raise InputError(
+            "equilibrium", f"a plant that does not come to rest at {place}", "one at every design of the box",
+            "Narrow the box of designs, or free other entries of x and u.",
+        )  # fmt: skip
+
+
+def equilibrium(
+    plant: Plant,
+    p: ArrayLike = (),
+    *,
+    x: ArrayLike | None = None,
+    u: ArrayLike | None = None,
+    w: ArrayLike | None = None,
+    guess: tuple[ArrayLike, ArrayLike] | None = None,
+) -> Equilibrium:
+    """The state and input at which a plant rests at a design.
+
+    Parameters
+    ----------
+    plant : Plant
+    p : (np,) array_like
+        The design.
+    x : (nx,) array_like, optional
+        Entries that are given, NaN for those that are looked for; all of them by default.
+    u : (nu,) array_like, optional
+        The same of the input; 0 by default.
+    w : (nw,) array_like, optional
+        The disturbance at rest; 0 by default.
+    guess : (x, u), optional
+        Where to look first; 0 by default.
+
+    Returns
+    -------
+    Equilibrium
+
+    Raises
+    ------
+    InputError
+        If a size is wrong, the design lies outside its bounds, or the plant rests nowhere with the given entries.
+
+    Examples
+    --------
+    >>> equilibrium(tanks, [0.5], x=[np.nan, 0.3], u=[np.nan])  # the input that holds the second level at 0.3 m
+    ... # doctest: +SKIP
+    """
+    as_instance("plant", plant, Plant, "a Plant")
+    p = plant.design.check_one(p)
+    given = np.r_[
+        _given("x", np.full(plant.nx, np.nan) if x is None else x, plant.nx),
+        _given("u", np.zeros(plant.nu) if u is None else u, plant.nu),
+    ]
+    disturbance = np.zeros(plant.nw) if w is None else as_vector("w", w, plant.nw)
+    first = np.zeros(plant.nx + plant.nu)
+    if guess is not None:
+        first = np.r_[as_vector("guess, x", guess[0], plant.nx), as_vector("guess, u", guess[1], plant.nu)]
+    free = np.isnan(given)
+    rates = Rates(plant, disturbance)
+    z = rest_near(rates, np.where(free, first, given), free, p)
+    _, columns = independent(rates.jacobian(z, p)[:, free])
+    unique = len(columns) == int(free.sum())
+    at, held = (frozen(part.copy()) for part in (z[: plant.nx], z[plant.nx :]))
+    return Equilibrium(plant, at, held, frozen(disturbance), p, frozen(free), unique)
+
+
+def _given(name: str, value: ArrayLike, size: int) -> Array:
+    """A vector of that size; NaN for what is looked for."""
+    vector = as_floats(name, value)
+    vector = np.broadcast_to(vector, (size,)) if vector.ndim == 0 else vector
+    if vector.shape != (size,) or np.isinf(vector).any():
+        got = f"{vector.tolist()} of shape {vector.shape}"
+        raise InputError(name, got, f"({size},) numbers, NaN for what is looked for")
+    return vector.copy()

@@ -1,0 +1,140 @@
+"""What a plant does at a state and input: its rates, their derivatives, and where they vanish."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import qr
+from scipy.optimize import least_squares
+
+from ccdtools.arrays import Array
+from ccdtools.exceptions import InputError
+from ccdtools.plants.plant import Plant
+
+ROUNDING = 1e-9  # of the terms that a rate is the sum of: what is left of it at rest
+DEPENDENT = 1e-9  # of the largest pivot: a row or column of the Jacobian that says nothing new
+STARTS = 20  # from which an equilibrium is looked for, the guess first
+
+
+class Rates:
+    """What a plant does at (x, u): dx/dt, or the change of a discrete one, with its derivatives."""
+
+    def __init__(self, plant: Plant, w: Array) -> None:
+        self.z = ca.vertcat(plant.x, plant.u)
+        rate = plant.dynamics if plant.continuous else plant.dynamics - plant.x
+        self.rate = ca.densify(ca.substitute(rate, plant.w, ca.DM(w)) if plant.nw else rate)
+        self.jacobian_expression = ca.jacobian(self.rate, self.z)
+        arguments = [self.z, plant.p]
+        self._rate = ca.Function("rate", arguments, [self.rate])
+        self._jacobian = ca.Function("jacobian", arguments, [ca.densify(self.jacobian_expression)])
+        self._by_design = ca.Function("by_design", arguments, [ca.densify(ca.jacobian(self.rate, plant.p))])
+
+    def __call__(self, z: Array, p: Array) -> Array:
+        """(nx,)."""
+        return np.asarray(self._rate(z, p), dtype=float).ravel()
+
+    def jacobian(self, z: Array, p: Array) -> Array:
+        """∂/∂(x, u) (nx, nx + nu)."""
+        return np.asarray(self._jacobian(z, p), dtype=float)
+
+    def by_design(self, z: Array, p: Array) -> Array:
+        """∂/∂p (nx, np)."""
+        return np.asarray(self._by_design(z, p), dtype=float)
+
+    def at_rest(self, z: Array, p: Array) -> bool:
+        """Whether nothing moves, but for rounding of the terms that cancel."""
+        rate = self(z, p)
+        J = self.jacobian(z, p)
+        if not (np.isfinite(rate).all() and np.isfinite(J).all()):
+            return False
+        size = np.abs(J) @ np.abs(z) + np.abs(J).max(axis=1) * ROUNDING
+        return bool((np.abs(rate) <= ROUNDING * np.maximum(size, np.abs(self.still(p)))).all())
+
+    def still(self, p: Array) -> Array:
+        """The rate at x = 0, u = 0, which gravity and the like are told by; 0 where it is not finite."""
+        return np.nan_to_num(self(np.zeros(self.z.numel()), p), posinf=0.0, neginf=0.0)
+
+
+def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:
+    """The point (nx + nu,) at which nothing moves, from the guess or from points around it."""
+    rng = np.random.default_rng(0)
+    best: tuple[float, Array] = (np.inf, z)
+    for start in range(STARTS):
+        reached = z.copy()
+        if start:
+            reach = np.maximum(np.abs(z[free]), 1.0) * 2.0 ** (start % 5 - 2)
+            reached[free] += rng.standard_normal(int(free.sum())) * reach
+        reached = _descended(rates, reached, free, p)
+        if rates.at_rest(reached, p):
+            return reached
+        size = float(np.abs(rates(reached, p)).max()) if np.isfinite(rates(reached, p)).all() else np.inf
+        best = min(best, (size, reached), key=lambda one: one[0])
+        if not free.any():
+            break
+    raise InputError(
+        "plant", f"no equilibrium: the least rate found is {best[0]:.3g}, at (x, u) = {np.round(best[1], 6).tolist()}",
+        "one that rests with the given x, u and w", "Free an entry of u (NaN), or give a guess.",
+    )  # fmt: skip
+
+
+def _descended(rates: Rates, z: Array, free: Array, p: Array) -> Array:
+    """The least rates near a point, by least squares in the free entries, then by Newton's method to rounding."""
+
+    def at(v: Any) -> Array:
+        """The point with those free entries."""
+        full = z.copy()
+        full[free] = v
+        return full
+
+    if not free.any() or not np.isfinite(rates(z, p)).all():
+        return z
+    try:
+        found = least_squares(
+            lambda v: rates(at(v), p), z[free], jac=lambda v: rates.jacobian(at(v), p)[:, free], x_scale="jac",
+            xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200,
+        )  # fmt: skip
+    except ValueError:  # a residual that is not finite
+        return z
+    v = found.x
+    for _ in range(3):
+        J = rates.jacobian(at(v), p)[:, free]
+        rate = rates(at(v), p)
+        if not (np.isfinite(J).all() and np.isfinite(rate).all()):
+            return at(v)
+        rows, columns = independent(J)
+        step = np.zeros(len(v))
+        if len(rows):
+            step[columns] = np.linalg.solve(J[np.ix_(rows, columns)], rate[rows])
+        closer = rates(at(v - step), p)
+        if not np.isfinite(closer).all() or np.abs(closer).max() > np.abs(rate).max():
+            break
+        v = v - step
+    return at(v)
+
+
+def independent(J: Array) -> tuple[Array, Array]:
+    """Rows and columns of J, as many as its rank, that make a regular matrix."""
+    length = np.abs(J).max(axis=1, initial=0.0)
+    J = J / np.where(length > 0, length, 1.0)[:, None]
+    if J.size == 0 or not J.any():
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    R, columns = qr(J, mode="r", pivoting=True)
+    diagonal = np.abs(np.diag(R))
+    rank = int((diagonal > DEPENDENT * diagonal[0]).sum())
+    columns = np.sort(columns[:rank])
+    _, rows = qr(J[:, columns].T, mode="r", pivoting=True)
+    return np.sort(rows[:rank]), columns
+
+
+def newton_step(rates: Rates, rows: Array, chosen: list[int]) -> ca.SX:
+    """z after one Newton step in the chosen entries, as an expression."""
+    if not chosen:
+        return rates.z
+    own = [int(i) for i in rows]
+    step = ca.solve(rates.jacobian_expression[own, chosen], rates.rate[own])
+    z = ca.SX(rates.z)
+    for k, i in enumerate(chosen):
+        z[i] -= step[k]
+    return z

@@ -1,0 +1,147 @@
+"""A nonlinear plant as a discrete model: a step that is differentiable in x, u, w and the design."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_array, as_choice, as_count, as_instance, as_positive, as_vector
+from ccdtools.exceptions import InputError
+from ccdtools.plants.collocation import ImplicitStep
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.integration_error import IntegrationError
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.runge_kutta import ExplicitStep
+
+METHODS = ("rk4", "collocation")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledModel:
+    """x⁺ = f(x, u, w, p) of a nonlinear plant, with u and w held over a sample.
+
+    Made by `discretise`.
+
+    Parameters
+    ----------
+    plant : Plant
+    dt : float
+        Sampling time [s].
+    method : {"rk4", "collocation"}
+        Runge–Kutta, or Radau IIA collocation for stiff plants. A discrete plant is taken as it is.
+    substeps : int
+        Equal parts of a sample.
+    error : IntegrationError, optional
+        What a step may be wrong by; None where it was not measured.
+    scale : (nx,) array, optional
+        Extent of each state, for the tolerances of CasADi's solver of collocation equations.
+    """
+
+    plant: Plant
+    dt: float
+    method: str = "rk4"
+    substeps: int = 10
+    error: IntegrationError | None = None
+    scale: Array | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        as_instance("plant", self.plant, Plant, "a Plant")
+        object.__setattr__(self, "dt", as_positive("dt", self.dt, unit="s"))
+        as_choice("method", self.method, METHODS)
+        object.__setattr__(self, "substeps", as_count("substeps", self.substeps))
+
+    def __repr__(self) -> str:
+        parts = f"{self.method}, {self.substeps} parts a sample" if self.plant.continuous else "a discrete plant"
+        known = "not measured" if self.error is None else f"at most {self.error.relative:.1g} of X a sample"
+        error = f", error {known}" if self.plant.continuous else ""
+        sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances, dt = {self.dt:g} s"
+        return f"SampledModel({sizes}, {parts}{error}, design: {self.design!r})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("plant", "dt", "method", "substeps", "error", "scale")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return self.plant.nx
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return self.plant.nu
+
+    @property
+    def nw(self) -> int:
+        """Number of disturbances."""
+        return self.plant.nw
+
+    @property
+    def design(self) -> DesignSpace:
+        """The box of designs."""
+        return self.plant.design
+
+    @cached_property
+    def advance(self) -> ExplicitStep | ImplicitStep:
+        """(x, u, w, p) → x⁺ on NumPy arrays or torch tensors (..., n), whose leading shapes broadcast.
+
+        Of tensors it is differentiable in all four; to second order where the dynamics are.
+        """
+        f = self.plant.right_hand_side
+        if not self.plant.continuous:
+            return ExplicitStep(f, 1)
+        if self.method == "rk4":
+            return ExplicitStep.of(f, self.dt, self.substeps)
+        return ImplicitStep(f, self.dt, self.substeps, self.scale)
+
+    @property
+    def step(self) -> ca.Function:
+        """(x, u, w, p) → x⁺ as a CasADi function."""
+        return self.advance.function
+
+    def stepper(self, p: ArrayLike, *, batch: int) -> Callable[[Array, Array, Array], Array]:
+        """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,)."""
+        p = self.design.check_one(p)
+        return lambda x, u, w: self.advance(x, u, w, p)
+
+    def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
+        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` (np,) where w is 0."""
+        p = self.design.check_one(p)
+        return lambda x, u: self.advance(x, u, np.zeros(self.nw), p)
+
+    @cached_property
+    def _jacobian(self) -> ca.Function:
+        """(x, u, w, p) → ∂x⁺/∂(x, u, w), (nx, nx + nu + nw)."""
+        given = [ca.MX.sym(name, n) for name, n in zip("xuwp", (self.nx, self.nu, self.nw, self.design.dim))]
+        after = self.step(*given)
+        return ca.Function("jacobian", given, [ca.densify(ca.jacobian(after, ca.vertcat(*given[:3])))])
+
+    def jacobians(
+        self, x: ArrayLike, u: ArrayLike, w: ArrayLike | None = None, p: ArrayLike = ()
+    ) -> tuple[Array, Array, Array]:
+        """∂x⁺/∂x (nx, nx), ∂x⁺/∂u (nx, nu) and ∂x⁺/∂w (nx, nw) at a state, input, disturbance and design.
+
+        Raises
+        ------
+        InputError
+            If a size is wrong, the design lies outside its bounds, or a derivative is not finite.
+        """
+        x = as_vector("x", x, self.nx)
+        u = as_vector("u", u, self.nu)
+        w = np.zeros(self.nw) if w is None else as_vector("w", w, self.nw)
+        J = np.asarray(self._jacobian(x, u, w, self.design.check_one(p)), dtype=float)
+        if not np.isfinite(J).all():
+            place = f"x = {x.tolist()}, u = {u.tolist()}"
+            raise InputError("x", f"{place}, where a derivative is not finite", "a point at which the plant is smooth")
+        A, B, E = np.split(as_array("jacobian", J, (self.nx, "n")), [self.nx, self.nx + self.nu], axis=1)
+        return np.ascontiguousarray(A), np.ascontiguousarray(B), np.ascontiguousarray(E)

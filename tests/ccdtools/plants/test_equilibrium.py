@@ -1,0 +1,159 @@
+"""Where plants rest, how that follows the design, and the linear plants about it."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from nonlinear_plants import GRAVITY, swing, tank_rates, tanks
+from scipy.optimize import approx_fprime, fsolve
+
+from ccdtools import DesignSpace, InputError, Plant, deviations, discretise, equilibrium, linearise
+
+NAN = np.nan
+
+
+def test_a_level_is_held_by_the_inflow_that_torricelli_asks_for():
+    rest = equilibrium(tanks(), [0.8], x=[NAN, 0.3], u=[NAN])
+    flow = 1.5e-4 * np.sqrt(2 * GRAVITY * 0.3)
+    assert rest.u[0] == pytest.approx(flow, rel=1e-12)
+    assert rest.x[0] == pytest.approx((flow / 0.8e-4) ** 2 / (2 * GRAVITY), rel=1e-12)
+    assert rest.unique
+    assert np.abs(tank_rates(rest.x, rest.u, [0.0], [0.8])).max() < 1e-14
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_units_do_not_matter(unit):
+    rest = equilibrium(tanks(unit=unit), [0.8], x=[NAN, 0.3 / unit], u=[NAN])
+    assert rest.x[0] * unit == pytest.approx(equilibrium(tanks(), [0.8], x=[NAN, 0.3], u=[NAN]).x[0], rel=1e-9)
+
+
+def test_the_derivative_by_the_design_is_that_of_solutions_nearby():
+    def level(p):
+        own = fsolve(lambda z: tank_rates([z[0], 0.3], [z[1] * 1e-3], [0.0], p), [0.5, 0.3], xtol=1e-14)
+        return own[0]
+
+    rest = equilibrium(tanks(), [0.8], x=[NAN, 0.3], u=[NAN])
+    h = 1e-4
+    assert rest.dx_dp[0, 0] == pytest.approx((level([0.8 + h]) - level([0.8 - h])) / (2 * h), rel=1e-6)
+    assert rest.dx_dp[1, 0] == 0.0
+    assert rest.du_dp[0, 0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_an_equilibrium_follows_the_design_over_the_whole_box():
+    plant = tanks()
+    rest = equilibrium(plant, [2.0], x=[NAN, 0.3], u=[NAN])
+    for p in plant.design.spread():
+        x, u = rest.function(p)
+        np.testing.assert_allclose(np.asarray(x).ravel(), equilibrium(plant, p, x=[NAN, 0.3], u=[NAN]).x, rtol=1e-9)
+        assert np.abs(tank_rates(np.asarray(x).ravel(), np.asarray(u).ravel(), [0.0], p)).max() < 1e-12
+
+
+def test_a_linear_plant_under_gravity_needs_one_step():
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
+    plant = Plant(x, u, None, p, ca.vertcat(x[1], -9.81 - p * x[0] + u), DesignSpace(["k"], [20.0], [200.0]), dt=0.1)
+    rest = equilibrium(plant, [50.0])
+    np.testing.assert_allclose(rest.x, [-9.81 / 50, 0.0], rtol=1e-14)
+    assert rest.dx_dp[0, 0] == pytest.approx(9.81 / 50**2)
+    assert rest.function.n_instructions() < 25
+    model = discretise(linearise(plant, rest))
+    assert not model.affine
+
+
+def test_an_upright_pendulum_is_found_near_its_guess_and_a_torque_holds_any_angle():
+    upright = equilibrium(swing(), [1.0], guess=([3.0, 0.0], [0.0]))
+    np.testing.assert_allclose(upright.x, [np.pi, 0.0], atol=1e-9)
+    held = equilibrium(swing(), [1.5], x=[0.4, NAN], u=[NAN])
+    assert held.u[0] == pytest.approx(GRAVITY * 1.5 * np.sin(0.4), rel=1e-12)
+
+
+def test_what_decides_nothing_keeps_its_guess():
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
+    cart = Plant(x, u, None, p, ca.vertcat(x[1], -p * x[1] + u), DesignSpace(["d"], [0.1], [1.0]), dt=0.1)
+    rest = equilibrium(cart, [0.5], guess=([3.0, 1.0], [0.0]))
+    assert rest.x[0] == pytest.approx(3.0)
+    assert rest.x[1] == pytest.approx(0.0, abs=1e-12)
+    assert not rest.unique
+
+
+def test_a_discrete_plant_rests_where_it_maps_to_itself():
+    x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
+    plant = Plant(x, u, None, p, ca.cos(x) * p + u, DesignSpace(["p"], [0.8], [1.2]), dt=1.0, continuous=False)
+    assert equilibrium(plant, [1.0]).x[0] == pytest.approx(0.7390851332151607, rel=1e-12)
+    moved = deviations(plant, equilibrium(plant, [1.0]))
+    for p in ([0.8], [1.13]):
+        assert abs(float(moved.right_hand_side(0, 0, ca.DM(0, 1), p))) < 1e-12
+
+
+# ── linearise ──
+
+
+def test_a_linearisation_about_rest_has_the_slopes_of_the_rates():
+    plant = tanks()
+    rest = equilibrium(plant, [1.0], x=[NAN, 0.3], u=[NAN])
+    linear = linearise(plant, rest)
+    assert linear.linear
+    for p in ([0.6], [1.7]):
+        at, held = (np.asarray(v).ravel() for v in rest.function(p))
+        slopes = np.array([approx_fprime(np.r_[at, held], lambda z, i=i, p=p: tank_rates(z[:2], z[2:], [0.0], p)[i], 1e-7)
+                           for i in range(2)])  # fmt: skip
+        J = np.asarray(
+            ca.Function("J", [plant.p], [ca.densify(ca.jacobian(linear.dynamics, ca.vertcat(linear.x, linear.u)))])(p)
+        )
+        np.testing.assert_allclose(J, slopes, rtol=1e-4, atol=1e-6)
+
+
+def test_a_linearisation_about_a_point_touches_the_plant_there():
+    plant = swing()
+    linear = linearise(plant, [0.5, 0.2], [1.0], [0.3])
+    point = ([0.5, 0.2], [1.0], [0.3], [0.8])
+    np.testing.assert_allclose(linear.right_hand_side(*point), plant.right_hand_side(*point), rtol=1e-14)
+    assert discretise(linear).affine
+
+
+def test_a_plant_in_deviations_rests_at_zero_at_every_design_and_is_the_same_plant():
+    plant = tanks()
+    rest = equilibrium(plant, [1.0], x=[NAN, 0.3], u=[NAN])
+    moved = deviations(plant, rest)
+    for p in plant.design.spread():
+        assert np.abs(np.asarray(moved.right_hand_side(0, 0, 0, p))).max() < 1e-13
+        at, held = rest.function(p)
+        step = (np.array([0.01, -0.02]), np.array([1e-5]), np.array([1e-6]))
+        own = moved.right_hand_side(*step, p)
+        np.testing.assert_allclose(own, plant.right_hand_side(at + step[0], held + step[1], step[2], p), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: equilibrium(swing(), [9.0]), "design: got l = 9"),
+        (lambda: equilibrium(swing(), [1.0], x=[0.3, 0.0]), "plant: got no equilibrium: the least rate found is"),
+        (lambda: equilibrium(swing(), [1.0], x=[0.3]), r"x: got \[0.3\] of shape \(1,\)"),
+        (lambda: equilibrium(swing(), [1.0], u=[np.inf]), "u: got"),
+        (lambda: equilibrium(swing(), [1.0], w=[0.0, 1.0]), "w: got"),
+        (lambda: equilibrium("swing", [1.0]), "plant: got 'swing'"),
+        (
+            lambda: linearise(swing(), equilibrium(tanks(), [1.0], x=[NAN, 0.3], u=[NAN])),
+            "an equilibrium of another plant",
+        ),
+        (lambda: linearise(swing(), [0.0]), "about: got"),
+        (lambda: deviations(swing(), [0.0, 0.0]), "about: got"),
+    ],
+)
+def test_what_does_not_rest_is_refused_by_name(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_no_equilibrium_is_said_with_the_least_rate():
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
+    plant = Plant(x, u, None, p, ca.vertcat(x[1], p + x[0] ** 2), DesignSpace(["p"], [1.0], [2.0]), dt=0.1)
+    with pytest.raises(InputError, match="the least rate found is 1.5"):
+        equilibrium(plant, [1.5])
+
+
+def test_an_equilibrium_that_ends_within_the_box_is_named_with_its_design():
+    x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
+    plant = Plant(x, u, None, p, x**2 - p, DesignSpace(["p"], [-1.0], [1.0]), dt=0.1)
+    rest = equilibrium(plant, [0.5], guess=([1.0], [0.0]))
+    assert rest.x[0] == pytest.approx(np.sqrt(0.5))
+    with pytest.raises(InputError, match="a plant that does not come to rest at p = "):
+        linearise(plant, rest)

@@ -1,0 +1,180 @@
+"""Nonlinear plants as discrete models: orders of convergence, promised errors, derivatives, and what is refused."""
+
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+import torch
+from nonlinear_plants import stiff, stiff_rates, swing, swing_rates, tank_rates, tanks
+from scipy.integrate import solve_ivp
+
+from ccdtools import DesignSpace, Gaussian, InputError, LinearFeedback, Plant, SampledModel, discretise, simulate
+
+SWING = {"X": ([-3.0, -6.0], [3.0, 6.0]), "U": (-5.0, 5.0), "W": (-1.0, 1.0)}
+STIFF = {"X": ([-1.5, -1.5], [1.5, 1.5]), "U": (-1.0, 1.0)}
+TANKS = {"X": ([0.05, 0.05], [1.0, 1.0]), "U": (0.0, 1e-3), "W": (-1e-4, 1e-4)}
+
+
+def exact(rates, x, u, w, p, dt):
+    """x⁺ by an implicit method of high order, at tolerances near rounding."""
+    size = np.maximum(np.abs(x), 1e-3)
+    run = solve_ivp(
+        lambda t, y: rates(y, u, w, p), (0, dt), x, method="Radau" if rates is stiff_rates else "DOP853", rtol=1e-12,
+        atol=1e-13 * size,
+    )  # fmt: skip
+    return run.y[:, -1]
+
+
+def drawn(model, limits, n, rng):
+    """Points within the limits and the box of designs."""
+    zero = np.zeros(1)
+    boxes = [limits[name] if name in limits else (zero, zero) for name in "XUW"]
+    parts = [rng.uniform(*np.broadcast_arrays(*(np.atleast_1d(v).astype(float) for v in box)), (n, len(np.atleast_1d(box[0]))))
+             for box in boxes]  # fmt: skip
+    return (*parts, rng.uniform(model.design.lower, model.design.upper, (n, model.design.dim)))
+
+
+@pytest.mark.parametrize(("method", "order"), [("rk4", 4), ("collocation", 5)])
+def test_a_method_has_its_order(method, order):
+    x, u, w, p = np.array([2.0, 1.0]), np.array([0.5]), np.array([-0.3]), np.array([0.8])
+    truth = exact(swing_rates, x, u, w, p, 0.8)
+    errors = []
+    for parts in (4, 8, 16, 32):
+        reached = SampledModel(swing(dt=0.8), 0.8, method, parts).advance(x[None], u[None], w[None], p)[0]
+        errors.append(np.abs(reached - truth).max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    finest = orders[np.array(errors[1:]) > 1e-12]
+    assert finest[-1] == pytest.approx(order, abs=0.25)  # measured to 0.1 in benchmarks with finer steps
+
+
+@pytest.mark.parametrize(
+    ("plant", "rates", "limits"),
+    [(swing(), swing_rates, SWING), (tanks(), tank_rates, TANKS), (stiff(), stiff_rates, STIFF)],
+    ids=["swing", "tanks", "stiff"],
+)
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-8])
+def test_the_error_that_is_promised_is_kept_at_points_that_were_not_looked_at(plant, rates, limits, accuracy):
+    rng = np.random.default_rng(5)
+    model = discretise(plant, accuracy=accuracy, sampling_guard="ignore", **limits)
+    assert model.error.relative <= accuracy
+    for x, u, w, p in zip(*drawn(model, limits, 60, rng)):
+        reached = model.advance(x[None], u[None], w[None], p)[0]
+        assert (np.abs(reached - exact(rates, x, u, w, p, plant.dt)) <= model.error.bound + 1e-11).all()
+
+
+def test_a_stiff_plant_is_collocated_and_a_smooth_one_takes_few_runge_kutta_steps():
+    assert discretise(stiff(), sampling_guard="ignore", **STIFF).method == "collocation"
+    smooth = discretise(swing(), **SWING)
+    assert (smooth.method, smooth.substeps) == ("rk4", 16)
+    assert discretise(swing(), accuracy=1e-3, **SWING).substeps < smooth.substeps
+
+
+def test_other_units_of_a_state_change_neither_method_nor_parts():
+    own = discretise(tanks(), **TANKS)
+    for unit in (1e-6, 1e6):
+        X = tuple(np.array(bound) / unit for bound in TANKS["X"])
+        other = discretise(tanks(unit=unit), **(TANKS | {"X": X}))
+        assert (other.method, other.substeps) == (own.method, own.substeps)
+        assert other.error.relative == pytest.approx(own.error.relative, rel=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_casadi_arrays_and_tensors_take_the_same_collocation_step(unit):
+    rng = np.random.default_rng(0)
+    X = tuple(np.array(bound) / unit for bound in TANKS["X"])
+    model = discretise(tanks(unit=unit), method="collocation", **(TANKS | {"X": X}))
+    x, u, w, p = drawn(model, TANKS | {"X": X}, 20, rng)
+    arrays = model.advance(x, u, w, p)
+    tensors = model.advance(*(torch.tensor(a) for a in (x, u, w, p)))
+    native = np.asarray(model.step(x.T, u.T, w.T, p.T)).T
+    np.testing.assert_allclose(tensors, arrays, rtol=1e-13)
+    np.testing.assert_allclose(native, arrays, rtol=1e-11)
+
+
+@pytest.mark.parametrize("method", ["rk4", "collocation"])
+def test_a_step_of_tensors_has_first_and_second_derivatives(method):
+    model = SampledModel(swing(), 0.1, method, 2)
+    points = [
+        torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in ([[0.3, -1.0], [2.0, 0.4]], [[0.2], [-1.0]])
+    ]
+    p = torch.tensor([0.7], dtype=torch.float64, requires_grad=True)
+    w = torch.zeros(1, dtype=torch.float64)
+    assert torch.autograd.gradcheck(lambda x, u, p: model.advance(x, u, w, p), (*points, p))
+    assert torch.autograd.gradgradcheck(lambda x, u, p: model.advance(x, u, w, p), (*points, p))
+
+
+@pytest.mark.parametrize("method", ["rk4", "collocation"])
+def test_jacobians_are_those_of_the_step(method):
+    model = SampledModel(swing(), 0.1, method, 4)
+    x, u, w, p = np.array([0.4, -0.3]), np.array([1.0]), np.array([0.2]), [1.1]
+    A, B, E = model.jacobians(x, u, w, p)
+    given = [torch.tensor(v, dtype=torch.float64) for v in (x, u, w)]
+    own = torch.autograd.functional.jacobian(
+        lambda *z: model.advance(*z, torch.tensor(p, dtype=torch.float64)), tuple(given)
+    )
+    for M, J in zip((A, B, E), own):
+        np.testing.assert_allclose(M, J.numpy(), rtol=1e-9, atol=1e-12)
+
+
+def test_a_step_that_cannot_be_solved_ends_the_run_and_not_the_others():
+    x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
+    blows_up = Plant(x, u, None, p, p * x**3 + u, DesignSpace(["p"], [0.5], [2.0]), dt=0.5)
+    model = SampledModel(blows_up, 0.5, "collocation", 1)
+    run = simulate(model, LinearFeedback([[0.0]]), x0=[[0.1], [1e6]], steps=5, design=[1.0])
+    assert run.diverged.tolist() == [False, True]
+    assert np.isfinite(run.states[0]).all()
+
+
+def test_a_sampled_model_simulates_as_its_plant_does():
+    model = discretise(swing(), accuracy=1e-9, **SWING)
+    K = [[8.0, 3.0]]
+    runs = [
+        simulate(plant, LinearFeedback(K), x0=[1.0, 0.0], steps=40, design=[0.9], disturbance=Gaussian([0.1]),
+                 rng=np.random.default_rng(1)).states for plant in (model, swing())
+    ]  # fmt: skip
+    np.testing.assert_allclose(*runs, atol=1e-5)
+
+
+def test_a_discrete_nonlinear_plant_is_taken_as_it_is():
+    x, u, w, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    plant = Plant(x, u, w, p, p * ca.sin(x) + u * w, DesignSpace(["p"], [0.5], [2.0]), dt=0.5, continuous=False)
+    model = discretise(plant)
+    assert model.advance(np.array([[1.0]]), np.array([[2.0]]), np.array([[3.0]]), np.array([0.7]))[
+        0, 0
+    ] == pytest.approx(0.7 * np.sin(1.0) + 6.0)
+    assert "a discrete plant" in repr(model)
+
+
+def test_a_model_says_what_it_is_and_survives_a_pickle():
+    model = discretise(swing(), **SWING)
+    assert "error at most" in repr(model)
+    assert "not measured" in repr(discretise(swing()))
+    again = pickle.loads(pickle.dumps(model))
+    point = (np.array([[0.3, 0.1]]), np.array([[0.1]]), np.array([[0.0]]), np.array([1.0]))
+    np.testing.assert_array_equal(again.advance(*point), model.advance(*point))
+    assert again.error.relative == model.error.relative
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"X": (-1, 1), "accuracy": 0.0}, "accuracy: got 0.0, expected"),
+        ({"X": (-1, 1), "method": "euler"}, "method: got 'euler'"),
+        ({"U": (-1, 1)}, "X: got nothing, beside limits of u or w"),
+        ({"X": ([0, 0, 0], [1, 1, 1])}, "X: got"),
+        ({"X": ([-np.inf, -1], [1, 1])}, "X: got an empty or unbounded set"),
+        ({"X": ([0.0, -1], [0.0, 1])}, r"X: got no width in θ \[rad\]"),
+        ({"X": (-1e3, 1e3), "method": "rk4", "accuracy": 1e-14}, "accuracy: got 1e-14, of which .* is reached"),
+    ],
+)
+def test_what_cannot_be_sampled_is_refused_by_name(options, message):
+    with pytest.raises(InputError, match=message):
+        discretise(swing(), **options)
+
+
+def test_a_derivative_that_does_not_exist_is_refused_at_its_point():
+    x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
+    plant = Plant(x, u, None, p, u - p * ca.sqrt(x), DesignSpace(["p"], [0.5], [2.0]), dt=0.1)
+    with pytest.raises(InputError, match="where a derivative is not finite"):
+        SampledModel(plant, 0.1).jacobians([0.0], [0.0], None, [1.0])
