@@ -113,7 +113,9 @@ class Plant:
     def _check_outputs(self) -> None:
         """Raise an `InputError` unless the outputs are expressions in x, u and p, with limits in order."""
         set_ = object.__setattr__
-        y = as_expression("outputs", self.outputs) if np.size(self.outputs) else ca.SX(0, 1)
+        given = () if self.outputs is None else self.outputs
+        none = given.is_empty() if isinstance(given, ca.SX) else isinstance(given, tuple | list) and not given
+        y = ca.SX(0, 1) if none else as_expression("outputs", given)
         if y.shape[1] != 1:
             raise InputError("outputs", f"shape {y.shape}", "a column of expressions (ny, 1)")
         check_known("outputs", y, x=self.x, u=self.u, p=self.p)

@@ -23,6 +23,7 @@ class Rates:
 
     def __init__(self, plant: Plant, w: Array) -> None:
         self.z = ca.vertcat(plant.x, plant.u)
+        self.states = plant.nx
         rate = plant.dynamics if plant.continuous else plant.dynamics - plant.x
         self.rate = ca.densify(ca.substitute(rate, plant.w, ca.DM(w)) if plant.nw else rate)
         self.jacobian_expression = ca.jacobian(self.rate, self.z)
@@ -60,12 +61,15 @@ class Rates:
 def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:
     """The point (nx + nu,) at which nothing moves, from the guess or from points around it."""
     rng = np.random.default_rng(0)
+    nx = rates.states
+    sizes = np.r_[np.full(nx, _size(z[:nx])), np.full(len(z) - nx, _size(z[nx:]))]
     best: tuple[float, Array] = (np.inf, z)
     for start in range(STARTS):
         reached = z.copy()
         if start:
-            reach = np.maximum(np.abs(z[free]), 1.0) * 2.0 ** (start % 5 - 2)
-            reached[free] += rng.standard_normal(int(free.sum())) * reach
+            away = 10.0 ** (-(start // 2) if start % 2 else start // 2)  # farther and nearer, a decade at a time
+            reach = np.maximum(np.abs(z), sizes) * away
+            reached[free] += (rng.standard_normal(len(z)) * reach)[free]
         reached = _descended(rates, reached, free, p)
         if rates.at_rest(reached, p):
             return reached
@@ -77,6 +81,11 @@ def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:
         "plant", f"no equilibrium: the least rate found is {best[0]:.3g}, at (x, u) = {np.round(best[1], 6).tolist()}",
         "one that rests with the given x, u and w", "Free an entry of u (NaN), or give a guess.",
     )  # fmt: skip
+
+
+def _size(given: Array) -> float:
+    """The largest of the numbers that are given, or guessed; one where all are zero."""
+    return float(np.abs(given).max(initial=0.0)) or 1.0
 
 
 def _descended(rates: Rates, z: Array, free: Array, p: Array) -> Array:

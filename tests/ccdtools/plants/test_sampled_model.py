@@ -3,10 +3,11 @@
 import pickle
 
 import casadi as ca
+import mpmath
 import numpy as np
 import pytest
 import torch
-from nonlinear_plants import stiff, stiff_rates, swing, swing_rates, tank_rates, tanks
+from nonlinear_plants import GRAVITY, stiff, stiff_rates, swing, swing_rates, tank_rates, tanks
 from scipy.integrate import solve_ivp
 
 from ccdtools import DesignSpace, Gaussian, InputError, LinearFeedback, Plant, SampledModel, discretise, simulate
@@ -29,23 +30,25 @@ def exact(rates, x, u, w, p, dt):
 def drawn(model, limits, n, rng):
     """Points within the limits and the box of designs."""
     zero = np.zeros(1)
-    boxes = [limits[name] if name in limits else (zero, zero) for name in "XUW"]
-    parts = [rng.uniform(*np.broadcast_arrays(*(np.atleast_1d(v).astype(float) for v in box)), (n, len(np.atleast_1d(box[0]))))
-             for box in boxes]  # fmt: skip
+    boxes = [[np.atleast_1d(v).astype(float) for v in limits.get(name, (zero, zero))] for name in "XUW"]
+    parts = [rng.uniform(*box, (n, len(box[0]))) for box in boxes]
     return (*parts, rng.uniform(model.design.lower, model.design.upper, (n, model.design.dim)))
 
 
 @pytest.mark.parametrize(("method", "order"), [("rk4", 4), ("collocation", 5)])
 def test_a_method_has_its_order(method, order):
     x, u, w, p = np.array([2.0, 1.0]), np.array([0.5]), np.array([-0.3]), np.array([0.8])
-    truth = exact(swing_rates, x, u, w, p, 0.8)
+    with mpmath.workdps(25):
+        flow = mpmath.odefun(
+            lambda t, y: [y[1], -GRAVITY / p[0] * mpmath.sin(y[0]) - 0.2 * y[1] + (u[0] + w[0]) / p[0] ** 2], 0, list(x)
+        )
+        truth = np.array([float(v) for v in flow(0.4)])
     errors = []
-    for parts in (4, 8, 16, 32):
-        reached = SampledModel(swing(dt=0.8), 0.8, method, parts).advance(x[None], u[None], w[None], p)[0]
+    for parts in (8, 16, 32, 64, 128):
+        reached = SampledModel(swing(dt=0.4), 0.4, method, parts).advance(x[None], u[None], w[None], p)[0]
         errors.append(np.abs(reached - truth).max())
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    finest = orders[np.array(errors[1:]) > 1e-12]
-    assert finest[-1] == pytest.approx(order, abs=0.25)  # measured to 0.1 in benchmarks with finer steps
+    fine = [error for error in errors if error > 1e-13]
+    assert np.log2(fine[-2] / fine[-1]) == pytest.approx(order, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +69,7 @@ def test_the_error_that_is_promised_is_kept_at_points_that_were_not_looked_at(pl
 def test_a_stiff_plant_is_collocated_and_a_smooth_one_takes_few_runge_kutta_steps():
     assert discretise(stiff(), sampling_guard="ignore", **STIFF).method == "collocation"
     smooth = discretise(swing(), **SWING)
-    assert (smooth.method, smooth.substeps) == ("rk4", 16)
+    assert (smooth.method, smooth.substeps) == ("rk4", 8)
     assert discretise(swing(), accuracy=1e-3, **SWING).substeps < smooth.substeps
 
 
@@ -119,9 +122,9 @@ def test_jacobians_are_those_of_the_step(method):
 
 def test_a_step_that_cannot_be_solved_ends_the_run_and_not_the_others():
     x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
-    blows_up = Plant(x, u, None, p, p * x**3 + u, DesignSpace(["p"], [0.5], [2.0]), dt=0.5)
-    model = SampledModel(blows_up, 0.5, "collocation", 1)
-    run = simulate(model, LinearFeedback([[0.0]]), x0=[[0.1], [1e6]], steps=5, design=[1.0])
+    blows_up = Plant(x, u, None, p, p * ca.exp(x) + u, DesignSpace(["p"], [0.5], [2.0]), dt=0.1)
+    model = SampledModel(blows_up, 0.1, "collocation", 1)
+    run = simulate(model, LinearFeedback([[0.0]]), x0=[[-3.0], [6.0]], steps=5, design=[1.0])
     assert run.diverged.tolist() == [False, True]
     assert np.isfinite(run.states[0]).all()
 
@@ -162,7 +165,7 @@ def test_a_model_says_what_it_is_and_survives_a_pickle():
         ({"X": (-1, 1), "accuracy": 0.0}, "accuracy: got 0.0, expected"),
         ({"X": (-1, 1), "method": "euler"}, "method: got 'euler'"),
         ({"U": (-1, 1)}, "X: got nothing, beside limits of u or w"),
-        ({"X": ([0, 0, 0], [1, 1, 1])}, "X: got"),
+        ({"X": ([0, 0, 0], [1, 1, 1])}, r"X\[0\]: got shape \(3,\)"),
         ({"X": ([-np.inf, -1], [1, 1])}, "X: got an empty or unbounded set"),
         ({"X": ([0.0, -1], [0.0, 1])}, r"X: got no width in θ \[rad\]"),
         ({"X": (-1e3, 1e3), "method": "rk4", "accuracy": 1e-14}, "accuracy: got 1e-14, of which .* is reached"),
