@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from ccdtools.plants.equilibrium import Equilibrium, equilibrium
     from ccdtools.plants.first_order_hold import FirstOrderHold, first_order_hold
     from ccdtools.plants.linear_model import LinearModel
+    from ccdtools.plants.linear_plants import plant_from_matrices, plant_from_state_space
     from ccdtools.plants.linearisation import deviations, linearise
     from ccdtools.plants.noise_covariance import noise_covariance
     from ccdtools.plants.plant import Plant
@@ -104,6 +105,8 @@ __all__ = [
     "load_study",
     "mean_interval",
     "noise_covariance",
+    "plant_from_matrices",
+    "plant_from_state_space",
     "read_disturbance",
     "read_road",
     "read_speed",
@@ -169,6 +172,8 @@ _HOMES = {
     "load_study": "studies.loading",
     "mean_interval": "statistics",
     "noise_covariance": "plants.noise_covariance",
+    "plant_from_matrices": "plants.linear_plants",
+    "plant_from_state_space": "plants.linear_plants",
     "read_disturbance": "disturbances.recordings",
     "read_road": "disturbances.recordings",
     "read_speed": "disturbances.recordings",

@@ -31,7 +31,7 @@ def plant_from_matrices(
     D: Any = None,
     **options: Any,
 ) -> Plant:
-    """The plant dx/dt = A(p) x + B(p) u + E(p) w + c(p) with outputs y = C(p) x + D(p) u.
+    """The plant dx/dt = A(p) x + B(p) u + E(p) w + c(p), or x⁺ of it, with outputs y = C(p) x + D(p) u.
 
     Parameters
     ----------

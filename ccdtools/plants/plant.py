@@ -96,20 +96,6 @@ class Plant:
             set_(self, name, _labels(letter, n) if isinstance(given, tuple) and not given else as_names(name, given, n))
         Vectorised(self.right_hand_side)  # refuses operations that have no array counterpart
 
-    @classmethod
-    def from_matrices(cls, A: Any, B: Any, E: Any = None, **options: Any) -> Plant:
-        """The plant dx/dt = A(p) x + B(p) u + E(p) w + c(p); see `plant_from_matrices`."""
-        from ccdtools.plants.linear_plants import plant_from_matrices
-
-        return plant_from_matrices(A, B, E, **options)
-
-    @classmethod
-    def from_state_space(cls, system: Any, *, dt: float | None = None, E: ArrayLike | None = None) -> Plant:
-        """The plant of a `control.StateSpace`, without a design; see `plant_from_state_space`."""
-        from ccdtools.plants.linear_plants import plant_from_state_space
-
-        return plant_from_state_space(system, dt=dt, E=E)
-
     def _check_outputs(self) -> None:
         """Raise an `InputError` unless the outputs are expressions in x, u and p, with limits in order."""
         set_ = object.__setattr__

@@ -17,6 +17,8 @@ from ccdtools import (
     discretise,
     first_order_hold,
     noise_covariance,
+    plant_from_matrices,
+    plant_from_state_space,
     simulate,
 )
 from ccdtools.studies.cases.suspension import quarter_car
@@ -168,7 +170,7 @@ def test_what_has_no_hold_or_noise_is_refused(call, message):
 def test_a_plant_from_matrices_of_the_design_is_the_one_written_out():
     p = ca.SX.sym("p", 2)
     A = ca.vertcat(ca.horzcat(0, 1), ca.horzcat(-p[0], -p[1]))
-    own = Plant.from_matrices(A, [0.0, 1.0], [0.0, 1.0], c=[0.0, -9.81], p=p, design=BOX, dt=0.05)
+    own = plant_from_matrices(A, [0.0, 1.0], [0.0, 1.0], c=[0.0, -9.81], p=p, design=BOX, dt=0.05)
     for M, N in zip(discretise(own).matrices([50.0, 0.3]), discretise(hanging()).matrices([50.0, 0.3])):
         np.testing.assert_allclose(M, N, rtol=1e-14)
     np.testing.assert_allclose(discretise(own).constant([50.0, 0.3]), discretise(hanging()).constant([50.0, 0.3]))
@@ -178,7 +180,7 @@ def test_a_plant_from_matrices_of_the_design_is_the_one_written_out():
 def test_a_state_space_of_python_control_goes_in_and_comes_out(sampled):
     system = control.ss([[0.0, 1.0], [-2.0, -0.3]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
     system = system.sample(0.1) if sampled else system
-    plant = Plant.from_state_space(system, dt=None if sampled else 0.1)
+    plant = plant_from_state_space(system, dt=None if sampled else 0.1)
     out = discretise(plant).state_space()
     reference = system if sampled else system.sample(0.1)
     np.testing.assert_allclose(out.A, reference.A, rtol=1e-12)
@@ -224,14 +226,14 @@ def test_outputs_that_make_no_sense_are_refused(options, message):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Plant.from_matrices([[1.0, 2.0]], [1.0], dt=0.1), r"A: got shape \(1, 2\)"),
-        (lambda: Plant.from_matrices([[1.0]], [[1.0], [2.0]], dt=0.1), r"B: got shape \(2, 1\), expected 1 rows"),
-        (lambda: Plant.from_matrices([[1.0]], [1.0], dt=0.1, D=[[1.0]]), "C: got nothing, beside D"),
-        (lambda: Plant.from_matrices([[1.0]], [1.0], dt=0.1, C=[[1.0, 2.0]]), r"C: got shape \(1, 2\)"),
-        (lambda: Plant.from_matrices("A", [1.0], dt=0.1), "A: got 'A'"),
-        (lambda: Plant.from_matrices([[ca.SX.sym("z")]], [1.0], dt=0.1), "stack expressions"),
-        (lambda: Plant.from_state_space(control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]])), "dt: got nothing"),
-        (lambda: Plant.from_state_space(3.0), "system: got 3.0"),
+        (lambda: plant_from_matrices([[1.0, 2.0]], [1.0], dt=0.1), r"A: got shape \(1, 2\)"),
+        (lambda: plant_from_matrices([[1.0]], [[1.0], [2.0]], dt=0.1), r"B: got shape \(2, 1\), expected 1 rows"),
+        (lambda: plant_from_matrices([[1.0]], [1.0], dt=0.1, D=[[1.0]]), "C: got nothing, beside D"),
+        (lambda: plant_from_matrices([[1.0]], [1.0], dt=0.1, C=[[1.0, 2.0]]), r"C: got shape \(1, 2\)"),
+        (lambda: plant_from_matrices("A", [1.0], dt=0.1), "A: got 'A'"),
+        (lambda: plant_from_matrices([[ca.SX.sym("z")]], [1.0], dt=0.1), "stack expressions"),
+        (lambda: plant_from_state_space(control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]])), "dt: got nothing"),
+        (lambda: plant_from_state_space(3.0), "system: got 3.0"),
     ],
 )
 def test_matrices_that_do_not_fit_are_refused(call, message):
