@@ -12,7 +12,8 @@ from torch import Tensor
 
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.limits import StateLimits
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.models import Model
+from ccdtools.plants.sampled_model import SampledModel
 
 ScenarioTensors: TypeAlias = tuple[Tensor, Tensor]  # initial states (n, nx) and disturbances (n, T, nw)
 
@@ -21,7 +22,7 @@ class _Matrices(torch.autograd.Function):
     """[A B E](p) with its exact derivative, both evaluated by CasADi in float64."""
 
     @staticmethod
-    def forward(ctx, p: Tensor, model: LinearModel) -> Tensor:
+    def forward(ctx, p: Tensor, model: Model) -> Tensor:
         """Flattened by columns, (nx·(nx + nu + nw),)."""
         at = p.detach().double().numpy()
         ctx.jacobian = np.asarray(model.jacobian(at), dtype=float) if ctx.needs_input_grad[0] else None
@@ -35,7 +36,7 @@ class _Matrices(torch.autograd.Function):
         return gradient @ jacobian, None
 
 
-def matrices(model: LinearModel, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def matrices(model: Model, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """A, B, E at a design tensor (np,), or stacked along axis 0 at designs (n, np); differentiable in it."""
     columns = model.nx + model.nu + model.nw
     flat = _Matrices.apply(p, model) if p.ndim == 1 else torch.stack([_Matrices.apply(one, model) for one in p])
@@ -100,18 +101,36 @@ class Stepper:
         return x0.new_zeros(len(x0), x0.shape[-1] if discrepancy is None else discrepancy.error_size)
 
     def drive(self, w: Tensor) -> Tensor:
-        """What a disturbance (n, T, nw) adds to the states, (n, T, nx); the noise itself where errors are learned."""
-        return w if self.problem.discrepancy is not None else _times(self.E, w)
+        """What a disturbance (n, T, nw) adds to the states of a linear model, (n, T, nx).
+
+        The disturbance itself where the model is not linear, the noise itself where errors are learned.
+        """
+        plain = self.problem.discrepancy is not None or isinstance(self.problem.model, SampledModel)
+        return w if plain else _times(self.E, w)
 
     def advance(self, x: Tensor, e: Tensor, u: Tensor, drive: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
         """Next states and errors (n, nx), and the penalty (n,) of a learned error if there is one."""
         discrepancy = self.problem.discrepancy
+        if isinstance(self.problem.model, SampledModel):
+            return self._sampled(self.problem.model, x, e, u, drive)
         if discrepancy is None:
             return _plus_times(_plus_times(drive, self.A, x), self.B, u), e, ()
         e, penalty = discrepancy.advance(e, x, u, self.p, drive)
         error = e[..., : x.shape[-1]]  # the rest is what draws remember
         carried = error if self.carry is None else _times(self.carry, error[:, None])[:, 0]
         return _plus_times(_plus_times(carried, self.A, x), self.B, u), e, (penalty,)
+
+    def _sampled(
+        self, model: SampledModel, x: Tensor, e: Tensor, u: Tensor, drive: Tensor
+    ) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
+        """The same of a model that is not linear."""
+        discrepancy = self.problem.discrepancy
+        if discrepancy is None:
+            return model.advance(x, u, drive, self.p), e, ()
+        e, penalty = discrepancy.advance(e, x, u, self.p, drive)
+        error = e[..., : x.shape[-1]]
+        carried = error if self.carry is None else _times(self.carry, error[:, None])[:, 0]
+        return model.advance(x, u, x.new_zeros(model.nw), self.p) + carried, e, (penalty,)
 
     def rewards(self, x_next: Tensor, u: Tensor) -> Tensor:
         """Rewards (T, n) of next states (T, n, nx) and inputs (T, n, nu), asked for in one call."""

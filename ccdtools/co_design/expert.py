@@ -20,7 +20,7 @@ from ccdtools.co_design.expert_loops import ExpertLoops, follow
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.set_choice import SETS, Effort, SetCounts, limited
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.models import Model
 from ccdtools.progress import Echo
 from invariant_sets import ParametricSet
 
@@ -69,7 +69,7 @@ def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
     return ParametricSet(partial(_state_and_input_matrices, problem.model), problem.X, problem.U)
 
 
-def _state_and_input_matrices(model: LinearModel, design: Array) -> tuple[Array, Array]:
+def _state_and_input_matrices(model: Model, design: Array) -> tuple[Array, Array]:
     """A(p) and B(p); a function of the module, so that the family of sets can be pickled."""
     A, B, _ = model.matrices(design)
     return A, B

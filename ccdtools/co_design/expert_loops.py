@@ -11,7 +11,7 @@ import torch
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.candidates import Starts
 from ccdtools.co_design.differentiable_model import Stepper
-from ccdtools.co_design.lqr_regions import LQRRegions, times
+from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.progress import Echo, counted
@@ -115,7 +115,7 @@ class NominalSteps:
 
     def __call__(self, x: Array, u: Array, w: Array) -> tuple[Array, float]:
         """Next states (n, nx) of states, inputs (n, nu) and disturbances (n, nw); no penalty."""
-        return times(self._model.A, x) + times(self._model.B, u) + times(self._model.E, w), 0.0
+        return self._model.disturbed(x, u, w), 0.0
 
 
 class UpdatedSteps:

@@ -21,9 +21,11 @@ from scipy.linalg import LinAlgError, solve_discrete_lyapunov
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.exceptions import InputError
+from ccdtools.plants.sampled_model import SampledModel
 from mpc import MPCError, lqr
 
 LONGEST = 2000  # steps of a loop; one that is not in its ellipsoid by then counts as outside
+NEARLY_LINEAR = 0.1  # of the ellipsoid of a linearisation
 ON_LIMIT = 1e-9  # of the half-widths of X
 HALVINGS = 10  # of the logarithm of a scale: from 1e-6 to 1 this leaves 1.4 %
 
@@ -43,7 +45,11 @@ class LQRRegions:
     rows : (m, nx) array
         X as {x : rows x <= 1}; None where 0 is not inside X or U, so that no region is known.
     shapes : (n, nx, nx) array
-        M with x'Mx <= 1 inside X and without clipping, invariant under LQR.
+        M with x'Mx <= 1 inside X and without clipping, invariant under LQR. Of a model that is not linear, a tenth
+        of the ellipsoid of its linearisation in every direction: there it is as good as linear.
+    designs : (n, np) array
+    sampled : SampledModel, optional
+        The model where it is not linear; A, B and E are then its linearisation.
     """
 
     A: Array
@@ -54,6 +60,8 @@ class LQRRegions:
     upper: Array
     rows: Array | None
     shapes: Array
+    designs: Array
+    sampled: SampledModel | None = None
 
     @classmethod
     def of(cls, problem: CoDesignProblem, designs: Array) -> LQRRegions:
@@ -67,11 +75,13 @@ class LQRRegions:
             for i in np.flatnonzero(np.isfinite(K).all(axis=(1, 2))):
                 limits = np.vstack([rows, -K[i] / upper[:, None], -K[i] / lower[:, None]])
                 shapes[i] = _ellipsoid(A[i] - B[i] @ K[i], limits, problem.state_scale)
-        return cls(A, B, E, K, lower, upper, rows, shapes)
+        sampled = problem.model if isinstance(problem.model, SampledModel) else None
+        shapes = shapes if sampled is None else shapes / NEARLY_LINEAR**2
+        return cls(A, B, E, K, lower, upper, rows, shapes, np.asarray(designs, dtype=float), sampled)
 
     def of_runs(self, runs: Indices) -> LQRRegions:
         """The regions of some of the designs."""
-        return replace(self, **{name: getattr(self, name)[runs] for name in ("A", "B", "E", "K", "shapes")})
+        return replace(self, **{name: getattr(self, name)[runs] for name in ("A", "B", "E", "K", "shapes", "designs")})
 
     @property
     def stabilised(self) -> Mask:
@@ -102,7 +112,15 @@ class LQRRegions:
 
     def step(self, x: Array, u: Array, runs: Indices) -> Array:
         """Nominal next states (k, nx)."""
+        if self.sampled is not None:
+            return np.asarray(self.sampled.advance(x, u, np.zeros(self.sampled.nw), self.designs[runs]))
         return times(self.A[runs], x) + times(self.B[runs], u)
+
+    def disturbed(self, x: Array, u: Array, w: Array) -> Array:
+        """Next states (n, nx), one run at each design, under disturbances (n, nw)."""
+        if self.sampled is not None:
+            return np.asarray(self.sampled.advance(x, u, w, self.designs))
+        return times(self.A, x) + times(self.B, u) + times(self.E, w)
 
     def reach(self, x: Array, runs: Indices) -> Array:
         """Scales (k,) in [0, 1] at which scale · x lies in the region, about the largest ones; 0 where none is known.

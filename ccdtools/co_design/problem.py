@@ -23,7 +23,7 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.linear_model import LinearModel, as_linear_model
+from ccdtools.plants.models import Model, as_regulated_model
 from invariant_sets import Polytope
 
 DIVERGENCE = 1e3  # a run is lost when a state exceeds this many half-widths of X
@@ -92,8 +92,9 @@ class CoDesignProblem(Immutable):
 
     Parameters
     ----------
-    model : LinearModel
-        x⁺ = A(p) x + B(p) u + E(p) w.
+    model : LinearModel or SampledModel
+        x⁺ = A(p) x + B(p) u + E(p) w, or any x⁺ = f(x, u, w, p) that rests at x = 0, u = 0, w = 0 at every design.
+        LQR, MPC and sets are then those of its linearisation there.
     X, U : Polytope, or bounds (lower, upper)
         State and input limits; both bounded and around 0, U a box. Each bound is a number for all coordinates, or one
         number each. Leaving X is counted, it does not end an episode.
@@ -119,7 +120,7 @@ class CoDesignProblem(Immutable):
         not in X or not in U, U is not a box, a `FixedStart` lies outside X, or the box of designs is too narrow.
     """
 
-    model: LinearModel
+    model: Model
     X: Polytope
     U: Polytope
     objective: QuadraticObjective
@@ -130,7 +131,7 @@ class CoDesignProblem(Immutable):
     warm_up: int = 0
 
     def __post_init__(self) -> None:
-        model = as_linear_model("model", self.model)
+        model = as_regulated_model("model", self.model)
         if model.design is None or model.design.dim == 0:
             raise InputError("model", "a model without design parameters", "one of a plant with a DesignSpace")
         _check_widths(model.design)

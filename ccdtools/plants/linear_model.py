@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,7 +16,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finite, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace, check_finite
-from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.matrices_of_design import derivative, evaluated
 from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
 from ccdtools.plants.zero_order_hold import zero_order_hold
 
@@ -168,8 +168,7 @@ class LinearModel:
     @cached_property
     def jacobian(self) -> ca.Function:
         """p → ∂vec[A B E]/∂p, (nx·(nx + nu + nw), np), vec by columns."""
-        matrices = ca.densify(ca.horzcat(self.A, self.B, self.E))
-        return ca.Function("jacobian", [self.symbols], [ca.densify(ca.jacobian(ca.vec(matrices), self.symbols))])
+        return derivative(self.function)
 
     def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
         """A (nx, nx), B (nx, nu) and E (nx, nw) at a design (np,); stacked along axis 0 for designs (n, np).
@@ -179,19 +178,7 @@ class LinearModel:
         InputError
             If a design has the wrong shape, lies outside its bounds, or makes a matrix infinite.
         """
-        p = self._checked(p)
-        columns = self.nx + self.nu + self.nw
-        stacked = np.asarray(self.function(np.atleast_2d(p).T), dtype=float)
-        if not np.isfinite(stacked).all():
-            where = f"a design at which the model is not finite: {p.tolist()}"
-            raise InputError("design", where, "one where A, B and E are finite", "Leave it out of the design bounds.")
-        matrices = np.ascontiguousarray(stacked.reshape(self.nx, -1, columns).transpose(1, 0, 2))
-        M = matrices if p.ndim == 2 else matrices[0]
-        return (
-            np.ascontiguousarray(M[..., : self.nx]),
-            np.ascontiguousarray(M[..., self.nx : self.nx + self.nu]),
-            np.ascontiguousarray(M[..., self.nx + self.nu :]),
-        )
+        return evaluated(self.function, self._checked(p), self.nu)
 
     def constant(self, p: ArrayLike = ()) -> Array:
         """c (nx,) at a design (np,); stacked along axis 0 for designs (n, np)."""
@@ -222,6 +209,14 @@ class LinearModel:
         A, B, _ = self.matrices(p)
         return control.ss(A, B, np.eye(self.nx), np.zeros((self.nx, self.nu)), self.dt)
 
+    def within(self, design: DesignSpace) -> LinearModel:
+        """The same model over another box of designs."""
+        return replace(self, design=design)
+
+    def with_errors(self) -> LinearModel:
+        """The model that (w, r) drives: r (nx,) is added to the next state."""
+        return replace(self, E=ca.horzcat(self.E, ca.SX.eye(self.nx)))
+
     def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
         """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` (np,) where w is 0."""
         A, B, _ = self.matrices(p)
@@ -243,18 +238,6 @@ class LinearModel:
         if np.size(p) > 0:
             raise InputError("design", shown(p), "nothing, because the model has no design parameters")
         return np.zeros(0)
-
-
-def as_linear_model(argument: str, value: Any, *, constant: bool = False) -> LinearModel:
-    """`value`, if it is a `LinearModel`, and has no constant term unless that is allowed; else an `InputError`."""
-    linearised = "Linearise the plant about its equilibrium: discretise(linearise(plant, equilibrium(plant, p)))."
-    if isinstance(value, SampledModel):
-        got = f"dynamics nonlinear in x, u or w for {', '.join(value.plant.nonlinear_states)}"
-        raise InputError(argument, got, "linear ones", linearised)
-    as_instance(argument, value, LinearModel, "a LinearModel", "Pass discretise(plant).")
-    if value.affine and not constant:
-        raise InputError(argument, "a constant term in the dynamics", "linear ones", linearised)
-    return value
 
 
 def state_space_matrices(system: Any) -> tuple[Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,10 +17,33 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.collocation import ImplicitStep
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.integration_error import IntegrationError
+from ccdtools.plants.matrices_of_design import derivative, evaluated
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.runge_kutta import ExplicitStep
 
 METHODS = ("rk4", "collocation")
+
+
+class WithErrors:
+    """(x, u, (w, r), p) → x⁺ + r, of a step (x, u, w, p) → x⁺."""
+
+    def __init__(self, step: ExplicitStep | ImplicitStep, nw: int) -> None:
+        self._step = step
+        self._nw = nw
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """The step as a CasADi function."""
+        own = self._step.function
+        nx = own.numel_out(0)
+        sizes = (nx, own.numel_in(1), self._nw + nx, own.numel_in(3))
+        x, u, w, p = (ca.MX.sym(name, size) for name, size in zip("xuwp", sizes))
+        after = own(x, u, w[: self._nw], p) + w[self._nw :]
+        return ca.Function("step", [x, u, w, p], [after], list("xuwp"), ["x_next"])
+
+    def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
+        """x⁺ (..., nx) of arrays or tensors."""
+        return self._step(x, u, w[..., : self._nw], p) + w[..., self._nw :]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,6 +65,8 @@ class SampledModel:
         What a step may be wrong by; None where it was not measured.
     scale : (nx,) array, optional
         Extent of each state, for the tolerances of CasADi's solver of collocation equations.
+    errors : bool
+        Whether the disturbance is (w, r), of which r (nx,) is added to the next state.
     """
 
     plant: Plant
@@ -50,6 +75,7 @@ class SampledModel:
     substeps: int = 10
     error: IntegrationError | None = None
     scale: Array | None = field(default=None, repr=False)
+    errors: bool = False
 
     def __post_init__(self) -> None:
         as_instance("plant", self.plant, Plant, "a Plant")
@@ -65,7 +91,7 @@ class SampledModel:
         return f"SampledModel({sizes}, {parts}{error}, design: {self.design!r})"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("plant", "dt", "method", "substeps", "error", "scale")}
+        return {name: getattr(self, name) for name in ("plant", "dt", "method", "substeps", "error", "scale", "errors")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
@@ -84,7 +110,7 @@ class SampledModel:
     @property
     def nw(self) -> int:
         """Number of disturbances."""
-        return self.plant.nw
+        return self.plant.nw + self.nx * self.errors
 
     @property
     def design(self) -> DesignSpace:
@@ -92,17 +118,52 @@ class SampledModel:
         return self.plant.design
 
     @cached_property
-    def advance(self) -> ExplicitStep | ImplicitStep:
+    def advance(self) -> ExplicitStep | ImplicitStep | WithErrors:
         """(x, u, w, p) → x⁺ on NumPy arrays or torch tensors (..., n), whose leading shapes broadcast.
 
         Of tensors it is differentiable in all four; to second order where the dynamics are.
         """
+        return WithErrors(self._own_step, self.plant.nw) if self.errors else self._own_step
+
+    @property
+    def _own_step(self) -> ExplicitStep | ImplicitStep:
+        """The step without errors."""
         f = self.plant.right_hand_side
         if not self.plant.continuous:
             return ExplicitStep(f, 1)
         if self.method == "rk4":
             return ExplicitStep.of(f, self.dt, self.substeps)
         return ImplicitStep(f, self.dt, self.substeps, self.scale)
+
+    def within(self, design: DesignSpace) -> SampledModel:
+        """The same model over another box of designs."""
+        return replace(self, plant=replace(self.plant, design=design))
+
+    def with_errors(self) -> SampledModel:
+        """The model that (w, r) drives: r (nx,) is added to the next state."""
+        return replace(self, errors=True)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """p → [A B E] about x = 0, u = 0, w = 0, (nx, nx + nu + nw)."""
+        p = ca.MX.sym("p", self.design.dim)
+        at_rest = self._jacobian(*(ca.DM.zeros(size, 1) for size in (self.nx, self.nu, self.nw)), p)
+        return ca.Function("matrices", [p], [at_rest])
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """p → ∂vec[A B E]/∂p, (nx·(nx + nu + nw), np), vec by columns."""
+        return derivative(self.function)
+
+    def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
+        """The linearisation about x = 0, u = 0, w = 0 at a design (np,), or stacked for designs (n, np).
+
+        Raises
+        ------
+        InputError
+            If a design has the wrong shape, lies outside its bounds, or makes a matrix infinite.
+        """
+        return evaluated(self.function, self.design.check(p), self.nu)
 
     @property
     def step(self) -> ca.Function:
@@ -117,7 +178,7 @@ class SampledModel:
     def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
         """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` (np,) where w is 0."""
         p = self.design.check_one(p)
-        return lambda x, u: self.advance(x, u, np.zeros(self.nw), p)
+        return lambda x, u: np.asarray(self.advance(x, u, np.zeros(self.nw), p))
 
     @cached_property
     def _jacobian(self) -> ca.Function:

@@ -29,7 +29,7 @@ from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.disturbances.disturbance import Disturbance, is_recorded
 from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
-from ccdtools.plants.linear_model import LinearModel, as_linear_model
+from ccdtools.plants.models import Model, as_regulated_model
 from ccdtools.plants.plant import Plant
 from ccdtools.studies.options import FILTERS, SETS
 from ccdtools.studies.price import DEFAULT_PRICE, RedesignPrice
@@ -236,9 +236,15 @@ class Study(Immutable):
             raise InputError("p0", got, "a design at which the model can be stabilised") from None
 
     @cached_property
-    def model(self) -> LinearModel:
-        """The exact discrete model, symbolic in the design."""
-        return as_linear_model("plant", discretise(self.plant, sampling_guard=self.sampling_guard))
+    def model(self) -> Model:
+        """The discrete model: exact and symbolic in the design, or integrated to an accuracy within X, U and W.
+
+        W are the bounds of a thousand draws of the disturbance.
+        """
+        drawn = np.abs(self.disturbance.sample(1, 1000, np.random.default_rng(0))).max(axis=(0, 1))
+        W = (-drawn, drawn) if drawn.any() else None
+        model = discretise(self.plant, X=self.X, U=self.U, W=W, sampling_guard=self.sampling_guard)
+        return as_regulated_model("plant", model)
 
     @property
     def price(self) -> RedesignPrice:

@@ -102,9 +102,7 @@ def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignPr
     middle = space.to_unit(centre)
     lower = space.from_unit(np.clip(middle - radius, 0, 1))
     upper = space.from_unit(np.clip(middle + radius, 0, 1))
-    return replace(
-        problem, model=replace(problem.model, design=DesignSpace(space.names, lower, upper, space.units))
-    )  # fmt: skip
+    return replace(problem, model=problem.model.within(DesignSpace(space.names, lower, upper, space.units)))
 
 
 def edges(design: Array, region: DesignSpace, space: DesignSpace) -> dict[str, str]:

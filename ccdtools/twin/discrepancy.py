@@ -14,7 +14,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_choice, as_flag, as_instance, as_weight
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.linear_model import LinearModel, as_linear_model
+from ccdtools.plants.models import Model, as_model
 from ccdtools.twin.residuals import Residuals, stacked
 from ccdtools.twin.transport import Transport
 from learning.copula import InnovationCopula
@@ -172,12 +172,12 @@ class TwinPlant(Immutable):
         Error before the first step of each of n runs, from `Discrepancy.past`; none by default.
     """
 
-    model: LinearModel
+    model: Model
     discrepancy: Discrepancy
     error: ArrayField | None = None
 
     def __post_init__(self) -> None:
-        as_linear_model("model", self.model, constant=True)
+        as_model("model", self.model)
         as_instance("discrepancy", self.discrepancy, Discrepancy, "a Discrepancy")
         if self.discrepancy.network.outputs != self.model.nx:
             raise InputError("discrepancy", f"{self.discrepancy.network.outputs} states", f"{self.model.nx}")

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.models import Model
 from ccdtools.twin.discrepancy import Discrepancy
 from ccdtools.twin.residuals import Residuals, stacked
 from learning.copula import InnovationCopula
@@ -36,7 +36,7 @@ RUNAWAY = 10.0  # times the largest logged state: draws that go further are not 
 
 
 def matched_in_the_loop(
-    discrepancy: Discrepancy, model: LinearModel, parts: Sequence[Residuals], rng: np.random.Generator
+    discrepancy: Discrepancy, model: Model, parts: Sequence[Residuals], rng: np.random.Generator
 ) -> InnovationCopula:
     """The copula of a discrepancy, its mean moved until draws in closed loop answer (e, x, u) as the log did.
 
@@ -82,14 +82,14 @@ def _expected(network: QuantileNetwork, copula: InnovationCopula, inputs: Array)
 class _Loop:
     """The closed loop of a log: where it was, and the law that it seems to have followed."""
 
-    model: LinearModel
+    model: Model
     x: Array
     e: Array
     p: Array
     law: Callable[[Array], Array]
 
     @classmethod
-    def of(cls, model: LinearModel, parts: Sequence[Residuals]) -> _Loop:
+    def of(cls, model: Model, parts: Sequence[Residuals]) -> _Loop:
         """The loop of stretches of one log."""
         e, x, u, _, _ = stacked(parts)
         slope, mean = regression(x, u)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_floats, as_instance, finite
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel, as_linear_model
+from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
 
 
@@ -80,7 +80,7 @@ class Residuals(Immutable):
         return e, x, u, p, e_next
 
 
-def residuals(model: LinearModel, log: Trajectory) -> Residuals:
+def residuals(model: Model, log: Trajectory) -> Residuals:
     """One-step errors e⁺ of `model` along the runs of `log` that did not diverge.
 
     Raises
@@ -88,7 +88,7 @@ def residuals(model: LinearModel, log: Trajectory) -> Residuals:
     InputError
         If every run diverged, or the log is not of such a plant, or of a design outside the model's box.
     """
-    as_linear_model("model", model, constant=True)
+    as_model("model", model)
     check_log(model, log)
     kept = ~log.diverged
     if not kept.any():
@@ -100,7 +100,7 @@ def residuals(model: LinearModel, log: Trajectory) -> Residuals:
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
 
 
-def check_log(model: LinearModel, log: Trajectory) -> None:
+def check_log(model: Model, log: Trajectory) -> None:
     """Raise an `InputError` unless `log` has the states, inputs and sampling time of `model`."""
     as_instance("log", log, Trajectory, "a Trajectory, from deploy or simulate")
     sizes = (log.states.shape[2], log.inputs.shape[2])
@@ -112,7 +112,7 @@ def check_log(model: LinearModel, log: Trajectory) -> None:
         model.design.check_one(log.design, argument="log.design")
 
 
-def check_errors(argument: str, model: LinearModel, log: Residuals) -> None:
+def check_errors(argument: str, model: Model, log: Residuals) -> None:
     """Raise an `InputError` unless `log` has the states, inputs and design parameters of `model`, and is finite."""
     sizes = (log.x.shape[2], log.e_next.shape[2], log.u.shape[2])
     if sizes != (model.nx, model.nx, model.nu):

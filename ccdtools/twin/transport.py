@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_floats
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel, as_linear_model
+from ccdtools.plants.models import Model, as_model
 from ccdtools.twin.residuals import Residuals
 
 RANK = 1e-6  # columns of E, each of length one, are dependent below this singular value, relative to the largest
@@ -45,9 +44,9 @@ class Transport(Immutable):
         return f"Transport({self.E.shape[0]} states, {self.E.shape[1]} disturbances)"
 
     @classmethod
-    def at(cls, model: LinearModel, p: ArrayLike, scale: ArrayLike) -> Transport:
+    def at(cls, model: Model, p: ArrayLike, scale: ArrayLike) -> Transport:
         """The split at a design (np,); `scale` (nx,) is the extent of each state, such as half the width of X."""
-        as_linear_model("model", model, constant=True)
+        as_model("model", model)
         scale = as_extent(scale, model.nx)
         E = model.matrices(p)[2]
         scaled, lengths = _columns_of_length_one(E / scale[:, None])
@@ -74,26 +73,26 @@ class ErrorSplit(Immutable):
 
     Parameters
     ----------
-    model : LinearModel
+    model : Model
         The nominal one.
     scale : (nx,) array
         Extent of each state, such as half the width of X.
     """
 
-    model: LinearModel
+    model: Model
     scale: ArrayField
 
     def __post_init__(self) -> None:
-        as_linear_model("model", self.model, constant=True)
+        as_model("model", self.model)
         object.__setattr__(self, "scale", as_extent(self.scale, self.model.nx))
 
     def __repr__(self) -> str:
         return f"ErrorSplit({self.model!r})"
 
     @property
-    def replayed_model(self) -> LinearModel:
+    def replayed_model(self) -> Model:
         """The model that (ŵ, r) drives: ŵ through E(p) of whichever design, r as it is."""
-        return replace(self.model, E=ca.horzcat(self.model.E, ca.SX.eye(self.model.nx)))
+        return self.model.with_errors()
 
     def disturbances(self, log: Residuals) -> Array:
         """(ŵ, r) of every error of a log, (n, T, nw + nx)."""
@@ -119,7 +118,7 @@ def as_extent(scale: ArrayLike, nx: int) -> Array:
     return frozen(extent.copy())
 
 
-def full_rank(model: LinearModel, p: ArrayLike, scale: Array) -> bool:
+def full_rank(model: Model, p: ArrayLike, scale: Array) -> bool:
     """Whether every disturbance of a model can be told from an error at a design: E(p) is of full column rank."""
     scaled, lengths = _columns_of_length_one(model.matrices(p)[2] / scale[:, None])
     if model.nw == 0 or not np.isfinite(lengths).all():
@@ -128,7 +127,7 @@ def full_rank(model: LinearModel, p: ArrayLike, scale: Array) -> bool:
     return len(values) == model.nw and bool(values[-1] > RANK * values[0])
 
 
-def check_disturbance_enters(model: LinearModel) -> None:
+def check_disturbance_enters(model: Model) -> None:
     """Raise an `InputError` if the disturbance of a model enters at no design of its box."""
     designs = np.zeros((1, 0)) if model.design is None else model.design.spread()
     if model.nw and not any(np.any(model.matrices(p)[2]) for p in designs):

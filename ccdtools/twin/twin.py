@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import ArrayField, Immutable
 from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_share, as_weight, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel, as_linear_model
+from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
 from ccdtools.twin.loop_moments import matched_in_the_loop
@@ -39,14 +39,14 @@ class DigitalTwin(Immutable):
         and the rest. The largest |x| of the first log by default.
     """
 
-    model: LinearModel
+    model: Model
     logs: tuple[Residuals, ...] = ()
     discrepancy: Discrepancy | None = None
     scores: QuantileScores | None = None
     scale: ArrayField | None = None
 
     def __post_init__(self) -> None:
-        as_linear_model("model", self.model, constant=True)
+        as_model("model", self.model)
         if not isinstance(self.logs, tuple | list) or not all(isinstance(log, Residuals) for log in self.logs):
             raise InputError("logs", shown(self.logs), "a tuple of Residuals")
         object.__setattr__(self, "logs", tuple(self.logs))

@@ -1,0 +1,44 @@
+"""What a discrete model of a plant may be, and what a co-design and a digital twin ask of it."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ccdtools.checks import shown
+from ccdtools.exceptions import InputError
+from ccdtools.plants.design_space import sample_designs
+from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.sampled_model import SampledModel
+
+Model: TypeAlias = LinearModel | SampledModel
+
+AT_REST = 1e-9  # of the states that one column of the model makes of an input or state of size one
+DEVIATIONS = "State it about its equilibrium: discretise(deviations(plant, equilibrium(plant, p)))."
+
+
+def as_model(argument: str, value: Any) -> Model:
+    """`value`, if it is a model; else an `InputError`."""
+    if not isinstance(value, LinearModel | SampledModel):
+        raise InputError(argument, shown(value), "a LinearModel or a SampledModel", "Pass discretise(plant).")
+    return value
+
+
+def as_regulated_model(argument: str, value: Any) -> Model:
+    """`value`, if it is a model that rests at x = 0, u = 0, w = 0 at every design; else an `InputError`."""
+    model = as_model(argument, value)
+    if isinstance(model, LinearModel):
+        if model.affine:
+            raise InputError(argument, "a constant term in the dynamics", "a model that rests at 0", DEVIATIONS)
+        return model
+    for p in sample_designs(model.design):
+        A, B, _ = model.matrices(p)
+        moved = np.abs(model.undisturbed(p)(np.zeros(model.nx), np.zeros(model.nu)))
+        size = np.maximum(np.abs(A).sum(axis=1), np.abs(B).sum(axis=1))
+        if not (moved <= AT_REST * np.maximum(size, np.finfo(float).tiny)).all():
+            i = int(np.argmax(moved))
+            where = f"{model.plant.state_names[i]} moves by {moved[i]:.3g} a sample at {model.design.describe(p)}"
+            got = f"a plant that does not rest at x = 0, u = 0: {where}"
+            raise InputError(argument, got, "one that does", DEVIATIONS)
+    return model
