@@ -1,0 +1,195 @@
+"""Every plant of the library: complete, at rest where it says so, sampled fast enough, and exactly discretised."""
+
+import pickle
+import warnings
+
+import casadi as ca
+import numpy as np
+import pytest
+from library_oracles import matrices, rates
+from scipy.linalg import expm, matrix_balance
+
+from ccdtools import DesignSpace, InputError, Plant, discretise
+from ccdtools.plants import library
+from ccdtools.plants.library.struts import RealStrut
+
+LINEAR = {
+    "illustrative": (library.illustrative, 2),
+    "quarter car": (library.quarter_car, 4),
+    "quarter car with lag": (lambda: library.quarter_car(actuator_lag=True), 5),
+    "half car": (library.half_car, 8),
+    "full car": (library.full_car, 15),
+    "full car on heights": (lambda: library.full_car(road="height"), 14),
+    "pendulum, linear": (lambda: library.pendulum_on_cart(linear=True), 4),
+    "servo": (library.dc_servo, 2),
+    "chain": (library.mass_chain, 20),
+    "chain of 3 on one wall": (lambda: library.mass_chain(3, walls=1, driven=(1, 3), disturbed=(2,)), 6),
+    "turbine": (library.wind_turbine, 3),
+    "tanks, linear": (lambda: library.two_tanks(linear=True), 2),
+}
+NONLINEAR = {
+    "quarter car, nonlinear": (lambda: library.quarter_car(nonlinear=True), 4),
+    "pendulum": (library.pendulum_on_cart, 4),
+    "tanks": (library.two_tanks, 2),
+}
+REAL = {
+    "illustrative": (lambda: library.illustrative(real=True), 2),
+    "quarter car": (lambda: library.quarter_car(real=True), 4),
+    "quarter car with lag": (lambda: library.quarter_car(actuator_lag=True, real=True), 5),
+    "half car": (lambda: library.half_car(real=True), 8),
+    "full car": (lambda: library.full_car(real=True), 15),
+    "full car on heights": (lambda: library.full_car(road="height", real=True), 14),
+    "pendulum, linear": (lambda: library.pendulum_on_cart(real=True), 4),
+    "servo": (lambda: library.dc_servo(real=True), 2),
+    "chain": (lambda: library.mass_chain(real=True), 20),
+    "chain of 3 on one wall": (
+        lambda: library.mass_chain(3, walls=1, driven=(1, 3), disturbed=(2,), real=True), 6,
+    ),
+    "turbine": (lambda: library.wind_turbine(real=True), 3),
+    "tanks, linear": (lambda: library.two_tanks(real=True), 2),
+}  # fmt: skip
+EVERY = [*LINEAR.values(), *NONLINEAR.values(), *REAL.values()]
+NAMES = [*LINEAR, *NONLINEAR, *(f"real {name}" for name in REAL)]
+MOVING = {"illustrative", "tanks, linear"}  # real plants whose steady state is elsewhere
+
+
+@pytest.fixture(params=EVERY, ids=NAMES)
+def every(request):
+    """Return each plant, with the number of states that it should have."""
+    make, states = request.param
+    return make(), states
+
+
+@pytest.fixture(params=LINEAR, ids=list(LINEAR))
+def linear(request):
+    """Return each linear plant."""
+    return LINEAR[request.param][0]()
+
+
+def test_every_public_name_is_there():
+    assert len(library.__all__) <= 15
+    assert all(hasattr(library, name) for name in library.__all__)
+
+
+def test_every_plant_says_its_states_and_carries_names_and_units(every):
+    plant, states = every
+    assert f"Plant({states} states" in repr(plant)
+    assert isinstance(plant.design, DesignSpace)
+    assert len(set(plant.state_names)) == plant.nx
+    if plant.continuous:
+        assert all("[" in name for name in (*plant.state_names, *plant.input_names))
+        assert all(plant.design.units)
+
+
+def test_every_plant_is_pickled(every, rng):
+    plant, _ = every
+    again = pickle.loads(pickle.dumps(plant))
+    x, u, w = (0.1 * rng.standard_normal(n) for n in (plant.nx, plant.nu, plant.nw))
+    p = plant.design.centre
+    assert isinstance(again, Plant)
+    np.testing.assert_array_equal(rates(again, p, x, u, w), rates(plant, p, x, u, w))
+    assert repr(again) == repr(plant)
+
+
+@pytest.mark.parametrize("name", [*LINEAR, *NONLINEAR])
+def test_every_nominal_plant_rests_at_the_origin_for_every_design(name):
+    plant = (LINEAR | NONLINEAR)[name][0]()
+    for p in plant.design.spread():
+        np.testing.assert_allclose(rates(plant, p, np.zeros(plant.nx)), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_a_real_plant_rests_there_too_but_where_it_says_otherwise(name):
+    plant = REAL[name][0]()
+    resting = [np.abs(rates(plant, p, np.zeros(plant.nx))).max() < 1e-12 for p in plant.design.spread()]
+    assert not any(resting) if name in MOVING else all(resting)
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_a_real_plant_is_not_linear_and_moves_otherwise_than_its_model(name, rng):
+    model, real = LINEAR[name][0](), REAL[name][0]()
+    p = model.design.centre
+    u = np.full(model.nu, 3.0)
+    states = (np.zeros(model.nx), 0.2 * rng.standard_normal(model.nx))
+    assert any(not np.allclose(rates(model, p, x, u), rates(real, p, x, u), rtol=1e-2) for x in states)
+    with pytest.raises(InputError, match="nonlinear"):
+        discretise(real, sampling_guard="ignore")
+
+
+@pytest.mark.parametrize("name", [name for name in REAL if not name.startswith(("pendulum", "illustrative"))])
+def test_a_real_plant_that_is_stable_is_integrated_without_running_away(name):
+    plant = REAL[name][0]()
+    advance = plant.stepper(plant.design.centre, batch=1)
+    x = np.full((1, plant.nx), 0.02)
+    for _ in range(300):
+        x = advance(x, np.zeros((1, plant.nu)), np.zeros((1, plant.nw)))
+    assert np.isfinite(x).all()
+    assert np.abs(x).max() < (5.0 if name in MOVING else 0.2)
+
+
+def test_no_linear_plant_draws_a_warning_of_its_sampling_time(linear):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        discretise(linear)
+
+
+def test_every_linear_plant_is_linear_and_exactly_discretised(linear):
+    """Against SciPy, each block in coordinates that balance the matrix, at 50 random designs."""
+    if not linear.continuous:
+        return
+    model = discretise(linear)
+    blocks = np.cumsum([linear.nx, linear.nu])
+    for p in linear.design.latin_hypercube(50, np.random.default_rng(1)):
+        M = np.zeros((linear.nx + linear.nu + linear.nw,) * 2)
+        M[: linear.nx] = np.hstack(matrices(linear, p)) * linear.dt
+        _, (scale, _) = matrix_balance(M, permute=False, separate=True)
+        exact = expm(M / scale[:, None] * scale)[: linear.nx]
+        own = np.hstack(model.matrices(p)) / scale[: linear.nx, None] * scale
+        for mine, theirs in zip(np.split(own, blocks, axis=1), np.split(exact, blocks, axis=1)):
+            assert np.abs(mine - theirs).max() <= 1e-12 * np.abs(theirs).max()
+
+
+def test_a_linear_plant_has_no_terms_of_higher_order(linear, rng):
+    z = ca.vertcat(linear.x, linear.u, linear.w)
+    assert not ca.depends_on(ca.jacobian(linear.dynamics, z), z)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: library.QuarterCar(sprung=0), "sprung: got 0, expected a positive number"),
+        (lambda: library.QuarterCar(tyre="hard"), "tyre: got 'hard', expected a positive number"),
+        (lambda: library.Car(front=float("nan")), "front: got nan, expected a positive number"),
+        (lambda: library.CartPole(friction=-1), "friction: got -1, expected a finite number, at least 0"),
+        (lambda: library.Servo(loss=1.0), "loss: got 1.0, expected a share, from 0 to below 1"),
+        (lambda: library.Tanks(clogged=2), "clogged: got 2, expected a share"),
+        (lambda: RealStrut(asymmetry=1), "asymmetry: got 1, expected a share"),
+        (lambda: library.quarter_car(real=1), "real: got 1, expected True or False"),
+        (lambda: library.quarter_car(nonlinear="yes"), "nonlinear: got 'yes', expected True or False"),
+        (lambda: library.quarter_car(car=library.Car()), "car: got a Car, expected a QuarterCar or nothing"),
+        (lambda: library.quarter_car(dt=0), "dt: got 0, expected a positive number"),
+        (lambda: library.half_car(strut=3), "strut: got 3, expected a RealStrut or nothing"),
+        (lambda: library.full_car(road="steep"), "road: got 'steep', expected one of speed, height"),
+        (lambda: library.full_car(twist_decay=-1), "twist_decay: got -1, expected a rate"),
+        (lambda: library.illustrative(real=None), "real: got nothing, expected True or False"),
+        (lambda: library.pendulum_on_cart(linear=True, real=True), "linear: got True, expected False where real=True"),
+        (lambda: library.pendulum_on_cart(cart=1.0), "cart: got 1.0, expected a CartPole or nothing"),
+        (lambda: library.dc_servo(servo={}), "servo: got {}, expected a Servo or nothing"),
+        (lambda: library.mass_chain(0), "n: got 0, expected a whole number, at least 1"),
+        (lambda: library.mass_chain(3, mass=-1), "mass: got -1, expected a positive number"),
+        (lambda: library.mass_chain(3, walls=3), "walls: got 3, expected 1 or 2"),
+        (
+            lambda: library.mass_chain(3, driven=(4,)),
+            r"driven: got \[4\], expected different whole numbers from 1 to 3",
+        ),
+        (lambda: library.mass_chain(3, driven=(1, 1)), r"driven: got \[1, 1\], expected different whole numbers"),
+        (lambda: library.mass_chain(3, disturbed="1"), "disturbed: got '1', expected different whole numbers"),
+        (lambda: library.wind_turbine(turbine=2), "turbine: got 2, expected a Turbine or nothing"),
+        (lambda: library.wind_turbine(turbine=library.Turbine(wind=5.0)), "turbine: got .* in wind of 5 m/s"),
+        (lambda: library.two_tanks(linear=True, absolute=True), "linear: got True, expected False where absolute=True"),
+        (lambda: library.two_tanks(tanks=0), "tanks: got 0, expected a Tanks or nothing"),
+    ],
+)
+def test_parameters_that_make_no_sense_are_refused(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
