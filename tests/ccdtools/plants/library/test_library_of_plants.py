@@ -12,6 +12,7 @@ from scipy.linalg import expm, matrix_balance
 from ccdtools import DesignSpace, InputError, Plant, discretise
 from ccdtools.plants import library
 from ccdtools.plants.library.struts import RealStrut
+from mpc import lqr
 
 LINEAR = {
     "illustrative": (library.illustrative, 2),
@@ -51,6 +52,7 @@ REAL = {
 EVERY = [*LINEAR.values(), *NONLINEAR.values(), *REAL.values()]
 NAMES = [*LINEAR, *NONLINEAR, *(f"real {name}" for name in REAL)]
 MOVING = {"illustrative", "tanks, linear"}  # real plants whose steady state is elsewhere
+SWINGING = MOVING | {"pendulum, linear"}
 
 
 @pytest.fixture(params=EVERY, ids=NAMES)
@@ -147,6 +149,21 @@ def test_every_linear_plant_is_linear_and_exactly_discretised(linear):
         own = np.hstack(model.matrices(p)) / scale[: linear.nx, None] * scale
         for mine, theirs in zip(np.split(own, blocks, axis=1), np.split(exact, blocks, axis=1)):
             assert np.abs(mine - theirs).max() <= 1e-12 * np.abs(theirs).max()
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_the_regulator_of_every_linear_plant_holds_the_real_one(name):
+    """Closer to the origin than it started; bounded where its rest is elsewhere or dry friction keeps it swinging."""
+    model, real = discretise(LINEAR[name][0]()), REAL[name][0]()
+    p = real.design.centre
+    A, B, _ = model.matrices(p)
+    K, _ = lqr(A, B, Q=np.eye(model.nx), R=np.eye(model.nu))
+    assert np.abs(np.linalg.eigvals(A - B @ K)).max() < 1
+    advance = real.stepper(p, batch=1)
+    x = np.full((1, real.nx), 0.02)
+    for _ in range(1000):
+        x = advance(x, -x @ K.T, np.zeros((1, real.nw)))
+    assert np.abs(x).max() < (1.0 if name in SWINGING else 0.02)
 
 
 def test_a_linear_plant_has_no_terms_of_higher_order(linear, rng):
