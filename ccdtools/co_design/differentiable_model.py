@@ -126,11 +126,11 @@ class Stepper:
         """The same of a model that is not linear."""
         discrepancy = self.problem.discrepancy
         if discrepancy is None:
-            return model.advance(x, u, drive, self.p), e, ()
+            return model.pathwise(x, u, drive, self.p), e, ()
         e, penalty = discrepancy.advance(e, x, u, self.p, drive)
         error = e[..., : x.shape[-1]]
         carried = error if self.carry is None else _times(self.carry, error[:, None])[:, 0]
-        return model.advance(x, u, x.new_zeros(model.nw), self.p) + carried, e, (penalty,)
+        return model.pathwise(x, u, x.new_zeros(model.nw), self.p) + carried, e, (penalty,)
 
     def rewards(self, x_next: Tensor, u: Tensor) -> Tensor:
         """Rewards (T, n) of next states (T, n, nx) and inputs (T, n, nu), asked for in one call."""

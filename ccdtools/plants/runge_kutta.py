@@ -64,4 +64,4 @@ def runge_kutta(f: ca.Function, h: float) -> ca.Function:
     k3 = f(x + h / 2 * k2, u, w, p)
     k4 = f(x + h * k3, u, w, p)
     after = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return ca.Function("substep", [x, u, w, p], [ca.densify(after)], list("xuwp"), ["x_next"])
+    return ca.Function("substep", [x, u, w, p], [ca.cse(ca.densify(after))], list("xuwp"), ["x_next"])

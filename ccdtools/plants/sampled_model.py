@@ -27,7 +27,7 @@ METHODS = ("rk4", "collocation")
 class WithErrors:
     """(x, u, (w, r), p) → x⁺ + r, of a step (x, u, w, p) → x⁺."""
 
-    def __init__(self, step: ExplicitStep | ImplicitStep, nw: int) -> None:
+    def __init__(self, step: Any, nw: int) -> None:
         self._step = step
         self._nw = nw
 
@@ -124,6 +124,19 @@ class SampledModel:
         Of tensors it is differentiable in all four; to second order where the dynamics are.
         """
         return WithErrors(self._own_step, self.plant.nw) if self.errors else self._own_step
+
+    @cached_property
+    def pathwise(self) -> Any:
+        """The same on torch tensors (n, ·) with p (np,) or (n, np), differentiable once, several times faster.
+
+        Where the step is implicit, `advance`.
+        """
+        from ccdtools.plants.pathwise_step import PathwiseStep
+
+        own = self._own_step
+        if not isinstance(own, ExplicitStep):
+            return self.advance
+        return WithErrors(PathwiseStep(own), self.plant.nw) if self.errors else PathwiseStep(own)
 
     @property
     def _own_step(self) -> ExplicitStep | ImplicitStep:
