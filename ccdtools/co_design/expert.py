@@ -8,7 +8,7 @@ Chen et al., "Approximating explicit model predictive control using constrained 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -21,6 +21,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.set_choice import SETS, Effort, SetCounts, limited
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model
+from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.progress import Echo
 from invariant_sets import ParametricSet
 
@@ -150,6 +151,7 @@ def expert_dataset(
     designs_of_all = np.broadcast_to(begin.p, (*found.states.shape[:2], begin.p.shape[1]))
     inputs = np.concatenate([found.states, designs_of_all], axis=2)
     lost = float(np.isnan(found.values[0, : begin.candidates]).mean())
-    return ExpertData(
-        inputs[known], found.actions[known], found.values[known], begin.acceptance, lost, begin.counts
-    )
+    counts = begin.counts
+    if counts is not None and isinstance(problem.model, SampledModel):
+        counts = replace(counts, local=True)
+    return ExpertData(inputs[known], found.actions[known], found.values[known], begin.acceptance, lost, counts)

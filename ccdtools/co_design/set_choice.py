@@ -67,6 +67,8 @@ class SetCounts:
         Why not all have X_fea(p); empty if all have.
     seconds : float
         Processor time of the sets [s].
+    local : bool
+        Whether X_fea(p) is that of a linearisation: a plant that is not linear may leave it.
     """
 
     option: str
@@ -75,6 +77,7 @@ class SetCounts:
     limits: int
     reason: str = ""
     seconds: float = 0.0
+    local: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """What results.json keeps: counts and reason, without what is measured in seconds."""
@@ -82,8 +85,9 @@ class SetCounts:
                 "reason": self.reason, "text": str(self)}  # fmt: skip
 
     def __str__(self) -> str:
-        named = {"X_fea(p)": self.feasible, "the region that saturated LQR keeps": self.lqr, "X": self.limits}
-        parts = [f"{name} of {count} designs" for name, count in named.items() if count]
+        name = "X_fea(p) of the linearisation" if self.local else "X_fea(p)"
+        named = {name: self.feasible, "the region that saturated LQR keeps": self.lqr, "X": self.limits}
+        parts = [f"{which} of {count} designs" for which, count in named.items() if count]
         return ", ".join(parts) + (f": {self.reason}" if self.reason else "")
 
 

@@ -203,13 +203,12 @@ def nonlinear(expression):
 @pytest.mark.parametrize(
     ("expression", "message"),
     [
-        (lambda x, u, w, p: ca.vertcat(x[1], ca.sin(x[0])), r"nonlinear in x, u or w for speed \[m/s\], expected"),
-        (lambda x, u, w, p: ca.vertcat(x[1] * u, x[0] * w), r"for position \[m\], speed \[m/s\]"),
+        (lambda x, u, w, p: ca.vertcat(x[1], ca.cos(x[0]) + u), r"does not rest at x = 0, u = 0: speed \[m/s\] moves"),
         (lambda x, u, w, p: ca.vertcat(x[1], u + 1), "got a constant term in the dynamics"),
         (lambda x, u, w, p: ca.vertcat(x[1], u + p), "got a constant term in the dynamics"),
     ],
 )
-def test_a_co_design_refuses_dynamics_that_are_not_linear_with_their_states(expression, message):
+def test_a_co_design_refuses_a_plant_that_does_not_rest_at_zero(expression, message):
     model = discretise(nonlinear(expression))
     with pytest.raises(InputError, match=message):
         CoDesignProblem(

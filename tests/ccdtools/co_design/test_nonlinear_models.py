@@ -1,0 +1,222 @@
+"""The loop on models that are not linear: where both apply the same as on linear ones, elsewhere better than LQR."""
+
+import casadi as ca
+import numpy as np
+import pytest
+import torch
+
+from ccdtools import (
+    CoDesignConfig,
+    CoDesignProblem,
+    DesignSpace,
+    DigitalTwin,
+    FixedStart,
+    Gaussian,
+    InputError,
+    LearnedPolicy,
+    LinearFeedback,
+    Plant,
+    QuadraticObjective,
+    SampledModel,
+    baselines,
+    codesign,
+    discretise,
+    expert_dataset,
+    replay_problem,
+    saturated_lqr,
+    simulate,
+)
+from ccdtools.co_design.differentiable_model import Stepper, matrices
+from ccdtools.co_design.landscape import Landscape
+from ccdtools.co_design.lqr_regions import LQRRegions
+from ccdtools.plants.library import pendulum_on_cart
+from ccdtools.plants.pathwise_step import PathwiseStep
+from ccdtools.statistics import paired_difference
+from learning import CloningConfig, NetworkConfig, fit_actor_critic
+
+NOISE = Gaussian([0.2])
+
+
+def oscillator():
+    """A mass on a spring, linear, its mass and damper the design."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    dynamics = ca.vertcat(x[1], (-2 * x[0] - p[1] * x[1] + u + w) / p[0])
+    return Plant(x, u, w, p, dynamics, DesignSpace(["m", "d"], [0.5, 0.1], [2.0, 0.6]), dt=0.1)
+
+
+def problem_of(model, *, x0=(0.5, 0.0), Q=None, X=None, U=(-2.0, 2.0), steps=30):
+    X = ([-1.0, -2.0], [1.0, 2.0]) if X is None else X
+    Q = np.diag([5.0, 1.0]) if Q is None else Q
+    return CoDesignProblem(
+        model, X=X, U=U, objective=QuadraticObjective(Q, [[0.1]]), scenarios=FixedStart(x0, NOISE), steps=steps
+    )
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """The exact model of a linear plant, and the same plant integrated as if it were not linear."""
+    plant = oscillator()
+    return discretise(plant), SampledModel(plant, plant.dt, "rk4", 32)
+
+
+@pytest.fixture(scope="module")
+def cart():
+    """A pole on a cart from 0.5 rad."""
+    X = ([-2.0, -4.0, -1.2, -6.0], [2.0, 4.0, 1.2, 6.0])
+    model = discretise(pendulum_on_cart(), X=X, U=(-10.0, 10.0), W=(-0.6, 0.6))
+    return problem_of(
+        model, x0=(0.0, 0.0, 0.5, 0.0), Q=np.diag([1.0, 0.1, 10.0, 0.1]), X=X, U=(-10.0, 10.0), steps=100
+    )
+
+
+# ── against the exact model of a linear plant ──
+
+
+def test_matrices_and_their_derivatives_are_those_of_the_exact_model(pair):
+    exact, sampled = pair
+    designs = exact.design.latin_hypercube(20, np.random.default_rng(0))
+    for M, N in zip(exact.matrices(designs), sampled.matrices(designs)):
+        np.testing.assert_allclose(N, M, atol=1e-10)
+    p = torch.tensor(designs[0], requires_grad=True)
+    slopes = [torch.autograd.grad(matrices(model, p)[0].square().sum(), p)[0] for model in pair]
+    np.testing.assert_allclose(slopes[1], slopes[0], rtol=1e-8)
+
+
+def test_steps_and_their_gradient_are_those_of_the_exact_model(pair):
+    rng = np.random.default_rng(1)
+    x, u, w = (torch.tensor(rng.standard_normal((6, n))) for n in (2, 1, 1))
+    found = []
+    for model in pair:
+        p = torch.tensor([0.9, 0.3], dtype=torch.float64, requires_grad=True)
+        state = x.clone().requires_grad_()
+        step = Stepper.at(problem_of(model), p)
+        after = step.advance(state, step.without_error(state), u, step.drive(w[:, None])[:, 0])[0]
+        found.append((after, *torch.autograd.grad(after.square().sum(), (state, p))))
+    for own, exact in zip(found[1], found[0]):
+        torch.testing.assert_close(own, exact, rtol=1e-8, atol=1e-9)
+
+
+def test_the_region_of_saturated_lqr_is_that_of_the_exact_model(pair):
+    designs = pair[0].design.latin_hypercube(8, np.random.default_rng(0))
+    x = np.random.default_rng(1).uniform([-1, -2], [1, 2], (200, 2))
+    runs = np.arange(200) % 8
+    inside = [LQRRegions.of(problem_of(model), designs).contains(x, runs) for model in pair]
+    assert 0.1 < inside[0].mean() < 0.95
+    np.testing.assert_array_equal(*inside)
+
+
+def test_the_landscape_is_that_of_the_exact_model(pair):
+    V = np.random.default_rng(2).random((5, 2))
+    returns = [Landscape(problem_of(model), np.random.default_rng(0)).returns(V) for model in pair]
+    np.testing.assert_allclose(returns[1], returns[0], rtol=1e-4)
+
+
+def test_logged_errors_and_their_replay_are_those_of_the_exact_model(pair):
+    rng = np.random.default_rng(3)
+    log = simulate(
+        oscillator(), LinearFeedback([[1.0, 1.0]]), x0=np.tile([0.5, 0.0], (20, 1)), steps=30, disturbance=NOISE,
+        design=[0.9, 0.3], rng=rng,
+    )  # fmt: skip
+    replayed = []
+    for model in pair:
+        twin = DigitalTwin(model).remembering(log)
+        problem = replay_problem(problem_of(model), twin.logs, 30)
+        x0, w = problem.scenarios.sample(5, 30, np.random.default_rng(0))
+        run = simulate(problem.model, LinearFeedback([[2.0, 0.5]]), x0=x0, steps=30, disturbance=w, design=[1.4, 0.2])
+        replayed.append((twin.logs[0].e_next, run.states))
+    for own, exact in zip(replayed[1], replayed[0]):
+        np.testing.assert_allclose(own, exact, atol=1e-6)
+
+
+def test_the_same_co_design_is_found_on_both_models(pair):
+    def designed(model):
+        problem = problem_of(model)
+        rng = np.random.default_rng(0)
+        data = expert_dataset(problem, samples=60, rng=rng, sets="lqr")
+        agent = fit_actor_critic(
+            data.inputs, data.actions, data.values, rng=rng, action_bounds=problem.input_bounds,
+            input_bounds=problem.observation_bounds, network=NetworkConfig((16,)), config=CloningConfig(steps=300),
+        )  # fmt: skip
+        few = CoDesignConfig(iterations=10, block=10, starts=1, pathwise_runs=64, evaluation_runs=100)
+        return codesign(problem, agent=agent, design=[1.0, 0.3], rng=rng, config=few).design
+
+    np.testing.assert_allclose(designed(pair[1]), designed(pair[0]), atol=0.02)
+
+
+# ── a pole on a cart ──
+
+
+def test_the_fast_step_and_its_gradient_are_those_that_torch_records(cart):
+    model = cart.model
+    rng = np.random.default_rng(0)
+    points = [torch.tensor(rng.uniform(-1, 1, (5, n)), requires_grad=True) for n in (4, 1, 1)]
+    for p in ([0.6, 0.8], rng.uniform([0.3, 0.3], [1.2, 1.5], (5, 2))):
+        design = torch.tensor(p, dtype=torch.float64, requires_grad=True)
+        found = []
+        for step in (model.pathwise, model.advance):
+            after = step(*points, design)
+            found.append((after, *torch.autograd.grad(after.square().sum(), (*points, design))))
+        for own, recorded in zip(*found):
+            torch.testing.assert_close(own, recorded, rtol=1e-10, atol=1e-12)
+    assert isinstance(model.pathwise, PathwiseStep)
+
+
+def test_errors_are_added_to_the_next_state(cart):
+    model = cart.model.with_errors()
+    rng = np.random.default_rng(0)
+    x, u, w, r, p = (rng.uniform(-0.5, 0.5, (3, n)) for n in (4, 1, 1, 4, 2))
+    p = np.abs(p) + 0.5
+    both = np.hstack([w, r])
+    np.testing.assert_allclose(model.advance(x, u, both, p), cart.model.advance(x, u, w, p) + r, rtol=1e-14)
+    native = np.asarray(model.step(x.T, u.T, both.T, p.T)).T
+    np.testing.assert_allclose(native, model.advance(x, u, both, p), rtol=1e-12)
+    assert model.nw == 5
+
+
+def test_a_co_design_on_a_pole_without_small_angles_is_better_than_lqr_there(cart):
+    rng = np.random.default_rng(0)
+    data = expert_dataset(cart, samples=150, rng=rng)
+    assert "of the linearisation" in str(data.sets) or data.sets.feasible == 0
+    agent = fit_actor_critic(
+        data.inputs, data.actions, data.values, rng=rng, action_bounds=cart.input_bounds,
+        input_bounds=cart.observation_bounds, network=NetworkConfig((32, 32)), config=CloningConfig(steps=800),
+    )  # fmt: skip
+    few = CoDesignConfig(iterations=40, block=20, starts=1, pathwise_runs=64, evaluation_runs=100)
+    result = codesign(cart, agent=agent, design=[0.5, 0.5], rng=rng, config=few)
+    w = NOISE.sample(400, 100, np.random.default_rng(7))
+    runs = [
+        simulate(cart.model, law, x0=np.tile([0.0, 0.0, 0.5, 0.0], (400, 1)), steps=100, disturbance=w,
+                 design=result.design).returns(cart.objective)
+        for law in (LearnedPolicy(result.agent, result.design), saturated_lqr(cart, result.design))
+    ]  # fmt: skip
+    assert paired_difference(*runs).ci95[0] > 0
+    assert result.gradients.trusted
+
+
+def test_baselines_of_a_pole_keep_it_up(cart):
+    for name, controller in baselines(cart, [0.5, 0.5], rng=np.random.default_rng(0)).items():
+        run = simulate(
+            cart.model, controller, x0=[0.0, 0.0, 0.3, 0.0], steps=100, disturbance=NOISE, design=[0.5, 0.5],
+            rng=np.random.default_rng(0),
+        )  # fmt: skip
+        fallen = np.abs(run.states[0, :, 2]).max() > 1.2
+        assert fallen == (name in ("passive", "PID"))
+
+
+# ── what is refused ──
+
+
+def test_a_plant_that_does_not_rest_at_zero_is_refused_with_the_state_that_moves():
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    hanging = ca.vertcat(x[1], -9.81 - p * x[0] - x[0] ** 3 + u + w)
+    plant = Plant(x, u, w, p, hanging, DesignSpace(["k"], [20.0], [80.0]), dt=0.05, state_names=["s [m]", "v [m/s]"])
+    with pytest.raises(InputError, match=r"does not rest at x = 0, u = 0: v \[m/s\] moves by .* k = 20") as error:
+        problem_of(discretise(plant))
+    assert "deviations(plant, equilibrium(plant, p))" in str(error.value)
+
+
+def test_what_is_no_model_is_refused():
+    with pytest.raises(InputError, match="model: got 3, expected a LinearModel or a SampledModel"):
+        DigitalTwin(3)
+    with pytest.raises(InputError, match="model: got"):
+        problem_of(oscillator())
