@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_positive
 from ccdtools.exceptions import InputError
 
-__all__ = ["GeneratedRoad", "generate_road", "generate_speed", "road_disturbance"]
+__all__ = ["GeneratedRoad", "generate_obstacles", "generate_road", "generate_speed", "road_disturbance"]
 
 Array: TypeAlias = NDArray[np.float64]
 Driver: TypeAlias = Literal["mild", "aggressive"]
@@ -183,7 +183,7 @@ def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0
     intervals = math.ceil(as_positive("length", length, unit="m") / as_positive("spacing", spacing, unit="m") - 1e-9)
     as_generator("rng", rng)
     distance = spacing * np.arange(intervals + 1, dtype=np.float64)
-    return distance, _rough(intervals + 1, spacing, rng) + _obstacles(distance, rng)
+    return distance, _rough(intervals + 1, spacing, rng) + generate_obstacles(distance, rng)
 
 
 def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
@@ -197,8 +197,8 @@ def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
     return lfilter([1.0], [1.0, -decay], noise)
 
 
-def _obstacles(distance: Array, rng: np.random.Generator) -> Array:
-    """Obstacles of random kind and size with plain road between them; the last may be cut by the end."""
+def generate_obstacles(distance: Array, rng: np.random.Generator) -> Array:
+    """Elevation (S,) [m] of obstacles of random kind and size with plain road between; the last may be cut."""
     elevation = np.zeros_like(distance)
     kinds = tuple(FEATURES.values())
     begin = rng.uniform(*GAP)
