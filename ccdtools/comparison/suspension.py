@@ -1,0 +1,203 @@
+"""What a suspension does to passengers, its stops, the road and the battery: comfort, travel, tyre load, energy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.checks import as_floats, as_number, as_positive, finite
+from ccdtools.comparison.ride_comfort import comfort
+from ccdtools.exceptions import InputError
+
+__all__ = ["SuspensionMetrics", "actuator_energy", "suspension_metrics", "suspension_travel", "tyre_load"]
+
+NAMES = {
+    "comfort": "comfort {} m/s²",
+    "travel_rms": "travel {} m rms",
+    "travel_peak": "{} m peak",
+    "travel_share": "{} of the stop",
+    "load_rms": "tyre load {} of the static one rms",
+    "lift_off": "off the road {} of the time",
+    "energy": "energy {} J",
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SuspensionMetrics(Immutable):
+    """How runs rode, one value per run, or per run and wheel; smaller is better in all of them.
+
+    Attributes
+    ----------
+    comfort : (...) array
+        W_k-weighted root mean square of the body's vertical acceleration [m/s²], see `comfort`.
+    travel_rms, travel_peak : (...) arrays
+        Suspension travel from its rest: root mean square, and largest in either direction [m].
+    travel_share : (...) array
+        Largest travel over the stop; 1 and more is a suspension that hits it.
+    load_rms : (...) array
+        Root mean square of the dynamic tyre load over the static load.
+    lift_off : (...) array
+        Fraction of the samples at which the tyre carries nothing.
+    energy : (...) array
+        Work that the actuator does [J].
+    """
+
+    comfort: Array
+    travel_rms: Array
+    travel_peak: Array
+    travel_share: Array
+    load_rms: Array
+    lift_off: Array
+    energy: Array
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            object.__setattr__(self, field.name, frozen(as_floats(field.name, getattr(self, field.name))))
+
+    def __repr__(self) -> str:
+        means = (text.format(f"{np.mean(getattr(self, name)):.3g}") for name, text in NAMES.items())
+        return f"SuspensionMetrics({', '.join(means)})"
+
+
+def suspension_metrics(
+    *,
+    acceleration: ArrayLike,
+    travel: ArrayLike,
+    tyre_force: ArrayLike,
+    force: ArrayLike,
+    dt: float,
+    stop: float,
+    static_load: float,
+    recovered: float = 0.0,
+) -> SuspensionMetrics:
+    """All of them at once, of signals whose last axis is time.
+
+    Of a `Trajectory` of the quarter car, x = [z_us − z₀, ż_us, z_s − z_us, ż_s]:
+
+        kept = ~run.diverged
+        x, u = run.states[kept], run.inputs[kept]
+        metrics = suspension_metrics(
+            acceleration=np.diff(x[:, :, 3]) / run.dt, travel=x[:, :, 2], tyre_force=-k_t * x[:, :, 0],
+            force=u[:, :, 0], dt=run.dt, stop=0.08, static_load=9.81 * (m_s + m_us),
+        )
+
+    For several wheels move theirs before the time, `np.moveaxis(x[:, :, wheels], 1, -1)`, (n, wheels, T + 1).
+
+    Parameters
+    ----------
+    acceleration : (..., T) array_like
+        Of the body, without gravity [m/s²].
+    travel : (..., T + 1) array_like
+        Of the suspension from its rest, positive when it extends [m].
+    tyre_force : (..., S) array_like
+        Dynamic load between tyre and road, positive when it presses [N].
+    force : (..., T) array_like
+        Of the actuator, held over each step, positive when it extends the suspension [N].
+    dt : float
+        Time step [s].
+    stop : float
+        Travel at which the suspension meets its stop [m].
+    static_load : float
+        Load of the wheel at rest [N].
+    recovered : float
+        Fraction of the braking work that returns to the battery, see `actuator_energy`.
+
+    Raises
+    ------
+    InputError
+        If an argument is not as described.
+    """
+    travel_rms, travel_peak, travel_share = suspension_travel(travel, stop)
+    load_rms, lift_off = tyre_load(tyre_force, static_load)
+    energy = actuator_energy(force, travel, recovered=recovered)
+    return SuspensionMetrics(
+        comfort(acceleration, dt), travel_rms, travel_peak, travel_share, load_rms, lift_off, energy
+    )
+
+
+def suspension_travel(travel: ArrayLike, stop: float) -> tuple[Array, Array, Array]:
+    """Root mean square [m], largest value [m], and largest value over the stop, each (...,), of travels (..., T).
+
+    Parameters
+    ----------
+    travel : (..., T) array_like
+        From the rest of the suspension [m].
+    stop : float
+        Travel at which it meets its stop [m].
+
+    Raises
+    ------
+    InputError
+        If an argument is not as described.
+    """
+    z = _signal("travel", travel)
+    peak = np.abs(z).max(axis=-1)
+    return _rms(z), peak, peak / as_positive("stop", stop, unit="m")
+
+
+def tyre_load(tyre_force: ArrayLike, static_load: float) -> tuple[Array, Array]:
+    """Root mean square of the dynamic load over the static one, and the fraction of time without load, each (...,).
+
+    Parameters
+    ----------
+    tyre_force : (..., T) array_like
+        Dynamic load between tyre and road, positive when it presses [N].
+    static_load : float
+        Load at rest [N]. The tyre carries nothing where the dynamic load takes all of it away; a linear tyre then
+        pulls at the road, and results with such samples are those of a model that no longer holds.
+
+    Raises
+    ------
+    InputError
+        If an argument is not as described.
+    """
+    dynamic = _signal("tyre_force", tyre_force)
+    static = as_positive("static_load", static_load, unit="N")
+    return _rms(dynamic) / static, np.mean(dynamic <= -static, axis=-1)
+
+
+def actuator_energy(force: ArrayLike, travel: ArrayLike, *, recovered: float = 0.0) -> Array:
+    """Work of the actuator over each run, (...,) [J]: what it drives, less the recovered part of what it brakes.
+
+    The work of a step is force times change of travel, exact for a force that is held over it. It counts with its
+    sign, so a step that both drives and brakes counts as their difference: the true energy without recovery is larger
+    where the travel turns within a step. Losses are not in it.
+
+    Parameters
+    ----------
+    force : (..., T) array_like
+        Held over each step, positive when it extends the suspension [N].
+    travel : (..., T + 1) array_like
+        At the beginnings of the steps and the end of the last [m].
+    recovered : float
+        From 0, braking costs and yields nothing, to 1, all of it comes back.
+
+    Raises
+    ------
+    InputError
+        If an argument is not as described.
+    """
+    u = _signal("force", force)
+    z = _signal("travel", travel)
+    if z.shape != (*u.shape[:-1], u.shape[-1] + 1):
+        raise InputError("force, travel", f"shapes {u.shape} and {z.shape}", "(..., T) and (..., T + 1)")
+    share = as_number("recovered", recovered, expected="a fraction from 0 to 1", low=0.0, high=1.0)
+    work = u * np.diff(z, axis=-1)
+    energy: Array = np.maximum(work, 0.0).sum(axis=-1) + share * np.minimum(work, 0.0).sum(axis=-1)
+    return energy
+
+
+def _signal(argument: str, value: ArrayLike) -> Array:
+    """Finite samples along the last axis, at least one."""
+    signal = finite(argument, as_floats(argument, value))
+    if signal.ndim == 0 or signal.size == 0:
+        raise InputError(argument, f"shape {signal.shape}", "samples (..., T)")
+    return signal
+
+
+def _rms(signal: Array) -> Array:
+    """Root mean square along the last axis."""
+    return np.sqrt(np.mean(signal**2, axis=-1))
