@@ -19,11 +19,14 @@ if TYPE_CHECKING:
     from ccdtools.co_design.result import CoDesignResult
     from ccdtools.comparison.baselines import baselines, saturated_lqr
     from ccdtools.comparison.comparison import compare
+    from ccdtools.comparison.ride_comfort import comfort, weighted_acceleration
+    from ccdtools.comparison.suspension import SuspensionMetrics, suspension_metrics
     from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
     from ccdtools.controllers.filtered import Filtered
     from ccdtools.controllers.learned import LearnedPolicy, load_policy
     from ccdtools.controllers.signals import Reference
     from ccdtools.disturbances.disturbance import Gaussian, Recorded, Sum, Uniform
+    from ccdtools.disturbances.iso_road import ISORoad
     from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
     from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
     from ccdtools.exceptions import CCDError, InputError, LimitWarning, SamplingWarning
@@ -65,6 +68,7 @@ __all__ = [
     "FixedStart",
     "Gaussian",
     "GeneratedRoad",
+    "ISORoad",
     "InputError",
     "LearnedPolicy",
     "LimitWarning",
@@ -82,11 +86,13 @@ __all__ = [
     "Scenario",
     "Study",
     "Sum",
+    "SuspensionMetrics",
     "Trajectory",
     "Uniform",
     "admissible_inputs",
     "baselines",
     "codesign",
+    "comfort",
     "compare",
     "deploy",
     "deploy_and_update",
@@ -114,8 +120,10 @@ __all__ = [
     "road_disturbance",
     "saturated_lqr",
     "simulate",
+    "suspension_metrics",
     "to_torch",
     "updated_problem",
+    "weighted_acceleration",
 ]
 
 _HOMES = {
@@ -132,6 +140,7 @@ _HOMES = {
     "FixedStart": "co_design.problem",
     "Gaussian": "disturbances.disturbance",
     "GeneratedRoad": "disturbances.roads",
+    "ISORoad": "disturbances.iso_road",
     "InputError": "exceptions",
     "LearnedPolicy": "controllers.learned",
     "LimitWarning": "exceptions",
@@ -149,11 +158,13 @@ _HOMES = {
     "Scenario": "scenario",
     "Study": "studies.study",
     "Sum": "disturbances.disturbance",
+    "SuspensionMetrics": "comparison.suspension",
     "Trajectory": "trajectory",
     "Uniform": "disturbances.disturbance",
     "admissible_inputs": "co_design.admissible",
     "baselines": "comparison.baselines",
     "codesign": "co_design.codesign",
+    "comfort": "comparison.ride_comfort",
     "compare": "comparison.comparison",
     "deploy": "twin.deployment",
     "deploy_and_update": "twin.deployment",
@@ -181,8 +192,10 @@ _HOMES = {
     "road_disturbance": "disturbances.roads",
     "saturated_lqr": "comparison.baselines",
     "simulate": "simulation",
+    "suspension_metrics": "comparison.suspension",
     "to_torch": "plants.torch_function",
     "updated_problem": "twin.replay",
+    "weighted_acceleration": "comparison.ride_comfort",
 }
 
 

@@ -83,7 +83,10 @@ def weighted_acceleration(acceleration: ArrayLike, dt: float, *, weighting: Weig
     sampling rate the weights are therefore those of the standard at every rate; the usual bilinear filter at
     dt = 0.05 s has 14 % less of W_k at 7 Hz and 38 % less at 8 Hz. What lies above half the rate is not in the
     samples: W_k is largest from 4 to 10 Hz and the standard asks for 0.5 to 80 Hz, so dt = 0.05 s covers the body of
-    a car but hardly its wheel hop, and dt ≤ 0.006 s covers all. The first second or two hold the filter's start.
+    a car but hardly its wheel hop, and dt ≤ 0.006 s covers all.
+
+    The first second or two hold the filter's start. Where a record begins or ends far from zero the result rings at
+    half the sampling rate, by 0.3 % of the jump after 100 samples; of its mean square that is next to nothing.
 
     Parameters
     ----------
@@ -99,9 +102,7 @@ def weighted_acceleration(acceleration: ArrayLike, dt: float, *, weighting: Weig
     InputError
         If an argument is not as described.
     """
-    a = finite("acceleration", as_floats("acceleration", acceleration))
-    if a.ndim == 0 or a.size == 0:
-        raise InputError("acceleration", f"shape {a.shape}", "samples (..., T)")
+    a = as_signal("acceleration", acceleration)
     dt = as_positive("dt", dt, unit="s")
     samples = next_fast_len(a.shape[-1] + math.ceil(SETTLED / dt), real=True)
     response = frequency_weighting(rfftfreq(samples, dt), weighting)
@@ -135,5 +136,17 @@ def comfort(acceleration: ArrayLike, dt: float, *, weighting: Weighting = "Wk") 
     InputError
         If an argument is not as described.
     """
-    weighted = weighted_acceleration(acceleration, dt, weighting=weighting)
-    return np.sqrt(np.mean(weighted**2, axis=-1))
+    return root_mean_square(weighted_acceleration(acceleration, dt, weighting=weighting))
+
+
+def as_signal(argument: str, value: ArrayLike) -> Array:
+    """Finite samples along the last axis, at least one."""
+    signal = finite(argument, as_floats(argument, value))
+    if signal.ndim == 0 or signal.shape[-1] == 0:
+        raise InputError(argument, f"shape {signal.shape}", "samples (..., T)")
+    return signal
+
+
+def root_mean_square(signal: Array) -> Array:
+    """Root mean square along the last axis."""
+    return np.sqrt(np.mean(signal**2, axis=-1))

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_floats, as_number, as_positive, finite
-from ccdtools.comparison.ride_comfort import comfort
+from ccdtools.checks import as_floats, as_number, as_positive
+from ccdtools.comparison.ride_comfort import as_signal, comfort, root_mean_square
 from ccdtools.exceptions import InputError
 
 __all__ = ["SuspensionMetrics", "actuator_energy", "suspension_metrics", "suspension_travel", "tyre_load"]
@@ -58,6 +58,8 @@ class SuspensionMetrics(Immutable):
             object.__setattr__(self, field.name, frozen(as_floats(field.name, getattr(self, field.name))))
 
     def __repr__(self) -> str:
+        if not self.comfort.size:
+            return "SuspensionMetrics(no runs)"
         means = (text.format(f"{np.mean(getattr(self, name)):.3g}") for name, text in NAMES.items())
         return f"SuspensionMetrics({', '.join(means)})"
 
@@ -133,9 +135,9 @@ def suspension_travel(travel: ArrayLike, stop: float) -> tuple[Array, Array, Arr
     InputError
         If an argument is not as described.
     """
-    z = _signal("travel", travel)
+    z = as_signal("travel", travel)
     peak = np.abs(z).max(axis=-1)
-    return _rms(z), peak, peak / as_positive("stop", stop, unit="m")
+    return root_mean_square(z), peak, peak / as_positive("stop", stop, unit="m")
 
 
 def tyre_load(tyre_force: ArrayLike, static_load: float) -> tuple[Array, Array]:
@@ -154,9 +156,9 @@ def tyre_load(tyre_force: ArrayLike, static_load: float) -> tuple[Array, Array]:
     InputError
         If an argument is not as described.
     """
-    dynamic = _signal("tyre_force", tyre_force)
+    dynamic = as_signal("tyre_force", tyre_force)
     static = as_positive("static_load", static_load, unit="N")
-    return _rms(dynamic) / static, np.mean(dynamic <= -static, axis=-1)
+    return root_mean_square(dynamic) / static, np.mean(dynamic <= -static, axis=-1)
 
 
 def actuator_energy(force: ArrayLike, travel: ArrayLike, *, recovered: float = 0.0) -> Array:
@@ -180,24 +182,11 @@ def actuator_energy(force: ArrayLike, travel: ArrayLike, *, recovered: float = 0
     InputError
         If an argument is not as described.
     """
-    u = _signal("force", force)
-    z = _signal("travel", travel)
+    u = as_signal("force", force)
+    z = as_signal("travel", travel)
     if z.shape != (*u.shape[:-1], u.shape[-1] + 1):
         raise InputError("force, travel", f"shapes {u.shape} and {z.shape}", "(..., T) and (..., T + 1)")
     share = as_number("recovered", recovered, expected="a fraction from 0 to 1", low=0.0, high=1.0)
     work = u * np.diff(z, axis=-1)
     energy: Array = np.maximum(work, 0.0).sum(axis=-1) + share * np.minimum(work, 0.0).sum(axis=-1)
     return energy
-
-
-def _signal(argument: str, value: ArrayLike) -> Array:
-    """Finite samples along the last axis, at least one."""
-    signal = finite(argument, as_floats(argument, value))
-    if signal.ndim == 0 or signal.size == 0:
-        raise InputError(argument, f"shape {signal.shape}", "samples (..., T)")
-    return signal
-
-
-def _rms(signal: Array) -> Array:
-    """Root mean square along the last axis."""
-    return np.sqrt(np.mean(signal**2, axis=-1))

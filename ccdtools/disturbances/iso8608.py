@@ -86,8 +86,9 @@ def track_coherency(frequency: ArrayLike, track: float) -> Array:
 
     References
     ----------
-    Dodds and Robson, "The description of road surface roughness", Journal of Sound and Vibration 31, 1973: a surface
-    whose statistics are the same in all directions. Its spectrum over both directions is then proportional to
+    Dodds and Robson, "The description of road surface roughness", Journal of Sound and Vibration 31, 1973; Kamash and
+    Robson, "The application of isotropy in road surface modelling", the same journal 57, 1978, with measurements: a
+    surface whose statistics are the same in all directions. Its spectrum over both directions is then proportional to
     (n² + m²)^(−3/2), and Basset's integral over m gives the formula. It has no parameter to be fitted and is a valid
     coherence for every track width. Measured roads are not quite isotropic: Múčka, "Model of coherence function of
     road unevenness in parallel tracks for vehicle simulation", International Journal of Vehicle Design 67, 2015, finds
@@ -95,7 +96,7 @@ def track_coherency(frequency: ArrayLike, track: float) -> Array:
     """
     n = finite("frequency", as_floats("frequency", frequency))
     if (n < 0).any():
-        raise InputError("frequency", shown(n), "frequencies ≥ 0 [1/m]")
+        raise InputError("frequency", shown(float(n.min())), "frequencies ≥ 0 [1/m]")
     x = 2 * np.pi * as_positive("track", track, unit="m") * n
     away = x > 1e-9
     return np.where(away, x * k1(np.where(away, x, 1.0)), 1.0)
@@ -188,10 +189,11 @@ def as_spacing(argument: str, value: Any, high: float) -> float:
 
 def _cells(step: float, low: float, high: float) -> tuple[Array, Array]:
     """Frequencies k·step of the cells (k ± ½)·step that meet the band, and ∫ n⁻² dn over what lies in it."""
-    k = np.arange(max(1, round(low / step)), round(high / step) + 1)
+    k = np.arange(max(1, round(low / step)), round(high / step) + 1, dtype=np.float64)
     begin = np.maximum((k - 0.5) * step, low)
     end = np.minimum((k + 0.5) * step, high)
-    return k * step, np.maximum(1 / begin - 1 / end, 0.0)
+    power: Array = np.maximum(1 / begin - 1 / end, 0.0)
+    return k * step, power
 
 
 def _waves(power: Array, rng: np.random.Generator) -> NDArray[np.complex128]:

@@ -10,7 +10,13 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, as_flag, as_generator, as_positive
 from ccdtools.disturbances.iso8608 import (
-    BAND, SPACING, RoadClass, as_band, as_spacing, generate_profile, road_roughness,
+    BAND,
+    SPACING,
+    RoadClass,
+    as_band,
+    as_spacing,
+    generate_profile,
+    road_roughness,
 )  # fmt: skip
 from ccdtools.disturbances.roads import Driver, generate_obstacles, generate_speed, road_disturbance
 

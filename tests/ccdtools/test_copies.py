@@ -51,6 +51,7 @@ def things(illustrative, clone, log):
         cc.DigitalTwin(illustrative.model, (errors,), discrepancy), discrepancy,
         TwinPlant(illustrative.model, discrepancy), errors, Replay((errors,)), log, scenario, noise,
         cc.Uniform([0], [1]), cc.Sum((noise, noise)), cc.Recorded(np.zeros(50)), cc.GeneratedRoad(),
+        cc.ISORoad("D", 15.0, track=1.5), cc.SuspensionMetrics(*np.ones((7, 3))),
         cc.FixedStart([0, 0], noise), cc.Reference([0, 0]), cc.LinearFeedback([[1.0]], [-1], [1]), cc.Passive(2),
         cc.PID([[1.0]], [1], [0], [0], dt=1.0, lower=[-1], upper=[1]), cc.CoDesignConfig(), cc.OnlineConfig(),
         ExpertData(np.zeros((200, 3)), np.zeros((200, 1)), np.zeros(200), 1.0, 0.0), history,
