@@ -241,6 +241,8 @@ class Study(Immutable):
 
         W are the bounds of a thousand draws of the disturbance.
         """
+        if self.plant.linear:
+            return as_regulated_model("plant", discretise(self.plant, sampling_guard=self.sampling_guard))
         drawn = np.abs(self.disturbance.sample(1, 1000, np.random.default_rng(0))).max(axis=(0, 1))
         W = (-drawn, drawn) if drawn.any() else None
         model = discretise(self.plant, X=self.X, U=self.U, W=W, sampling_guard=self.sampling_guard)
