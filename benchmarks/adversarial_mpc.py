@@ -68,7 +68,7 @@ def random_case(rng):
 
 def relative(problem, states):
     """Largest relative violation (N,) of each step."""
-    units = problem.row_units
+    units = problem.price_units
     H, h = problem.state_rows
     HT, hT = problem.terminal_rows
     along = np.max((states[1:] @ H.T - h) / units["state"], axis=1, initial=0.0)
@@ -126,7 +126,7 @@ def sparse_rows(problem, x, signals, N):
         [sparse.kron(eye, np.eye(n)) - sparse.kron(sparse.eye(N, k=-1), problem.A), -sparse.kron(eye, problem.B)]
     )
     beq = np.concatenate([problem.A @ x, np.zeros((N - 1) * n)])
-    units = problem.row_units
+    units = problem.price_units
     (HU, hU), (HX, hX), (HT, hT) = problem.input_rows, problem.state_rows, problem.terminal_rows
     rows, right, soft = [], [], []
 

@@ -165,7 +165,7 @@ def _constraints(
 
 
 def row_units(problem: MPCProblem, labels: list[Constraint] | tuple[Constraint, ...]) -> Array:
-    """Size of each row's bound, the unit in which violations of different rows are compared; 1 for a slack."""
+    """Unit of each row, in which violations of different rows are compared; 1 for a slack."""
     units = problem.row_units
     return np.array([units[label.kind][label.row] if label.kind in units else 1.0 for label in labels])
 
@@ -178,9 +178,9 @@ def _soften(
     linear, quadratic = problem.soft
     N = problem.horizon
     columns = np.zeros((len(rows), N))
-    for i, (label, unit) in enumerate(zip(labels, row_units(problem, labels))):
+    for i, label in enumerate(labels):
         if label.kind in ("state", "terminal"):
-            columns[i, label.step - 1] = -unit
+            columns[i, label.step - 1] = -problem.price_units[label.kind][label.row]
     nonnegative = np.hstack([np.zeros((N, rows.shape[1])), -np.eye(N)])
     rows = np.vstack([np.hstack([rows, columns]), nonnegative])
     labels = labels + [Constraint("slack", k + 1, 0) for k in range(N)]

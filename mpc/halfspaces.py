@@ -6,7 +6,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
-from mpc.tolerances import EMPTY, FAR
+from mpc.tolerances import EMPTY, FAR, ROUNDED_ZERO
 
 
 def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
@@ -24,11 +24,18 @@ def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
     return low, high
 
 
-def along_axes(H: Array, h: Array) -> Array:
-    """Distance (n,) from the origin to the nearest row along each axis; 0 where no row with a bound crosses it."""
+def along_axes(H: Array, h: Array, *, farthest: bool = False) -> Array:
+    """Distance (n,) from the origin to the nearest (or farthest) row along each axis; 0 where no bound crosses it.
+
+    A row that misses the origin by the rounding of the farthest one is taken to go through it.
+    """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         crossing = np.abs(h[:, None] / H)
-    crossing[~np.isfinite(crossing) | (crossing == 0)] = np.inf
+    crossing[~np.isfinite(crossing)] = 0.0
+    reach = np.asarray(crossing.max(axis=0, initial=0.0))
+    if farthest:
+        return reach
+    crossing[crossing <= ROUNDED_ZERO * reach] = np.inf
     nearest = crossing.min(axis=0, initial=np.inf)
     return np.where(np.isfinite(nearest), nearest, 0.0)
 

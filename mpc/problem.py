@@ -132,51 +132,78 @@ class MPCProblem:
 
     @cached_property
     def input_extent(self) -> Array:
-        """Size (nu,) of each input: the distance to its bound, or the rate limit, or 0 where it has none."""
+        """Size (nu,) of each input: the distance to its bound, or what the rate limit lets it move; 0 without limit."""
         extent = along_axes(*self.input_rows)
-        return extent if self.rate_limit is None else np.where(extent > 0, extent, self.rate_limit)
+        if self.rate_limit is None:
+            return extent
+        return np.where(extent > 0, np.minimum(extent, self.horizon * self.rate_limit), self.rate_limit)
 
     @cached_property
     def state_extent(self) -> Array:
         """Size (nx,) of each state: the distance to a bound of X or of the terminal set, else what the inputs move."""
-        extent = along_axes(*self.state_rows)
-        terminal = along_axes(*self.terminal_rows)
         moved = np.abs(self.B) @ np.where(self.input_extent > 0, self.input_extent, 1.0)
-        for other in (terminal, moved, np.ones(self.nx)):
-            extent = np.where(extent > 0, extent, other)
-        return extent
+        return _first_positive(self._limited_extent, moved, np.ones(self.nx))
+
+    @property
+    def _limited_extent(self) -> Array:
+        """As `state_extent`, 0 where no limit says a size."""
+        limited = (self.input_extent > 0) | ~self.B.any(axis=0)
+        moved = np.abs(self.B) @ self.input_extent
+        moved[self.B[:, ~limited].any(axis=1)] = 0.0
+        return _first_positive(along_axes(*self.state_rows), along_axes(*self.terminal_rows), moved)
 
     @property
     def _moved_states(self) -> Array:
-        """How far (nx,) the inputs at their bounds move each state over the horizon; 0 where they do not."""
-        size = np.where(self.input_extent > 0, self.input_extent, 1.0)
-        block = self.B * size
+        """How far (nx,) the inputs can move each state over the horizon; infinite where no limit of theirs says it."""
+        farthest = along_axes(*self.input_rows, farthest=True)
+        if self.rate_limit is not None:
+            farthest = np.minimum(np.where(farthest > 0, farthest, np.inf), self.horizon * self.rate_limit)
+        limited = farthest > 0
+        block, free = self.B * farthest, (self.B * ~limited).any(axis=1)
         moved = np.abs(block).sum(axis=1)
+        reached = free.copy()
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(self.horizon - 1):
                 block = self.A @ block
                 moved = moved + np.abs(block).sum(axis=1)
-        return np.nan_to_num(moved, nan=np.inf)
+                reached |= (self.A != 0) @ reached
+        return np.where(reached | np.isnan(moved), np.inf, moved)
 
     @cached_property
-    def row_units(self) -> dict[str, Array]:
-        """Unit of each row of each set, in which violations of different rows are compared: the size of its bound.
+    def price_units(self) -> dict[str, Array]:
+        """Unit of each row of each set, in which a soft limit is priced: the size of its bound.
 
-        Where a bound is zero (or vanishes beside the set) the extent of the set along the row takes its place, or what
-        the inputs move over the horizon where that is less: bounds of 1e6 on a state say nothing of its size.
+        Where a bound is zero (or vanishes beside the set) the extent of the set along the row takes its place; where
+        the set has none, what inputs with limits move in one step, else 1.
         """
+        states = self._limited_extent
         units = {}
-        moved = self._moved_states
-        size = np.where(moved > 0, np.minimum(self.state_extent, moved), self.state_extent)
         for kind, (H, h), extent in (
-            ("state", self.state_rows, size), ("terminal", self.terminal_rows, size),
+            ("state", self.state_rows, states),
+            ("terminal", self.terminal_rows, _first_positive(along_axes(*self.terminal_rows), states)),
             ("input", self.input_rows, self.input_extent),
-        ):  # fmt: skip
+        ):
             reach = np.abs(H) @ extent
             reach[reach == 0] = 1.0
             units[kind] = np.where(np.abs(h) > SMALL_BOUND * reach, np.abs(h), reach)
         if self.rate_limit is not None:
             units["rate"] = np.tile(self.rate_limit, 2)
+        return units
+
+    @cached_property
+    def row_units(self) -> dict[str, Array]:
+        """Unit of each row of each set, in which violations of different rows are compared.
+
+        As `price_units`; where a bound is zero, what the inputs move over the horizon if that is less: limits of 1e6 on
+        a state say nothing of its size.
+        """
+        moved = self._moved_states
+        units = dict(self.price_units)
+        for kind, (H, h) in (("state", self.state_rows), ("terminal", self.terminal_rows)):
+            with np.errstate(invalid="ignore"):
+                reach = np.where(H != 0, np.abs(H) * moved, 0.0).sum(axis=1)
+            reach[reach == 0] = np.inf
+            units[kind] = np.where(np.abs(h) < units[kind], np.clip(reach, np.abs(h), units[kind]), units[kind])
         return units
 
     def with_model(
@@ -194,6 +221,14 @@ class MPCProblem:
             By default the one that was given to this problem; where none was, the Riccati solution of the new model.
         """
         return replace(self, A=A, B=B, E=self.E if E is None else E, P=self.given_P if P is None else P)
+
+
+def _first_positive(*sizes: Array) -> Array:
+    """The first of several sizes that is positive, entry by entry; 0 where none is."""
+    first = np.zeros_like(sizes[0])
+    for size in sizes:
+        first = np.where(first > 0, first, size)
+    return first
 
 
 def _refuse_empty(name: str, H: Array, h: Array) -> None:

@@ -84,7 +84,7 @@ def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> 
     cost = np.sum(error[:-1] @ Q * error[:-1]) + np.sum(effort @ R * effort) + error[-1] @ P @ error[-1]
     if problem.soft is not None:
         linear, quadratic = problem.soft
-        s = relative_violations(problem, states)
+        s = relative_violations(problem, states, problem.price_units)
         cost += linear * s.sum() + quadratic * np.sum(s**2)
     return float(cost)
 
@@ -103,11 +103,11 @@ def _largest(excess: Array) -> float:
     return max(largest, 0.0) if np.isfinite(largest) else float(np.finfo(float).max)
 
 
-def relative_violations(problem: MPCProblem, states: Array) -> Array:
-    """Largest violation (N,) of each step k = 1 … N, relative to the unit of its row [-]."""
+def relative_violations(problem: MPCProblem, states: Array, units: dict[str, Array] | None = None) -> Array:
+    """Largest violation (N,) of each step k = 1 … N, relative to the unit of its row, by default `row_units` [-]."""
     (H, h) = problem.state_rows
     (HT, hT) = problem.terminal_rows
-    units = problem.row_units
+    units = problem.row_units if units is None else units
     along = np.max((finite(states[1:] @ H.T) - h) / units["state"], axis=1, initial=0.0)
     along[-1] = max(along[-1], float(np.max((finite(HT @ states[-1]) - hT) / units["terminal"], initial=0.0)))
     return np.asarray(along)

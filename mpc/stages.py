@@ -154,7 +154,7 @@ class Staging:
         n = self.n
         width = free + priced
         blocks: list[tuple[Array, Array, Array]] = [(np.zeros((0, width)), np.zeros((0, n)), np.zeros(0))]
-        units = self.problem.row_units
+        units = self.problem.price_units if priced else self.problem.row_units
         if free:
             H, h = self.problem.input_rows
             C = np.zeros((len(h), width))

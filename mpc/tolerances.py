@@ -53,6 +53,9 @@ DEFINITE = 1e-13
 EMPTY = 1e-9
 """By how much the lower side of a box may lie above the upper one through rounding, relative to their size [-]."""
 
+ROUNDED_ZERO = 1e-13
+"""Bound, relative to the farthest one along the same axis, below which it is a zero that was rounded [-]."""
+
 SMALL_BOUND = 1e-6
 """Bound of a row, relative to the extent of the set along it, below which that extent is the unit of the row [-]."""
 

@@ -39,3 +39,60 @@ def test_the_unit_of_the_states_does_not_matter_beside_no_limit():
         plan = mpc.solve([1.5 / unit])
         assert plan.status is Status.SOFTENED
         assert plan.violation * unit == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e-3, 1.0, 1e3, 1e6])
+def test_the_unit_of_an_input_without_limit_does_not_change_the_price_of_a_soft_limit(unit):
+    mpc = LinearMPC(
+        np.array([[0.98]]), np.array([[0.1 * unit]]), Q=1.0, R=0.1 * unit**2, P=1.0, horizon=20, X=([0.0], [10.0]),
+        soft=(0.0, 100.0),
+    )  # fmt: skip
+    plan = mpc.solve([1.0], x_ref=[-1.0])
+    assert plan.status is Status.SOLVED
+    assert plan.cost == pytest.approx(21.585, abs=1e-3)
+    assert plan.violation == pytest.approx(0.49528, abs=1e-5)
+
+
+def test_the_price_of_a_soft_limit_is_that_of_the_extent_of_its_set_whatever_the_horizon_and_the_inputs():
+    for horizon in (2, 20):
+        for U in (None, (-1.0, 1.0), (-100.0, 100.0)):
+            mpc = LinearMPC(
+                np.array([[0.98]]),
+                np.array([[0.1]]),
+                Q=1.0,
+                R=0.1,
+                horizon=horizon,
+                U=U,
+                X=([0.0], [10.0]),
+                soft=(0.0, 100.0),
+            )
+            plan = mpc.solve([-0.5])
+            regulation = (
+                np.sum(plan.states[:-1] ** 2) + 0.1 * np.sum(plan.inputs**2) + plan.states[-1] @ mpc.P @ plan.states[-1]
+            )
+            outside = np.maximum(-plan.states[1:, 0], 0.0) / 10.0
+            assert plan.cost == pytest.approx(regulation + 100.0 * np.sum(outside**2))
+
+
+@pytest.mark.parametrize("solver", ["daqp", "clarabel"])
+@pytest.mark.parametrize("zero", [0.0, 5.5e-17, 1e-14])
+def test_a_zero_bound_that_was_rounded_is_a_zero_bound(solver, zero):
+    mpc = LinearMPC(
+        np.array([[0.9]]), np.array([[0.1]]), Q=1.0, R=0.1, horizon=10, U=([-zero], [1.0]), X=([-zero], [10.0]),
+        soft=(1.0, 10.0), solver=solver,
+    )  # fmt: skip
+    plan = mpc.solve([-0.5])
+    assert plan.status is Status.SOLVED
+    np.testing.assert_allclose(plan.inputs[:2, 0], [1.0, 0.83445], atol=1e-4)
+
+
+@pytest.mark.parametrize("unlimited", [3.0, 1e3, 1e6, 1e9])
+def test_a_rate_limit_says_how_far_the_inputs_move_beside_any_limit_of_theirs(unlimited):
+    mpc = LinearMPC(
+        np.array([[1.0]]), np.array([[0.1]]), Q=1.0, R=1.0, horizon=2, U=(-unlimited, unlimited), rate_limit=1.0,
+        X=(-1e6, 1e6), terminal_set=(-0.7, 0.7),
+    )  # fmt: skip
+    plan = mpc.solve([1.5], u_prev=[0.0])
+    assert plan.status is Status.SOFTENED
+    assert plan.violation == pytest.approx(0.5)
+    np.testing.assert_allclose(plan.inputs[:, 0], [-1.0, -2.0], atol=1e-6)
