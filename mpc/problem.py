@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -152,22 +153,45 @@ class MPCProblem:
         moved[self.B[:, ~limited].any(axis=1)] = 0.0
         return _first_positive(along_axes(*self.state_rows), along_axes(*self.terminal_rows), moved)
 
-    @property
+    @cached_property
+    def state_size(self) -> Array:
+        """As `state_extent`, or what the inputs move over the horizon where that is less: the size states come to."""
+        return np.where(self._moved_states > 0, np.minimum(self.state_extent, self._moved_states), self.state_extent)
+
+    @cached_property
     def _moved_states(self) -> Array:
-        """How far (nx,) the inputs can move each state over the horizon; infinite where no limit of theirs says it."""
+        """How far (nx,) the inputs move each state over the horizon; infinite where no limit says it."""
         farthest = along_axes(*self.input_rows, farthest=True)
         if self.rate_limit is not None:
             farthest = np.minimum(np.where(farthest > 0, farthest, np.inf), self.horizon * self.rate_limit)
-        limited = farthest > 0
-        block, free = self.B * farthest, (self.B * ~limited).any(axis=1)
-        moved = np.abs(block).sum(axis=1)
-        reached = free.copy()
-        with np.errstate(over="ignore", invalid="ignore"):
-            for _ in range(self.horizon - 1):
+        farthest = np.where(farthest > 0, farthest, self.reaching_inputs)
+        with np.errstate(invalid="ignore"):
+            moved = sum(np.where(response > 0, response * farthest, 0.0).sum(axis=1) for response in self._responses())
+        return np.nan_to_num(np.asarray(moved, dtype=np.float64), nan=np.inf, posinf=np.inf)
+
+    @cached_property
+    def reaching_inputs(self) -> Array:
+        """Least size (nu,) of each input with which it brings some state to its limit within the horizon.
+
+        The size of an input without limits of its own; infinite where it reaches none.
+        """
+        limit = _first_positive(along_axes(*self.state_rows), along_axes(*self.terminal_rows))
+        size = np.full(self.nu, np.inf)
+        for response in self._responses():
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = np.where((response > 0) & (limit > 0)[:, None], limit[:, None] / response, np.inf)
+            size = np.minimum(size, ratio.min(axis=0))
+        return size
+
+    def _responses(self) -> Iterator[Array]:
+        """Sizes |A^k B| (nx, nu) of the responses to each input, step by step, as long as they are finite."""
+        block = self.B
+        for _ in range(self.horizon):
+            yield np.abs(block)
+            with np.errstate(over="ignore", invalid="ignore"):
                 block = self.A @ block
-                moved = moved + np.abs(block).sum(axis=1)
-                reached |= (self.A != 0) @ reached
-        return np.where(reached | np.isnan(moved), np.inf, moved)
+            if not np.isfinite(block).all():
+                return
 
     @cached_property
     def price_units(self) -> dict[str, Array]:

@@ -52,8 +52,9 @@ class Staging:
     def __init__(self, problem: MPCProblem, x: Array, given: Given, price: tuple[float, float] | None):
         self.problem = problem
         self.price = price
-        self.state_size = problem.state_extent
-        self.input_size = np.where(problem.input_extent > 0, problem.input_extent, _regulated_size(problem, x))
+        self.state_size = problem.state_size
+        free = np.where(np.isfinite(problem.reaching_inputs), problem.reaching_inputs, _regulated_size(problem, x))
+        self.input_size = np.where(problem.input_extent > 0, problem.input_extent, free)
         self.memory = problem.nu if problem.rate_limit is not None or problem.blocks is not None else 0
         self.n = problem.nx + self.memory
         self.Q, self.P = (np.asarray(w) * self.state_size * self.state_size[:, None] for w in (problem.Q, problem.P))
@@ -154,7 +155,7 @@ class Staging:
         n = self.n
         width = free + priced
         blocks: list[tuple[Array, Array, Array]] = [(np.zeros((0, width)), np.zeros((0, n)), np.zeros(0))]
-        units = self.problem.price_units if priced else self.problem.row_units
+        units = self.problem.row_units if self.problem.soft is None else self.problem.price_units
         if free:
             H, h = self.problem.input_rows
             C = np.zeros((len(h), width))

@@ -1,5 +1,6 @@
 """Bounds that stand for no limit at all say nothing of the size of a state, and hide no violation of another row."""
 
+import cvxpy as cp
 import numpy as np
 import pytest
 
@@ -96,3 +97,40 @@ def test_a_rate_limit_says_how_far_the_inputs_move_beside_any_limit_of_theirs(un
     assert plan.status is Status.SOFTENED
     assert plan.violation == pytest.approx(0.5)
     np.testing.assert_allclose(plan.inputs[:, 0], [-1.0, -2.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", ["daqp", "clarabel", "osqp"])
+@pytest.mark.parametrize("inputs", ["bounded", "free"])
+@pytest.mark.parametrize("small", [1.0, 1e-2, 1e-4])
+def test_every_solver_finds_the_optimum_beside_limits_that_say_nothing_and_from_small_states(solver, inputs, small):
+    rng = np.random.default_rng(11)
+    for _ in range(6):
+        A = rng.normal(size=(3, 3))
+        A *= 0.97 / np.abs(np.linalg.eigvals(A)).max()
+        B = rng.normal(size=(3, 1))
+        mpc = LinearMPC(
+            A, B, Q=np.eye(3), R=0.1, horizon=6, X=([-2.0, 0.0, -1e7], [2.0, 1e7, 1e7]),
+            U=None if inputs == "free" else (-1, 1), solver=solver,
+        )  # fmt: skip
+        x = small * rng.uniform(0.1, 0.4, 3)
+        plan = mpc.solve(x)
+        oracle = cvxpy_plan(mpc, x)
+        if oracle is None:
+            assert plan.status is Status.SOFTENED
+        else:
+            assert plan.status is Status.SOLVED
+            np.testing.assert_allclose(plan.inputs / small, oracle / small, atol=1e-4)
+
+
+def cvxpy_plan(mpc, x):
+    """Inputs by another solver in units of the state, or None where there are none."""
+    unit = float(np.abs(x).max())
+    X, U = cp.Variable((mpc.horizon + 1, mpc.nx)), cp.Variable((mpc.horizon, mpc.nu))
+    (H, h), (G, g) = mpc.state_rows, mpc.input_rows
+    near = h < 1e5
+    limits = [X[0] == x / unit, X[1:] == X[:-1] @ mpc.A.T + U @ mpc.B.T, X[1:] @ H[near].T <= h[near] / unit]
+    limits += [g / unit >= U @ G.T] if len(g) else []
+    cost = cp.sum_squares(X[:-1]) + 0.1 * cp.sum_squares(U) + cp.quad_form(X[-1], cp.psd_wrap(mpc.P))
+    problem = cp.Problem(cp.Minimize(cost), limits)
+    problem.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
+    return None if "infeasible" in problem.status else U.value * unit
