@@ -127,7 +127,7 @@ class Generations:
         )  # fmt: skip
         deployed = self._stage(
             f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, state.served,
-            state.trust, known,
+            state.trust, state.twin,
         )  # fmt: skip
         log = unpacked(deployed, self.evaluation.study.plant.dt)
         learned = self._stage(

@@ -184,7 +184,7 @@ class LoopStages:
 
     def deploy(
         self, rng: np.random.Generator, generation: int, found: Stage, former: Served | None, trust: Trust,
-        known: Sequence[Residuals] = (),
+        twin: DigitalTwin | None = None,
     ) -> Stage:  # fmt: skip
         """The policy on the real plant, updated on the way; the log, and whether it stays in service."""
         real = self.evaluation.study.real
@@ -198,7 +198,7 @@ class LoopStages:
                 online, window=evaluation.window, recombine=evaluation.config.recombine and online.recombine
             ),
             progress=self.progress, admissible=evaluation.admissible(current.design),
-            former=[one for one in known if one.independent],
+            former=[] if twin is None else [one for one in twin.logs if one.independent], twin=twin,
         )  # fmt: skip
         log = deployment.log
         if former is None and log.diverged.all():

@@ -22,6 +22,7 @@ from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.replay import replay_problem
 from ccdtools.twin.residuals import Residuals, check_errors, residuals
+from ccdtools.twin.twin import DigitalTwin
 from ccdtools.twin.update_judge import UpdateJudge, served
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
@@ -91,6 +92,7 @@ def deploy_and_update(
     config: OnlineConfig | None = None,
     admissible: AdmissibleInputs | None = None,
     former: Sequence[Residuals] = (),
+    twin: DigitalTwin | None = None,
     progress: bool = False,
 ) -> Deployment:
     """A deployment in stretches, with an update of the policy after each but the last.
@@ -120,6 +122,9 @@ def deploy_and_update(
         are judged on them, too. Each is met through E(p) of this design. Every second run, from the first on, counts
         as one that met the same disturbance in every deployment: together these are one piece of evidence, and those
         of a disturbance that a candidate was trained on are left out.
+    twin : DigitalTwin, optional
+        What former deployments of several runs have taught: a candidate must be better on its updated model, too. There
+        errors follow the state and the input, while logged ones stay those of the policy that was in service.
     """
     config = OnlineConfig() if config is None else config
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
@@ -134,8 +139,12 @@ def deploy_and_update(
         raise InputError("former", shown(former), "a sequence of Residuals")
     for k, log in enumerate(former):
         check_errors(f"former[{k}]", problem.model, log)
-    alike = [log for log in former if log.runs > 1 and log.steps == whole.steps and len(whole.x0) > 1]
-    return _Service(problem, whole, design, agent, rng, config, admissible, alike).run(progress)
+    if twin is not None:
+        as_instance("twin", twin, DigitalTwin, "a DigitalTwin or None")
+    several = len(whole.x0) > 1
+    alike = [log for log in former if log.runs > 1 and log.steps == whole.steps and several]
+    taught = twin if twin is not None and {log.steps for log in twin.logs} == {whole.steps} and several else None
+    return _Service(problem, whole, design, agent, rng, config, admissible, alike, taught).run(progress)
 
 
 class _Service:
@@ -153,6 +162,7 @@ class _Service:
     def __init__(
         self, problem: CoDesignProblem, whole: Scenario, design: Array, agent: ActorCritic, rng: np.random.Generator,
         config: OnlineConfig, admissible: AdmissibleInputs | None, former: Sequence[Residuals],
+        twin: DigitalTwin | None,
     ) -> None:  # fmt: skip
         self.problem = problem
         self.whole = whole
@@ -164,7 +174,7 @@ class _Service:
         self.former = former
         self.pieces: list[Trajectory] = []
         self.updates: list[OnlineUpdate] = []
-        self.judge = UpdateJudge(problem, design, config, len(whole.x0), rng.spawn(1)[0], rng, admissible)
+        self.judge = UpdateJudge(problem, design, config, len(whole.x0), rng.spawn(1)[0], rng, admissible, twin)
         self.logs: list[Residuals] = []
         self.train: list[Residuals] = []
         self.test: list[Residuals] = []
@@ -221,10 +231,11 @@ class _Service:
         evidence += [replace(log, independent=told.independent) for log in self.test]
         gain, size = self.judge.gain(candidate, self.agent, evidence, self.logs, told)
         accepted = gain.ci95[0] > 0 and gain.mean > config.least * size
+        updated = self.judge.updated_gain(candidate, self.agent) if accepted else None
+        accepted = accepted and (updated is None or updated.mean > 0)
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
-        self.updates.append(OnlineUpdate(after, gain, accepted))
+        self.updates.append(OnlineUpdate(after, gain, bool(accepted), updated))
         self.agent = candidate if accepted else self.agent
-
 
     def _unseen(self) -> list[Residuals]:
         """Former runs without those of a disturbance that candidates are trained on."""

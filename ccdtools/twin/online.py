@@ -67,9 +67,13 @@ class OnlineUpdate(Immutable):
         a single run (the interval is of their series); of a run where several are deployed (of the mean over the runs,
         or over blocks of them where they were recombined).
     accepted : bool
-        Whether the interval of the gain lies above zero, and the gain matters.
+        Whether the interval of the gain lies above zero, the gain matters, and the updated model has one, too.
+    updated_gain : PairedDifference or None
+        The same on the model that former deployments have taught, with what it leaves unexplained replayed; NaN where
+        more runs of the candidate diverge. None where there is no such model, or the update is not accepted anyway.
     """
 
     after: int
     gain: PairedDifference
     accepted: bool
+    updated_gain: PairedDifference | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.common_runs import groups, paired_over_groups
+from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.online import OnlineConfig
 from ccdtools.twin.recombined_returns import (
     NOT_ASKED,
@@ -28,6 +29,7 @@ from ccdtools.twin.recombined_returns import (
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
+from ccdtools.twin.twin import DigitalTwin
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
 
@@ -47,6 +49,8 @@ class UpdateJudge:
         For recombined and nominal runs, and for the choice of logged ones.
     admissible : AdmissibleInputs or None
         The filter behind every policy.
+    twin : DigitalTwin, optional
+        What former deployments have taught, if there were any.
     """
 
     problem: CoDesignProblem
@@ -56,6 +60,7 @@ class UpdateJudge:
     rng: np.random.Generator
     rng_of_runs: np.random.Generator
     admissible: AdmissibleInputs | None
+    twin: DigitalTwin | None = None
 
     @property
     def split(self) -> ErrorSplit:
@@ -101,6 +106,25 @@ class UpdateJudge:
         low, high = found.gain.ci95
         gain = PairedDifference(found.gain.mean, (min(low, everywhere.gain.ci95[0]), high))
         return gain, float(np.fmax(found.size, nominal))
+
+    def updated_gain(self, candidate: ActorCritic, agent: ActorCritic) -> PairedDifference | None:
+        """Candidate minus policy in service on the updated model with its innovations replayed; None without one.
+
+        Replayed as they are, errors that are consequences of the state or input stay those of another policy: the
+        updated model lets them follow.
+        """
+        if self.twin is None or self.twin.discrepancy is None:
+            return None
+        plant = TwinPlant(self.problem.model, replace(self.twin.discrepancy, noise="replayed"))
+        replay = Replay(self.twin.innovations())
+        x0, w = replay.whole()
+        chosen = self.rng.permutation(len(x0))[: self.config.judged]
+        after, before = self._driven(Scenario(plant, x0[chosen], w[chosen]), candidate, agent)
+        kept = ~(after.diverged | before.diverged)
+        if after.diverged.sum() > before.diverged.sum() or not kept.any():
+            return PairedDifference(np.nan, (np.nan, np.nan))
+        rewards = [run.rewards(self.problem.objective)[kept] for run in (after, before)]
+        return paired_over_groups(rewards[0], rewards[1], groups(replay.logs)[chosen][kept], runs=len(x0))
 
     def _recombined_gain(self, candidate: ActorCritic, agent: ActorCritic, replay: Replay) -> LoggedGain:
         """Candidate minus policy in service on recombined runs."""

@@ -13,12 +13,15 @@ from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.controllers.controllers import Passive
 from ccdtools.statistics import PairedDifference, paired_returns
 from ccdtools.twin.deployment import deploy_and_update
+from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.online import OnlineConfig
 from ccdtools.twin.recombined_returns import NOT_ASKED, LoggedGain, recombined_gain
 from ccdtools.twin.replay import Replay, replay_problem
 from ccdtools.twin.residuals import residuals
+from ccdtools.twin.twin import DigitalTwin
 from ccdtools.twin.update_judge import UpdateJudge
 from learning.ppo import PPOConfig
+from learning.quantile import QuantileConfig
 
 DESIGN = np.array([2.0])
 TINY = CoDesignConfig(
@@ -549,3 +552,53 @@ def test_former_errors_of_another_plant_are_refused(illustrative, clone, former,
             former=[former, change(former)], disturbance=disturbances(illustrative, 12, 40),
             rng=np.random.default_rng(0), config=ONLINE,
         )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def taught(illustrative, clone):
+    """Return a twin that learned from a former deployment of 40 runs."""
+    w = disturbances(illustrative, 40, 40, seed=5)
+    log = deploy(illustrative.real.plant, LearnedPolicy(clone(illustrative), DESIGN), DESIGN, w, x0=start(40))
+    config = QuantileConfig(hidden=(16,), steps=300, batch=256)
+    return DigitalTwin(illustrative.model).update(
+        log, weight=illustrative.weight, rng=np.random.default_rng(0), config=config
+    )
+
+
+def test_an_update_must_bring_a_gain_on_the_updated_model_too(illustrative, clone, taught, monkeypatch):
+    """There errors follow what a candidate does; what was logged stays as the former policy met it."""
+    good, weak = clone(illustrative), weakened(clone(illustrative))
+    training_gives(monkeypatch, good)
+    config = replace(ONLINE, updates=1, judged=400)
+
+    def done(twin, runs=80, steps=40):
+        """Return the update of a deployment."""
+        (update,) = deploy_and_update(
+            illustrative.problem(), illustrative.real.plant, weak, DESIGN, x0=start(runs), twin=twin,
+            disturbance=disturbances(illustrative, runs, steps), rng=np.random.default_rng(0), config=config,
+        ).updates  # fmt: skip
+        return update
+
+    alone = done(None)
+    assert alone.accepted
+    assert alone.updated_gain is None
+    update = done(taught)
+    assert update.accepted
+    assert update.gain == alone.gain
+    assert update.updated_gain.mean > 0
+    plant = TwinPlant(illustrative.model, replace(taught.discrepancy, noise="replayed"))
+    x0, w = Replay(taught.innovations()).whole()
+    runs = [
+        simulate(plant, LearnedPolicy(agent, DESIGN), x0=x0, steps=40, disturbance=w, design=DESIGN)
+        for agent in (good, weak)
+    ]
+    after, before = (run.returns(illustrative.objective) for run in runs)
+    assert update.updated_gain.mean == pytest.approx((after - before).mean())
+    assert done(taught, steps=30).updated_gain is None  # of another length
+    assert done(DigitalTwin(illustrative.model)).updated_gain is None  # has learned nothing
+    assert done(taught, runs=1, steps=600).updated_gain is None
+    for denied in (PairedDifference(-1e-3, (-2.0, 1.0)), PairedDifference(np.nan, (np.nan, np.nan))):
+        monkeypatch.setattr(UpdateJudge, "updated_gain", lambda self, *_, denied=denied: denied)
+        assert not done(taught).accepted
+    with pytest.raises(InputError, match="twin: got"):
+        done(taught.logs)
