@@ -165,31 +165,35 @@ class MPCProblem:
         if self.rate_limit is not None:
             farthest = np.minimum(np.where(farthest > 0, farthest, np.inf), self.horizon * self.rate_limit)
         farthest = np.where(farthest > 0, farthest, self.reaching_inputs)
-        with np.errstate(invalid="ignore"):
-            moved = sum(np.where(response > 0, response * farthest, 0.0).sum(axis=1) for response in self._responses())
-        return np.nan_to_num(np.asarray(moved, dtype=np.float64), nan=np.inf, posinf=np.inf)
+        moved = np.zeros(self.nx)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for response in self._responses(self.A):
+                moved = moved + np.where(response > 0, response * farthest, 0.0).sum(axis=1)
+        return np.nan_to_num(moved, nan=np.inf, posinf=np.inf)
 
     @cached_property
     def reaching_inputs(self) -> Array:
         """Least size (nu,) of each input with which it brings some state to its limit within the horizon.
 
-        The size of an input without limits of its own; infinite where it reaches none.
+        The size of an input without limits of its own; infinite where it reaches none. What an unstable plant adds by
+        itself does not count.
         """
+        radius = max(1.0, float(np.abs(np.linalg.eigvals(self.A)).max()))
         limit = _first_positive(along_axes(*self.state_rows), along_axes(*self.terminal_rows))
         size = np.full(self.nu, np.inf)
-        for response in self._responses():
+        for response in self._responses(self.A / radius):
             with np.errstate(divide="ignore", invalid="ignore"):
                 ratio = np.where((response > 0) & (limit > 0)[:, None], limit[:, None] / response, np.inf)
             size = np.minimum(size, ratio.min(axis=0))
         return size
 
-    def _responses(self) -> Iterator[Array]:
+    def _responses(self, A: Array) -> Iterator[Array]:
         """Sizes |A^k B| (nx, nu) of the responses to each input, step by step, as long as they are finite."""
         block = self.B
         for _ in range(self.horizon):
             yield np.abs(block)
             with np.errstate(over="ignore", invalid="ignore"):
-                block = self.A @ block
+                block = A @ block
             if not np.isfinite(block).all():
                 return
 

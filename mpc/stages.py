@@ -10,6 +10,7 @@ from mpc.checks import Array
 from mpc.feedback import block_lengths
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, pushes
+from mpc.tolerances import SMALL_STATE
 
 _INSIDE = 0.9  # share of the limits that the first guess uses
 
@@ -47,14 +48,18 @@ class Staging:
         Signals over the horizon.
     price : (linear, quadratic) or None
         Price of the largest relative violation of each step; None makes the state constraints hard.
+    input_size : (nu,) array, optional
+        By default what the first state and the references ask for.
     """
 
-    def __init__(self, problem: MPCProblem, x: Array, given: Given, price: tuple[float, float] | None):
+    def __init__(
+        self, problem: MPCProblem, x: Array, given: Given, price: tuple[float, float] | None,
+        input_size: Array | None = None,
+    ):  # fmt: skip
         self.problem = problem
         self.price = price
         self.state_size = problem.state_size
-        free = np.where(np.isfinite(problem.reaching_inputs), problem.reaching_inputs, _regulated_size(problem, x))
-        self.input_size = np.where(problem.input_extent > 0, problem.input_extent, free)
+        self.input_size = _input_size(problem, x, given) if input_size is None else input_size
         self.memory = problem.nu if problem.rate_limit is not None or problem.blocks is not None else 0
         self.n = problem.nx + self.memory
         self.Q, self.P = (np.asarray(w) * self.state_size * self.state_size[:, None] for w in (problem.Q, problem.P))
@@ -184,9 +189,20 @@ class Staging:
         return C, D, d
 
 
-def _regulated_size(problem: MPCProblem, x: Array) -> Array:
-    """Size (nu,) of inputs without bounds: what their weight lets them spend on the weighted state."""
-    spent = float(np.sqrt(x @ np.asarray(problem.P) @ x))
+def _input_size(problem: MPCProblem, x: Array, given: Given) -> Array:
+    """Size (nu,) of the inputs: their limits, or what their weight lets them spend on the weighted state if less.
+
+    Limits of 1e6 on an input say nothing of its size, and a solver's tolerance is a part of it.
+    """
+    N = problem.horizon
+    reach = np.abs(x) + SMALL_STATE * problem.state_size
+    asked = np.zeros(problem.nu)
+    if "x_ref" in given:
+        reach = reach + np.abs(given["x_ref"].reshape(N + 1, -1)).max(axis=0)
+    if "u_ref" in given:
+        asked = np.abs(given["u_ref"].reshape(N, -1)).max(axis=0)
+    spent = float(np.sqrt(reach @ np.abs(problem.P) @ reach))
     weight = np.sqrt(np.diag(np.asarray(problem.R)))
-    size = spent / np.where(weight > 0, weight, 1.0)
-    return np.where((weight > 0) & (size > 0), size, 1.0)
+    regulated = np.where(weight > 0, spent / np.where(weight > 0, weight, 1.0) + asked, np.inf)
+    size = np.minimum(np.where(problem.input_extent > 0, problem.input_extent, np.inf), regulated)
+    return np.where(np.isfinite(size) & (size > 0), size, 1.0)

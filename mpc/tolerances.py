@@ -56,6 +56,9 @@ EMPTY = 1e-9
 ROUNDED_ZERO = 1e-13
 """Bound, relative to the farthest one along the same axis, below which it is a zero that was rounded [-]."""
 
+SMALL_STATE = 1e-3
+"""Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]."""
+
 SMALL_BOUND = 1e-6
 """Bound of a row, relative to the extent of the set along it, below which that extent is the unit of the row [-]."""
 
