@@ -80,7 +80,7 @@ class DenseQP:
         reported so.
         """
         bs = b[self._rows] * self._r
-        size = self._size_of(bs)
+        size = self._size_of(q * self._d, bs)
         qs = np.ascontiguousarray(q * self._d / size)
         bs = np.ascontiguousarray(bs / size)
         z, y, flag = self._daqp(qs, bs)
@@ -103,10 +103,15 @@ class DenseQP:
         multipliers[self._rows] = y * self._r * size
         return QPResult(z * self._d * size, multipliers, residuals, infeasible or self._unreached(b), solver)
 
-    def _size_of(self, bs: Array) -> float:
-        """The size that becomes one: that of the bounds, or larger where the origin violates some by far more."""
+    def _size_of(self, q: Array, bs: Array) -> float:
+        """The size that becomes one: that of the bounds, or of what cost and violated rows ask for where that is less.
+
+        It is larger where the origin violates some rows by far more: their size is that of the answer.
+        """
         size = _typical(bs) if self._units is None else self._size
-        return max(size, FAR_BOUND * float(np.max(-bs, initial=0.0)))
+        violated = float(np.max(-bs, initial=0.0))
+        asked = max(float(np.abs(q).max(initial=0.0)), violated)
+        return max(min(size, asked) if asked > 0 else size, FAR_BOUND * violated)
 
     def _unreached(self, b: Array) -> bool:
         """Whether a row that no variable reaches is violated."""
