@@ -57,8 +57,9 @@ class LinearMPC(MPCProblem):
         Largest |u_k - u_{k-1}| per step, in the units of u; `solve` then needs `u_prev`.
     soft : (linear, quadratic), optional
         Makes state and terminal constraints soft: each step costs linear * s + quadratic * s², where s is the largest
-        violation of that step relative to the bound (of a bound that is zero: to the extent of the set along it);
-        linear >= 0, quadratic > 0.
+        violation of that step relative to the bound (of a bound that is zero: to the extent of the set along it; where
+        it has none, to what limited inputs move in a step, else to 1). A limit that stands for none is better left
+        infinite: 1e7 would price violations of a zero bound in units of 1e7. linear >= 0, quadratic > 0.
     blocks : tuple of int, optional
         Move blocking: lengths of the blocks over which the input is held, summing to N.
     solver : str

@@ -65,6 +65,9 @@ SMALL_BOUND = 1e-6
 FAR = 1e4
 """Distance in units of a set beyond which only the direction of a point counts for its projection [-]."""
 
+REMEMBERED = 1e6
+"""Growth of an unstable plant over the horizon up to which costates keep the digits that a check needs [-]."""
+
 OVERFLOW = 1e100
 """Entries of the QP beyond which nothing is computed: such data are answered by the saturated regulator."""
 

@@ -134,3 +134,42 @@ def cvxpy_plan(mpc, x):
     problem = cp.Problem(cp.Minimize(cost), limits)
     problem.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
     return None if "infeasible" in problem.status else U.value * unit
+
+
+SCALAR = {"A": np.array([[0.9]]), "B": np.array([[1.0]]), "Q": 1.0, "R": 1.0, "horizon": 10}
+UNSTABLE = {"A": np.array([[1.5, 0.3], [0.0, 0.9]]), "B": np.array([[0.2], [1.0]]), "Q": 1.0, "R": 0.1, "X": (-5, 5)}
+CART = {"A": np.array([[1, 0.1], [0, 1]]), "B": np.array([[0.005], [0.1]]), "Q": 1.0, "R": 0.1, "horizon": 20}
+CART |= {"X": (-5, 5)}
+KNOWN = {  # problem, state, references, first input: of the condensed problem in natural units
+    "inputs to 1e5": (SCALAR | {"X": (-2, 2), "U": (-1e5, 1e5)}, [1.0], {}, -0.5376666),
+    "inputs to 1e9": (SCALAR | {"X": (-2, 2), "U": (-1e9, 1e9)}, [1.0], {}, -0.5376666),
+    "states from 0 to 1e9": (SCALAR | {"X": ([0.0], [1e9])}, [1.0], {"x_ref": [-2.0]}, -0.9),
+    "all to 1e9, with a reference": (
+        SCALAR | {"X": ([0.0], [1e9]), "U": (-1e9, 1e9)}, [1.0], {"x_ref": [-0.5]}, -0.7576513
+    ),
+    "free, with a reference": (SCALAR | {"X": (-1.0, 1e7)}, [1.0], {"x_ref": [-2.0]}, -1.6117438),
+    "free and weak": (SCALAR | {"B": np.array([[1e-6]]), "X": (-2, 2)}, [1.0], {}, -4.7368421e-6),
+    "free and unstable": (UNSTABLE | {"horizon": 50}, [0.5, 0.4], {}, -1.9402535),
+    "free and unstable for long": (UNSTABLE | {"horizon": 200}, [0.5, 0.4], {}, -1.9402535),
+    "small beside a linear price": (CART | {"U": (-1, 1), "soft": (1000.0, 10.0)}, [1e-3, 0.0], {}, -0.00258570),
+    "at the origin": (CART | {"U": (-1, 1)}, [0.0, 0.0], {}, 0.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("solver", ["daqp", "clarabel", "osqp"])
+@pytest.mark.parametrize("name", KNOWN)
+def test_first_inputs_that_are_known(solver, name):
+    problem, x, references, first = KNOWN[name]
+    plan = LinearMPC(**problem, solver=solver).solve(x, **references)
+    assert plan.status is Status.SOLVED
+    assert plan.inputs[0, 0] == pytest.approx(first, rel=1e-5, abs=1e-12)
+
+
+def test_every_solver_says_the_same_of_a_problem_that_gives():
+    for X in (([-1.0], [1.0]), ([0.0], [1e7])):
+        problem = SCALAR | {"A": np.array([[1.2]]), "B": np.array([[0.1]]), "X": X, "U": (-1, 1)}
+        plans = [LinearMPC(**problem, solver=solver).solve([-0.9]) for solver in ("daqp", "clarabel", "osqp")]
+        assert {plan.status for plan in plans} == {Status.SOFTENED}
+        for plan in plans[1:]:
+            np.testing.assert_allclose(plan.inputs, plans[0].inputs, atol=1e-6)
+            assert plan.violation == pytest.approx(plans[0].violation, rel=1e-6)
