@@ -123,8 +123,8 @@ def deploy_and_update(
         as one that met the same disturbance in every deployment: together these are one piece of evidence, and those
         of a disturbance that a candidate was trained on are left out.
     twin : DigitalTwin, optional
-        What former deployments of several runs have taught: a candidate must be better on its updated model, too. There
-        errors follow the state and the input, while logged ones stay those of the policy that was in service.
+        What former deployments of several runs have taught: a candidate must be better on its updated model, too, and
+        beyond chance. There errors follow the state and the input, while logged ones stay those of another policy.
     """
     config = OnlineConfig() if config is None else config
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
@@ -232,7 +232,7 @@ class _Service:
         gain, size = self.judge.gain(candidate, self.agent, evidence, self.logs, told)
         accepted = gain.ci95[0] > 0 and gain.mean > config.least * size
         updated = self.judge.updated_gain(candidate, self.agent) if accepted else None
-        accepted = accepted and (updated is None or updated.mean > 0)
+        accepted = accepted and (updated is None or updated.ci95[0] > 0)
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
         self.updates.append(OnlineUpdate(after, gain, bool(accepted), updated))
         self.agent = candidate if accepted else self.agent

@@ -67,7 +67,7 @@ class OnlineUpdate(Immutable):
         a single run (the interval is of their series); of a run where several are deployed (of the mean over the runs,
         or over blocks of them where they were recombined).
     accepted : bool
-        Whether the interval of the gain lies above zero, the gain matters, and the updated model has one, too.
+        Whether the interval of the gain lies above zero, on the updated model too, and the gain matters.
     updated_gain : PairedDifference or None
         The same on the model that former deployments have taught, with what it leaves unexplained replayed; NaN where
         more runs of the candidate diverge. None where there is no such model, or the update is not accepted anyway.

@@ -556,9 +556,9 @@ def test_former_errors_of_another_plant_are_refused(illustrative, clone, former,
 
 @pytest.fixture(scope="module")
 def taught(illustrative, clone):
-    """Return a twin that learned from a former deployment of 40 runs."""
-    w = disturbances(illustrative, 40, 40, seed=5)
-    log = deploy(illustrative.real.plant, LearnedPolicy(clone(illustrative), DESIGN), DESIGN, w, x0=start(40))
+    """Return a twin that learned from a former deployment of 200 runs."""
+    w = disturbances(illustrative, 200, 40, seed=5)
+    log = deploy(illustrative.real.plant, LearnedPolicy(clone(illustrative), DESIGN), DESIGN, w, x0=start(200))
     config = QuantileConfig(hidden=(16,), steps=300, batch=256)
     return DigitalTwin(illustrative.model).update(
         log, weight=illustrative.weight, rng=np.random.default_rng(0), config=config
@@ -597,7 +597,7 @@ def test_an_update_must_bring_a_gain_on_the_updated_model_too(illustrative, clon
     assert done(taught, steps=30).updated_gain is None  # of another length
     assert done(DigitalTwin(illustrative.model)).updated_gain is None  # has learned nothing
     assert done(taught, runs=1, steps=600).updated_gain is None
-    for denied in (PairedDifference(-1e-3, (-2.0, 1.0)), PairedDifference(np.nan, (np.nan, np.nan))):
+    for denied in (PairedDifference(1e-3, (-1e-3, 3e-3)), PairedDifference(np.nan, (np.nan, np.nan))):
         monkeypatch.setattr(UpdateJudge, "updated_gain", lambda self, *_, denied=denied: denied)
         assert not done(taught).accepted
     with pytest.raises(InputError, match="twin: got"):
