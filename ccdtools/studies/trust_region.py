@@ -11,8 +11,10 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.studies.report.formatting import share
-from ccdtools.twin.transport import Transport, full_rank
+from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.transport import ErrorSplit, Transport, full_rank
 from ccdtools.twin.twin import DigitalTwin
 
 DOUBT = 0.1  # part of the errors' energy whose change with the design is not known, above which a redesign is limited
@@ -83,13 +85,11 @@ class Trust:
 def doubt_of(twin: DigitalTwin, scale: Array) -> Doubt:
     """How well a twin knows what its errors would be at another design; `scale` (nx,) is the extent of the states."""
     logs = twin.carried()
-    E = twin.model.matrices(logs[-1].p)[2]
-    transport = Transport.at(twin.model, logs[-1].p, scale)
     whole = rest = entering = 0.0
     for log, left in zip(logs, twin.innovations()):
         whole += _energy(log.e_next, scale)
-        rest += _energy(transport.split(log.e_next)[1], scale)
-        entering += _energy(transport.split(left.e_next)[0] @ E.T, scale)
+        rest += _energy(_split(twin, log, scale)[1], scale)
+        entering += _energy(_split(twin, left, scale)[0], scale)
     if whole == 0:
         return Doubt(0.0, 0.0, True)
     unknown = min(1.0, max(0.0, 1 - entering / whole))
@@ -118,6 +118,16 @@ def in_whole_box(result: CoDesignResult, region: DesignSpace, space: DesignSpace
     return replace(result, active_bounds=space.active_bounds(result.design), status=status)
 
 
+def _split(twin: DigitalTwin, log: Residuals, scale: Array) -> tuple[Array, Array]:
+    """Of a log carried to the newest design, what enters through the disturbance and the rest, (n, T, nx) each."""
+    newest = twin.logs[-1].p
+    if isinstance(twin.model, SampledModel):
+        rest = ErrorSplit(twin.model, scale).rest(replace(log, p=newest))
+        return log.e_next - rest, rest
+    w, rest = Transport.at(twin.model, newest, scale).split(log.e_next)
+    return w @ twin.model.matrices(newest)[2].T, rest
+
+
 def _identified(twin: DigitalTwin, scale: Array) -> bool:
     """Whether E does not change over the box, or is of full column rank all over it."""
     space = twin.model.design
@@ -125,6 +135,8 @@ def _identified(twin: DigitalTwin, scale: Array) -> bool:
         return True
     designs = space.spread()
     matrices = twin.model.matrices(designs)[2] / scale[:, None]
+    if isinstance(twin.model, SampledModel) and twin.model.nw and not matrices.any():
+        return False  # it enters away from rest only, where it may change with the design
     if np.ptp(matrices, axis=0).max(initial=0.0) <= CONSTANT * np.abs(matrices).max(initial=0.0):
         return True
     return all(full_rank(twin.model, p, scale) for p in designs)

@@ -17,7 +17,7 @@ from ccdtools.simulation import simulate
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.residuals import Residuals, block_spans, residuals
-from ccdtools.twin.transport import Transport
+from ccdtools.twin.transport import carried
 from ccdtools.twin.twin import BLOCKS, HELD_OUT, DigitalTwin
 
 STEPS = (10, 50, 100)
@@ -206,8 +206,7 @@ def _draws(
 def _as_learned(twin: DigitalTwin, errors: Residuals) -> Residuals:
     """The errors as they would be at the design of the twin's newest log, where its network works."""
     assert twin.scale is not None
-    E = twin.model.matrices(twin.logs[-1].p)[2]
-    return errors.carried(Transport.at(twin.model, errors.p, twin.scale).matrix(E))
+    return carried(twin.model, errors, twin.logs[-1].p, twin.scale)
 
 
 def _last(twin: DigitalTwin, errors: Residuals) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_floats
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
+from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.twin.residuals import Residuals
 
 RANK = 1e-6  # columns of E, each of length one, are dependent below this singular value, relative to the largest
@@ -71,6 +72,8 @@ class Transport(Immutable):
 class ErrorSplit(Immutable):
     """Logged errors as disturbances (ŵ, r) of a model with [E(p) I] in the place of E(p).
 
+    Of a nonlinear model x⁺ = f(x, u, ŵ, p) + r along the log, with the ŵ that leaves least; see `met_disturbances`.
+
     Parameters
     ----------
     model : Model
@@ -96,17 +99,42 @@ class ErrorSplit(Immutable):
 
     def disturbances(self, log: Residuals) -> Array:
         """(ŵ, r) of every error of a log, (n, T, nw + nx)."""
+        if isinstance(self.model, SampledModel):
+            return self._nonlinear(self.model, log)
         return np.concatenate(Transport.at(self.model, log.p, self.scale).split(log.e_next), axis=-1)
 
     def share_of_the_rest(self, logs: Sequence[Residuals]) -> float:
         """Part of the errors' energy, in scaled states, that the rest r holds; 0 where there is no error."""
-        rest = sum(float(np.square(self._rest(log) / self.scale).sum()) for log in logs)
+        rest = sum(float(np.square(self.rest(log) / self.scale).sum()) for log in logs)
         whole = sum(float(np.square(log.e_next / self.scale).sum()) for log in logs)
         return rest / whole if whole > 0 else 0.0
 
-    def _rest(self, log: Residuals) -> Array:
+    def rest(self, log: Residuals) -> Array:
         """r of every error of a log, (n, T, nx)."""
         return self.disturbances(log)[..., self.model.nw :]
+
+    def _nonlinear(self, model: SampledModel, log: Residuals) -> Array:
+        """The split of a model that is not linear: f(x, u, ŵ, p) + r is the logged next state."""
+        from ccdtools.twin.met_disturbances import met_disturbances  # imports torch, which a study need not wait for
+
+        w = met_disturbances(model, log, np.asarray(self.scale))
+        after = model.undisturbed(log.p)(log.x, log.u) + log.e_next
+        return np.concatenate([w, after - model.advance(log.x, log.u, w, log.p)], axis=-1)
+
+
+def carried(model: Model, log: Residuals, p: ArrayLike, scale: ArrayLike) -> Residuals:
+    """A log with its errors e and e⁺ at another design (np,), in the same states under the same inputs.
+
+    E(q) ŵ + r of a linear model, f(x, u, ŵ, q) + r − f(x, u, 0, q) of another.
+    """
+    if not isinstance(model, SampledModel):
+        return log.carried(Transport.at(model, log.p, scale).matrix(model.matrices(p)[2]))
+    q = model.design.check_one(p)
+    if np.array_equal(q, log.p):
+        return log
+    w, rest = np.split(ErrorSplit(model, scale).disturbances(log), [model.nw], axis=-1)
+    e_next = model.advance(log.x, log.u, w, q) + rest - model.undisturbed(q)(log.x, log.u)
+    return replace(log, e=np.concatenate([log.e[:, :1], e_next[:, :-1]], axis=1), e_next=e_next)
 
 
 def as_extent(scale: ArrayLike, nx: int) -> Array:
@@ -129,9 +157,9 @@ def full_rank(model: Model, p: ArrayLike, scale: Array) -> bool:
 
 def check_disturbance_enters(model: Model) -> None:
     """Raise an `InputError` if the disturbance of a model enters at no design of its box."""
+    cure = "Let w act on the dynamics, for example as a force beside u."
     designs = np.zeros((1, 0)) if model.design is None else model.design.spread()
     if model.nw and not any(np.any(model.matrices(p)[2]) for p in designs):
-        cure = "Let w act on the dynamics, for example as a force beside u."
         raise InputError("plant", "an E(p) of rank zero: the disturbance w enters nowhere", "one that enters", cure)
 
 

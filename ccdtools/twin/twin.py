@@ -16,7 +16,7 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
 from ccdtools.twin.loop_moments import matched_in_the_loop
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
-from ccdtools.twin.transport import Transport, as_extent
+from ccdtools.twin.transport import Transport, as_extent, carried
 from learning.copula_fit import fit_copula
 from learning.quantile import QuantileConfig, fit_quantiles
 
@@ -146,8 +146,8 @@ class DigitalTwin(Immutable):
         """The logs with their errors as they would be at the design of the newest one."""
         if not self.logs or self.scale is None:
             raise InputError("twin", "one without a log", "one after `update`")
-        E = self.model.matrices(self.logs[-1].p)[2]
-        return tuple(log.carried(Transport.at(self.model, log.p, self.scale).matrix(E)) for log in self.logs)
+        newest = self.logs[-1].p
+        return tuple(carried(self.model, log, newest, self.scale) for log in self.logs)
 
     def innovations(self) -> tuple[Residuals, ...]:
         """The logs, as `carried`, with e⁺ less its predicted median: what the updated model leaves unexplained."""

@@ -67,6 +67,16 @@ def test_an_E_that_is_the_same_everywhere_need_not_be_identified():
     assert doubt_of(taught(mass(), replace(model, E=constant)), SCALE).identified
 
 
+def test_what_enters_away_from_rest_is_told_there_but_a_redesign_stays_limited():
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    arm = ca.vertcat(x[1], (-1.5 * x[0] - 0.4 * x[1] + u + w * ca.sin(x[0])) / p)
+    model = discretise(Plant(x, u, w, p, arm, DesignSpace(["m"], [0.3], [3.0]), dt=0.1))
+    doubt = doubt_of(taught(model, model), SCALE)
+    assert doubt.rest < 1e-6
+    assert doubt.explained < 0.2
+    assert not doubt.identified
+
+
 def test_the_region_widens_where_the_judge_was_right_and_halves_where_it_was_wrong():
     trust = Trust(0.25)
     known = Doubt(0.0, 0.0, True)
