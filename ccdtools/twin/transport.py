@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -156,8 +157,15 @@ def full_rank(model: Model, p: ArrayLike, scale: Array) -> bool:
 
 
 def check_disturbance_enters(model: Model) -> None:
-    """Raise an `InputError` if the disturbance of a model enters at no design of its box."""
+    """Raise an `InputError` if the disturbance of a model enters at no design of its box.
+
+    Into a nonlinear one it enters if the dynamics depend on it: E may be zero at rest, as that of w |w| or w sin(x) is.
+    """
     cure = "Let w act on the dynamics, for example as a force beside u."
+    if isinstance(model, SampledModel):
+        if model.plant.nw and not ca.depends_on(model.plant.dynamics, model.plant.w):
+            raise InputError("plant", "dynamics without w: the disturbance enters nowhere", "one that enters", cure)
+        return
     designs = np.zeros((1, 0)) if model.design is None else model.design.spread()
     if model.nw and not any(np.any(model.matrices(p)[2]) for p in designs):
         raise InputError("plant", "an E(p) of rank zero: the disturbance w enters nowhere", "one that enters", cure)

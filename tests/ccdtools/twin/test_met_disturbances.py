@@ -13,16 +13,18 @@ from ccdtools import (
     DigitalTwin,
     FixedStart,
     Gaussian,
+    InputError,
     LinearFeedback,
     Plant,
     QuadraticObjective,
     SampledModel,
+    discretise,
     replay_problem,
     simulate,
 )
 from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.twin.residuals import residuals
-from ccdtools.twin.transport import ErrorSplit
+from ccdtools.twin.transport import ErrorSplit, check_disturbance_enters
 
 SCALE = np.array([5.0, 5.0])
 LAW = LinearFeedback(np.array([[1.0, 1.0]]))
@@ -156,3 +158,14 @@ def test_a_log_carried_to_another_design_has_the_errors_that_its_disturbances_ma
     np.testing.assert_allclose(first.e_next, there, atol=1e-5)
     np.testing.assert_array_equal(first.e[:, 1:], first.e_next[:, :-1])
     np.testing.assert_array_equal(second.e_next, twin.logs[1].e_next)
+
+
+def test_a_disturbance_may_enter_where_its_effect_is_zero_at_rest():
+    for force in ("w |w|", "w sin(x)"):
+        model = discretise(boat(force))
+        assert not np.any(model.matrices(SOFT)[2])
+        check_disturbance_enters(model)
+    plant = boat()
+    still = replace(plant, dynamics=ca.substitute(plant.dynamics, plant.w, ca.SX(0)))
+    with pytest.raises(InputError, match=r"plant: got dynamics without w: .*Let w act"):
+        check_disturbance_enters(discretise(still))
