@@ -28,11 +28,13 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.disturbances.disturbance import Disturbance, is_recorded
 from ccdtools.exceptions import InputError
-from ccdtools.plants.discretisation import discretise
+from ccdtools.plants.discretisation import ACCURACY, discretise
 from ccdtools.plants.models import Model, as_regulated_model
 from ccdtools.plants.plant import Plant
+from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.studies.options import FILTERS, SETS
 from ccdtools.studies.price import DEFAULT_PRICE, RedesignPrice
+from ccdtools.studies.real_step import check_real_step, extent_of
 from ccdtools.twin.transport import check_disturbance_enters
 from invariant_sets import Polytope
 from mpc import MPCError, lqr
@@ -47,8 +49,9 @@ class RealPlant(Immutable):
 
     Attributes
     ----------
-    plant : Plant
-        Nonlinear or linear, with the states, inputs and design of the model.
+    plant : Plant or SampledModel
+        Nonlinear or linear, with the states, inputs and design of the model. A `Plant` takes `substeps` Runge–Kutta
+        steps a sample, a model of one that `discretise` has made takes its own.
     disturbance : Disturbance
     x0 : (nx,) array
         Start of every run.
@@ -67,7 +70,7 @@ class RealPlant(Immutable):
         If a field is of another kind or size, or a deployment would log fewer than 500 samples.
     """
 
-    plant: Plant
+    plant: Plant | SampledModel
     disturbance: Disturbance
     x0: ArrayField
     runs: int
@@ -75,7 +78,7 @@ class RealPlant(Immutable):
     held_out: Mapping[str, Disturbance] | None = None
 
     def __post_init__(self) -> None:
-        as_instance("real.plant", self.plant, Plant, "a ccdtools.Plant")
+        as_instance("real.plant", self.plant, (Plant, SampledModel), "a ccdtools.Plant")
         object.__setattr__(self, "x0", as_vector("real.x0", self.x0, self.plant.nx, of="one per state"))
         object.__setattr__(self, "runs", as_count("real.runs", self.runs))
         object.__setattr__(self, "steps", as_count("real.steps", self.steps))
@@ -105,7 +108,7 @@ class Study(Immutable):
     ----------
     name, title : str
     plant : Plant
-        Linear in x, u, w; its design space and sampling time come with it.
+        Linear in x, u, w or not; its design space and sampling time come with it.
     X, U : Polytope, or bounds (lower, upper)
         State and input limits; both bounded and around the origin, U a box. Each bound is a number for all
         coordinates, or one number each.
@@ -117,7 +120,8 @@ class Study(Immutable):
     p0 : (np,) array
         First design.
     real : RealPlant, optional
-        The model itself by default: its disturbance, 200 runs of an evaluation.
+        The model itself by default: its disturbance, 200 runs of an evaluation. Of a plant that is not linear the steps
+        are those of the model, too.
     steps : int
         Length of an evaluation.
     quantile_weight : (nx, nx) array, optional
@@ -139,13 +143,20 @@ class Study(Immutable):
         The gain that a redesign must promise: "0.5 %" of the return in service, or "12 return", in units of the return
         of an evaluation.
     sampling_guard : {"warn", "ignore"}
-        Whether a sampling time that does not resolve the plant is warned of, see `discretise`.
+        Whether a sampling time that does not resolve the plant is warned of, see `discretise`, and steps of the real
+        plant that may be wrong by a tenth of X.
+    accuracy : float
+        Of the model of a plant that is not linear: largest error of a sample, relative to half the range of each state
+        in X, see `discretise`.
+    method : {"auto", "rk4", "collocation"}
+        Of the same model: explicit Runge–Kutta, or collocation for stiff plants.
 
     Raises
     ------
     InputError
         If a field is of another kind or size, the model is not finite over the design box or cannot be stabilised
-        at `p0`, `x0` lies outside X, or the real plant is another one than the model describes.
+        at `p0`, its accuracy is not reached, `x0` lies outside X, or the real plant is another one than the model
+        describes, or its steps are too long for it.
     """
 
     name: str
@@ -168,6 +179,8 @@ class Study(Immutable):
     sampling_guard: str = "warn"
     sets: str = "auto"
     sets_time_limit: float = 20.0
+    accuracy: float = ACCURACY
+    method: str = "auto"
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {self.plant!r}, {self.steps} steps, start {self.plant.design.describe(self.p0)})"
@@ -182,13 +195,14 @@ class Study(Immutable):
         if self.quantile_weight is not None:
             weight = as_weight("quantile_weight", self.quantile_weight, self.plant.nx)
             object.__setattr__(self, "quantile_weight", weight)
-        if self.real is None:
-            itself = RealPlant(self.plant, self.disturbance, self.x0, MODEL_RUNS, max(self.steps, 3))
-            object.__setattr__(self, "real", itself)
         self._check_limits()
         self._check_stabilisable()
         check_disturbance_enters(self.model)
-        _check_same_plant(self.plant, as_instance("real", self.real, RealPlant, "a RealPlant, or None for the model"))
+        if self.real is None:
+            plant = self.model if isinstance(self.model, SampledModel) else self.plant
+            itself = RealPlant(plant, self.disturbance, self.x0, MODEL_RUNS, max(self.steps, 3))
+            object.__setattr__(self, "real", itself)
+        self._check_real(as_instance("real", self.real, RealPlant, "a RealPlant, or None for the model"))
 
     def _check_kinds(self) -> None:
         """Raise unless every field is of its kind."""
@@ -214,6 +228,8 @@ class Study(Immutable):
         RedesignPrice.parse(self.redesign_price)
         object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
         as_choice("filter", self.filter, FILTERS)
+        object.__setattr__(self, "accuracy", as_positive("accuracy", self.accuracy))
+        as_choice("method", self.method, ("auto", *METHODS))
 
     def _check_limits(self) -> None:
         """Raise unless X and U can be regulated in, and the start lies within X."""
@@ -235,6 +251,12 @@ class Study(Immutable):
             got = f"{self.plant.design.describe(self.p0)}, where LQR fails ({error})"
             raise InputError("p0", got, "a design at which the model can be stabilised") from None
 
+    def _check_real(self, real: RealPlant) -> None:
+        """Raise unless the real plant is one that the model may describe, with steps that follow it."""
+        _check_same_plant(self.plant, real)
+        if isinstance(real.plant, Plant):
+            check_real_step(real.plant, self.X, self.U, extent_of(real.disturbance), guard=self.sampling_guard)
+
     @cached_property
     def model(self) -> Model:
         """The discrete model: exact and symbolic in the design, or integrated to an accuracy within X, U and W.
@@ -243,10 +265,18 @@ class Study(Immutable):
         """
         if self.plant.linear:
             return as_regulated_model("plant", discretise(self.plant, sampling_guard=self.sampling_guard))
-        drawn = np.abs(self.disturbance.sample(1, 1000, np.random.default_rng(0))).max(axis=(0, 1))
-        W = (-drawn, drawn) if drawn.any() else None
-        model = discretise(self.plant, X=self.X, U=self.U, W=W, sampling_guard=self.sampling_guard)
+        W = extent_of(self.disturbance)
+        model = discretise(
+            self.plant, X=self.X, U=self.U, W=W if W[1].any() else None, sampling_guard=self.sampling_guard,
+            accuracy=self.accuracy, method=self.method,
+        )  # fmt: skip
         return as_regulated_model("plant", model)
+
+    @property
+    def real_is_model(self) -> bool:
+        """Whether the real plant is the model itself."""
+        real = self.real.plant
+        return (real.plant if isinstance(real, SampledModel) else real) is self.plant
 
     @property
     def price(self) -> RedesignPrice:
@@ -274,7 +304,7 @@ class Study(Immutable):
         return replace(self, x0=x0, real=real, p0=self.p0 if p0 is None else p0)
 
 
-def _check_disturbance(argument: str, disturbance: Disturbance, plant: Plant) -> None:
+def _check_disturbance(argument: str, disturbance: Disturbance, plant: Plant | SampledModel) -> None:
     """Raise unless two samples of the disturbance have the channels of the plant."""
     has_method(argument, disturbance, "sample", "an object with sample(runs, steps, rng)")
     try:
@@ -293,7 +323,7 @@ def _check_disturbance(argument: str, disturbance: Disturbance, plant: Plant) ->
         raise InputError(argument, "a sample that is not a finite number", "finite samples")
 
 
-def _checked_held_out(held_out: Mapping[str, Disturbance], plant: Plant) -> dict[str, Disturbance]:
+def _checked_held_out(held_out: Mapping[str, Disturbance], plant: Plant | SampledModel) -> dict[str, Disturbance]:
     """The held-out disturbances, if each has a name of one line and draws samples for the plant."""
     named = as_mapping("real.held_out", held_out, "a mapping of names to disturbances")
     for name, disturbance in named.items():

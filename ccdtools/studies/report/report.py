@@ -79,7 +79,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         gains={"headings": gain_headings(results), "rows": gain_rows(results),
                "held_out": held_out_rows(results, run.study.steps)},
         sampling=sampling_note(run.study.plant), no_sets=_no_sets(run),
-        single=run.study.real.runs == 1, real_is_model=run.study.real.plant is run.study.plant,
+        single=run.study.real.runs == 1, real_is_model=run.study.real_is_model,
         updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],
     )  # fmt: skip
 

@@ -1,0 +1,86 @@
+"""Whether the steps that a real plant is simulated with are short enough for it."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.disturbances.disturbance import Disturbance
+from ccdtools.exceptions import InputError, SamplingWarning
+from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.runge_kutta import ExplicitStep
+from invariant_sets import Polytope
+
+DOUBTFUL = 0.1  # of half the range of a state in X: what a sample may be wrong by without a word
+UNSTABLE = 3.0  # the same, three times a difference: no step that follows its plant is so wrong
+NEAR = 0.1  # part of X, around its middle, that every step must hold in
+MOST_SUBSTEPS = 1000  # that are recommended
+DRAWN = 1000  # samples of a disturbance that say how large it is
+
+
+def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Array], *, guard: str) -> None:
+    """Warn if a sample of a real plant may be wrong by a tenth of X, and refuse the plant if it does not hold at all.
+
+    A sample in `plant.substeps` parts is compared with one of twice as many, within X, U and W and at all designs.
+
+    Raises
+    ------
+    InputError
+        If the difference exceeds half of X even within a tenth of it.
+    """
+    if not plant.continuous:
+        return
+    region = Region.of(X.bounding_box(), U.bounding_box(), W, (plant.design.lower, plant.design.upper))
+    found = _error(plant, region, plant.substeps)
+    if found.relative <= DOUBTFUL:
+        return
+    where = f"x = {found.x.round(6).tolist()}, {plant.design.describe(found.p)}"
+    got = f"{plant.substeps} Runge–Kutta steps a sample, too long for it: the worst at {where}"
+    advice = _advice(plant, region)
+    if not NEAR * _error(plant, _near(region), plant.substeps).relative <= UNSTABLE:
+        raise InputError("real.plant", got, "steps that follow the plant", advice)
+    if guard == "warn":
+        wrong = f"a sample may be wrong by {found.relative:.2g} of half the range in X"
+        warnings.warn(f"real.plant: {got}, where {wrong}. {advice}", SamplingWarning, stacklevel=5)
+
+
+def extent_of(disturbance: Disturbance, steps: int = DRAWN) -> tuple[Array, Array]:
+    """Bounds (nw,) of draws of a disturbance; of as many as a recording has, or half so many."""
+    while True:
+        try:
+            drawn = np.abs(disturbance.sample(1, steps, np.random.default_rng(0))).max(axis=(0, 1))
+            return -drawn, drawn
+        except InputError:
+            if steps <= 2:
+                raise
+            steps //= 2
+
+
+def _error(plant: Plant, region: Region, substeps: int) -> IntegrationError:
+    """What a sample in so many parts may be wrong by."""
+    coarse, fine = (ExplicitStep.of(plant.right_hand_side, plant.dt, k * substeps) for k in (1, 2))
+    return measured_error(coarse, fine, region)
+
+
+def _near(region: Region) -> Region:
+    """The same with a tenth of the states, around their middle; the extent is a tenth, too."""
+    nx = region.sizes[0]
+    middle = 0.5 * (region.lower + region.upper)
+    lower, upper = region.lower.copy(), region.upper.copy()
+    lower[:nx] = (middle + NEAR * (region.lower - middle))[:nx]
+    upper[:nx] = (middle + NEAR * (region.upper - middle))[:nx]
+    return replace(region, lower=lower, upper=upper)
+
+
+def _advice(plant: Plant, region: Region) -> str:
+    """What to do about it."""
+    substeps = 2 * plant.substeps
+    while substeps <= MOST_SUBSTEPS:
+        if _error(plant, region, substeps).relative <= DOUBTFUL:
+            return f"Give the plant substeps={substeps}."
+        substeps *= 2
+    return "Shorten dt, or give discretise(plant, X=…, U=…, W=…, method='collocation') as the real plant."
