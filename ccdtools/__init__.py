@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ccdtools.disturbances.iso_road import ISORoad
     from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
     from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
-    from ccdtools.exceptions import CCDError, InputError, LimitWarning, SamplingWarning
+    from ccdtools.exceptions import CCDError, InputError, JumpWarning, LimitWarning, SamplingWarning
     from ccdtools.limits import depth_outside, excursions
     from ccdtools.plants.design_space import DesignSpace
     from ccdtools.plants.discretisation import discretise
@@ -70,6 +70,7 @@ __all__ = [
     "GeneratedRoad",
     "ISORoad",
     "InputError",
+    "JumpWarning",
     "LearnedPolicy",
     "LimitWarning",
     "LinearFeedback",
@@ -142,6 +143,7 @@ _HOMES = {
     "GeneratedRoad": "disturbances.roads",
     "ISORoad": "disturbances.iso_road",
     "InputError": "exceptions",
+    "JumpWarning": "exceptions",
     "LearnedPolicy": "controllers.learned",
     "LimitWarning": "exceptions",
     "LinearFeedback": "controllers.controllers",

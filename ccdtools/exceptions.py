@@ -15,5 +15,9 @@ class SamplingWarning(UserWarning):
     """A plant has a mode that its sampling time hardly resolves, or not at all, for some design of its box."""
 
 
+class JumpWarning(UserWarning):
+    """The dynamics of a plant jump, where integration is of first order and derivatives say nothing."""
+
+
 class LimitWarning(UserWarning):
     """No controller can keep the state limits of a co-design from its start."""

@@ -52,6 +52,10 @@ class Tape:
     argument : str
         What an error calls it.
 
+    Attributes
+    ----------
+    instructions : list of (operation, places of its inputs, places of its outputs, number that a constant is)
+
     Raises
     ------
     InputError
@@ -78,7 +82,7 @@ class Tape:
             )  # fmt: skip
         self.function = function
         self._work_size = function.sz_w()
-        self._steps = [self._instruction(k) for k in steps]
+        self.instructions = [self._instruction(k) for k in steps]
 
     def _instruction(self, k: int) -> tuple[int, tuple[int, ...], tuple[int, ...], float]:
         """Operation, places of its inputs, places of its outputs, and the number that a constant is."""
@@ -91,7 +95,7 @@ class Tape:
         """Nonzeros of each output, from the nonzeros of each input."""
         work: list[Any] = [0.0] * self._work_size
         out: list[list[Any]] = [[0.0] * self.function.nnz_out(i) for i in range(self.function.n_out())]
-        for op, inputs, outputs, number in self._steps:
+        for op, inputs, outputs, number in self.instructions:
             if op == ca.OP_INPUT:
                 work[outputs[0]] = entries[inputs[0]][inputs[1]]
             elif op == ca.OP_OUTPUT:

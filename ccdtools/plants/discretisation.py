@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 
 import casadi as ca
@@ -10,9 +11,10 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, as_limits, as_positive
-from ccdtools.exceptions import InputError
+from ccdtools.exceptions import InputError, JumpWarning
 from ccdtools.plants.collocation import ImplicitStep
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
+from ccdtools.plants.jumps import SMOOTHER, Jump
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.runge_kutta import ExplicitStep
@@ -41,6 +43,9 @@ def discretise(
     other is integrated: by as few Runge–Kutta steps a sample as keep the accuracy over the limits X, U and W and all
     designs, or by collocation where these are not enough. Without X nothing is measured, and a sample is
     `plant.substeps` Runge–Kutta steps.
+
+    A plant whose right-hand side jumps (sign, floor, if_else) is integrated, too, but a sample in which the state
+    crosses the jump to first order only, and derivatives leave it out: a `JumpWarning` says so if one is found.
 
     Parameters
     ----------
@@ -87,12 +92,34 @@ def discretise(
         warn_of_aliasing(plant, dt, None if region is None else region.centre)
     if plant.linear:
         return _exact(plant, dt)
+    jump = _jump(plant, region)
     if not plant.continuous:
-        return SampledModel(plant, dt)
-    if region is None:
+        model = SampledModel(plant, dt)
+    elif region is None:
         chosen = "rk4" if method == "auto" else method
-        return SampledModel(plant, dt, chosen, plant.substeps)
-    return _accurate(plant, dt, METHODS if method == "auto" else (method,), accuracy, region)
+        model = SampledModel(plant, dt, chosen, plant.substeps)
+    else:
+        model = _accurate(plant, dt, METHODS if method == "auto" else (method,), accuracy, region, jump)
+    if jump is not None:
+        warnings.warn(f"{_jump_text(plant, jump)}. {SMOOTHER}", JumpWarning, stacklevel=2)
+    return model
+
+
+def _jump(plant: Plant, region: Region | None) -> Jump | None:
+    """A jump of the right-hand side within the region, or anywhere; None where none is found."""
+    boxes = () if region is None else region.boxes[:3]
+    return plant.switches.within(boxes, (plant.design.lower, plant.design.upper))
+
+
+def _jump_text(plant: Plant, jump: Jump) -> str:
+    """What is lost at a jump, and where."""
+    parts = {"x": jump.x, "u": jump.u, "w": jump.w}
+    place = ", ".join(f"{name} = {(value.round(6) + 0.0).tolist()}" for name, value in parts.items())
+    first = "a sample in which the state crosses it is integrated to first order only, and " if plant.continuous else ""
+    return (
+        f"the dynamics of {plant.state_names[jump.row]} jump ({', '.join(jump.names)}), such as at {place}: {first}"
+        "derivatives, and with them the linearisation that LQR and MPC use, leave the jump out"
+    )
 
 
 def _exact(plant: Plant, dt: float) -> LinearModel:
@@ -135,7 +162,9 @@ def _box(name: str, value: Any, size: int, of: str) -> tuple[Array, Array]:
     return limits.bounding_box()
 
 
-def _accurate(plant: Plant, dt: float, methods: Any, accuracy: float, region: Region) -> SampledModel:
+def _accurate(
+    plant: Plant, dt: float, methods: Any, accuracy: float, region: Region, jump: Jump | None
+) -> SampledModel:
     """The cheapest of the methods that keeps the accuracy."""
     best: IntegrationError | None = None
     for method in methods:
@@ -149,10 +178,12 @@ def _accurate(plant: Plant, dt: float, methods: Any, accuracy: float, region: Re
             parts *= 2
     assert best is not None
     where = f"x = {best.x.round(6).tolist()}, {plant.design.describe(best.p)}"
-    raise InputError(
-        "accuracy", f"{accuracy:g}, of which {best.relative:.2g} is reached (worst at {where})", "one that is reached",
-        "Shorten dt, allow a larger error, or narrow X, U and W to where the plant is smooth.",
-    )  # fmt: skip
+    got = f"{accuracy:g}, of which {best.relative:.2g} is reached (worst at {where})"
+    cure = "Shorten dt, allow a larger error, or narrow X, U and W to where the plant is smooth."
+    if jump is not None:
+        got += f"; {_jump_text(plant, jump)}"
+        cure = f"{SMOOTHER} Or allow a larger error."
+    raise InputError("accuracy", got, "one that is reached", cure)
 
 
 def _step(plant: Plant, dt: float, method: str, parts: int, region: Region) -> ExplicitStep | ImplicitStep:

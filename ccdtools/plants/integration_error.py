@@ -42,6 +42,12 @@ class Region(Immutable):
         return cls(lower, upper, tuple(len(box[0]) for box in boxes))  # type: ignore[arg-type]
 
     @property
+    def boxes(self) -> list[tuple[Array, Array]]:
+        """Bounds (lower, upper) of x, u, w and p."""
+        edges = np.cumsum(self.sizes)[:-1]
+        return list(zip(np.split(self.lower, edges), np.split(self.upper, edges)))
+
+    @property
     def extent(self) -> Array:
         """Half the range of each state, (nx,)."""
         nx = self.sizes[0]

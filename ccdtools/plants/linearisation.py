@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from ccdtools.checks import as_instance, as_vector
 from ccdtools.exceptions import InputError
 from ccdtools.plants.equilibrium import Equilibrium
+from ccdtools.plants.jumps import SMOOTHER
 from ccdtools.plants.plant import Plant
 
 
@@ -38,7 +39,7 @@ def linearise(
     Raises
     ------
     InputError
-        If a size is wrong, or a derivative is not finite at some design of the box.
+        If a size is wrong, or at some design of the box a derivative is not finite or the dynamics jump at the point.
     """
     as_instance("plant", plant, Plant, "a Plant")
     z = ca.vertcat(plant.x, plant.u, plant.w)
@@ -55,6 +56,7 @@ def linearise(
         J = ca.substitute(ca.jacobian(plant.dynamics, z), z, point)
         rest = ca.substitute(plant.dynamics, z, point) - J @ point
     _check_smooth(plant, J)
+    _check_no_jump(plant, point)
     return replace(plant, dynamics=ca.densify(J @ z + rest))
 
 
@@ -96,3 +98,17 @@ def _check_smooth(plant: Plant, J: ca.SX) -> None:
             place = f" at {plant.design.describe(p)}" if plant.design.dim else ""
             got = f"a point where a derivative is not finite{place}"
             raise InputError("about", got, "one where the plant is smooth")
+
+
+def _check_no_jump(plant: Plant, point: ca.SX) -> None:
+    """Raise an `InputError` if the dynamics jump at the point, at designs all over the box."""
+    if not plant.switches:
+        return
+    function = ca.Function("point", [plant.p], [ca.densify(point)])
+    for p in plant.design.spread():
+        jump = plant.switches.at(np.asarray(function(p), dtype=float).ravel(), p)
+        if jump is not None:
+            place = f" at {plant.design.describe(p)}" if plant.design.dim else ""
+            where = f"a point at which the dynamics of {plant.state_names[jump.row]} jump"
+            got = f"{where} ({', '.join(jump.names)}){place}"
+            raise InputError("about", got, "one where the plant is smooth", SMOOTHER)

@@ -16,6 +16,7 @@ from ccdtools.checks import as_count, as_flag, as_floats, as_instance, as_names,
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.design_space import DesignSpace, check_finite
+from ccdtools.plants.jumps import Switches
 from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.symbols import as_expression, as_symbols, check_distinct, check_known, pack, unpack
 
@@ -167,10 +168,19 @@ class Plant:
 
     @cached_property
     def nonlinear_states(self) -> tuple[str, ...]:
-        """Names of the states whose dynamics are not linear in x, u and w, up to a constant term."""
+        """Names of the states whose dynamics are not linear in x, u and w, up to a constant term.
+
+        Whatever may jump there counts, though its derivative is constant.
+        """
         z = ca.vertcat(self.x, self.u, self.w)
         J = ca.jacobian(self.dynamics, z)
-        return tuple(name for i, name in enumerate(self.state_names) if ca.depends_on(J[i, :], z))
+        switched = self.switches.names
+        return tuple(name for i, name in enumerate(self.state_names) if switched[i] or ca.depends_on(J[i, :], z))
+
+    @cached_property
+    def switches(self) -> Switches:
+        """Operations by which the dynamics may jump in x, u or w: sign, floor, comparisons and the like."""
+        return Switches(self.right_hand_side)
 
     @property
     def linear(self) -> bool:
@@ -238,6 +248,8 @@ def linear_matrices(plant: Plant) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     """
     if not plant.linear:
         got = f"dynamics nonlinear in x, u or w for {', '.join(plant.nonlinear_states)}"
+        if plant.switches:
+            got += f", with {', '.join(sorted(set().union(*plant.switches.names)))}"
         raise InputError("plant", got, "linear ones", "Linearise it: linearise(plant, equilibrium(plant, p)).")
     z = ca.vertcat(plant.x, plant.u, plant.w)
     M = ca.jacobian(plant.dynamics, z)

@@ -1,0 +1,171 @@
+"""Where the right-hand side of a plant jumps in x, u or w: derivatives say nothing of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ccdtools.arrays import Array, Immutable
+from ccdtools.plants.casadi_arrays import Tape, Vectorised
+from ccdtools.plants.symbols import elements
+
+NAMES = {
+    ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod", ca.OP_REMAINDER: "remainder",
+    ca.OP_COPYSIGN: "copysign", ca.OP_IF_ELSE_ZERO: "if_else", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==",
+    ca.OP_NE: "!=", ca.OP_AND: "and", ca.OP_OR: "or", ca.OP_NOT: "not",
+}  # fmt: skip
+DECIDES = {ca.OP_IF_ELSE_ZERO: (0,), ca.OP_COPYSIGN: (1,)}  # inputs that a switch is thrown by; all of them in others
+SIZES = 10.0 ** np.arange(-3, 4)  # of the points between which jumps are looked for where there are no limits
+LINES = 64  # of each size, or a multiple of them within limits
+HALVINGS = 60  # of a line, until its ends are neighbours
+NEARBY = 1e-6  # of a line: a jump is most of what changes over so much of it, a kink is not
+AT = 1e-9  # of a point: how far around it a jump is one at the point
+ROUNDING = 1e-12  # of the largest rates: what is no jump
+SMOOTHER = "State the jump as something steep that is smooth, such as tanh(v / width) in place of sign(v)."
+
+
+@dataclass(frozen=True, eq=False)
+class Jump(Immutable):
+    """One place at which a right-hand side jumps.
+
+    Attributes
+    ----------
+    row : int
+        Of the right-hand side, the one that jumps most for its size.
+    names : tuple of str
+        The operations that do.
+    x, u, w, p : arrays
+        Where.
+    """
+
+    row: int
+    names: tuple[str, ...]
+    x: Array
+    u: Array
+    w: Array
+    p: Array
+
+
+class Switches:
+    """The operations of f(x, u, w, p) that are thrown by x, u or w and may make it jump.
+
+    Parameters
+    ----------
+    f : casadi.Function
+        (x, u, w, p) → column.
+
+    Attributes
+    ----------
+    names : list of tuples of str
+        Operations that each row depends on.
+    """
+
+    def __init__(self, f: ca.Function) -> None:
+        self.f = f
+        self.sizes = [f.numel_in(i) for i in range(4)]
+        self.names: list[tuple[str, ...]] = [()] * f.numel_out(0)
+        instructions = Tape(f, "dynamics").instructions
+        if any(op in NAMES for op, *_ in instructions):
+            arguments = [ca.SX.sym(name, n) for name, n in zip("xuwp", self.sizes)]
+            positions = ca.SX(ca.vertcat(*self._read(instructions, arguments)))
+            self._positions = ca.Function("positions", arguments, [positions])
+
+    def _read(self, instructions: list[Any], arguments: list[ca.SX]) -> list[ca.SX]:
+        """Fill in `names`; the position of each switch, which changes where it is thrown, as an expression."""
+        given = [elements(argument) for argument in arguments]
+        work: dict[int, tuple[Any, bool, bool, frozenset[str]]] = {}  # value, by z, constant but for switches, by which
+        positions: list[Any] = []
+        for op, inputs, outputs, number in instructions:
+            if op == ca.OP_INPUT:
+                work[outputs[0]] = (given[inputs[0]][inputs[1]], inputs[0] < 3, False, frozenset())
+                continue
+            if op == ca.OP_CONST:
+                work[outputs[0]] = (ca.SX(number), False, True, frozenset())
+                continue
+            if op == ca.OP_OUTPUT:
+                self.names[outputs[1]] = tuple(sorted(work[inputs[0]][3]))
+                continue
+            own = [work[i] for i in inputs]
+            values = [value for value, _, _, _ in own]
+            value = ca.SX.unary(op, *values) if len(own) == 1 else ca.SX.binary(op, *values)
+            names = frozenset[str]().union(*(one[3] for one in own))
+            deciding = [own[i] for i in DECIDES.get(op, range(len(own)))]
+            thrown = op in NAMES and any(by_z for _, by_z, _, _ in deciding)
+            if thrown and not all(steps for _, _, steps, _ in deciding):
+                positions.append(_position(op, values, value))
+            names = names | {NAMES[op]} if thrown else names
+            steps = all(one[2] for one in own) or (thrown and op not in (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN,
+                                                                        ca.OP_IF_ELSE_ZERO))  # fmt: skip
+            work[outputs[0]] = (value, any(one[1] for one in own), steps, names)
+        return positions
+
+    def __bool__(self) -> bool:
+        """Whether there is a switch at all."""
+        return any(self.names)
+
+    def within(self, boxes: Sequence[tuple[Array, Array]], design: tuple[Array, Array]) -> Jump | None:
+        """A jump within bounds of x, u and w, or None where none is found; of `boxes` () anywhere."""
+        if not self:
+            return None
+        rng = np.random.default_rng(0)
+        n = LINES * len(SIZES)
+        if boxes:
+            low, high = (np.concatenate([box[side] for box in boxes]) for side in (0, 1))
+            ends = [rng.uniform(low, high, (n, len(low))) for _ in range(2)]
+        else:
+            size = np.repeat(SIZES, LINES)[:, None]
+            ends = [size * rng.uniform(-1, 1, (n, sum(self.sizes[:3]))) for _ in range(2)]
+        return self._between(ends[0], ends[1], rng.uniform(*design, (n, self.sizes[3])), NEARBY)
+
+    def at(self, z: Array, p: Array) -> Jump | None:
+        """A jump at a point z = (x, u, w) and a design."""
+        if not self:
+            return None
+        away = AT * np.maximum(np.abs(z), 1.0) * np.random.default_rng(0).uniform(-1, 1, (LINES, len(z)))
+        return self._between(z - away, z + away, np.tile(p, (LINES, 1)), 1.0)
+
+    def _between(self, start: Array, end: Array, p: Array, near: float) -> Jump | None:
+        """The largest jump on lines (n, ·) from `start` to `end`, found by halving what holds a thrown switch."""
+        positions, f = Vectorised(self._positions), Vectorised(self.f)
+        parts = np.cumsum(self.sizes[:3])[:-1]
+
+        def at(function: Vectorised, t: Array) -> Array:
+            """Its values (n, ·) at the shares `t` (n,) of the lines."""
+            z = start + t[:, None] * (end - start)
+            return np.asarray(function(*np.split(z, parts, axis=1), p))
+
+        low, high = np.zeros(len(p)), np.ones(len(p))
+        own = at(positions, low)
+        thrown = (own != at(positions, high)).any(axis=1)
+        if not thrown.any():
+            return None
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            before = (at(positions, middle) == own).all(axis=1)
+            low, high = np.where(before, middle, low), np.where(before, high, middle)
+        with np.errstate(all="ignore"):
+            gap = np.abs(at(f, high) - at(f, low))
+            around = np.abs(at(f, np.minimum(high + near, 1.0)) - at(f, np.maximum(low - near, 0.0)))
+            largest = np.nanmax(np.abs(np.vstack([at(f, low), at(f, high)])), axis=0, initial=0.0)
+            jumps = (gap > 0.5 * around) & (gap > ROUNDING * largest) & thrown[:, None]
+            jumps &= np.array([bool(names) for names in self.names])
+            if not jumps.any():
+                return None
+            share = np.where(jumps, gap / largest, 0.0)
+        run, row = np.unravel_index(int(np.argmax(share)), share.shape)
+        place = start[run] + high[run] * (end[run] - start[run])
+        x, u, w = np.split(place, parts)
+        return Jump(int(row), self.names[row], x, u, w, p[run])
+
+
+def _position(op: int, values: list[Any], value: Any) -> Any:
+    """A number that changes only where a switch is thrown."""
+    if op == ca.OP_FMOD or op == ca.OP_REMAINDER:
+        return ca.floor((values[0] - value) / values[1] + 0.5)
+    if op == ca.OP_COPYSIGN:
+        return ca.sign(values[1])
+    return values[0] != 0 if op == ca.OP_IF_ELSE_ZERO else value
