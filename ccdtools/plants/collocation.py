@@ -14,6 +14,9 @@ from ccdtools.plants.casadi_arrays import Vectorised
 STAGES = 3
 MOST_ITERATIONS = 50  # of Newton's method
 CLOSE = 1e-7  # of the size of a state: a Newton step so small is followed by one last, which doubles the digits
+FLOOR = 1e-12  # of the extent of a state: a Newton step that is small beside it, however near to 0 the state is
+STALLED = 1e-9  # of the extent of a state: a Newton step so small that no longer shrinks is what rounding leaves
+SHRINKS = 0.5  # a step of at most so much of the one before it does
 CONVERGED = 1e-13  # residual and step of CasADi's own Newton solver, in extents of the states
 DIFFERENTIABLE = 2  # last Newton steps that derivatives go through: one gives the first, two the second and third
 
@@ -22,7 +25,7 @@ class ImplicitStep:
     """(x, u, w, p) → x⁺ by collocation: the solution of equations, found by Newton's method for all runs at once.
 
     Z_i = x + h Σ_j a_ij f(Z_j), x⁺ = Z_3, of each of `substeps` equal parts. A run for which Newton's method does not
-    converge gets NaN. `scale` (nx,) is the extent of each state, for the tolerances of CasADi's solver.
+    converge gets NaN. `scale` (nx,) is the extent of each state, for tolerances. Single precision is stepped in double.
 
     References
     ----------
@@ -69,13 +72,16 @@ class ImplicitStep:
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n), whose leading shapes broadcast."""
-        arrays = isinstance(x, np.ndarray)
-        if arrays:
+        if isinstance(x, np.ndarray):
+            double = [np.asarray(a, dtype=float) for a in (x, u, w, p)]
             with np.errstate(all="ignore"):
-                return self._parts(np, x, (u, w, p))
+                after = self._parts(np, double[0], tuple(double[1:]))
+            return after.astype(np.result_type(x, np.float32), copy=False)
         import torch
 
-        return self._parts(torch, x, (u, w, p))
+        # Newton's method comes no nearer than rounding, which of single precision is more than a step may be wrong by
+        after = self._parts(torch, x.double(), (u.double(), w.double(), p.double()))
+        return after.to(x.dtype)
 
     def _parts(self, xp: Any, x: Any, held: tuple[Any, ...]) -> Any:
         """x⁺ by the functions of NumPy or torch."""
@@ -99,15 +105,19 @@ class ImplicitStep:
     def _solved(self, xp: Any, x: Any, along: tuple[Any, ...]) -> Any:
         """Stages Z (..., 3, nx); NaN where Newton's method does not converge."""
         Z = xp.stack([x] * STAGES, -2)
+        scale = self.scale if xp is np else x.new_tensor(self.scale.tolist())
         largest = abs(Z)
-        done = xp.isfinite(Z).all(-1).all(-1)
+        before = largest + float("inf")
+        done = ~xp.isfinite(Z).all(-1).all(-1)
         for _ in range(MOST_ITERATIONS):
             step = self._newton(xp, Z, x, along)
             Z = Z - step
             largest = xp.maximum(largest, xp.maximum(abs(step), abs(Z)))
-            small = (abs(step) <= CLOSE * largest.max(-2, keepdims=True)[0] if xp is not np else
-                     abs(step) <= CLOSE * largest.max(-2, keepdims=True))  # fmt: skip
-            done = small.all(-1).all(-1)
+            size = largest.max(-2, keepdims=True) if xp is np else largest.amax(-2, keepdim=True)
+            small = (abs(step) <= CLOSE * size) | (abs(step) <= FLOOR * scale)
+            small = small | ((abs(step) <= STALLED * scale) & (abs(step) > SHRINKS * before))
+            done = done | small.all(-1).all(-1)
+            before = abs(step)
             if bool((done | ~xp.isfinite(Z).all(-1).all(-1)).all()):
                 break
         Z = Z - self._newton(xp, Z, x, along)

@@ -167,6 +167,7 @@ def _accurate(
 ) -> SampledModel:
     """The cheapest of the methods that keeps the accuracy."""
     best: IntegrationError | None = None
+    lost: list[str] = []
     for method in methods:
         parts = 1
         while parts <= MOST_PARTS[method]:
@@ -176,14 +177,25 @@ def _accurate(
                 return SampledModel(plant, dt, method, parts, error, region.extent)
             best = error if best is None or not error.relative >= best.relative else best
             parts *= 2
+        if not math.isfinite(error.relative):
+            why = "steps grow beyond all numbers" if method == "rk4" else "Newton's method does not converge"
+            lost.append(f"{method}: {why} at {_place(plant, error)}")
     assert best is not None
-    where = f"x = {best.x.round(6).tolist()}, {plant.design.describe(best.p)}"
-    got = f"{accuracy:g}, of which {best.relative:.2g} is reached (worst at {where})"
+    reached = f"{best.relative:.2g} is reached (worst at {_place(plant, best)})"
+    got = f"{accuracy:g}, of which {reached if math.isfinite(best.relative) else 'nothing is reached'}"
+    got = "; ".join([got, *lost])
     cure = "Shorten dt, allow a larger error, or narrow X, U and W to where the plant is smooth."
     if jump is not None:
         got += f"; {_jump_text(plant, jump)}"
         cure = f"{SMOOTHER} Or allow a larger error."
     raise InputError("accuracy", got, "one that is reached", cure)
+
+
+def _place(plant: Plant, error: IntegrationError) -> str:
+    """Where an error is largest."""
+    parts = {"x": error.x, "u": error.u, "w": error.w}
+    return ", ".join([*(f"{name} = {v.round(6).tolist()}" for name, v in parts.items() if v.size),
+                      *([plant.design.describe(error.p)] if plant.design.dim else [])])  # fmt: skip
 
 
 def _step(plant: Plant, dt: float, method: str, parts: int, region: Region) -> ExplicitStep | ImplicitStep:

@@ -45,3 +45,10 @@ def tanks(dt=1.0, unit=1.0):
 def tank_rates(x, u, w, p):
     out = [1e-4 * a * np.sqrt(2 * GRAVITY * max(h, 1e-6)) for a, h in ((p[0], x[0]), (1.5, x[1]))]
     return np.array([u[0] + w[0] - out[0], out[0] - out[1]]) / 0.01
+
+
+def hot_plate(dt=1.0):
+    """A sensor that follows a plate within milliseconds, heated against radiation: rest is rest but for rounding."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    dynamics = ca.vertcat(-p * (x[0] - x[1]), (u + w + 200 - 5.67e-8 * 0.5 * (x[1] ** 4 - 293**4)) / 300.0)
+    return Plant(x, u, w, p, dynamics, DesignSpace(["rate"], [500.0], [5000.0], ["1/s"]), dt)

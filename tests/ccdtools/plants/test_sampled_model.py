@@ -7,10 +7,22 @@ import mpmath
 import numpy as np
 import pytest
 import torch
-from nonlinear_plants import GRAVITY, stiff, stiff_rates, swing, swing_rates, tank_rates, tanks
+from nonlinear_plants import GRAVITY, hot_plate, stiff, stiff_rates, swing, swing_rates, tank_rates, tanks
 from scipy.integrate import solve_ivp
 
-from ccdtools import DesignSpace, Gaussian, InputError, LinearFeedback, Plant, SampledModel, discretise, simulate
+from ccdtools import (
+    DesignSpace,
+    Gaussian,
+    InputError,
+    LinearFeedback,
+    Plant,
+    SampledModel,
+    deviations,
+    discretise,
+    equilibrium,
+    simulate,
+)
+from ccdtools.plants.collocation import ImplicitStep
 
 SWING = {"X": ([-3.0, -6.0], [3.0, 6.0]), "U": (-5.0, 5.0), "W": (-1.0, 1.0)}
 STIFF = {"X": ([-1.5, -1.5], [1.5, 1.5]), "U": (-1.0, 1.0)}
@@ -127,6 +139,55 @@ def test_a_step_that_cannot_be_solved_ends_the_run_and_not_the_others():
     run = simulate(model, LinearFeedback([[0.0]]), x0=[[-3.0], [6.0]], steps=5, design=[1.0])
     assert run.diverged.tolist() == [False, True]
     assert np.isfinite(run.states[0]).all()
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-4, 1e-8, 1e-10, 1e-14, 0.0])
+def test_collocation_converges_where_rest_is_rest_but_for_rounding(size):
+    plant = hot_plate()
+    hanging = deviations(plant, equilibrium(plant, [1000.0], guess=([300, 300.0], [0.0])))
+    rng = np.random.default_rng(0)
+    x, u, p = (rng.uniform(*box) for box in ((-50, 50, (200, 2)), (-100, 100, (200, 1)), (500, 5000, (200, 1))))
+    for parts in (1, 4, 64):
+        step = ImplicitStep(hanging.right_hand_side, 1.0, parts, np.array([50.0, 50.0]))
+        points = (size * x, size * u, np.zeros((200, 1)), p)
+        reached = step(*points)
+        assert np.isfinite(reached).all()
+        native = np.asarray(step.function(*(a[:20].T for a in points))).T
+        np.testing.assert_allclose(reached[:20], native, atol=2e-9)
+        tensors = step(*(torch.tensor(a) for a in points)).numpy()
+        np.testing.assert_allclose(tensors, reached, atol=1e-12)
+
+
+def test_a_stiff_plant_in_deviations_is_collocated_with_its_centre():
+    plant = hot_plate()
+    hanging = deviations(plant, equilibrium(plant, [1000.0], guess=([300, 300.0], [0.0])))
+    model = discretise(hanging, X=(-50.0, 50.0), U=(-100.0, 100.0), W=(-10.0, 10.0))
+    assert model.method == "collocation"
+
+
+def test_collocation_of_single_precision_loses_no_run_and_is_that_of_double():
+    rng = np.random.default_rng(1)
+    points = [a.astype(np.float32) for a in drawn(SampledModel(stiff(), 0.02), STIFF, 500, rng)]
+    model = SampledModel(stiff(), 0.02, "collocation", 2)
+    truth = model.advance(*(a.astype(float) for a in points))
+    assert np.isfinite(truth).all()
+    single = [torch.tensor(a, requires_grad=True) for a in points]
+    double = [torch.tensor(a.astype(float), requires_grad=True) for a in points]
+    assert model.advance(*points).dtype == np.float32
+    np.testing.assert_allclose(model.advance(*points), truth, atol=1e-6)
+    after = model.advance(*single)
+    assert after.dtype == torch.float32
+    np.testing.assert_allclose(after.detach().numpy(), truth, atol=1e-6)
+    slopes = [torch.autograd.grad(model.advance(*given).sum(), given) for given in (single, double)]
+    for own, exact_slope in zip(*slopes):
+        np.testing.assert_allclose(own.numpy(), exact_slope.numpy(), rtol=1e-5, atol=1e-6)
+
+
+def test_a_point_at_which_newton_does_not_converge_is_named_with_it():
+    x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
+    blows_up = Plant(x, u, None, p, p * ca.exp(x) + u, DesignSpace(["p"], [0.5], [2.0]), dt=0.1)
+    with pytest.raises(InputError, match=r"nothing is reached; collocation: Newton's method does not converge at x = "):
+        discretise(blows_up, method="collocation", X=(-6.0, 6.0))
 
 
 def test_a_sampled_model_simulates_as_its_plant_does():
