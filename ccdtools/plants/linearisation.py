@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ccdtools.checks import as_instance, as_vector
 from ccdtools.exceptions import InputError
 from ccdtools.plants.equilibrium import Equilibrium
-from ccdtools.plants.jumps import SMOOTHER
+from ccdtools.plants.jumps import SMOOTHER, Switches
 from ccdtools.plants.plant import Plant
 
 
@@ -22,6 +22,9 @@ def linearise(
 
     About an `Equilibrium` it is in deviations from the state and input at rest, x_e(p) and u_e(p), which follow the
     design; there is no constant term. About any other point it is in x, u and w themselves, with a constant term.
+
+    Outputs are linearised about the same point, and remain those of the plant: y = h(z_e) + Dh z of deviations z, and
+    h(z₀) + Dh (z − z₀) about another point z₀. Their limits hold as they are.
 
     Parameters
     ----------
@@ -34,58 +37,76 @@ def linearise(
     Returns
     -------
     Plant
-        Of the same names, design, sampling time; `discretise` makes an exact `LinearModel` of it.
+        Of the same names, design, sampling time, limits of outputs; `discretise` makes an exact `LinearModel` of it.
 
     Raises
     ------
     InputError
-        If a size is wrong, or at some design of the box a derivative is not finite or the dynamics jump at the point.
+        If a size is wrong, the equilibrium is one of another plant, or at some design of the box a derivative is not
+        finite or the dynamics jump at the point.
     """
     as_instance("plant", plant, Plant, "a Plant")
     z = ca.vertcat(plant.x, plant.u, plant.w)
     if isinstance(about, Equilibrium):
         if u is not None or w is not None:
             raise InputError("u, w", "values beside an equilibrium", "nothing, for it has its own")
-        point, rest = _point(plant, about), ca.SX.zeros(plant.nx, 1)
-        J = ca.substitute(ca.jacobian(plant.dynamics, z), z, point)
+        if about.plant is not plant:
+            raise InputError("about", "an equilibrium of another plant", "one of this plant", "equilibrium(plant, p)")
+        point, origin = _point(plant, about), ca.SX.zeros(z.shape)
     else:
         x = as_vector("about", about, plant.nx)
         u = np.zeros(plant.nu) if u is None else as_vector("u", u, plant.nu)
         w = np.zeros(plant.nw) if w is None else as_vector("w", w, plant.nw)
-        point = ca.SX(ca.DM(np.r_[x, u, w]))
-        J = ca.substitute(ca.jacobian(plant.dynamics, z), z, point)
-        rest = ca.substitute(plant.dynamics, z, point) - J @ point
-    _check_smooth(plant, J)
+        point = origin = ca.SX(ca.DM(np.r_[x, u, w]))
+    J, H = (ca.substitute(ca.jacobian(f, z), z, point) for f in (plant.dynamics, plant.outputs))
+    _check_smooth(plant, ca.vertcat(J, H))
     _check_no_jump(plant, point)
-    return replace(plant, dynamics=ca.densify(J @ z + rest))
+    at, y = (ca.substitute(f, z, point) for f in (plant.dynamics, plant.outputs))
+    rest = ca.SX.zeros(plant.nx, 1) if isinstance(about, Equilibrium) else at - J @ point
+    return replace(plant, dynamics=ca.densify(J @ z + rest), outputs=ca.densify(y + H @ (z - origin)))
 
 
 def deviations(plant: Plant, about: Equilibrium) -> Plant:
-    """The plant in deviations from its state and input at rest, x_e(p) and u_e(p): it rests at 0 at every design.
+    """The plant in deviations from a state and input at rest, x_e(p) and u_e(p): it rests at 0 at every design.
+
+    Outputs remain those of the plant, y = h(x_e + x, u_e + u, p), and their limits hold as they are.
 
     Parameters
     ----------
     plant : Plant
     about : Equilibrium
+        Of the plant; or of another of the same numbers of states, inputs and disturbances and the same box of designs,
+        such as the nominal one of a real plant. The real plant is then in the coordinates of the nominal one, and
+        rests at 0 only where both rest alike.
 
     Raises
     ------
     InputError
-        If the plant does not come to rest at some design of the box.
+        If the equilibrium is one of a plant of other sizes or designs, or is not found at some design of the box.
     """
     as_instance("plant", plant, Plant, "a Plant")
     as_instance("about", about, Equilibrium, "an Equilibrium", "equilibrium(plant, p) finds one.")
+    _check_alike(plant, about.plant)
     z = ca.vertcat(plant.x, plant.u, plant.w)
-    moved = ca.substitute(plant.dynamics, z, z + _point(plant, about))
+    point = _point(plant, about)
+    moved, outputs = (ca.substitute(f, z, z + point) for f in (plant.dynamics, plant.outputs))
     if not plant.continuous:
-        moved = moved - _point(plant, about)[: plant.nx]
-    return replace(plant, dynamics=ca.densify(moved))
+        moved = moved - point[: plant.nx]
+    return replace(plant, dynamics=ca.densify(moved), outputs=ca.densify(outputs))
+
+
+def _check_alike(plant: Plant, other: Plant) -> None:
+    """Raise an `InputError` unless both have the same sizes and box of designs."""
+    own, its = ((f"{one.nx} states, {one.nu} inputs and {one.nw} disturbances", one.design) for one in (plant, other))
+    box, its_box = ((d.names, d.lower.tolist(), d.upper.tolist()) for d in (own[1], its[1]))
+    if own[0] != its[0]:
+        raise InputError("about", f"an equilibrium of a plant of {its[0]}", f"one of {own[0]}")
+    if box != its_box:
+        raise InputError("about", f"an equilibrium over {its[1]!r}", f"one over the designs of the plant, {own[1]!r}")
 
 
 def _point(plant: Plant, about: Equilibrium) -> ca.SX:
     """(x, u, w) at rest, as expressions in the design."""
-    if about.plant is not plant:
-        raise InputError("about", "an equilibrium of another plant", "one of this plant", "equilibrium(plant, p)")
     x, u = about.function(plant.p)
     return ca.vertcat(x, u, ca.SX(ca.DM(about.w)) if plant.nw else ca.SX(0, 1))
 
@@ -101,14 +122,16 @@ def _check_smooth(plant: Plant, J: ca.SX) -> None:
 
 
 def _check_no_jump(plant: Plant, point: ca.SX) -> None:
-    """Raise an `InputError` if the dynamics jump at the point, at designs all over the box."""
-    if not plant.switches:
+    """Raise an `InputError` if the dynamics or outputs jump at the point, at designs all over the box."""
+    given = [plant.x, plant.u, plant.w, plant.p]
+    switches = Switches(ca.Function("rows", given, [ca.vertcat(plant.dynamics, plant.outputs)]))
+    if not switches:
         return
+    names = [*(f"the dynamics of {name}" for name in plant.state_names), *plant.output_names]
     function = ca.Function("point", [plant.p], [ca.densify(point)])
     for p in plant.design.spread():
-        jump = plant.switches.at(np.asarray(function(p), dtype=float).ravel(), p)
+        jump = switches.at(np.asarray(function(p), dtype=float).ravel(), p)
         if jump is not None:
             place = f" at {plant.design.describe(p)}" if plant.design.dim else ""
-            where = f"a point at which the dynamics of {plant.state_names[jump.row]} jump"
-            got = f"{where} ({', '.join(jump.names)}){place}"
+            got = f"a point at which {names[jump.row]} jump ({', '.join(jump.names)}){place}"
             raise InputError("about", got, "one where the plant is smooth", SMOOTHER)

@@ -155,3 +155,58 @@ def test_an_equilibrium_that_ends_within_the_box_is_named_with_its_design():
     assert rest.x[0] == pytest.approx(np.sqrt(0.5))
     with pytest.raises(InputError, match="a plant that does not come to rest at p = "):
         linearise(plant, rest)
+
+
+# ── outputs, and the real plant beside the nominal one ──
+
+
+def suspended(hardening=20.0, states=2, upper=200.0):
+    """A mass under gravity on a spring that hardens, whose force is an output with limits."""
+    x, u, w, p = ca.SX.sym("x", states), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    force = p * (x[0] + hardening * x[0] ** 3) + 0.8 * x[1]
+    dynamics = ca.vertcat(x[1], u + w - force - 9.81, *([-x[2]] if states > 2 else []))
+    return Plant(x, u, w, p, dynamics, DesignSpace(["k"], [60.0], [upper]), dt=0.02, outputs=ca.vertcat(force, x[0]),
+                 output_limits=([-20, -1], [20, 1]))  # fmt: skip
+
+
+def test_outputs_in_deviations_are_those_of_the_plant():
+    plant = suspended()
+    rest = equilibrium(plant, [100.0])
+    moved, linear = deviations(plant, rest), linearise(plant, rest)
+    for p in ([70.0], [190.0]):
+        at, held = (np.asarray(v).ravel() for v in rest.function(p))
+        own = plant.observe(at, held, p)
+        assert own[0] == pytest.approx(-9.81)
+        np.testing.assert_allclose(moved.observe([0, 0], [0], p), own, rtol=1e-12)
+        np.testing.assert_allclose(linear.observe([0, 0], [0], p), own, rtol=1e-12)
+        away = np.array([0.01, -0.03])
+        np.testing.assert_allclose(moved.observe(away, [0.2], p), plant.observe(at + away, held + 0.2, p), rtol=1e-12)
+        slopes = approx_fprime(at, lambda x, p=p, held=held: plant.observe(x, held, p), 1e-7)
+        np.testing.assert_allclose(linear.observe(away, [0.2], p), own + slopes @ away, rtol=1e-5)
+    for one in (moved, linear):
+        np.testing.assert_array_equal(one.output_limits, plant.output_limits)
+
+
+def test_outputs_linearised_about_a_point_touch_those_of_the_plant_there():
+    plant = suspended()
+    linear = linearise(plant, [0.1, 0.2], [1.0])
+    np.testing.assert_allclose(linear.observe([0.1, 0.2], [1.0], [80.0]), plant.observe([0.1, 0.2], [1.0], [80.0]))
+    z = ca.vertcat(linear.x, linear.u)
+    assert not ca.depends_on(ca.jacobian(linear.outputs, z), z)
+
+
+def test_a_real_plant_stands_in_the_deviations_of_the_nominal_one():
+    nominal, real = suspended(), suspended(hardening=30.0)
+    rest = equilibrium(nominal, [100.0])
+    moved = deviations(real, rest)
+    for p in ([60.0], [130.0]):
+        at, held = rest.function(p)
+        away = np.array([0.01, 0.2])
+        own = moved.right_hand_side(away, [0.3], [0.1], p)
+        np.testing.assert_allclose(own, real.right_hand_side(at + away, held + 0.3, 0.1, p), rtol=1e-12)
+    with pytest.raises(InputError, match="about: got an equilibrium of another plant"):
+        linearise(real, rest)
+    with pytest.raises(InputError, match="a plant of 2 states, 1 inputs and 1 disturbances, expected one of 3 states"):
+        deviations(suspended(states=3), rest)
+    with pytest.raises(InputError, match="one over the designs of the plant"):
+        deviations(suspended(upper=300.0), rest)

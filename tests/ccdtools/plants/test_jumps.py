@@ -97,3 +97,11 @@ def test_a_discrete_plant_that_jumps_is_said_to_have_derivatives_without_it():
     with pytest.warns(JumpWarning, match="derivatives, and with them the linearisation") as caught:
         discretise(mass(JUMPS["friction"], continuous=False))
     assert "first order" not in str(caught[0].message)
+
+
+def test_an_output_that_jumps_at_the_point_is_named():
+    x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
+    encoder = Plant(x, u, None, p, -p * x + u, DesignSpace(["p"], [1.0], [2.0]), dt=0.1, outputs=[ca.floor(100 * x)],
+                    output_names=["ticks"])  # fmt: skip
+    with pytest.raises(InputError, match=r"about: got a point at which ticks jump \(floor\)"):
+        linearise(encoder, [0.0])
