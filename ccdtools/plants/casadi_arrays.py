@@ -91,17 +91,19 @@ class Tape:
         number = float(f.instruction_constant(k)) if op == ca.OP_CONST else 0.0
         return op, tuple(f.instruction_input(k)), tuple(f.instruction_output(k)), number
 
-    def run(self, entries: Sequence[Sequence[Any]], operations: Operations) -> list[list[Any]]:
-        """Nonzeros of each output, from the nonzeros of each input."""
+    def run(
+        self, entries: Sequence[Sequence[Any]], operations: Operations, constant: Callable[[float], Any] = float
+    ) -> list[list[Any]]:
+        """Nonzeros of each output, from the nonzeros of each input; `constant` makes an operand of a number."""
         work: list[Any] = [0.0] * self._work_size
-        out: list[list[Any]] = [[0.0] * self.function.nnz_out(i) for i in range(self.function.n_out())]
+        out: list[list[Any]] = [[constant(0.0)] * self.function.nnz_out(i) for i in range(self.function.n_out())]
         for op, inputs, outputs, number in self.instructions:
             if op == ca.OP_INPUT:
                 work[outputs[0]] = entries[inputs[0]][inputs[1]]
             elif op == ca.OP_OUTPUT:
                 out[outputs[0]][outputs[1]] = work[inputs[0]]
             elif op == ca.OP_CONST:
-                work[outputs[0]] = number
+                work[outputs[0]] = constant(number)
             elif len(inputs) == 1:
                 work[outputs[0]] = operations[op](work[inputs[0]])
             else:

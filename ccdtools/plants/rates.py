@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache, cached_property
 from typing import Any
 
 import casadi as ca
@@ -11,10 +12,13 @@ from scipy.optimize import least_squares
 
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import Tape
 from ccdtools.plants.plant import Plant
+from ccdtools.plants.symbols import elements
 
 ROUNDING = 1e-9  # of the terms that a rate is the sum of: what is left of it at rest
 DEPENDENT = 1e-9  # of the largest pivot: a row or column of the Jacobian that says nothing new
+MOVES = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)  # instructions that compute nothing
 STARTS = 20  # from which an equilibrium is looked for, the guess first
 
 
@@ -28,6 +32,7 @@ class Rates:
         self.rate = ca.densify(ca.substitute(rate, plant.w, ca.DM(w)) if plant.nw else rate)
         self.jacobian_expression = ca.jacobian(self.rate, self.z)
         arguments = [self.z, plant.p]
+        self._arguments = arguments
         self._rate = ca.Function("rate", arguments, [self.rate])
         self._jacobian = ca.Function("jacobian", arguments, [ca.densify(self.jacobian_expression)])
         self._by_design = ca.Function("by_design", arguments, [ca.densify(ca.jacobian(self.rate, plant.p))])
@@ -45,17 +50,34 @@ class Rates:
         return np.asarray(self._by_design(z, p), dtype=float)
 
     def at_rest(self, z: Array, p: Array) -> bool:
-        """Whether nothing moves, but for rounding of the terms that cancel."""
+        """Whether nothing moves, but for rounding of the terms that cancel there."""
         rate = self(z, p)
         J = self.jacobian(z, p)
         if not (np.isfinite(rate).all() and np.isfinite(J).all()):
             return False
         size = np.abs(J) @ np.abs(z) + np.abs(J).max(axis=1) * ROUNDING
-        return bool((np.abs(rate) <= ROUNDING * np.maximum(size, np.abs(self.still(p)))).all())
+        terms = np.nan_to_num(np.asarray(self._terms(z, p), dtype=float).ravel(), posinf=0.0)
+        return bool((np.abs(rate) <= ROUNDING * np.maximum(size, terms)).all())
 
-    def still(self, p: Array) -> Array:
-        """The rate at x = 0, u = 0, which gravity and the like are told by; 0 where it is not finite."""
-        return np.nan_to_num(self(np.zeros(self.z.numel()), p), posinf=0.0, neginf=0.0)
+    @cached_property
+    def _terms(self) -> ca.Function:
+        """(z, p) → sizes (nx, 1) of the terms that each rate is the sum of at z: what rounding is in proportion to."""
+        entries = [[(symbol, ca.fabs(symbol)) for symbol in elements(column)] for column in self._arguments]
+        tape = Tape(self._rate, "dynamics")
+        operations = {op: _sized(op, len(inputs)) for op, inputs, _, _ in tape.instructions if op not in MOVES}
+        (rows,) = tape.run(entries, operations, constant=lambda number: (ca.SX(number), ca.SX(abs(number))))
+        return ca.Function("terms", self._arguments, [ca.vertcat(*(size for _, size in rows))])
+
+
+@cache
+def _sized(op: int, inputs: int) -> Any:
+    """An operation on pairs (value, size of its terms), by its slopes: sums add the sizes, products scale them."""
+    values, sizes = ca.vertsplit(ca.SX.sym("value", inputs)), ca.SX.sym("size", inputs)
+    value = ca.SX.unary(op, *values) if inputs == 1 else ca.SX.binary(op, *values)
+    counted = 1 if op in (ca.OP_POW, ca.OP_CONSTPOW) else inputs  # by an exponent, a negative base has no slope
+    size = sum(ca.fabs(ca.jacobian(value, values[i])) * sizes[i] for i in range(counted))
+    function = ca.Function("sized", [ca.vertcat(*values), sizes], [value, ca.fmax(ca.fabs(value), size)])
+    return lambda *pairs: function(*(ca.vertcat(*one) for one in zip(*pairs)))
 
 
 def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:

@@ -210,3 +210,31 @@ def test_a_real_plant_stands_in_the_deviations_of_the_nominal_one():
         deviations(suspended(states=3), rest)
     with pytest.raises(InputError, match="one over the designs of the plant"):
         deviations(suspended(upper=300.0), rest)
+
+
+# ── what is rest, and how far it is followed ──
+
+
+@pytest.mark.parametrize(
+    ("rate", "guess", "truth"),
+    [
+        (lambda x, p: p * ca.exp(60 - x) - 1, 50.0, lambda p: 60 + np.log(p)),
+        (lambda x, p: 1 - 1e-6 * ca.exp(60 - x) * p, 40.0, lambda p: 60 + np.log(1e-6 * p)),
+        (lambda x, p: p / (x + 1e-9) - 2 - x, 0.1, lambda p: np.sqrt((1 + 5e-10) ** 2 + p - 2e-9) - 1 - 5e-10),
+    ],
+)
+def test_a_rate_that_is_huge_at_zero_does_not_make_rest_of_what_moves(rate, guess, truth):
+    x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
+    plant = Plant(x, u, None, p, rate(x, p) + u, DesignSpace(["p"], [1.0], [2.0]), dt=0.1)
+    rest = equilibrium(plant, [1.0], guess=([guess], [0.0]))
+    for design in ([1.0], [1.4], [2.0]):
+        assert float(rest.function(design)[0]) == pytest.approx(truth(design[0]), rel=2e-9)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_rest_is_known_where_large_terms_cancel_whose_slope_is_small(offset):
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
+    swung = offset - offset * ca.cos(x[0] - 1.1) - p * ca.sin(x[0] - 1.1) - x[1]
+    plant = Plant(x, u, None, p, ca.vertcat(x[1] - 0.3, swung + u + 0.3), DesignSpace(["p"], [1e-3], [2e-3]), dt=0.1)
+    rest = equilibrium(plant, [1e-3], guess=([1.1, 0.3], [0.0]))
+    np.testing.assert_allclose(rest.x, [1.1, 0.3], atol=1e-8)
