@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -13,10 +15,11 @@ from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_floats, as_instance, as_vector
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.rates import Rates, independent, newton_step, rest_near
+from ccdtools.plants.rates import ROUNDING, Rates, independent, newton_step, rest_near
 
-PATHS = ((1, 0), (1, 1), (1, 2), (1, 4), (2, 2), (4, 2), (8, 2), (16, 2))  # stations on the way, Newton steps at each
-POLISH = 3  # last Newton steps, where there is a way
+PATHS = ((1, 0), (1, 1), (1, 2), (1, 4), *((n, 2) for n in (2, 4, 8, 16, 32, 64)))  # stations, Newton steps at each
+POLISH = 5  # last Newton steps, where there is a way
+SAME = 1e-3  # of the largest value of an entry over the designs: two ways that end nearer than that end at one rest
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,13 +79,13 @@ class Equilibrium(Immutable):
     def function(self) -> ca.Function:
         """p → (x, u) at rest, as an expression: Newton's method along the way from the design here to another.
 
-        The way has as few stations, and each as few steps, as the box of designs needs; one step where the plant is
-        linear.
+        The way has as few stations, and each as few steps, as the box of designs needs: one step where the plant is
+        linear. It ends where the longest way ends, so that no step leaps to another rest.
 
         Raises
         ------
         InputError
-            If it does not come to rest at some design of the box.
+            If it is not followed to rest at some design of the box.
         """
         plant = self.plant
         rates = Rates(plant, self.w)
@@ -92,23 +95,37 @@ class Equilibrium(Immutable):
         z, p = rates.z, plant.p
         step = ca.Function("step", [z, p], [newton_step(rates, rows, chosen)])
         designs = plant.design.spread()
-        worst = 0
+        longest = np.asarray(_followed(step, start, self.p, designs.T, *PATHS[-1])).reshape(len(start), len(designs))
+        rests = np.array([rates.at_rest(z, q) for z, q in zip(longest.T, designs)])
+        size = np.abs(longest[:, rests])
+        near = SAME * size.max(axis=1, initial=0.0) + ROUNDING * size.max(initial=0.0)
         for stations, steps in PATHS:
-            found = ca.SX(ca.DM(start))
-            for k in range(1, stations + 1):
-                station = ca.DM(self.p) + (p - ca.DM(self.p)) * (k / stations)
-                for _ in range(steps + POLISH * (k == stations > 1)):
-                    found = step(found, station)
+            found = _followed(step, ca.SX(ca.DM(start)), self.p, p, stations, steps)
             function = ca.Function("equilibrium", [p], [found[: plant.nx], found[plant.nx :]], ["p"], ["x", "u"])
-            rest = [rates.at_rest(np.concatenate([np.asarray(v).ravel() for v in function(q)]), q) for q in designs]
-            if all(rest):
+            ends = np.vstack([np.asarray(part).reshape(-1, len(designs)) for part in function.call([designs.T])])
+            leaps = (np.abs(ends - longest) > near[:, None]).any(axis=0) & rests
+            if not leaps.any() and all(rates.at_rest(z, q) for z, q in zip(ends.T, designs)):
                 return function
-            worst = rest.index(False)
-        place = plant.design.describe(designs[worst])
+        place = plant.design.describe(designs[int(np.argmin(rests))])
         raise InputError(
-            "equilibrium", f"a plant that does not come to rest at {place}", "one at every design of the box",
-            "Narrow the box of designs, or free other entries of x and u.",
+            "equilibrium", f"a rest that was not followed from {plant.design.describe(self.p)} to {place}",
+            "one at every design of the box",
+            "Narrow the box of designs to where it rests, start nearer the middle, or free other entries of x and u.",
         )  # fmt: skip
+
+
+def _followed(step: ca.Function, start: Any, p0: Array, p: Any, stations: int, steps: int) -> Any:
+    """Where so many Newton steps lead at each station on the way from `p0` to the designs `p` (np, n), (nx + nu, n).
+
+    Stations are denser at both ends, where a rest may be about to vanish at a bound of the box.
+    """
+    found = start if p.shape[1] == 1 else np.tile(start[:, None], p.shape[1])
+    origin = ca.repmat(ca.DM(p0), 1, p.shape[1])
+    for k in range(1, stations + 1):
+        station = origin + (p - origin) * (0.5 - 0.5 * math.cos(math.pi * k / stations))
+        for _ in range(steps + POLISH * (k == stations > 1)):
+            found = step(found, station)
+    return found
 
 
 def equilibrium(

@@ -153,7 +153,7 @@ def test_an_equilibrium_that_ends_within_the_box_is_named_with_its_design():
     plant = Plant(x, u, None, p, x**2 - p, DesignSpace(["p"], [-1.0], [1.0]), dt=0.1)
     rest = equilibrium(plant, [0.5], guess=([1.0], [0.0]))
     assert rest.x[0] == pytest.approx(np.sqrt(0.5))
-    with pytest.raises(InputError, match="a plant that does not come to rest at p = "):
+    with pytest.raises(InputError, match=r"a rest that was not followed from p = 0\.5 to p = "):
         linearise(plant, rest)
 
 
@@ -238,3 +238,15 @@ def test_rest_is_known_where_large_terms_cancel_whose_slope_is_small(offset):
     plant = Plant(x, u, None, p, ca.vertcat(x[1] - 0.3, swung + u + 0.3), DesignSpace(["p"], [1e-3], [2e-3]), dt=0.1)
     rest = equilibrium(plant, [1e-3], guess=([1.1, 0.3], [0.0]))
     np.testing.assert_allclose(rest.x, [1.1, 0.3], atol=1e-8)
+
+
+@pytest.mark.parametrize("bound", [0.99, 0.999, 0.9999])
+@pytest.mark.parametrize("start", [0.0, 0.9, -0.99])
+def test_a_rest_is_followed_to_where_it_nearly_ends_and_to_no_other(bound, start):
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
+    dynamics = ca.vertcat(x[1], p - ca.sin(x[0]) - 0.5 * x[1] + u)
+    held = Plant(x, u, None, p, dynamics, DesignSpace(["T"], [-bound], [bound]), dt=0.05)
+    function = equilibrium(held, [start]).function
+    torques = np.linspace(-bound, bound, 201)
+    angles = np.array([float(function([torque])[0][0]) for torque in torques])
+    np.testing.assert_allclose(angles, np.arcsin(torques), atol=1e-6)
