@@ -74,7 +74,7 @@ def simulate(
 
     Parameters
     ----------
-    plant : Plant, LinearModel, TwinPlant or control.StateSpace
+    plant : Plant, LinearModel, SampledModel, TwinPlant or control.StateSpace
         A StateSpace must be discrete.
     controller : callable
         (n, nx) → (n, nu). One that needs more than the state, or has memory, is served as

@@ -56,8 +56,8 @@ def frequency_weighting(frequency: ArrayLike, weighting: Weighting = "Wk") -> ND
 
     References
     ----------
-    ISO 2631-1:1997, annex A, equations A.1 to A.4 with the parameters of table A.1. They give the factors of its table
-    3 to the last digit, but for W_d at 10 Hz, where the factor 0.212 is a misprint for the 0.202 of its −13.9 dB.
+    ISO 2631-1, its filters and their parameters. They give the factors that it tabulates to the last digit, but
+    for W_d at 10 Hz, where the factor 0.212 is a misprint for the 0.202 of its −13.9 dB.
     """
     curve = CURVES[as_choice("weighting", weighting, get_args(Weighting))]
     f = finite("frequency", as_floats("frequency", frequency)).astype(complex)
@@ -113,7 +113,7 @@ def weighted_acceleration(acceleration: ArrayLike, dt: float, *, weighting: Weig
 def comfort(acceleration: ArrayLike, dt: float, *, weighting: Weighting = "Wk") -> Array:
     """Root mean square of the weighted acceleration of each record, (...,) [m/s²]: smaller is more comfortable.
 
-    ISO 2631-1, annex C.2.3, for public transport: not uncomfortable below 0.315 m/s², fairly uncomfortable from 0.5,
+    ISO 2631-1, for public transport: not uncomfortable below 0.315 m/s², fairly uncomfortable from 0.5,
     uncomfortable from 0.8, very uncomfortable from 1.25, extremely so above 2. Of a trajectory whose state i is the
     velocity of the body:
 

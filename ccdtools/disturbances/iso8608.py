@@ -36,8 +36,7 @@ def road_roughness(road_class: RoadClass) -> float:
 
     References
     ----------
-    ISO 8608:2016, annex C, table C.1. The same classes at 1 rad/m are 1, 4, …, 16384·10⁻⁶ m³ (table C.2), which is
-    the same to 0.6 %.
+    ISO 8608. The same classes at 1 rad/m are 1, 4, …, 16384·10⁻⁶ m³, which is the same to 0.6 %.
     """
     classes = get_args(RoadClass)
     return SMOOTHEST * 4.0 ** classes.index(as_choice("road_class", road_class, classes))
@@ -149,7 +148,7 @@ def generate_profile(
     References
     ----------
     Shinozuka and Jan, "Digital simulation of random processes and its applications", Journal of Sound and Vibration
-    25, 1972, here with normal amplitudes; ISO 8608:2016, annex C.
+    25, 1972, here with normal amplitudes; ISO 8608.
     """
     roughness = road_roughness(road_class)
     as_generator("rng", rng)

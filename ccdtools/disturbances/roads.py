@@ -178,7 +178,7 @@ def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0
 
     References
     ----------
-    ISO 8608:2016, section 5 and annex C (spectrum and classes of road roughness; here −2 as its exponent).
+    ISO 8608 (spectrum and classes of road roughness; here −2 as its exponent).
     """
     intervals = math.ceil(as_positive("length", length, unit="m") / as_positive("spacing", spacing, unit="m") - 1e-9)
     as_generator("rng", rng)

@@ -146,6 +146,14 @@ class Vectorised:
         return torch.stack([torch.as_tensor(o, dtype=like.dtype, device=like.device).expand(shape) for o in out], -1)
 
 
+def check_sizes(function: ca.Function, arguments: Sequence[Any]) -> None:
+    """Raise an `InputError` unless the last axis of each array or tensor (x, u, w, p) is what the function takes."""
+    for i, (name, value) in enumerate(zip("xuwp", arguments)):
+        size = function.numel_in(i)
+        if len(value.shape) == 0 or value.shape[-1] != size:
+            raise InputError(name, f"shape {tuple(value.shape)}", f"(..., {size})")
+
+
 @cache
 def numpy_operations() -> Operations:
     """Each operation on NumPy arrays."""

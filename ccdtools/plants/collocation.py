@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.plants.casadi_arrays import Vectorised
+from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
 
 STAGES = 3
 MOST_ITERATIONS = 50  # of Newton's method
@@ -72,6 +72,7 @@ class ImplicitStep:
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n), whose leading shapes broadcast."""
+        check_sizes(self.f, (x, u, w, p))
         if isinstance(x, np.ndarray):
             double = [np.asarray(a, dtype=float) for a in (x, u, w, p)]
             with np.errstate(all="ignore"):

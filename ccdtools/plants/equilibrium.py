@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_floats, as_instance, as_vector
+from ccdtools.checks import as_floats, as_instance, as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.rates import ROUNDING, Rates, independent, newton_step, rest_near
@@ -149,7 +149,8 @@ def equilibrium(
     u : (nu,) array_like, optional
         The same of the input; 0 by default.
     w : (nw,) array_like, optional
-        The disturbance at rest; 0 by default.
+        The disturbance at rest; 0 by default. `deviations` and `linearise` count w from it, as they count u from the
+        input at rest: their w = 0 is this one.
     guess : (x, u), optional
         Where to look first; 0 by default.
 
@@ -176,6 +177,9 @@ def equilibrium(
     disturbance = np.zeros(plant.nw) if w is None else as_vector("w", w, plant.nw)
     first = np.zeros(plant.nx + plant.nu)
     if guess is not None:
+        pair = isinstance(guess, tuple | list) or (isinstance(guess, np.ndarray) and guess.ndim > 0)
+        if not pair or len(guess) != 2:
+            raise InputError("guess", shown(guess), "a pair (x, u)")
         first = np.r_[as_vector("guess, x", guess[0], plant.nx), as_vector("guess, u", guess[1], plant.nu)]
     free = np.isnan(given)
     rates = Rates(plant, disturbance)

@@ -8,13 +8,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.checks import as_array, as_floats, as_positive
+from ccdtools.checks import as_array, as_floats, as_positive, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.linear_model import state_space_matrices
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbols import as_expression
 
+OPTIONS = ("continuous", "state_names", "input_names", "output_names", "output_limits", "substeps")  # of Plant
 NO_DESIGN = DesignSpace([], [], [])
 
 
@@ -55,15 +56,20 @@ def plant_from_matrices(
     InputError
         If the shapes disagree, or an expression has symbols that are not in `p`.
     """
+    unknown = sorted(set(options) - set(OPTIONS))
+    if unknown:
+        raise InputError(unknown[0], shown(options[unknown[0]]), f"nothing of that name, but {', '.join(OPTIONS)}")
     A, B = _matrix("A", A), _matrix("B", B)
     nx = A.shape[0]
     if A.shape != (nx, nx):
         raise InputError("A", f"shape {A.shape}", "a square matrix (nx, nx)")
     E = ca.SX(nx, 0) if E is None else _matrix("E", E)
     offset = ca.SX.zeros(nx, 1) if c is None else _matrix("c", c)
-    for name, M in (("B", B), ("E", E), ("c", offset)):
+    for name, M in (("B", B), ("E", E)):
         if M.shape[0] != nx:
             raise InputError(name, f"shape {M.shape}", f"{nx} rows, one per state")
+    if offset.shape != (nx, 1):
+        raise InputError("c", f"shape {offset.shape}", f"({nx},), one number per state")
     x, u, w = (ca.SX.sym(name, M.shape[1]) for name, M in (("x", A), ("u", B), ("w", E)))
     if C is None and D is not None:
         raise InputError("C", "nothing, beside D", "the matrix (ny, nx) of the outputs")

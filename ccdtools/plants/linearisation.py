@@ -69,6 +69,7 @@ def linearise(
 def deviations(plant: Plant, about: Equilibrium) -> Plant:
     """The plant in deviations from a state and input at rest, x_e(p) and u_e(p): it rests at 0 at every design.
 
+    A disturbance at rest that is not 0 is counted from, too: w = 0 is then that one.
     Outputs remain those of the plant, y = h(x_e + x, u_e + u, p), and their limits hold as they are.
 
     Parameters

@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from ccdtools.plants.casadi_arrays import Vectorised
+from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
 
 
 class ExplicitStep:
@@ -46,6 +46,7 @@ class ExplicitStep:
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n), whose leading shapes broadcast."""
+        check_sizes(self.substep, (x, u, w, p))
         for _ in range(self.substeps):
             x = self._vectorised(x, u, w, p)
         return x

@@ -43,7 +43,10 @@ class WithErrors:
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors."""
-        return self._step(x, u, w[..., : self._nw], p) + w[..., self._nw :]
+        after = self._step(x, u, w[..., : self._nw], p)
+        if w.shape[-1] != self._nw + after.shape[-1]:
+            raise InputError("w", f"shape {tuple(w.shape)}", f"(..., {self._nw + after.shape[-1]})")
+        return after + w[..., self._nw :]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -149,8 +152,10 @@ class SampledModel:
         return ImplicitStep(f, self.dt, self.substeps, self.scale)
 
     def within(self, design: DesignSpace) -> SampledModel:
-        """The same model over another box of designs."""
-        return replace(self, plant=replace(self.plant, design=design))
+        """The same model over another box of designs; where it reaches beyond its own, the error is not known."""
+        own = self.plant.design
+        inside = design.dim == own.dim and bool(((design.lower >= own.lower) & (design.upper <= own.upper)).all())
+        return replace(self, plant=replace(self.plant, design=design), error=self.error if inside else None)
 
     def with_errors(self) -> SampledModel:
         """The model that (w, r) drives: r (nx,) is added to the next state."""

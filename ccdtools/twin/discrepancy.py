@@ -162,7 +162,9 @@ class Discrepancy(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwinPlant(Immutable):
-    """The updated model as a plant to simulate: x⁺ = A(p) x + B(p) u + e⁺, with e⁺ from a discrepancy.
+    """The updated model as a plant to simulate: x⁺ = f(x, u, 0, p) + e⁺, with e⁺ from a discrepancy.
+
+    f is the model's own step, A(p) x + B(p) u + c(p) of a linear one.
 
     Its disturbance w (nx,) is what the discrepancy's noise asks for.
 

@@ -26,7 +26,7 @@ class Residuals(Immutable):
     p : (np,) array
         Design of the log.
     e_next : (n, T, nx) array
-        e⁺ = x⁺ − (A(p) x + B(p) u + c(p)), at the measured state.
+        e⁺ = x⁺ − f(x, u, 0, p), at the measured state; f is A(p) x + B(p) u + c(p) of a linear model.
     numbers : (n,) int array
         Of the runs in their deployment, where some that diverged have been left out; 0, 1, … by default.
     independent : bool

@@ -239,3 +239,10 @@ def test_outputs_that_make_no_sense_are_refused(options, message):
 def test_matrices_that_do_not_fit_are_refused(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+def test_matrices_that_make_no_plant_are_refused_by_name():
+    with pytest.raises(InputError, match="foo: got 1, expected nothing of that name, but continuous, state_names"):
+        plant_from_matrices([[1.0]], [[1.0]], dt=0.1, foo=1)
+    with pytest.raises(InputError, match=r"c: got shape \(2, 2\), expected \(2,\), one number per state"):
+        plant_from_matrices(np.eye(2), np.eye(2), dt=0.1, c=np.eye(2))

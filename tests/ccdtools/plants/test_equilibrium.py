@@ -250,3 +250,18 @@ def test_a_rest_is_followed_to_where_it_nearly_ends_and_to_no_other(bound, start
     torques = np.linspace(-bound, bound, 201)
     angles = np.array([float(function([torque])[0][0]) for torque in torques])
     np.testing.assert_allclose(angles, np.arcsin(torques), atol=1e-6)
+
+
+def test_a_disturbance_at_rest_is_counted_from():
+    plant = suspended()
+    rest = equilibrium(plant, [100.0], w=[9.81])
+    assert rest.x[0] == pytest.approx(0.0, abs=1e-12)
+    for one in (deviations(plant, rest), linearise(plant, rest)):
+        np.testing.assert_allclose(one.right_hand_side([0, 0], 0, 0, [80.0]), 0.0, atol=1e-12)
+        assert float(one.right_hand_side([0, 0], 0, 0.5, [80.0])[1]) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("guess", [3, np.array(3.0), ([1.0, 0.0], [0.0], [0.0]), "xu"])
+def test_a_guess_that_is_no_pair_is_refused(guess):
+    with pytest.raises(InputError, match=r"guess: got .*, expected a pair \(x, u\)"):
+        equilibrium(swing(), [1.0], guess=guess)

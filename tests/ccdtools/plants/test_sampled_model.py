@@ -242,3 +242,20 @@ def test_a_derivative_that_does_not_exist_is_refused_at_its_point():
     plant = Plant(x, u, None, p, u - p * ca.sqrt(x), DesignSpace(["p"], [0.5], [2.0]), dt=0.1)
     with pytest.raises(InputError, match="where a derivative is not finite"):
         SampledModel(plant, 0.1).jacobians([0.0], [0.0], None, [1.0])
+
+
+def test_the_error_is_kept_in_a_part_of_the_box_of_designs_and_dropped_beyond_it():
+    model = discretise(swing(), **SWING)
+    assert model.within(DesignSpace(["l"], [0.6], [1.8], ["m"])).error is model.error
+    assert model.within(DesignSpace(["l"], [0.2], [1.8], ["m"])).error is None
+
+
+@pytest.mark.parametrize("method", ["rk4", "collocation"])
+@pytest.mark.parametrize(("sizes", "argument"), [((1, 1, 1, 1), "x"), ((3, 1, 1, 1), "x"), ((2, 2, 1, 1), "u"),
+                                                 ((2, 1, 0, 1), "w"), ((2, 1, 1, 2), "p")])  # fmt: skip
+def test_a_step_of_arrays_of_other_sizes_is_refused_by_name(method, sizes, argument):
+    for model in (SampledModel(swing(), 0.1, method, 2), SampledModel(swing(), 0.1, method, 2).with_errors()):
+        given = [np.zeros((4, size)) for size in sizes]
+        given[2] = np.zeros((4, sizes[2] + 2 * model.errors))
+        with pytest.raises(InputError, match=rf"^{argument}: got shape \(4, "):
+            model.advance(*given)
