@@ -56,8 +56,8 @@ def frequency_weighting(frequency: ArrayLike, weighting: Weighting = "Wk") -> ND
 
     References
     ----------
-    ISO 2631-1, its filters and their parameters. They give the factors that it tabulates to the last digit, but
-    for W_d at 10 Hz, where the factor 0.212 is a misprint for the 0.202 of its −13.9 dB.
+    ISO 2631-1, its filters and their parameters. They give the tabulated factors to the last digit, but for
+    W_d at 10 Hz: transcriptions have 0.212 there beside −13.9 dB, which is 0.202.
     """
     curve = CURVES[as_choice("weighting", weighting, get_args(Weighting))]
     f = finite("frequency", as_floats("frequency", frequency)).astype(complex)
