@@ -34,6 +34,9 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
         "X_fea(p), the largest set of states from which the limits can be kept for ever, at different designs; "
         "shaded: the final design. "
     )
+    local = not run.study.plant.linear
+    if local:
+        caption += "They are those of the linearisation at rest, which the plant itself may leave. "
     if shown.inner:
         caption += (
             f"Not the largest, but a part of it that the limits can be kept in, as far as {SET_SECONDS:g} s went: "
@@ -56,10 +59,11 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
             grid[r, c].set_title(title)
             if (r, c) == (0, 0):
                 figure.legend(handles=artists, loc="outside lower center", ncols=2, frameon=False)
+    heading = "Feasible sets of the linearisation" if local else "Feasible sets"
     if nx > 2:
         drawn = "above the projections, below the slices through zero" if len(cuts) > 1 else "slices through zero"
         caption += f"The sets have {nx} dimensions; shown are the pairs of states on which they differ most: {drawn}. "
-    return [ReportFigure("feasible_sets", "Feasible sets", caption + "The dashed frame is X.", figure)]
+    return [ReportFigure("feasible_sets", heading, caption + "The dashed frame is X.", figure)]
 
 
 @dataclass(frozen=True, eq=False)

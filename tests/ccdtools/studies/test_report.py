@@ -336,6 +336,17 @@ def test_a_figure_of_inner_sets_says_so(masses, monkeypatch):
     assert "Not the largest, but a part of it" in figure.caption
 
 
+def test_sets_of_a_plant_that_is_not_linear_are_called_those_of_its_linearisation(masses, monkeypatch):
+    box = Polytope.from_bounds([-1.0] * 4, [1.0] * 4)
+    found = SetResult(box, box, Status.CONVERGED, 1, Certificate(0.0, 0.0, 16))
+    monkeypatch.setattr(FinishedRun, "sets", property(lambda self: SimpleNamespace(result=lambda design: found)))
+    for linear, title in ((True, "Feasible sets"), (False, "Feasible sets of the linearisation")):
+        monkeypatch.setattr(Plant, "linear", linear)
+        (figure,) = feasible_set_figure(FinishedRun(two_masses(), *masses))
+        assert figure.title == title
+        assert ("which the plant itself may leave" in figure.caption) is not linear
+
+
 def test_no_projection_is_drawn_of_sets_in_many_dimensions():
     assert [title for _, title in set_figure._cuts(2)] == [""]
     assert [title for _, title in set_figure._cuts(4)] == ["projection", "slice, other states 0"]
