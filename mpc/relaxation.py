@@ -17,7 +17,7 @@ from mpc.parametric_qp import ParametricQP
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import finite, violation_of
-from mpc.tolerances import FEASIBLE, KKT, RELAXATION_MARGIN, RELAXATION_SHARES, RELAXATION_WIDER
+from mpc.tolerances import FEASIBLE, KKT, RELAXATION_MARGIN, RELAXATION_SHARES, RELAXATION_WIDER, WIDE_INPUT
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +116,14 @@ def least_violation(
 
 
 def typical_cost(qp: ParametricQP, input_extent: Array, q: Array) -> float:
-    """Cost of inputs at their bounds; of the unconstrained optimum for inputs without bounds."""
+    """Cost of inputs at their bounds, or of the unconstrained optimum where that is less: wide bounds say nothing."""
     curvature = np.diag(qp.H)
     size = np.zeros(qp.nz)
     moves = qp.nz - sum(label.kind == "slack" for label in qp.labels)
     if moves % len(input_extent) == 0:
         size[:moves] = np.tile(input_extent, moves // len(input_extent))
-    cost = np.where(size > 0, size**2 * curvature, q**2 / curvature)
+    wanted = q**2 / curvature
+    cost = np.where(size > 0, np.minimum(size**2 * curvature, wanted + WIDE_INPUT**2 * size**2 * curvature), wanted)
     return float(cost.sum()) or 1.0
 
 

@@ -24,7 +24,7 @@ from mpc.stages import Staging
 from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERFLOW, REMEMBERED
 
 _MOST_ITERATIONS = 20_000
-_MOST_CONDENSED = 1000  # variables of a condensed QP that is solved in seconds
+_MOST_CONDENSED = 100  # variables of a condensed QP that is relaxed as fast as stage by stage
 
 
 class SparseSolver:
@@ -84,7 +84,9 @@ class SparseSolver:
             found = self._solve(x, given)
             if found.status is not Status.SOLVED:
                 if self.problem.horizon * self.problem.nu <= _MOST_CONDENSED:
-                    return self._condensed.plan(x, given, start)
+                    plan = self._condensed.plan(x, given, start)
+                    if plan.status is not Status.INACCURATE:
+                        return plan
                 inputs, _ = regulated(self.problem, x, pushes(self.problem, given))
                 typical = np.asarray(self.problem.R) * self._staging.input_size * self._staging.input_size[:, None]
                 cost = float(np.trace(typical)) * self.problem.horizon

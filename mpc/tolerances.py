@@ -56,6 +56,9 @@ EMPTY = 1e-9
 ROUNDED_ZERO = 1e-13
 """Bound, relative to the farthest one along the same axis, below which it is a zero that was rounded [-]."""
 
+WIDE_INPUT = 1e-5
+"""Part of its limits that an input is at least taken to use where violations are weighed against costs [-]."""
+
 SMALL_STATE = 1e-3
 """Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]."""
 

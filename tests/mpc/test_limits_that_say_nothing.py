@@ -173,3 +173,15 @@ def test_every_solver_says_the_same_of_a_problem_that_gives():
         for plan in plans[1:]:
             np.testing.assert_allclose(plan.inputs, plans[0].inputs, atol=1e-6)
             assert plan.violation == pytest.approx(plans[0].violation, rel=1e-6)
+
+
+@pytest.mark.parametrize("solver", ["daqp", "clarabel", "osqp"])
+def test_wide_inputs_do_not_spoil_the_least_violation(solver):
+    """Double integrator outside X: the violation hardly depends on limits of the inputs that are never met."""
+    A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.5], [1.0]])
+    problem = {"A": A, "B": B, "Q": 1.0, "R": 1.0, "horizon": 10, "X": (-5, 5), "solver": solver}
+    for x in ([12.0, 3.0], [6.0, 5.0]):
+        plans = [LinearMPC(**problem, U=(-limit, limit)).solve(x) for limit in (1e3, 1e4, 1e5, 1e6)]
+        assert {plan.status for plan in plans} == {Status.SOFTENED}
+        for plan in plans[1:]:
+            assert plan.violation == pytest.approx(plans[0].violation, rel=1e-3)
