@@ -164,7 +164,7 @@ class MPCProblem:
         farthest = along_axes(*self.input_rows, farthest=True)
         if self.rate_limit is not None:
             farthest = np.minimum(np.where(farthest > 0, farthest, np.inf), self.horizon * self.rate_limit)
-        farthest = np.where(farthest > 0, farthest, self.reaching_inputs)
+        farthest = np.where(farthest > 0, farthest, self._reaching_inputs)
         moved = np.zeros(self.nx)
         with np.errstate(over="ignore", invalid="ignore"):
             for response in self._responses(self.A):
@@ -172,7 +172,7 @@ class MPCProblem:
         return np.nan_to_num(moved, nan=np.inf, posinf=np.inf)
 
     @cached_property
-    def reaching_inputs(self) -> Array:
+    def _reaching_inputs(self) -> Array:
         """Least size (nu,) of each input with which it brings some state to its limit within the horizon.
 
         The size of an input without limits of its own; infinite where it reaches none. What an unstable plant adds by
