@@ -8,20 +8,19 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from mpc.candidates import Candidate, stagewise_candidate
 from mpc.checks import Array
 from mpc.feedback import stabilising_feedback
 from mpc.plan import Plan, Residuals, Status
+from mpc.plan_check import PlanCheck
 from mpc.problem import MPCProblem
 from mpc.relaxation import inputs_conflict, regulated, saturated_regulator
 from mpc.rollout import Given, admissible, pushes, relative_violations, rollout, rollout_with_feedback
 from mpc.solving import CondensedSolver
 from mpc.stages import Staging
-from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERFLOW, REMEMBERED
+from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERFLOW
 
 _MOST_ITERATIONS = 20_000
 _MOST_CONDENSED = 100  # variables of a condensed QP that is relaxed as fast as stage by stage
@@ -52,19 +51,8 @@ class SparseSolver:
         self._staging = Staging(problem, problem.state_size, zeros, problem.soft)
         self._H, self._K = _matrices(self._staging)
         self._whole_H = (self._H + sparse.triu(self._H, 1).T).tocsr()
-        self._inputs = _columns_of_inputs(self._staging)
-        count = self._staging.n * len(self._staging.stages)
-        equal, self._limits = self._K[:count], self._K[count:].tocsr()
-        self._limits_T = self._limits.T.tocsr()
         self._K_T = self._K.T.tocsr()
-        states = _columns_of_states(self._staging)
-        self._costates = splu(equal[:, states].T.tocsc())
-        self._states = states
-        self._driven = equal[:, self._inputs].T.tocsr()
-        self._driven_sizes = abs(self._driven)
-        self._weight = float(np.abs(self._H.diagonal()[self._inputs]).max(initial=0.0))
-        radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
-        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
+        self._check = PlanCheck(self._staging, self._whole_H, self._K)
         self._parameters = parameters
         self._workspace = threading.local()
 
@@ -106,34 +94,10 @@ class SparseSolver:
             v, y = self._osqp(q, low, high) if solver == "osqp" else self._clarabel(q, low, high)
             found = self._candidate(v, self._residuals(v, y, q, low, high), x, given, solver)
             if found.status is Status.SOLVED:
-                if self._doubt(v, y, q, high, found.states) <= KKT_REPORTED:
+                if self._check.doubt(v, y, q, high, found.states) <= KKT_REPORTED:
                     break
                 found = replace(found, status=Status.INACCURATE)
         return found
-
-    def _doubt(self, v: Array, y: Array, q: Array, high: Array, states: Array) -> float:
-        """How far the plan misses its optimum, with the states it leads to: gradient by the inputs, and duality gap.
-
-        Each is relative to its own parts. In the residuals of all variables those of another size would hide it.
-        """
-        equal = self._staging.n * len(self._staging.stages)
-        v = v.copy()
-        v[self._states.reshape(len(states), -1)[:, : self.problem.nx]] = states / self._staging.state_size
-        Hv = self._whole_H @ v
-        pushed = self._limits_T @ y[equal:]
-        force = Hv + q + pushed
-        gradient = 0.0
-        unit = float(np.abs(v).max(initial=0.0))
-        if self._remembers:
-            costates = self._costates.solve(force[self._states])
-            left = force[self._inputs] - self._driven @ costates
-            parts = [Hv[self._inputs], q[self._inputs], pushed[self._inputs], self._driven_sizes @ np.abs(costates)]
-            largest = max(NEGLIGIBLE * self._weight * unit, *(float(np.linalg.norm(part)) for part in parts))
-            gradient = float(np.linalg.norm(left)) / largest if largest > 0 else 0.0
-        least = INTERIOR_POINT / KKT_REPORTED * self._weight * unit**2  # that the solver knows of
-        cost = max(abs(float(v @ Hv)), abs(float(q @ v)), least)
-        gap = abs(float(y[equal:] @ (high[equal:] - self._limits @ v)))
-        return max(gradient, gap / cost if cost > 0 else 0.0)
 
     def _vectors(self, x: Array, given: Given) -> tuple[Array, Array, Array]:
         """Linear cost and the two sides of all rows."""
@@ -224,23 +188,6 @@ class SparseSolver:
         within = admissible(self.problem, inputs, given)
         missed = float(np.abs((within - inputs) / self._staging.input_size).max())
         return within, rollout(self.problem, x, within, given), missed
-
-
-def _columns_of_states(staging: Staging) -> NDArray[np.int64]:
-    """Where the states of all stages stand among the variables, in order."""
-    widths = np.array([len(stage.gx) + len(stage.gv) for stage in staging.stages])
-    starts = np.cumsum(widths) - widths
-    return (starts[:, None] + np.arange(staging.n)).ravel()
-
-
-def _columns_of_inputs(staging: Staging) -> NDArray[np.int64]:
-    """Where the inputs of all stages stand among the variables, in order, without the slacks."""
-    columns = []
-    column = 0
-    for stage in staging.stages:
-        columns.append(column + len(stage.gx) + np.arange(stage.nu))
-        column += len(stage.gx) + len(stage.gv)
-    return np.concatenate(columns)
 
 
 def _matrices(staging: Staging) -> tuple[Any, Any]:
