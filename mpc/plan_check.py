@@ -44,7 +44,7 @@ class PlanCheck:
         self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
 
     def doubt(self, v: Array, y: Array, q: Array, high: Array, states: Array) -> float:
-        """The larger of both for variables v and multipliers y, with these states (N + 1, nx) in place of those in v."""
+        """The larger of both for variables v and multipliers y, with `states` (N + 1, nx) in place of those in v."""
         v = v.copy()
         v[self._states[:, : states.shape[1]]] = states / self._size
         y = y[self._equal :]
