@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.admissible import admissible_inputs
     from ccdtools.co_design.codesign import codesign
     from ccdtools.co_design.configuration import CoDesignConfig
+    from ccdtools.co_design.custom_objective import CustomObjective, output_objective
     from ccdtools.co_design.expert import expert_dataset, feasible_sets
     from ccdtools.co_design.least_depth import least_depth
     from ccdtools.co_design.objective import QuadraticObjective
@@ -60,6 +61,7 @@ __all__ = [
     "CoDesignConfig",
     "CoDesignProblem",
     "CoDesignResult",
+    "CustomObjective",
     "DesignSpace",
     "DigitalTwin",
     "Equilibrium",
@@ -112,6 +114,7 @@ __all__ = [
     "load_study",
     "mean_interval",
     "noise_covariance",
+    "output_objective",
     "plant_from_matrices",
     "plant_from_state_space",
     "read_disturbance",
@@ -133,6 +136,7 @@ _HOMES = {
     "CoDesignConfig": "co_design.configuration",
     "CoDesignProblem": "co_design.problem",
     "CoDesignResult": "co_design.result",
+    "CustomObjective": "co_design.custom_objective",
     "DesignSpace": "plants.design_space",
     "DigitalTwin": "twin.twin",
     "Equilibrium": "plants.equilibrium",
@@ -185,6 +189,7 @@ _HOMES = {
     "load_study": "studies.loading",
     "mean_interval": "statistics",
     "noise_covariance": "plants.noise_covariance",
+    "output_objective": "co_design.custom_objective",
     "plant_from_matrices": "plants.linear_plants",
     "plant_from_state_space": "plants.linear_plants",
     "read_disturbance": "disturbances.recordings",

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_floats, as_instance
-from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.checks import as_floats
+from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.exceptions import InputError
 
 
@@ -63,18 +63,21 @@ class Trajectory(Immutable):
         """Sample times [s], (T + 1,)."""
         return self.dt * np.arange(self.states.shape[1], dtype=float)
 
-    def rewards(self, objective: QuadraticObjective) -> Array:
-        """Rewards (n, T); zero after a run was stopped."""
-        as_instance("objective", objective, QuadraticObjective, "a QuadraticObjective")
-        sizes = (len(objective.Q), len(objective.R))
-        own = (self.states.shape[2], self.inputs.shape[2])
-        if sizes != own:
-            raise InputError("objective", "weights of {} states and {} inputs".format(*sizes), "{} and {}".format(*own))
-        rewards = objective.rewards(self.states[:, 1:], self.inputs)
+    def rewards(self, objective: Objective) -> Array:
+        """Rewards (n, T); zero after a run was stopped.
+
+        The last one has what the end of the run adds, and each its part of the cost of the design.
+        """
+        as_objective("objective", objective)
+        objective.check(self.states.shape[2], self.inputs.shape[2], len(self.design))
+        rewards = objective.rewards(self.states[:, 1:], self.inputs, self.states[:, :-1], self.design)
+        final = objective.final_rewards(self.states[:, -1], self.design)
+        if final is not None:
+            rewards[:, -1] += final
         steps = np.arange(rewards.shape[1])
         over = self.diverged[:, None] & (steps > self.diverged_at[:, None])
-        return np.where(over, 0.0, rewards)
+        return np.where(over, 0.0, rewards) - objective.cost_of_design(self.design, len(steps)) / len(steps)
 
-    def returns(self, objective: QuadraticObjective) -> Array:
-        """Undiscounted returns (n,); read them together with `diverged`."""
+    def returns(self, objective: Objective) -> Array:
+        """Undiscounted returns (n,), less the cost of the design; read them together with `diverged`."""
         return self.rewards(objective).sum(axis=1)

@@ -138,9 +138,9 @@ def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:
 def _check_objective(problem: CoDesignProblem) -> None:
     """Raise an `InputError` unless the objective gives one differentiable reward per row of torch tensors."""
     x = torch.zeros(2, problem.model.nx, requires_grad=True)
-    u = torch.zeros(2, problem.model.nu)
+    u = torch.zeros(2, problem.model.nu, requires_grad=True)
     try:
-        rewards = problem.objective.rewards(x, u)
+        rewards = problem.objective.rewards(x, u, x, torch.tensor(problem.design.centre, dtype=x.dtype))
         fits = torch.is_tensor(rewards) and rewards.shape == (2,) and rewards.requires_grad
     except (TypeError, ValueError, RuntimeError, AttributeError):
         fits = False

@@ -93,7 +93,7 @@ class Stepper:
     def __call__(self, x: Tensor, e: Tensor, u: Tensor, w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Next states (n, nx), next errors (n, nx) and rewards (n,)."""
         x_next, e, penalty = self.advance(x, e, u, self.drive(w[:, None])[:, 0])
-        return x_next, e, self.rewards(x_next[None], u[None])[0] - sum(penalty)
+        return x_next, e, self.rewards(x_next[None], u[None], x[None])[0] - sum(penalty)
 
     def without_error(self, x0: Tensor) -> Tensor:
         """The error before the first step from states (n, nx): none, and nothing remembered of steps before."""
@@ -132,10 +132,16 @@ class Stepper:
         carried = error if self.carry is None else _times(self.carry, error[:, None])[:, 0]
         return model.pathwise(x, u, x.new_zeros(model.nw), self.p) + carried, e, (penalty,)
 
-    def rewards(self, x_next: Tensor, u: Tensor) -> Tensor:
-        """Rewards (T, n) of next states (T, n, nx) and inputs (T, n, nu), asked for in one call."""
-        rewards = self.problem.objective.rewards(x_next.flatten(0, 1), u.flatten(0, 1))
+    def rewards(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
+        """Rewards (T, n) of next states (T, n, nx), inputs (T, n, nu) and present states, asked for in one call."""
+        p = self.p if self.p.ndim == 1 else self.p.expand(len(x), *self.p.shape).flatten(0, 1)
+        rewards = self.problem.objective.rewards(x_next.flatten(0, 1), u.flatten(0, 1), x.flatten(0, 1), p)
         return rewards.unflatten(0, x_next.shape[:2])
+
+    def final_rewards(self, x: Tensor) -> Tensor:
+        """What the states (n, nx) at the end of an episode add, (n,)."""
+        final = self.problem.objective.final_rewards(x, self.p)
+        return x.new_zeros(len(x)) if final is None else final
 
     def left(self, x: Tensor) -> Tensor:
         """States (..., nx) beyond the divergence limit, (...,) bool."""

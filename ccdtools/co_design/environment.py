@@ -50,6 +50,7 @@ class DesignEnv:
         terminated = self._step.left(x)
         self._k += 1
         truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
+        reward = reward + torch.where(truncated, self._step.final_rewards(x), 0.0)
         successor = observe(x, self._step.p)
         if self._k >= self.problem.steps:
             return self.reset(), successor, reward, terminated, truncated

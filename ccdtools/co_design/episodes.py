@@ -114,7 +114,9 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
     if warm_up:
         progress = _counted_from_here(advanced(progress, w[:, :warm_up]))
     progress = advanced(progress, w[:, warm_up:])
-    return Episode(progress.total, ~progress.running, progress.depth / steps, progress.peak, progress.outside / steps)
+    total = progress.total + torch.where(progress.running, step.final_rewards(progress.x), 0.0).double()
+    total = total - step.problem.objective.cost_of_design(step.p, steps)
+    return Episode(total, ~progress.running, progress.depth / steps, progress.peak, progress.outside / steps)
 
 
 def _counted_from_here(progress: _Progress) -> _Progress:
@@ -148,7 +150,8 @@ def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) 
     visited = torch.stack(states)
     if bool(step.left(visited.detach()).any()):
         return _guarded(step, law, w, depths, progress)
-    rewards = step.rewards(visited, torch.stack(inputs))
+    present = torch.cat([progress.x[None], visited[:-1]]) if step.problem.objective.looks_back else visited
+    rewards = step.rewards(visited, torch.stack(inputs), present)
     total = progress.total + rewards.double().sum(0)
     if penalties:
         total = total - torch.stack(penalties).double().sum(0)
@@ -166,9 +169,10 @@ def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progre
     for k in range(w.shape[1]):
         u = law(x)
         x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
+        present = x
         x = torch.where(running[:, None], x_next, x)
         e = torch.where(running[:, None], e_next, e)
-        reward = step.rewards(x[None], u[None])[0] - sum(penalty)
+        reward = step.rewards(x[None], u[None], present[None])[0] - sum(penalty)
         total = total + torch.where(running, reward, 0.0).double()
         if depths:
             own = torch.where(running, step.outside(x[None])[0].double(), 0.0)

@@ -50,9 +50,11 @@ def follow(
         if k in VISITS:
             visited.append(x)
             actions.append(u)
+        before = x
         x, penalty = step(x, u, w[:, k])
         x = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, np.nan)
-        rewards[k] = problem.objective.rewards(x, u) - penalty
+        earned = problem.objective.rewards(x, u, before, loops.starts.p) - penalty
+        rewards[k] = np.where(np.isnan(x).any(axis=1), np.nan, earned)
     future = rewards[-TAIL // 4 :].mean(axis=0) / (1 - gamma)  # stationary by then
     values = []
     for k in reversed(range(steps)):
@@ -84,9 +86,9 @@ class ExpertLoops:
         self.filters = SetFilters(problem, starts)
         self.controllers: list[Controller] | None = None
         if expert != "lqr":
-            models = zip(starts.regions.A, starts.regions.B)
-            weights = {"Q": problem.objective.Q, "R": problem.objective.R}
-            laws = [LinearMPC(A, B, **weights, horizon=horizon, X=problem.X, U=problem.U) for A, B in models]
+            weights = [problem.weights(p).keywords() for p in starts.p]
+            models = zip(starts.regions.A, starts.regions.B, weights)
+            laws = [LinearMPC(A, B, **own, horizon=horizon, X=problem.X, U=problem.U) for A, B, own in models]
             label = f"{expert} of every design"
             made = counted(laws, label, total=len(laws), progress=progress, echo=echo)
             self.controllers = [self._law(law, expert) for law in made]

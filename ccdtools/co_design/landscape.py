@@ -56,8 +56,9 @@ class Landscape:
     def returns(self, points: ArrayLike) -> Array:
         """Mean returns (n,) at points (n, np) of the unit box; −inf where LQR has no solution."""
         V: Array = np.clip(np.atleast_2d(np.asarray(points, dtype=float)), 0.0, 1.0)
-        A, B, _ = self.problem.model.matrices(self.problem.design.from_unit(V))
-        gains = lqr_gains(self.problem, A, B)
+        designs = self.problem.design.from_unit(V)
+        A, B, _ = self.problem.model.matrices(designs)
+        gains = lqr_gains(self.problem, A, B, designs)
         known = np.isfinite(gains).all(axis=(1, 2))
         out = np.full(len(V), -np.inf)
         K = gains[known]

@@ -92,9 +92,9 @@ def _granted(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tenso
 
 def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Episode:
     """Episodes of online MPC, state limits relaxed where they cannot be kept, on the first few of some scenarios."""
-    A, B, _ = problem.model.matrices(problem.design.from_unit(v.detach().double().numpy()))
-    objective = problem.objective
-    mpc = LinearMPC(A, B, Q=objective.Q, R=objective.R, horizon=HORIZON, X=problem.X, U=problem.U)
+    p = problem.design.from_unit(v.detach().double().numpy())
+    A, B, _ = problem.model.matrices(p)
+    mpc = LinearMPC(A, B, **problem.weights(p).keywords(), horizon=HORIZON, X=problem.X, U=problem.U)
     x0, w = scenarios
     runs = fewer_runs(MPC_RUNS, w.shape[1])
     with torch.no_grad():

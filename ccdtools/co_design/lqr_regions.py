@@ -67,7 +67,7 @@ class LQRRegions:
     def of(cls, problem: CoDesignProblem, designs: Array) -> LQRRegions:
         """The regions of designs (n, np)."""
         A, B, E = problem.model.matrices(designs)
-        K = lqr_gains(problem, A, B)
+        K = lqr_gains(problem, A, B, designs)
         lower, upper = problem.input_bounds
         rows = _unit_rows(problem)
         shapes = np.full_like(A, np.inf)
@@ -164,12 +164,12 @@ def _quadratic(M: Array, x: Array) -> Array:
     return values
 
 
-def lqr_gains(problem: CoDesignProblem, A: Array, B: Array) -> Array:
-    """LQR gains (n, nu, nx) of n designs' A and B; NaN where a design cannot be stabilised."""
+def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> Array:
+    """LQR gains (n, nu, nx) of designs (n, np) with their A and B; NaN where a design cannot be stabilised."""
     K = np.full((len(B), B.shape[2], B.shape[1]), np.nan)
-    for i, pair in enumerate(zip(A, B)):
+    for i, (pair, p) in enumerate(zip(zip(A, B), designs)):
         with suppress(MPCError):
-            K[i] = lqr(*pair, Q=problem.objective.Q, R=problem.objective.R)[0]
+            K[i] = lqr(*pair, **problem.weights(p).keywords())[0]
     return K
 
 

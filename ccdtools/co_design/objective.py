@@ -1,29 +1,119 @@
-"""The quadratic objective of a control co-design problem."""
+"""What a co-design is judged by: a cost of every step, a cost of the end, and a cost of the design itself."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from ccdtools.arrays import ArrayField, Immutable
-from ccdtools.checks import as_weight
+from ccdtools.arrays import Array, ArrayField, Immutable
+from ccdtools.checks import as_array, as_count, as_instance, as_weight
+from ccdtools.exceptions import InputError
+from ccdtools.plants.symbolic_functions import as_symbolic
+
+PSD = 1e-9  # of the largest weight: a negative eigenvalue this small is rounding
+
+
+class Weights(NamedTuple):
+    """x'Qx + 2x'Su + u'Ru of a step: what LQR and MPC take."""
+
+    Q: Array
+    R: Array
+    S: Array | None = None
+
+    def keywords(self) -> dict[str, Any]:
+        """Q, R and, where there is one, S by name."""
+        return {name: value for name, value in self._asdict().items() if value is not None}
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Objective(Immutable):
+    """Base of the objectives: what is added to the cost of the steps.
+
+    The return of an episode is minus the cost of its steps and of its end, less the cost of the design.
+
+    Parameters
+    ----------
+    design_cost : function of p, optional
+        J_d(p): mass, price, in units of the return. It takes a CasADi column p (np) and returns a scalar expression,
+        as ``lambda p: 3 * p[0] + p[1] ** 2`` or a `casadi.Function` does.
+    episode : int, optional
+        Number of steps that `design_cost` is set against; a run of twice as many costs twice as much for its design, so
+        that the trade does not depend on how long a deployment is. Where it is None: the steps of a problem or study
+        that the objective is given to, or of the run that it judges.
+    """
+
+    design_cost: Any = None
+    episode: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.design_cost is not None:
+            object.__setattr__(self, "design_cost", as_symbolic("design_cost", self.design_cost, ("p",)))
+        if self.episode is not None:
+            object.__setattr__(self, "episode", as_count("episode", self.episode))
+
+    @property
+    def looks_back(self) -> bool:
+        """Whether a reward depends on the state before the step, or on the design."""
+        return True
+
+    def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
+        """Rewards (...,) of a step; NumPy arrays or torch tensors.
+
+        Parameters
+        ----------
+        x_next, u, x : (..., nx), (..., nu) and (..., nx)
+            State after the step, input held over it, and state before it.
+        p : (np,) or (..., np)
+        """
+        raise NotImplementedError
+
+    def final_rewards(self, x: Any, p: Any) -> Any:
+        """What the state (..., nx) at the end of an episode adds, (...,); None where nothing does."""
+        return None
+
+    def weights(self, p: Array, nx: int, nu: int) -> Weights:
+        """The quadratic cost of a step about rest at a design (np,), for LQR and MPC."""
+        raise NotImplementedError
+
+    def check(self, nx: int, nu: int, designs: int) -> None:
+        """Raise an `InputError` unless it fits a model of so many states, inputs and design parameters."""
+        if self.design_cost is not None:
+            self.design_cost.scalar(designs)
+
+    def cost_of_design(self, p: Any, steps: int) -> Any:
+        """J_d (...,) of designs (..., np), as far as a run of so many steps pays for it; 0.0 where there is none."""
+        if self.design_cost is None:
+            return 0.0
+        return self.design_cost.scalar(p.shape[-1])(p)[..., 0] * (steps / (self.episode or steps))
+
+    def over(self, steps: int) -> Self:
+        """The same with `design_cost` set against an episode of so many steps, if it says nothing of its own."""
+        return self if self.design_cost is None or self.episode is not None else replace(self, episode=steps)
+
+    def describe(self) -> dict[str, Any]:
+        """Plain values that tell it, for tables and results."""
+        return {} if self.design_cost is None else {"design cost": str(self.design_cost), "episode": self.episode}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class QuadraticObjective(Immutable):
-    """Reward r = −x⁺ᵀ Q x⁺ − uᵀ R u, with x⁺ the *next* state.
+class QuadraticObjective(Objective):
+    """Reward r = −x⁺ᵀ Q x⁺ − uᵀ R u − 2 xᵀ S u, with x⁺ the *next* state and x the present one.
 
-    A subclass may override `rewards`; it must then take NumPy arrays and torch tensors alike, and Q and R remain the
-    weights of the LQR and MPC that it is compared with.
+    A subclass may override `rewards`; it must then take NumPy arrays and torch tensors alike, and the weights remain
+    those of the LQR and MPC that it is compared with.
 
     Parameters
     ----------
     Q : (nx, nx) array_like
         State weight, symmetric positive semidefinite.
     R : (nu, nu) array_like
-        Input weight, symmetric positive definite.
+        Input weight, symmetric positive semidefinite; singular where the states that an input moves are weighted.
+    S : (nx, nu) array_like, optional
+        Cross weight, such as the acceleration of a body gives; (Q S; Sᵀ R) must be positive semidefinite.
+    design_cost, episode
+        Keywords, see `Objective`.
 
     Raises
     ------
@@ -33,19 +123,73 @@ class QuadraticObjective(Immutable):
 
     Q: ArrayField
     R: ArrayField
+    S: ArrayField = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "Q", as_weight("Q", self.Q))
-        object.__setattr__(self, "R", as_weight("R", self.R, definite=True))
+        object.__setattr__(self, "R", as_weight("R", self.R))
+        if self.S is not None:
+            object.__setattr__(self, "S", as_array("S", self.S, (len(self.Q), len(self.R))))
+            whole = np.block([[self.Q, self.S], [self.S.T, self.R]])
+            if not is_semidefinite(whole):
+                got = "a cross weight that makes some steps cost less than nothing"
+                raise InputError("S", got, "(Q S; Sᵀ R) positive semidefinite")
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self.Q)} states, {len(self.R)} inputs)"
 
-    def rewards(self, x_next: Any, u: Any) -> Any:
-        """Rewards (...,) of next states (..., nx) and inputs (..., nu); NumPy arrays or torch tensors."""
-        Q = self.Q
-        R = self.R
-        if not isinstance(x_next, np.ndarray):
-            Q = x_next.new_tensor(Q.tolist())
-            R = x_next.new_tensor(R.tolist())
-        return -((x_next @ Q) * x_next).sum(-1) - ((u @ R) * u).sum(-1)
+    @property
+    def looks_back(self) -> bool:
+        """Whether there is a cross weight."""
+        return self.S is not None
+
+    def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
+        """Rewards (...,) of next states (..., nx) and inputs (..., nu), and of states (..., nx) where there is an S."""
+        rewards = -((x_next @ _as_is(self.Q, x_next)) * x_next).sum(-1) - ((u @ _as_is(self.R, u)) * u).sum(-1)
+        if self.S is None:
+            return rewards
+        if x is None:
+            raise InputError("x", "nothing", "the states before the step, which a cross weight needs")
+        return rewards - 2 * ((x @ _as_is(self.S, x)) * u).sum(-1)
+
+    def weights(self, p: Array, nx: int, nu: int) -> Weights:
+        """Q, R and S, the same at every design."""
+        return Weights(self.Q, self.R, self.S)
+
+    def check(self, nx: int, nu: int, designs: int) -> None:
+        """Raise an `InputError` unless the weights are those of so many states and inputs."""
+        super().check(nx, nu, designs)
+        for name, size, n in (("Q", len(self.Q), nx), ("R", len(self.R), nu)):
+            if size != n:
+                raise InputError(f"objective.{name}", f"shape ({size}, {size})", f"({n}, {n})")
+
+    def describe(self) -> dict[str, Any]:
+        """The weights."""
+        own = {"Q": self.Q, "R": self.R} | ({} if self.S is None else {"S": self.S})
+        return own | super().describe()
+
+
+def as_objective(argument: str, value: Any) -> Objective:
+    """`value`, if it is an objective.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    return as_instance(argument, value, Objective, "a QuadraticObjective or a CustomObjective")
+
+
+def is_semidefinite(H: Array) -> bool:
+    """Whether a symmetric matrix is finite and positive semidefinite up to rounding, with a unit diagonal."""
+    if not np.isfinite(H).all():
+        return False
+    size = np.sqrt(np.abs(np.diag(H)))
+    size[size == 0] = 1.0
+    return bool(np.linalg.eigvalsh(H / size / size[:, None])[0] >= -PSD * len(H))
+
+
+def _as_is(weight: Array, like: Any) -> Any:
+    """A weight as an array or a tensor, as `like` is."""
+    return weight if isinstance(like, np.ndarray) else like.new_tensor(weight.tolist())

@@ -11,7 +11,6 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import (
     as_count,
     as_floats,
-    as_instance,
     as_limit_tolerance,
     as_limits,
     as_vector,
@@ -19,7 +18,7 @@ from ccdtools.checks import (
     has_method,
     shown,
 )
-from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
@@ -98,7 +97,7 @@ class CoDesignProblem(Immutable):
     X, U : Polytope, or bounds (lower, upper)
         State and input limits; both bounded and around 0, U a box. Each bound is a number for all coordinates, or one
         number each. Leaving X is counted, it does not end an episode.
-    objective : QuadraticObjective
+    objective : QuadraticObjective or CustomObjective
     scenarios : Scenarios
         Initial states and disturbances of the episodes.
     steps : int
@@ -123,7 +122,7 @@ class CoDesignProblem(Immutable):
     model: Model
     X: Polytope
     U: Polytope
-    objective: QuadraticObjective
+    objective: Objective
     scenarios: Scenarios
     steps: int = 100
     discrepancy: ErrorModel | None = None
@@ -143,11 +142,10 @@ class CoDesignProblem(Immutable):
             raise InputError("U", "a set that is not a box", "independent bounds on each input")
         if not self.U.contains(np.zeros(model.nu)):
             raise InputError("U", "a set without the origin", "one that holds the input 0, which keeps the state at 0")
-        as_instance("objective", self.objective, QuadraticObjective, "a QuadraticObjective")
-        for name, size, n in (("Q", len(self.objective.Q), model.nx), ("R", len(self.objective.R), model.nu)):
-            if size != n:
-                raise InputError(f"objective.{name}", f"shape ({size}, {size})", f"({n}, {n})")
+        as_objective("objective", self.objective).check(model.nx, model.nu, model.design.dim)
         object.__setattr__(self, "steps", as_count("steps", self.steps))
+        object.__setattr__(self, "objective", self.objective.over(self.steps))
+        self.weights(model.design.centre)
         object.__setattr__(self, "warm_up", as_count("warm_up", self.warm_up, least=0))
         if self.warm_up >= self.steps:
             raise InputError("warm_up", self.warm_up, f"less than {self.steps}, the steps of an episode")
@@ -205,6 +203,10 @@ class CoDesignProblem(Immutable):
         """The box of designs."""
         assert self.model.design is not None
         return self.model.design
+
+    def weights(self, p: Array) -> Weights:
+        """The weights of LQR and MPC at a design (np,)."""
+        return self.objective.weights(p, self.model.nx, self.model.nu)
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:

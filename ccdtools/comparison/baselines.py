@@ -18,8 +18,9 @@ HORIZON = 20  # steps, of the MPC
 def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:
     """The LQR of the nominal model at one design, with its inputs clipped to U."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    A, B, _ = problem.model.matrices(problem.design.check_one(design))
-    K, _ = lqr(A, B, Q=problem.objective.Q, R=problem.objective.R)
+    p = problem.design.check_one(design)
+    A, B, _ = problem.model.matrices(p)
+    K, _ = lqr(A, B, **problem.weights(p).keywords())
     return LinearFeedback(K, *problem.input_bounds)
 
 
@@ -32,11 +33,9 @@ def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gen
     as_generator("rng", rng)
     design = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(design)
-    Q = problem.objective.Q
-    R = problem.objective.R
     return {
         "passive": Passive(problem.model.nu),
         REFERENCE: saturated_lqr(problem, design),
         "PID": tuned_pid(problem, design, rng=rng),
-        "MPC": LinearMPC(A, B, Q=Q, R=R, horizon=HORIZON, X=problem.X, U=problem.U),
+        "MPC": LinearMPC(A, B, **problem.weights(design).keywords(), horizon=HORIZON, X=problem.X, U=problem.U),
     }

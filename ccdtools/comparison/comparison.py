@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_mapping
-from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.comparison.baselines import REFERENCE
 from ccdtools.comparison.outside import Outside
 from ccdtools.controllers.controllers import Controller
@@ -146,7 +146,7 @@ def compare(
     scenario: Scenario,
     *,
     design: ArrayLike | None = None,
-    objective: QuadraticObjective,
+    objective: Objective,
     X: Polytope,
     limit: ArrayLike | None = None,
     few: Mapping[str, int] | None = None,
@@ -160,7 +160,7 @@ def compare(
     scenario : Scenario
     design : (np,) array_like
         Required when the plant has design parameters.
-    objective : QuadraticObjective
+    objective : QuadraticObjective or CustomObjective
     X : Polytope
         State limits, whose violations are counted.
     limit : (nx,) array_like, optional
@@ -179,7 +179,7 @@ def compare(
     for controller in controllers.values():
         needs_of(controller)
     as_instance("scenario", scenario, Scenario, "a Scenario", "Use Scenario(plant, x0, disturbance).")
-    as_instance("objective", objective, QuadraticObjective, "a QuadraticObjective")
+    as_objective("objective", objective)
     as_instance("X", X, Polytope, "a Polytope")
     if X.dim != scenario.plant.nx:
         raise InputError("X", f"dimension {X.dim}", f"{scenario.plant.nx}, one per state")
@@ -200,7 +200,7 @@ def compare(
 
 
 def _score(
-    name: str, controller: Controller, run: Trajectory, reference: Trajectory, objective: QuadraticObjective,
+    name: str, controller: Controller, run: Trajectory, reference: Trajectory, objective: Objective,
     outside: Excursions, scenario: Scenario,
 ) -> Score:  # fmt: skip
     """One controller's row, paired to the run of the reference."""

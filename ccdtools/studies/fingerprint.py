@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 
 from ccdtools.plants.plant import Plant
+from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.studies.loading import LoadedStudy
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import jsonable
@@ -51,6 +52,8 @@ def jsonable_of(value: Any) -> Any:
         if value.ny:
             numbers["outputs"] = [value.output.serialize(), value.output_names, jsonable_of(list(value.output_limits))]
         return {"dynamics": dynamics, **numbers}
+    if isinstance(value, SymbolicFunction):
+        return value.serialized()
     if isinstance(value, Polytope):
         return {name: jsonable_of(getattr(value, name)) for name in ("A", "b", "A_eq", "b_eq")}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -120,7 +120,7 @@ def judge_deployment(
     former : Trajectory or None
         Log of what was in service before. Runs that met the same disturbances are compared in pairs, a single run as
         a correlated series, others by Welch's interval.
-    objective : QuadraticObjective
+    objective : QuadraticObjective or CustomObjective
     promised : Summary
         Predicted return.
     redesigned : bool

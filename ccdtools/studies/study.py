@@ -24,7 +24,7 @@ from ccdtools.checks import (
     has_method,
     shown,
 )
-from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.disturbances.disturbance import Disturbance, is_recorded
 from ccdtools.exceptions import InputError
@@ -112,7 +112,7 @@ class Study(Immutable):
     X, U : Polytope, or bounds (lower, upper)
         State and input limits; both bounded and around the origin, U a box. Each bound is a number for all
         coordinates, or one number each.
-    objective : QuadraticObjective
+    objective : QuadraticObjective or CustomObjective
     disturbance : Disturbance
         What the nominal model assumes.
     x0 : (nx,) array
@@ -164,7 +164,7 @@ class Study(Immutable):
     plant: Plant
     X: Polytope
     U: Polytope
-    objective: QuadraticObjective
+    objective: Objective
     disturbance: Disturbance
     x0: ArrayField
     p0: ArrayField
@@ -213,8 +213,10 @@ class Study(Immutable):
         as_instance("plant", self.plant, Plant, "a ccdtools.Plant")
         object.__setattr__(self, "X", as_limits("X", self.X, self.plant.nx, "one per state"))
         object.__setattr__(self, "U", as_limits("U", self.U, self.plant.nu, "one per input"))
-        as_instance("objective", self.objective, QuadraticObjective, "a QuadraticObjective")
         object.__setattr__(self, "steps", as_count("steps", self.steps))
+        objective = as_objective("objective", self.objective).over(self.steps)
+        objective.check(self.plant.nx, self.plant.nu, self.plant.design.dim)
+        object.__setattr__(self, "objective", objective)
         object.__setattr__(self, "samples", as_count("samples", self.samples))
         as_choice("sets", self.sets, SETS)
         object.__setattr__(
@@ -246,7 +248,7 @@ class Study(Immutable):
         """Raise unless LQR exists at the first design."""
         A, B, _ = self.model.matrices(self.p0)
         try:
-            lqr(A, B, Q=self.objective.Q, R=self.objective.R)
+            lqr(A, B, **self.weights.keywords())
         except MPCError as error:
             got = f"{self.plant.design.describe(self.p0)}, where LQR fails ({error})"
             raise InputError("p0", got, "a design at which the model can be stabilised") from None
@@ -286,7 +288,12 @@ class Study(Immutable):
     @property
     def weight(self) -> Array:
         """Q_q of the penalty on the quantile width."""
-        return 0.1 * self.objective.Q if self.quantile_weight is None else self.quantile_weight
+        return 0.1 * self.weights.Q if self.quantile_weight is None else self.quantile_weight
+
+    @property
+    def weights(self) -> Weights:
+        """The weights of LQR and MPC at the first design."""
+        return self.objective.weights(self.p0, self.plant.nx, self.plant.nu)
 
     def problem(self) -> CoDesignProblem:
         """The co-design problem on the nominal model, from the evaluation's start."""

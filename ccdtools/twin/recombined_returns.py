@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.objective import Objective
 from ccdtools.statistics import PairedDifference
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.recombination import Dependence, Indices, dependence
@@ -102,7 +102,7 @@ class _Tally:
         return self.lost / np.maximum(self.runs, 1)
 
 
-def independence(log_of: Replay, drive: Drive, objective: QuadraticObjective, rng: np.random.Generator) -> Independence:
+def independence(log_of: Replay, drive: Drive, objective: Objective, rng: np.random.Generator) -> Independence:
     """Whether recombined runs of a log tell the same of what is in service as the log does.
 
     The errors must show no plain dependence in time, and the mean return of what is in service must be the same on
@@ -139,7 +139,7 @@ def independence(log_of: Replay, drive: Drive, objective: QuadraticObjective, rn
 
 
 def recombined_gain(
-    replay: Replay, drive: Drive, objective: QuadraticObjective, count: int, rng: np.random.Generator
+    replay: Replay, drive: Drive, objective: Objective, count: int, rng: np.random.Generator
 ) -> LoggedGain:
     """What a candidate brings on about `count` recombined runs; both meet the same ones.
 
@@ -180,7 +180,7 @@ def over_blocks(values: Array, weights: Array) -> PairedDifference:
     return PairedDifference(mean, (mean - half, mean + half))
 
 
-def _tally(parts: Iterable[Part], drive: Drive, objective: QuadraticObjective, blocks: Indices) -> _Tally:
+def _tally(parts: Iterable[Part], drive: Drive, objective: Objective, blocks: Indices) -> _Tally:
     """The sums over runs that come in parts, so that they need not fit into memory together."""
     size = int(blocks.max()) + 1
 

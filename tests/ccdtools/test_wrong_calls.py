@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import casadi as ca
@@ -40,6 +41,7 @@ def plant(**changes):
 
 MODEL = cc.discretise(plant())
 OBJECTIVE = cc.QuadraticObjective(np.eye(2), [[0.1]])
+quadratic = partial(cc.QuadraticObjective, np.eye(2), [[0.1]])
 BOX, INPUTS = Polytope.from_bounds([-2, -2], [2, 2]), Polytope.from_bounds([-1], [1])
 LQR = cc.LinearFeedback([[1.0, 1.0]], [-1], [1])
 LTI = control.ss([[0.5]], [[1.0]], [[1.0]], 0, 1.0)
@@ -112,7 +114,7 @@ def compare(**changes):
 class NotTorch(cc.QuadraticObjective):
     """An objective that works on arrays alone."""
 
-    def rewards(self, x_next, u):
+    def rewards(self, x_next, u, x=None, p=None):
         return -np.abs(np.asarray(x_next)).sum(axis=-1)
 
 
@@ -227,7 +229,27 @@ CALLS = {
     "Q not square": (lambda: cc.QuadraticObjective(np.ones((2, 3)), [[1]]), "Q"),
     "Q negative": (lambda: cc.QuadraticObjective([[-1]], [[1]]), "Q"),
     "Q text": (lambda: cc.QuadraticObjective("eye", [[1]]), "Q"),
-    "R zero": (lambda: cc.QuadraticObjective([[1]], [[0]]), "R"),
+    "R negative": (lambda: cc.QuadraticObjective([[1]], [[-1]]), "R"),
+    "S of another size": (lambda: cc.QuadraticObjective(np.eye(2), [[1]], S=[[1, 0]]), "S"),
+    "S too large": (lambda: cc.QuadraticObjective(np.eye(2), [[1]], S=[[2], [0]]), "S"),
+    "design cost a number": (lambda: cc.QuadraticObjective([[1]], [[1]], design_cost=3.0), "design_cost"),
+    "design cost of two values": (lambda: problem(objective=quadratic(design_cost=lambda p: p)), "design_cost"),
+    "design cost that fails": (lambda: problem(objective=quadratic(design_cost=lambda p: p.mass)), "design_cost"),
+    "design cost of other symbols": (lambda: problem(objective=quadratic(design_cost=lambda p: P[0])), "design_cost"),
+    "episode of no steps": (lambda: cc.QuadraticObjective([[1]], [[1]], episode=0), "episode"),
+    "stage cost an expression": (lambda: cc.CustomObjective(X[0] ** 2), "stage_cost"),
+    "stage cost of x alone": (lambda: problem(objective=cc.CustomObjective(lambda x: x[0])), "stage_cost"),
+    "stage cost a function of two": (
+        lambda: cc.CustomObjective(ca.Function("l", [X, U], [U[0]])), "stage_cost",
+    ),
+    "stage cost that falls from rest": (
+        lambda: problem(objective=cc.CustomObjective(lambda x, u, p: u[0] ** 2 - x[0] ** 2)), "objective.stage_cost",
+    ),
+    "terminal cost of two values": (
+        lambda: problem(objective=cc.CustomObjective(lambda x, u, p: u[0] ** 2, lambda x, p: x)), "terminal_cost",
+    ),
+    "Q without R": (lambda: cc.CustomObjective(lambda x, u, p: u[0], Q=np.eye(2)), "Q, R"),
+    "outputs of a plant without any": (lambda: cc.output_objective(plant(), weights=[1.0]), "plant"),
     "R nothing": (lambda: cc.QuadraticObjective([[1]], None), "R"),
     "R NaN": (lambda: cc.QuadraticObjective([[1]], [[np.nan]]), "R"),
     "a problem of a plant": (lambda: problem(model=plant()), "model"),
@@ -319,7 +341,7 @@ CALLS = {
     ),
     "a scenario of a number": (lambda: cc.Scenario(MODEL, [1.0, 0.0], 0.5), "disturbance"),
     "a scenario without a plant": (lambda: cc.Scenario(None, [1.0, 0.0], np.zeros((5, 1))), "plant"),
-    "rewards of another objective": (lambda: LOG.rewards(cc.QuadraticObjective([[1]], [[1]])), "objective"),
+    "rewards of another objective": (lambda: LOG.rewards(cc.QuadraticObjective([[1]], [[1]])), "objective.Q"),
     "rewards of a tuple": (lambda: LOG.rewards((np.eye(2), np.eye(1))), "objective"),
     "a trajectory of unequal lengths": (lambda: replace(LOG, inputs=LOG.inputs[:, 1:]), "states, inputs, disturbances"),
     # controllers

@@ -36,5 +36,6 @@ def loss_gradient(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, batch
     x = batch.observations[:, : problem.model.nx]
     moved = Batch(observe(x, to_design(problem, v)), batch.latents, batch.log_probs, batch.advantages, batch.targets)
     surrogate, value_loss, _ = ppo_loss(agent, moved, config)
-    (gradient,) = torch.autograd.grad(surrogate + value_loss, v)
+    paid = problem.objective.cost_of_design(to_design(problem, v), problem.steps)
+    (gradient,) = torch.autograd.grad(surrogate + value_loss + paid, v)
     return -gradient

@@ -184,18 +184,20 @@ def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
 
 
 def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
-    """Q and R: their diagonals by signal name, with whatever lies beside the diagonal as a matrix."""
+    """Costs in words; Q and R: their diagonals by signal name, with whatever lies beside the diagonal as a matrix."""
     plant = run.study.plant
-    objective = run.study.objective
-    rows = []
-    for symbol, weight, names in (("Q", objective.Q, plant.state_names), ("R", objective.R, plant.input_names)):
+    weights = run.study.weights
+    described = run.study.objective.describe()
+    rows = [(name, text) for name, text in described.items() if isinstance(text, str)]
+    where = "" if "Q" in described else " of LQR and MPC at the first design"
+    for symbol, weight, names in (("Q", weights.Q, plant.state_names), ("R", weights.R, plant.input_names)):
         diagonal = np.diag(weight)
         if np.array_equal(weight, np.diag(diagonal)):
             entries = ", ".join(f"{name}: {with_minus(number(value))}" for name, value in zip(names, diagonal))
-            rows.append((f"{symbol}, diagonal", entries))
+            rows.append((f"{symbol}, diagonal{where}", entries))
         else:
             text = "; ".join(", ".join(with_minus(number(value)) for value in line) for line in weight)
-            rows.append((symbol, f"[{text}]"))
+            rows.append((f"{symbol}{where}", f"[{text}]"))
     return rows
 
 

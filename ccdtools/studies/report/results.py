@@ -68,7 +68,7 @@ def results(
         "state_names": study.plant.state_names, "input_names": study.plant.input_names,
         "design_space": {"names": space.names, "units": space.units, "lower": space.lower, "upper": space.upper},
         "start": space.as_dict(study.p0),
-        "objective": {"Q": study.objective.Q, "R": study.objective.R},
+        "objective": study.objective.describe(),
         "initialisation": {key: value for key, value in initial.values.items() if key != "report"},
         "generations": list(generations),
         "comparison": list(comparison),

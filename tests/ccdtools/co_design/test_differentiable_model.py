@@ -58,7 +58,7 @@ def test_returns_in_torch_equal_a_simulation_of_the_same_policy(study, clone):
 class Scaled(QuadraticObjective):
     """Three times the reward."""
 
-    def rewards(self, x_next, u):
+    def rewards(self, x_next, u, x=None, p=None):
         return 3.0 * super().rewards(x_next, u)
 
 

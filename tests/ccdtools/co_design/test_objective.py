@@ -43,7 +43,7 @@ def test_a_semidefinite_state_weight_is_allowed():
         ([[np.nan]], [[1]], "Q: got a value that is not finite, expected finite numbers"),
         ([[1, 1], [0, 1]], [[1]], "Q: got a matrix that is not symmetric, expected Q = Qᵀ"),
         ([[-1]], [[1]], "Q: got smallest eigenvalue -1, expected a positive semidefinite matrix"),
-        ([[1]], [[0]], "R: got smallest eigenvalue 0, expected a positive definite matrix"),
+        ([[1]], [[-1]], "R: got smallest eigenvalue -1, expected a positive semidefinite matrix"),
         ([[1]], np.ones((1, 2)), "R: got shape"),
     ],
 )

@@ -110,7 +110,7 @@ def test_what_did_the_work_adds_up_to_the_whole_gain(mass_and_clone):
 class Detached(QuadraticObjective):
     """The reward with the sign of its gradient turned round."""
 
-    def rewards(self, x_next, u):
+    def rewards(self, x_next, u, x=None, p=None):
         seen = super().rewards(x_next, u)
         return seen if isinstance(seen, np.ndarray) else 2.0 * seen.detach() - seen
 
@@ -118,7 +118,7 @@ class Detached(QuadraticObjective):
 class Reversed(QuadraticObjective):
     """What costs becomes a gain, and the other way round."""
 
-    def rewards(self, x_next, u):
+    def rewards(self, x_next, u, x=None, p=None):
         return -super().rewards(x_next, u)
 
 

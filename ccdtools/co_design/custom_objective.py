@@ -1,0 +1,157 @@
+"""Any cost in CasADi as an objective, and the cost of a plant's outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array, ArrayField
+from ccdtools.checks import as_array, as_floats, as_instance, as_weight
+from ccdtools.co_design.objective import Objective, Weights, is_semidefinite
+from ccdtools.exceptions import InputError
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.symbolic_functions import as_symbolic
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CustomObjective(Objective):
+    """Reward r = −ℓ(x, u, p) of the present state and input, and −V_f(x_N, p) at the end: any cost in CasADi.
+
+    Weights that depend on the design, costs of outputs, economic costs and soft limits are of this kind. LQR and MPC
+    take half the Hessian of ℓ about x = 0, u = 0 for their weights.
+
+    Parameters
+    ----------
+    stage_cost : function of (x, u, p)
+        ℓ. It takes CasADi columns and returns a scalar expression; a `casadi.Function` is one, too.
+    terminal_cost : function of (x, p), optional
+        V_f.
+    Q, R : (nx, nx) and (nu, nu) array_like, optional
+        Weights for LQR and MPC in the place of the Hessian of ℓ: where that is singular or indefinite, or says little.
+    design_cost, episode
+        Keywords, see `Objective`.
+
+    Raises
+    ------
+    InputError
+        If a cost is no function of such arguments, or returns no scalar expression of them. If LQR and MPC are to take
+        the Hessian of ℓ, and it is not positive semidefinite with respect to (x, u) or not definite with respect to u.
+    """
+
+    stage_cost: Any
+    terminal_cost: Any = None
+    Q: ArrayField = None
+    R: ArrayField = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "stage_cost", as_symbolic("stage_cost", self.stage_cost, ("x", "u", "p")))
+        if self.terminal_cost is not None:
+            object.__setattr__(self, "terminal_cost", as_symbolic("terminal_cost", self.terminal_cost, ("x", "p")))
+        if (self.Q is None) != (self.R is None):
+            raise InputError("Q, R", "one of them", "both weights, or neither")
+        if self.Q is not None:
+            object.__setattr__(self, "Q", as_weight("Q", self.Q))
+            object.__setattr__(self, "R", as_weight("R", self.R))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.stage_cost})"
+
+    def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
+        """Rewards (...,) of states (..., nx) and inputs (..., nu) at designs (np,) or (..., np)."""
+        if x is None or p is None:
+            raise InputError("x, p", "nothing", "the states before the step and the design, which the cost needs")
+        return -self.stage_cost.scalar(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)[..., 0]
+
+    def final_rewards(self, x: Any, p: Any) -> Any:
+        """−V_f (...,) of states (..., nx); None where there is no terminal cost."""
+        if self.terminal_cost is None:
+            return None
+        return -self.terminal_cost.scalar(x.shape[-1], p.shape[-1])(x, p)[..., 0]
+
+    def weights(self, p: Array, nx: int, nu: int) -> Weights:
+        """The given Q and R, or half the Hessian of ℓ about rest at a design (np,)."""
+        if self.Q is not None:
+            return Weights(self.Q, self.R)
+        H = np.asarray(self.stage_cost.hessian(nx, nu, len(p))(p), dtype=float) / 2
+        return _checked_weights(H, nx, p)
+
+    def check(self, nx: int, nu: int, designs: int) -> None:
+        """Raise an `InputError` unless it is a function of such states, inputs and designs."""
+        super().check(nx, nu, designs)
+        self.stage_cost.scalar(nx, nu, designs)
+        if self.terminal_cost is not None:
+            self.terminal_cost.scalar(nx, designs)
+        for name, weight, n in (("Q", self.Q, nx), ("R", self.R, nu)):
+            if weight is not None and len(weight) != n:
+                raise InputError(f"objective.{name}", f"shape ({len(weight)}, {len(weight)})", f"({n}, {n})")
+
+    def describe(self) -> dict[str, Any]:
+        """The costs as text."""
+        own: dict[str, Any] = {"stage cost": str(self.stage_cost)}
+        if self.terminal_cost is not None:
+            own["terminal cost"] = str(self.terminal_cost)
+        return own | super().describe()
+
+
+def output_objective(plant: Plant, *, weights: Any, R: Any = 0.0, **others: Any) -> CustomObjective:
+    """The cost yᵀ W y + uᵀ R u of a plant's outputs y = h(x, u, p): body acceleration, tyre load, force in a joint.
+
+    Parameters
+    ----------
+    plant : Plant
+        With outputs.
+    weights : (ny,) or (ny, ny) array_like
+        W, or its diagonal.
+    R : number, (nu,) or (nu, nu) array_like
+        Input weight beside it; none by default.
+    **others
+        `terminal_cost`, `design_cost`, and what else `CustomObjective` takes.
+
+    Raises
+    ------
+    InputError
+        If the plant has no outputs, or a weight has the wrong size or is not positive semidefinite.
+    """
+    as_instance("plant", plant, Plant, "a ccdtools.Plant")
+    if plant.ny == 0:
+        raise InputError("plant", "one without outputs", "Plant(…, outputs=[…])")
+    W = _as_matrix("weights", weights, plant.ny)
+    given = _as_matrix("R", R, plant.nu)
+    observe = plant.output
+
+    def stage_cost(x: Any, u: Any, p: Any) -> Any:
+        """Of CasADi columns."""
+        y = observe(x, u, p)
+        return y.T @ W @ y + u.T @ given @ u
+
+    return CustomObjective(stage_cost, **others)
+
+
+def _as_matrix(argument: str, value: Any, size: int) -> Array:
+    """A weight (size, size) of a matrix, its diagonal, or a number."""
+    array = as_floats(argument, value)
+    if array.ndim == 0:
+        array = np.full(size, float(array))
+    if array.ndim == 1:
+        array = np.diag(as_array(argument, array, (size,)))
+    return as_weight(argument, array, size)
+
+
+def _checked_weights(H: Array, nx: int, p: Array) -> Weights:
+    """Weights of the Hessian of a cost, if it is that of a regulator.
+
+    Raises
+    ------
+    InputError
+        If it is not positive semidefinite.
+    """
+    if not is_semidefinite(H):
+        got = f"one whose Hessian about x = 0, u = 0 is not positive semidefinite at the design {p.tolist()}"
+        cure = "Give the weights Q and R of the LQR and MPC that the cost is compared with."
+        raise InputError("objective.stage_cost", got, "a cost that grows away from rest", cure)
+    H = (H + H.T) / 2
+    S = H[:nx, nx:]
+    return Weights(H[:nx, :nx], H[nx:, nx:], S if S.any() else None)

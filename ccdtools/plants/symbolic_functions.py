@@ -1,0 +1,149 @@
+"""Functions that a user states in Python on CasADi columns: compiled once for each set of sizes, and checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from ccdtools.checks import shown
+from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import Vectorised
+from ccdtools.plants.symbols import as_expression, check_known
+
+LONGEST = 200  # characters of an expression that is shown
+
+Sizes = tuple[int, ...]
+
+
+class SymbolicFunction:
+    """A function of CasADi columns, for arrays and tensors of any batch.
+
+    What is pickled are its expressions for the sizes that it was used with, so that a lambda is no obstacle.
+
+    Parameters
+    ----------
+    argument : str
+        What an error calls it.
+    given : callable
+        On CasADi SX columns: a Python function, or a `casadi.Function`.
+    names : tuple of str
+        Of its arguments.
+    """
+
+    def __init__(self, argument: str, given: Any, names: tuple[str, ...]) -> None:
+        self.argument = argument
+        self.names = names
+        self._given = given
+        self._functions: dict[Sizes, ca.Function] = {}
+        self._compiled: dict[Sizes, Vectorised] = {}
+        self._hessians: dict[Sizes, ca.Function] = {}
+
+    def function(self, *sizes: int) -> ca.Function:
+        """As a `casadi.Function` of columns of these sizes.
+
+        Raises
+        ------
+        InputError
+            If it cannot be evaluated on them, or gives no expression of them alone.
+        """
+        if sizes not in self._functions:
+            self._functions[sizes] = self._made(sizes)
+        return self._functions[sizes]
+
+    def scalar(self, *sizes: int) -> Vectorised:
+        """The same on arrays or tensors (..., size), with values (..., 1).
+
+        Raises
+        ------
+        InputError
+            Besides, if it has more than one value.
+        """
+        function = self.function(*sizes)
+        if function.numel_out(0) != 1:
+            raise InputError(self.argument, f"{function.numel_out(0)} values", "one, a scalar expression")
+        return self.vector(*sizes)
+
+    def vector(self, *sizes: int) -> Vectorised:
+        """The same with values (..., m)."""
+        if sizes not in self._compiled:
+            self._compiled[sizes] = Vectorised(self.function(*sizes))
+        return self._compiled[sizes]
+
+    def hessian(self, *sizes: int) -> ca.Function:
+        """The Hessian of its scalar with respect to all arguments but the last, where these are 0, of the last."""
+        if sizes not in self._hessians:
+            columns = [_column(name, size) for name, size in zip(self.names, sizes)]
+            free = ca.vertcat(*columns[:-1])
+            at_rest = ca.substitute(
+                ca.densify(ca.hessian(self.function(*sizes)(*columns), free)[0]), free, ca.SX.zeros(free.shape)
+            )
+            self._hessians[sizes] = ca.Function("hessian", [columns[-1]], [at_rest])
+        return self._hessians[sizes]
+
+    def _made(self, sizes: Sizes) -> ca.Function:
+        """The function for new sizes."""
+        columns = [_column(name, size) for name, size in zip(self.names, sizes)]
+        expected = f"a function of {', '.join(self.names)} that returns a CasADi expression"
+        if self._given is None:
+            known = " or ".join(map(str, self._functions))
+            raise InputError(self.argument, f"sizes {sizes}", f"{known}, those that it was stored with")
+        try:
+            value = self._given(*columns)
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise InputError(self.argument, f"one that stops with {_shortened(reason)}", expected) from error
+        expression = ca.vec(as_expression(self.argument, value))
+        check_known(self.argument, expression, **dict(zip(self.names, columns)))
+        return ca.Function(self.argument, columns, [expression], list(self.names), ["value"])
+
+    def __str__(self) -> str:
+        """The expression, for the sizes that it was used with first."""
+        for function in self._functions.values():
+            columns = [_column(name, function.numel_in(i)) for i, name in enumerate(self.names)]
+            text = " ".join(str(function(*columns)).split())
+            return _shortened(text)
+        return f"{self.argument}({', '.join(self.names)})"
+
+    def serialized(self) -> dict[str, str]:
+        """Its expressions as text, by sizes."""
+        return {str(sizes): function.serialize() for sizes, function in self._functions.items()}
+
+    def __getstate__(self) -> dict[str, Any]:
+        functions = {sizes: function.serialize() for sizes, function in self._functions.items()}
+        whole = self._given.serialize() if isinstance(self._given, ca.Function) else None
+        plain = None if functions or whole is not None else self._given
+        return {"argument": self.argument, "names": self.names, "functions": functions, "whole": whole, "given": plain}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        given = state["given"] if state["whole"] is None else ca.Function.deserialize(state["whole"])
+        self.__init__(state["argument"], given, state["names"])  # type: ignore[misc]
+        self._functions = {sizes: ca.Function.deserialize(text) for sizes, text in state["functions"].items()}
+
+
+def as_symbolic(argument: str, value: Any, names: tuple[str, ...]) -> SymbolicFunction:
+    """`value` as a function of these CasADi columns.
+
+    Raises
+    ------
+    InputError
+        If it is not callable, or a `casadi.Function` with another number of arguments.
+    """
+    if isinstance(value, SymbolicFunction):
+        return value
+    expected = f"a function of {', '.join(names)} on CasADi columns"
+    if not callable(value) or isinstance(value, type):
+        raise InputError(argument, shown(value), expected, "Such as lambda p: 3 * p[0] + p[1] ** 2.")
+    if isinstance(value, ca.Function) and (value.n_in() != len(names) or value.n_out() != 1):
+        raise InputError(argument, f"{value.n_in()} arguments and {value.n_out()} results", f"{expected}, one result")
+    return SymbolicFunction(argument, value, names)
+
+
+def _shortened(text: str) -> str:
+    """Its first characters."""
+    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
+
+
+def _column(name: str, size: int) -> ca.SX:
+    """Symbols (size, 1)."""
+    return ca.SX.sym(name, size) if size else ca.SX(0, 1)

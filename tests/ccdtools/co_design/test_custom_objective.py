@@ -1,0 +1,185 @@
+import copy
+import pickle
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+import torch
+
+from ccdtools import (
+    CoDesignProblem,
+    CustomObjective,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    LinearFeedback,
+    Plant,
+    QuadraticObjective,
+    discretise,
+    output_objective,
+    saturated_lqr,
+    simulate,
+)
+from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, to_design
+from ccdtools.co_design.environment import DesignEnv
+from ccdtools.co_design.episodes import simulated
+
+x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+ACCELERATION = -p[0] * x[0] - p[1] * x[1] + u
+SPACE = DesignSpace(["k", "c"], [1.0, 0.1], [5.0, 1.0])
+PLANT = Plant(x, u, w, p, ca.vertcat(x[1], ACCELERATION + w), SPACE, dt=0.1, outputs=[ACCELERATION, x[0]])
+MODEL = discretise(PLANT)
+Q, R, S = np.diag([2.0, 0.5]), np.array([[0.3]]), np.array([[0.2], [0.1]])
+P0 = np.array([2.0, 0.5])
+K = np.array([[1.0, 0.7]])
+
+
+def problem(objective, steps=30, **changes):
+    scenarios = FixedStart([1.0, -0.5], Gaussian([0.2]))
+    return CoDesignProblem(MODEL, ([-4, -4], [4, 4]), ([-9], [9]), objective, scenarios, steps, **changes)
+
+
+def loop(steps=30, runs=4):
+    return simulate(
+        MODEL, LinearFeedback(K), x0=np.tile([1.0, -0.5], (runs, 1)), steps=steps, disturbance=Gaussian([0.2]),
+        design=P0, rng=np.random.default_rng(1),
+    )  # fmt: skip
+
+
+def in_training(own, run, v=None):
+    """The returns of the same scenarios on the differentiable model under u = −K x."""
+    design = torch.tensor(P0) if v is None else to_design(own, v)
+    scenarios = (torch.tensor(run.states[:, 0]), torch.tensor(run.disturbances))
+    return simulated(Stepper.at(own, design), lambda z: -z @ torch.tensor(K).T, scenarios).total
+
+
+def test_a_cross_weight_costs_what_the_sums_say():
+    run = loop()
+    total = 0.0
+    for k in range(30):
+        after, now, v = run.states[0, k + 1], run.states[0, k], run.inputs[0, k]
+        total -= after @ Q @ after + v @ R @ v + 2 * now @ S @ v
+    objective = QuadraticObjective(Q, R, S)
+    assert run.returns(objective)[0] == pytest.approx(total)
+    np.testing.assert_allclose(in_training(problem(objective), run), run.returns(objective))
+
+
+def stage(x, u, p):
+    return (1 + p[0]) * x[0] ** 2 + ca.sqrt(1 + x[1] ** 2) - 1 + p[1] * u[0] ** 2 + 0.1 * x[0] * u[0]
+
+
+def test_any_stage_and_terminal_cost_is_summed_over_present_states():
+    run = loop()
+    objective = CustomObjective(stage, lambda x, p: p[0] * ca.sumsqr(x) ** 2)
+    z, v = run.states[2], run.inputs[2, :, 0]
+    cost = 3.0 * z[:-1, 0] ** 2 + np.sqrt(1 + z[:-1, 1] ** 2) - 1 + 0.5 * v**2 + 0.1 * z[:-1, 0] * v
+    expected = -cost.sum() - 2.0 * (z[-1] @ z[-1]) ** 2
+    assert run.returns(objective)[2] == pytest.approx(expected)
+    np.testing.assert_allclose(in_training(problem(objective), run), run.returns(objective))
+
+
+def test_the_weights_of_a_custom_cost_are_half_its_hessian_at_rest():
+    own = problem(CustomObjective(stage)).weights(P0)
+    np.testing.assert_allclose(own.Q, np.diag([3.0, 0.5]), atol=1e-12)
+    np.testing.assert_allclose(own.R, [[0.5]])
+    np.testing.assert_allclose(own.S, [[0.05], [0.0]], atol=1e-12)
+
+
+def test_given_weights_take_the_place_of_the_hessian():
+    economic = CustomObjective(lambda x, u, p: x[0] - u[0], Q=Q, R=R)
+    np.testing.assert_array_equal(problem(economic).weights(P0).Q, Q)
+    assert problem(economic).weights(P0).S is None
+
+
+def test_a_cost_of_outputs_is_the_quadratic_one_of_their_matrices():
+    """Acceleration has a feed-through: y = C x + D u, so Q = CᵀWC, S = CᵀWD, R = DᵀWD."""
+    own = problem(output_objective(PLANT, weights=[3.0, 2.0], R=0.5)).weights(P0)
+    C, D, W = np.array([[-2.0, -0.5], [1.0, 0.0]]), np.array([[1.0], [0.0]]), np.diag([3.0, 2.0])
+    for name, expected in {"Q": C.T @ W @ C, "S": C.T @ W @ D, "R": D.T @ W @ D + 0.5}.items():
+        np.testing.assert_allclose(getattr(own, name), expected, atol=1e-12)
+    run = loop()
+    y = run.states[:, :-1] @ C.T + run.inputs @ D.T
+    expected = -np.einsum("ntk,kl,ntl->n", y, W, y) - 0.5 * (run.inputs**2).sum((1, 2))
+    np.testing.assert_allclose(run.returns(output_objective(PLANT, weights=W, R=[[0.5]])), expected)
+
+
+def price(p):
+    return 3 * p[0] + p[1] ** 2
+
+
+def test_a_design_is_paid_for_once_an_episode_in_training_and_in_simulation_alike():
+    run = loop()
+    plain, priced = (QuadraticObjective(Q, R, design_cost=cost) for cost in (None, price))
+    np.testing.assert_allclose(run.returns(plain) - run.returns(priced), 6.25)
+    np.testing.assert_allclose(in_training(problem(priced), run), run.returns(priced))
+
+
+def test_a_longer_deployment_pays_for_its_design_in_proportion():
+    objective = problem(QuadraticObjective(Q, R, design_cost=price)).objective
+    plain = QuadraticObjective(Q, R)
+    for steps in (15, 30, 300):
+        run = loop(steps)
+        np.testing.assert_allclose(run.returns(plain) - run.returns(objective), 6.25 * steps / 30)
+
+
+def test_the_design_gradient_is_that_of_cost_and_price():
+    own = problem(CustomObjective(stage, lambda x, p: p[1] * x[0] ** 2, design_cost=price))
+    v = torch.tensor([0.3, 0.6], dtype=torch.float64, requires_grad=True)
+    run = loop()
+    (gradient,) = torch.autograd.grad(in_training(own, run, v).sum(), v)
+    for i, h in enumerate(1e-6 * torch.eye(2, dtype=torch.float64)):
+        ends = [in_training(own, run, (v + side * h).detach()).sum() for side in (1, -1)]
+        assert float(gradient[i]) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-6)
+
+
+def test_one_design_for_every_run_is_one_design_for_all():
+    own = problem(CustomObjective(stage, lambda x, p: p[1] * x[0] ** 2, design_cost=price))
+    run = loop()
+    scenarios = (torch.tensor(run.states[:, 0]), torch.tensor(run.disturbances))
+    each = Stepper.at(own, torch.tensor(np.tile(P0, (4, 1))))
+    totals = simulated(each, lambda z: -z @ torch.tensor(K).T, scenarios).total
+    np.testing.assert_allclose(totals, run.returns(own.objective))
+
+
+def test_the_environment_of_ppo_earns_the_same_but_for_the_price():
+    own = problem(CustomObjective(stage, lambda x, p: p[1] * x[0] ** 2, design_cost=price), steps=5)
+    env = DesignEnv(own, torch.tensor(P0, dtype=torch.float32), runs=3, rng=np.random.default_rng(4))
+    x0, drawn = scenario_tensors(own, 3, np.random.default_rng(4))
+    seen = env.reset()
+    total = torch.zeros(3)
+    for _ in range(5):
+        seen, _, reward, _, _ = env.step(-seen[:, :2] @ torch.tensor(K, dtype=torch.float32).T)
+        total = total + reward
+    run = simulate(MODEL, LinearFeedback(K), x0=x0.double(), steps=5, disturbance=drawn.double(), design=P0)
+    np.testing.assert_allclose(total, run.returns(own.objective) + 6.25, rtol=1e-5)
+
+
+@pytest.mark.parametrize("twin", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_copies_of_an_objective_of_lambdas_judge_alike(twin):
+    own = problem(CustomObjective(lambda x, u, p: stage(x, u, p), design_cost=lambda p: price(p)))
+    run = loop()
+    np.testing.assert_array_equal(run.returns(twin(own).objective), run.returns(own.objective))
+
+
+def test_lqr_of_a_cost_of_acceleration_beats_one_that_knows_nothing_of_it():
+    own = problem(output_objective(PLANT, weights=[1.0, 2.0], R=0.01))
+    blind = replace(own, objective=QuadraticObjective(np.diag([2.0, 0.0]), [[0.01]]))
+    returns = [
+        simulate(MODEL, saturated_lqr(one, P0), x0=[1.0, 0.0], steps=100, design=P0).returns(own.objective)[0]
+        for one in (own, blind)
+    ]
+    assert returns[0] > 0.9 * returns[1]
+    A, B, _ = MODEL.matrices(P0)
+    expected = -_optimal_cost(A, B, own.weights(P0), np.array([1.0, 0.0]))
+    assert returns[0] == pytest.approx(expected, rel=1e-6)
+
+
+def _optimal_cost(A, B, weights, x0):
+    """x₀ᵀPx₀ by the Riccati recursion itself."""
+    P = np.zeros((2, 2))
+    for _ in range(5000):
+        G = weights.R + B.T @ P @ B
+        L = weights.S.T + B.T @ P @ A
+        P = weights.Q + A.T @ P @ A - L.T @ np.linalg.solve(G, L)
+    return x0 @ P @ x0
