@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.objective import QuadraticObjective
     from ccdtools.co_design.problem import CoDesignProblem, FixedStart
     from ccdtools.co_design.result import CoDesignResult
+    from ccdtools.co_design.risk import CVaR, Mean, MeanSpread
     from ccdtools.comparison.baselines import baselines, saturated_lqr
     from ccdtools.comparison.comparison import compare
     from ccdtools.comparison.ride_comfort import comfort, weighted_acceleration
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
     from ccdtools.exceptions import CCDError, InputError, JumpWarning, LimitWarning, SamplingWarning
     from ccdtools.limits import depth_outside, excursions
+    from ccdtools.output_limits import OutputLimits
     from ccdtools.plants.design_space import DesignSpace
     from ccdtools.plants.discretisation import discretise
     from ccdtools.plants.equilibrium import Equilibrium, equilibrium
@@ -58,6 +60,7 @@ if TYPE_CHECKING:
 __all__ = [
     "PID",
     "CCDError",
+    "CVaR",
     "CoDesignConfig",
     "CoDesignProblem",
     "CoDesignResult",
@@ -77,7 +80,10 @@ __all__ = [
     "LimitWarning",
     "LinearFeedback",
     "LinearModel",
+    "Mean",
+    "MeanSpread",
     "OnlineConfig",
+    "OutputLimits",
     "Passive",
     "Plant",
     "QuadraticObjective",
@@ -133,6 +139,7 @@ __all__ = [
 _HOMES = {
     "PID": "controllers.controllers",
     "CCDError": "exceptions",
+    "CVaR": "co_design.risk",
     "CoDesignConfig": "co_design.configuration",
     "CoDesignProblem": "co_design.problem",
     "CoDesignResult": "co_design.result",
@@ -152,7 +159,10 @@ _HOMES = {
     "LimitWarning": "exceptions",
     "LinearFeedback": "controllers.controllers",
     "LinearModel": "plants.linear_model",
+    "Mean": "co_design.risk",
+    "MeanSpread": "co_design.risk",
     "OnlineConfig": "twin.online",
+    "OutputLimits": "output_limits",
     "Passive": "controllers.controllers",
     "Plant": "plants.plant",
     "QuadraticObjective": "co_design.objective",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -159,12 +159,16 @@ def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[
     runs = np.asarray(as_array("states", states, ("T", nx), ("n", "T", nx)) if np.size(states) else states)
     runs = runs.reshape(-1, runs.shape[-2], nx)
     names = tuple(f"x{i + 1}" for i in range(nx)) if names is None else as_names("names", names, nx)
-    if not len(runs):
+    return excursions_of(limits.depths(runs), lambda row: limits.row_text(row, names))
+
+
+def excursions_of(by_row: Array, row_text: Callable[[int], str]) -> Excursions:
+    """Those of runs that exceed each limit by so much, (n, T, m); `row_text` says what exceeding one means."""
+    if not len(by_row):
         return Excursions(np.zeros(0), np.zeros(0), np.zeros(0))
-    by_row = limits.depths(runs)
     depth = np.maximum(by_row.max(axis=-1), 0.0)
     largest = by_row.reshape(-1, by_row.shape[-1]).max(axis=0)
-    exceeded = limits.row_text(int(np.argmax(largest)), names) if largest.max() > 0 else ""
+    exceeded = row_text(int(np.argmax(largest))) if largest.max() > 0 else ""
     return Excursions((depth > 0).mean(axis=1), depth.mean(axis=1), depth.max(axis=1), exceeded)
 
 

@@ -233,7 +233,7 @@ class Ascent:
     def cost(self, v: Tensor, scenarios: ScenarioTensors) -> Tensor:
         """Mean cost at a point of the unit box, with what leaving X costs; differentiable."""
         seen = episode_at(self.task.problem, self.agent, v, scenarios, depths=self.limited)
-        cost = -seen.total.mean()
+        cost = -self.task.problem.risk.values(seen.total).mean()
         if self.limits is None or not self.limited:
             self.prices = None
             return cost
@@ -249,7 +249,8 @@ class Ascent:
     def evaluated(self) -> Iterate:
         """The present iterate on the fixed scenarios, with a row of the history."""
         seen = self._seen(self)
-        kept = seen.total[~seen.diverged]
+        values = self.task.judge.risk.values(seen.total)
+        kept = values[~seen.diverged]
         mean = kept.mean().item() if len(kept) else float("nan")
         std = kept.std().item() if len(kept) > 1 else 0.0
         lost = seen.diverged.double().mean().item()
@@ -262,7 +263,7 @@ class Ascent:
                 self.limits = self.limits.updated(seen, self.v.detach(), self.evaluation)
             violation = self.limits.violation(seen)
             outcome = self.limits.outcome(seen)
-        return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), seen.total.numpy(), violation, lost, outcome)
+        return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), values.numpy(), violation, lost, outcome)
 
     def iterate(self, k: int, length: int) -> None:
         """One step of the policy and one of the design; the rates are those of iteration k of a block."""

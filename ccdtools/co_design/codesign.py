@@ -18,6 +18,7 @@ from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, Valley
+from ccdtools.co_design.risk import Mean
 from ccdtools.co_design.starts import chosen_valleys, leader, race, start_designs
 from ccdtools.co_design.task import LimitPenalty, Task
 from ccdtools.exceptions import InputError
@@ -70,6 +71,9 @@ def codesign(
     config = as_instance("config", CoDesignConfig() if config is None else config, CoDesignConfig, "a CoDesignConfig")
     judge = as_instance("judge", problem if judge is None else judge, CoDesignProblem, "a CoDesignProblem or None")
     design = problem.design.check_one(design)
+    if not isinstance(problem.risk, Mean) and ("ppo" in method or config.design_gradient != "pathwise"):
+        got = f'"{method}" with the design gradient "{config.design_gradient}"'
+        raise InputError("method", got, '"pathwise" for both: PPO follows the mean return, and the problem has a risk')
     check_agent(problem, agent)
     as_flag("progress", progress)
     if limits is not None:
@@ -105,7 +109,8 @@ def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dic
     """What design and policy gained, one after the other, on the evaluation scenarios."""
     first = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32)
     before, moved = (
-        episode_at(task.judge, agent, v, winner.evaluation).total.mean().item() for v in (first, winner.best.v)
+        task.judge.risk.values(episode_at(task.judge, agent, v, winner.evaluation).total).mean().item()
+        for v in (first, winner.best.v)
     )
     return {"design": moved - before, "policy": winner.best.score - moved}
 

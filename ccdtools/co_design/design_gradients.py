@@ -85,16 +85,17 @@ class Differences:
     def _returns(self, v: Tensor) -> Tensor:
         """Returns (n,), less what leaving X costs."""
         seen = episode_at(self.problem, self.agent, v, self.scenarios, depths=self.prices is not None)
+        values = self.problem.risk.values(seen.total)
         if self.prices is None:
-            return seen.total
+            return values
         paid = self.prices.depth * seen.depth + self.prices.peak * seen.peak
-        return seen.total - paid - self.prices.design.double() @ v
+        return values - paid - self.prices.design.double() @ v
 
 
 def pathwise_by_run(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: ScenarioTensors) -> Tensor:
     """∂/∂v of every run's return through dynamics, policy and reward, (n, np)."""
     each = v.detach().expand(len(scenarios[0]), -1).clone().requires_grad_(True)
-    total = episode_at(problem, agent, each, scenarios).total.sum()
+    total = problem.risk.values(episode_at(problem, agent, each, scenarios).total).sum()
     return torch.autograd.grad(total, each)[0].double()
 
 

@@ -147,10 +147,17 @@ class Stepper:
         """States (..., nx) beyond the divergence limit, (...,) bool."""
         return ~(x.abs() <= self.limit).all(-1)
 
-    def outside(self, x: Tensor) -> Tensor:
-        """How far states (..., nx) are outside X, (...,): the largest violation of a facet, in half-widths of X."""
+    def outside(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
+        """How far steps are outside the limits, (..., n): the largest violation, in half-widths.
+
+        Of a facet of X by the next states (..., n, nx), or of a limit of an output by inputs and present states.
+        """
         F, g = self._facets
-        return (x @ F.T - g).amax(-1).clamp(min=0.0)
+        depth = (x_next @ F.T - g).amax(-1)
+        limits = self.problem.output_limits
+        if limits is not None:
+            depth = torch.maximum(depth, limits.depths(x, u, self.p).amax(-1))
+        return depth.clamp(min=0.0)
 
     @cached_property
     def _facets(self) -> tuple[Tensor, Tensor]:

@@ -150,14 +150,16 @@ def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) 
     visited = torch.stack(states)
     if bool(step.left(visited.detach()).any()):
         return _guarded(step, law, w, depths, progress)
-    present = torch.cat([progress.x[None], visited[:-1]]) if step.problem.objective.looks_back else visited
-    rewards = step.rewards(visited, torch.stack(inputs), present)
+    applied = torch.stack(inputs)
+    looks_back = step.problem.objective.looks_back or step.problem.output_limits is not None
+    present = torch.cat([progress.x[None], visited[:-1]]) if looks_back else visited
+    rewards = step.rewards(visited, applied, present)
     total = progress.total + rewards.double().sum(0)
     if penalties:
         total = total - torch.stack(penalties).double().sum(0)
     if not depths:
         return x, e, progress.running, total, progress.depth, progress.peak, progress.outside
-    depth = step.outside(visited).double()
+    depth = step.outside(visited, applied, present).double()
     peak = torch.maximum(progress.peak, depth.amax(0))
     return x, e, progress.running, total, progress.depth + depth.sum(0), peak, progress.outside + (depth > 0).sum(0)
 
@@ -175,7 +177,7 @@ def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progre
         reward = step.rewards(x[None], u[None], present[None])[0] - sum(penalty)
         total = total + torch.where(running, reward, 0.0).double()
         if depths:
-            own = torch.where(running, step.outside(x[None])[0].double(), 0.0)
+            own = torch.where(running, step.outside(x[None], u[None], present[None])[0].double(), 0.0)
             depth = depth + own
             peak = torch.maximum(peak, own)
             outside = outside + (own > 0)

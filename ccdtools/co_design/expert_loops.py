@@ -87,8 +87,9 @@ class ExpertLoops:
         self.controllers: list[Controller] | None = None
         if expert != "lqr":
             weights = [problem.weights(p).keywords() for p in starts.p]
-            models = zip(starts.regions.A, starts.regions.B, weights)
-            laws = [LinearMPC(A, B, **own, horizon=horizon, X=problem.X, U=problem.U) for A, B, own in models]
+            kept = [problem.kept_by_mpc(p) for p in starts.p]
+            models = zip(starts.regions.A, starts.regions.B, weights, kept)
+            laws = [LinearMPC(A, B, **own, horizon=horizon, X=X, U=problem.U) for A, B, own, X in models]
             label = f"{expert} of every design"
             made = counted(laws, label, total=len(laws), progress=progress, echo=echo)
             self.controllers = [self._law(law, expert) for law in made]

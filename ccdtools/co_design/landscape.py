@@ -89,7 +89,7 @@ class Landscape:
             return torch.clamp(-torch.bmm(gains, x[:, :, None])[:, :, 0], low, high)
 
         scenarios = (self._x0.repeat(len(V), 1), self._w.repeat(len(V), 1, 1))
-        return simulated(step, law, scenarios).total.reshape(len(V), runs).mean(1).numpy()
+        return self.problem.risk.values(simulated(step, law, scenarios).total.reshape(len(V), runs)).mean(1).numpy()
 
 
 def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> tuple[Valley, ...]:

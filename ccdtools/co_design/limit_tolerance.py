@@ -94,7 +94,7 @@ def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, T
     """Episodes of online MPC, state limits relaxed where they cannot be kept, on the first few of some scenarios."""
     p = problem.design.from_unit(v.detach().double().numpy())
     A, B, _ = problem.model.matrices(p)
-    mpc = LinearMPC(A, B, **problem.weights(p).keywords(), horizon=HORIZON, X=problem.X, U=problem.U)
+    mpc = LinearMPC(A, B, **problem.weights(p).keywords(), horizon=HORIZON, X=problem.kept_by_mpc(p), U=problem.U)
     x0, w = scenarios
     runs = fewer_runs(MPC_RUNS, w.shape[1])
     with torch.no_grad():

@@ -11,6 +11,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import (
     as_count,
     as_floats,
+    as_instance,
     as_limit_tolerance,
     as_limits,
     as_vector,
@@ -19,8 +20,10 @@ from ccdtools.checks import (
     shown,
 )
 from ccdtools.co_design.objective import Objective, Weights, as_objective
+from ccdtools.co_design.risk import MEAN, Risk, as_risk
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
+from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import Model, as_regulated_model
 from invariant_sets import Polytope
@@ -108,6 +111,10 @@ class CoDesignProblem(Immutable):
         How often and how far a co-designed policy may leave X: no more than about what MPC of the same design does on
         the same scenarios; as it likes; or so large a fraction of the states, and so many half-widths of X in the mean
         of the peaks of the runs.
+    risk : Mean, MeanSpread or CVaR
+        What of the returns is optimised: by default their mean.
+    output_limits : OutputLimits, optional
+        Limits on outputs h(x, u, p), which count and are enforced as those of X are.
     warm_up : int
         First steps of an episode whose rewards and states outside X do not count; 0 by default. For episodes that
         begin at a state that the design and policy in question have not come to themselves.
@@ -128,6 +135,8 @@ class CoDesignProblem(Immutable):
     discrepancy: ErrorModel | None = None
     limit_tolerance: str | tuple[float, float] = "mpc"
     warm_up: int = 0
+    risk: Risk = MEAN
+    output_limits: OutputLimits | None = None
 
     def __post_init__(self) -> None:
         model = as_regulated_model("model", self.model)
@@ -145,6 +154,10 @@ class CoDesignProblem(Immutable):
         as_objective("objective", self.objective).check(model.nx, model.nu, model.design.dim)
         object.__setattr__(self, "steps", as_count("steps", self.steps))
         object.__setattr__(self, "objective", self.objective.over(self.steps))
+        as_risk("risk", self.risk)
+        if self.output_limits is not None:
+            as_instance("output_limits", self.output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
+            self.output_limits.check(model.nx, model.nu, model.design.dim)
         self.weights(model.design.centre)
         object.__setattr__(self, "warm_up", as_count("warm_up", self.warm_up, least=0))
         if self.warm_up >= self.steps:
@@ -207,6 +220,10 @@ class CoDesignProblem(Immutable):
     def weights(self, p: Array) -> Weights:
         """The weights of LQR and MPC at a design (np,)."""
         return self.objective.weights(p, self.model.nx, self.model.nu)
+
+    def kept_by_mpc(self, p: Array) -> Polytope:
+        """The states that MPC keeps at a design: X, and limits of outputs that are linear in the state alone."""
+        return self.X if self.output_limits is None else self.output_limits.within(self.X, self.model.nu, p)
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:

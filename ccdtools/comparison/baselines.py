@@ -37,5 +37,7 @@ def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gen
         "passive": Passive(problem.model.nu),
         REFERENCE: saturated_lqr(problem, design),
         "PID": tuned_pid(problem, design, rng=rng),
-        "MPC": LinearMPC(A, B, **problem.weights(design).keywords(), horizon=HORIZON, X=problem.X, U=problem.U),
+        "MPC": LinearMPC(
+            A, B, **problem.weights(design).keywords(), horizon=HORIZON, X=problem.kept_by_mpc(design), U=problem.U,
+        ),
     }

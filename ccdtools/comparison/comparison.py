@@ -21,6 +21,7 @@ from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits
+from ccdtools.output_limits import OutputLimits
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.trajectory import Trajectory
@@ -150,6 +151,7 @@ def compare(
     X: Polytope,
     limit: ArrayLike | None = None,
     few: Mapping[str, int] | None = None,
+    output_limits: OutputLimits | None = None,
 ) -> Comparison:
     """Scores of all controllers on one scenario, paired to the one named LQR.
 
@@ -167,6 +169,8 @@ def compare(
         Divergence limit on |x|, see `simulate`.
     few : mapping of name to int, optional
         Controllers that see only the first so many runs; MPC 100 by default.
+    output_limits : OutputLimits, optional
+        Limits of outputs, whose violations are counted with those of X.
 
     Raises
     ------
@@ -183,6 +187,8 @@ def compare(
     as_instance("X", X, Polytope, "a Polytope")
     if X.dim != scenario.plant.nx:
         raise InputError("X", f"dimension {X.dim}", f"{scenario.plant.nx}, one per state")
+    if output_limits is not None:
+        as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
     few = {"MPC": MPC_RUNS} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")
     runs = {name: min(as_count(f"few[{name!r}]", n), len(scenario.x0)) for name, n in few.items()}
     limits = StateLimits(X)
@@ -192,7 +198,7 @@ def compare(
     for name, controller in controllers.items():
         seen = scenario.first(runs.get(name, len(scenario.x0)))
         run = reference if name == REFERENCE else seen.run(controller, design=design, limit=limit)
-        outside[name] = Outside.of(run, limits, scenario.plant)
+        outside[name] = Outside.of(run, limits, scenario.plant, output_limits)
         scores.append(_score(name, controller, run, reference, objective, outside[name].whole, scenario))
     return Comparison(tuple(
         replace(score, further_outside_than=outside[score.controller].further_than(outside)) for score in scores

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccdtools.limits import Excursions, StateLimits, excursions, further_outside
+from ccdtools.limits import Excursions, StateLimits, excursions_of, further_outside
+from ccdtools.output_limits import OutputLimits
 from ccdtools.trajectory import Trajectory
 
 BLOCK = 100  # samples of a stretch of a single long run at most,
@@ -38,17 +39,25 @@ class Outside:
     lost: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, run: Trajectory, limits: StateLimits, plant: Any) -> Outside:
-        """Those of a trajectory."""
-        states = run.states[:, 1:]
-        names = getattr(plant, "state_names", None) or None
-        whole = excursions(states[~run.diverged], limits, names=names)
-        n, steps, nx = states.shape
+    def of(cls, run: Trajectory, limits: StateLimits, plant: Any, outputs: OutputLimits | None = None) -> Outside:
+        """Those of a trajectory: of states, and of outputs that have limits."""
+        n, steps, nx = run.states[:, 1:].shape
+        names = getattr(plant, "state_names", None) or tuple(f"x{i + 1}" for i in range(nx))
+        by_row = limits.depths(run.states[:, 1:])
+        rows = by_row.shape[-1]
+        if outputs is not None:
+            by_row = np.concatenate([by_row, outputs.depths(run.states[:, :-1], run.inputs, run.design)], axis=-1)
+
+        def text(row: int) -> str:
+            """What exceeding a limit means."""
+            return limits.row_text(row, names) if row < rows or outputs is None else outputs.row_text(row - rows)
+
+        whole = excursions_of(by_row[~run.diverged], text)
         if n > 1 or steps < STRETCHES:
-            return cls(whole, excursions(states, limits, names=names), False, run.diverged)
+            return cls(whole, excursions_of(by_row, text), False, run.diverged)
         length = min(BLOCK, steps // STRETCHES)
-        pieces = states[0, : steps // length * length].reshape(-1, length, nx)
-        return cls(whole, excursions(pieces, limits, names=names), True, np.repeat(run.diverged, len(pieces)))
+        pieces = by_row[0, : steps // length * length].reshape(-1, length, by_row.shape[-1])
+        return cls(whole, excursions_of(pieces, text), True, np.repeat(run.diverged, len(pieces)))
 
     def further_than(self, others: Mapping[str, Outside]) -> tuple[str, ...]:
         """The names of those that leave X less."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
@@ -37,7 +38,7 @@ class SymbolicFunction:
         self._given = given
         self._functions: dict[Sizes, ca.Function] = {}
         self._compiled: dict[Sizes, Vectorised] = {}
-        self._hessians: dict[Sizes, ca.Function] = {}
+        self._at_rest: dict[tuple[str, Sizes], ca.Function] = {}
 
     def function(self, *sizes: int) -> ca.Function:
         """As a `casadi.Function` of columns of these sizes.
@@ -70,16 +71,28 @@ class SymbolicFunction:
             self._compiled[sizes] = Vectorised(self.function(*sizes))
         return self._compiled[sizes]
 
+    @property
+    def values(self) -> int:
+        """How many values it has, for the sizes that it was used with first."""
+        return next(iter(self._functions.values())).numel_out(0)
+
     def hessian(self, *sizes: int) -> ca.Function:
         """The Hessian of its scalar with respect to all arguments but the last, where these are 0, of the last."""
-        if sizes not in self._hessians:
+        return self._derived("hessian", sizes, lambda value, free: [ca.hessian(value, free)[0]])
+
+    def linear(self, *sizes: int) -> ca.Function:
+        """Its values and their Jacobian with respect to all arguments but the last, where these are 0, of the last."""
+        return self._derived("linear", sizes, lambda value, free: [value, ca.jacobian(value, free)])
+
+    def _derived(self, name: str, sizes: Sizes, make: Callable[[ca.SX, ca.SX], list[ca.SX]]) -> ca.Function:
+        """Derivatives at rest, as a function of the last argument."""
+        if (name, sizes) not in self._at_rest:
             columns = [_column(name, size) for name, size in zip(self.names, sizes)]
             free = ca.vertcat(*columns[:-1])
-            at_rest = ca.substitute(
-                ca.densify(ca.hessian(self.function(*sizes)(*columns), free)[0]), free, ca.SX.zeros(free.shape)
-            )
-            self._hessians[sizes] = ca.Function("hessian", [columns[-1]], [at_rest])
-        return self._hessians[sizes]
+            parts = make(self.function(*sizes)(*columns), free)
+            at_rest = [ca.substitute(ca.densify(part), free, ca.SX.zeros(free.shape)) for part in parts]
+            self._at_rest[name, sizes] = ca.Function(name, [columns[-1]], at_rest)
+        return self._at_rest[name, sizes]
 
     def _made(self, sizes: Sizes) -> ca.Function:
         """The function for new sizes."""

@@ -257,6 +257,7 @@ class Evaluation:
             scores = compare(
                 everyone, scenario, design=design, objective=self.study.objective, X=self.study.X,
                 limit=self.problem.limit, few={"MPC": self.config.mpc_runs},
+                output_limits=self.problem.output_limits,
             )  # fmt: skip
             place = {"plant": plant, "model": name, "generation": generation}
             rows += [place | self.row(design, score) for score in scores]

@@ -75,6 +75,7 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: InService) -
         scores = compare(
             everyone, scenario, design=service.design, objective=evaluation.study.objective, X=evaluation.study.X,
             limit=evaluation.problem.limit, few={"MPC": MPC_RUNS},
+            output_limits=evaluation.problem.output_limits,
         )  # fmt: skip
         place = {"plant": f"held out: {name}", "model": name, "generation": generation}
         rows += [place | evaluation.row(service.design, score) for score in scores]

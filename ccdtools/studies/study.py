@@ -26,8 +26,10 @@ from ccdtools.checks import (
 )
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+from ccdtools.co_design.risk import MEAN, Risk
 from ccdtools.disturbances.disturbance import Disturbance, is_recorded
 from ccdtools.exceptions import InputError
+from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.discretisation import ACCURACY, discretise
 from ccdtools.plants.models import Model, as_regulated_model
 from ccdtools.plants.plant import Plant
@@ -108,7 +110,7 @@ class Study(Immutable):
     ----------
     name, title : str
     plant : Plant
-        Linear in x, u, w or not; its design space and sampling time come with it.
+        Linear in x, u, w or not; its design space, its sampling time and the limits of its outputs come with it.
     X, U : Polytope, or bounds (lower, upper)
         State and input limits; both bounded and around the origin, U a box. Each bound is a number for all
         coordinates, or one number each.
@@ -145,6 +147,8 @@ class Study(Immutable):
     sampling_guard : {"warn", "ignore"}
         Whether a sampling time that does not resolve the plant is warned of, see `discretise`, and steps of the real
         plant that may be wrong by a tenth of X.
+    risk : Mean, MeanSpread or CVaR
+        What of the returns a co-design optimises; deployments and redesigns are judged by their means.
     accuracy : float
         Of the model of a plant that is not linear: largest error of a sample, relative to half the range of each state
         in X, see `discretise`.
@@ -179,6 +183,7 @@ class Study(Immutable):
     sampling_guard: str = "warn"
     sets: str = "auto"
     sets_time_limit: float = 20.0
+    risk: Risk = MEAN
     accuracy: float = ACCURACY
     method: str = "auto"
 
@@ -299,8 +304,9 @@ class Study(Immutable):
         """The co-design problem on the nominal model, from the evaluation's start."""
         scenarios = FixedStart(self.x0, self.disturbance)
         return CoDesignProblem(
-            self.model, self.X, self.U, self.objective, scenarios, self.steps, limit_tolerance=self.limit_tolerance
-        )
+            self.model, self.X, self.U, self.objective, scenarios, self.steps, limit_tolerance=self.limit_tolerance,
+            output_limits=OutputLimits.of(self.plant), risk=self.risk,
+        )  # fmt: skip
 
     def started(self, *, x0: ArrayLike | None = None, p0: ArrayLike | None = None) -> Study:
         """The same study from another state or design; a real start equal to the old x0 moves along."""

@@ -1,0 +1,125 @@
+"""Limits on outputs: stress, tyre load, power, a stop that depends on the design; any h(x, u, p) ≤ 0."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_floats, as_names, shown
+from ccdtools.exceptions import InputError
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.symbolic_functions import as_symbolic
+from invariant_sets import Polytope
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OutputLimits(Immutable):
+    """lower ≤ h(x, u, p) ≤ upper at every sample, x and u the state and input of that sample.
+
+    How far a limit is exceeded is told in half-widths of its range; of a limit on one side, in its distance from 0; and
+    of h ≤ 0 in the units of h, which is best stated relative, as ``stress / strength - 1``.
+
+    Parameters
+    ----------
+    outputs : function of (x, u, p)
+        Takes CasADi columns and returns a column (ny) or a list of expressions; a `casadi.Function` is one, too.
+    lower, upper : numbers or (ny,) array_like
+        Infinite where there is no limit; by default h ≤ 0.
+    names : sequence of str, optional
+        With units; y1, y2, … by default.
+
+    Raises
+    ------
+    InputError
+        If `outputs` is no such function, or the limits are not in order or limit nothing.
+    """
+
+    outputs: Any
+    lower: ArrayField = -np.inf
+    upper: ArrayField = 0.0
+    names: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "outputs", as_symbolic("output_limits", self.outputs, ("x", "u", "p")))
+        given = [np.atleast_1d(as_floats("output_limits", bound)) for bound in (self.lower, self.upper)]
+        try:
+            low, high = (np.array(bound) for bound in np.broadcast_arrays(*given))
+        except ValueError:
+            got = " and ".join(f"{len(bound)} bounds" for bound in given)
+            raise InputError("output_limits", got, "as many on either side") from None
+        if low.ndim != 1 or not (low < high).all():
+            raise InputError("output_limits", f"{shown(low)} and {shown(high)}", "numbers or vectors, lower < upper")
+        if not (np.isfinite(low) | np.isfinite(high)).any():
+            raise InputError("output_limits", "infinite ones alone", "at least one finite limit")
+        object.__setattr__(self, "lower", frozen(low))
+        object.__setattr__(self, "upper", frozen(high))
+
+    @classmethod
+    def of(cls, plant: Plant) -> OutputLimits | None:
+        """Those that a plant states for its outputs; None where it states none."""
+        low, high = plant.output_limits
+        if plant.ny == 0 or not (np.isfinite(low) | np.isfinite(high)).any():
+            return None
+        return cls(plant.output, low, high, tuple(plant.output_names))
+
+    def __repr__(self) -> str:
+        return f"OutputLimits({self.outputs})"
+
+    def check(self, nx: int, nu: int, designs: int) -> None:
+        """Raise an `InputError` unless there is a limit, and a name, for every output."""
+        ny = self.outputs.function(nx, nu, designs).numel_out(0)
+        if len(self.lower) not in (1, ny):
+            raise InputError("output_limits", f"{len(self.lower)} limits", f"{ny}, one per output")
+        if len(self.names):
+            as_names("output_limits, names", self.names, ny)
+
+    def depths(self, x: Any, u: Any, p: Any) -> Any:
+        """How far each limit is exceeded, (..., m): negative within; arrays or torch tensors.
+
+        Parameters
+        ----------
+        x, u : (..., nx) and (..., nu)
+        p : (np,) or (..., np)
+        """
+        y = self.outputs.vector(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)
+        index, sign, bound, unit = self._sides(y.shape[-1])
+        if isinstance(y, np.ndarray):
+            beyond = (sign * y[..., index] - bound) / unit
+            return np.where(np.isnan(beyond), np.inf, beyond)
+        return (y[..., index.tolist()] * y.new_tensor(sign) - y.new_tensor(bound)) / y.new_tensor(unit)
+
+    def row_text(self, row: int) -> str:
+        """What exceeding a limit means: "tyre load [N] > 500"; of the limits that `depths` gives."""
+        index, sign, bound, _ = self._sides(self.outputs.values)
+        i = int(index[row])
+        name = self.names[i] if len(self.names) else f"y{i + 1}"
+        return f"{name} {'>' if sign[row] > 0 else '<'} {sign[row] * bound[row]:.4g}"
+
+    def half_spaces(self, nx: int, nu: int, p: Array) -> tuple[Array, Array]:
+        """The limits on outputs of the state alone, linearised at rest, F x ≤ g at a design; those that hold there."""
+        value, J = (np.asarray(part) for part in self.outputs.linear(nx, nu, len(p))(p))
+        index, sign, bound, unit = self._sides(len(value))
+        F = sign[:, None] * J[index] / unit[:, None]
+        g = (bound - sign * value[index, 0]) / unit
+        alone = (F[:, nx:] == 0).all(axis=1) & (F[:, :nx] != 0).any(axis=1) & (g > 0)
+        return F[alone, :nx], g[alone]
+
+    def within(self, X: Polytope, nu: int, p: Array) -> Polytope:
+        """The states of X that keep these limits, as far as they are linear in the state alone."""
+        F, g = self.half_spaces(X.dim, nu, p)
+        return Polytope(np.vstack([X.A, F]), np.concatenate([X.b, g]), X.A_eq, X.b_eq) if len(g) else X
+
+    def _sides(self, ny: int) -> tuple[Any, Array, Array, Array]:
+        """Output, sign, bound and unit of every finite limit: sign · y ≤ bound."""
+        low, high = (np.broadcast_to(bound, (ny,)) for bound in (self.lower, self.upper))
+        width = (high - low) / 2
+        one_sided = np.where(np.isfinite(high), np.abs(high), np.abs(low))
+        unit = np.where(np.isfinite(width), width, np.where(one_sided > 0, one_sided, 1.0))
+        above, below = np.flatnonzero(np.isfinite(high)), np.flatnonzero(np.isfinite(low))
+        index = np.concatenate([above, below])
+        sign = np.concatenate([np.ones(len(above)), -np.ones(len(below))])
+        return index, sign, np.concatenate([high[above], -low[below]]), unit[index]
