@@ -67,8 +67,9 @@ def problem() -> CoDesignProblem:
 def exact(p: np.ndarray) -> tuple[float, np.ndarray]:
     """Expected cost of an episode of LQR at a design, with the price of the design; and the gain."""
     k, c, m = p
-    A = np.array([[0, 1, 0, 0], [-TYRE / m, -c / m, k / m, c / m], [0, -1, 0, 1], [0, c / SPRUNG, -k / SPRUNG, -c / SPRUNG]])
-    B = np.array([[0, -1 / m, 0, 1 / SPRUNG]]).T
+    s = SPRUNG
+    A = np.array([[0, 1, 0, 0], [-TYRE / m, -c / m, k / m, c / m], [0, -1, 0, 1], [0, c / s, -k / s, -c / s]])
+    B = np.array([[0, -1 / m, 0, 1 / s]]).T
     E = np.array([[-1.0, 0, 0, 0]]).T
     M = expm(DT * np.block([[A, B, E], [np.zeros((2, 6))]]))
     Ad, Bd, Ed = M[:4, :4], M[:4, 4:5], M[:4, 5:]

@@ -1,8 +1,8 @@
 """A servo whose speed limit binds, against MPC that knows the limit.
 
 ``python benchmarks/speed_limit.py [SEED ...]`` prints a row for every seed: the fraction of the states beyond the limit
-(required: at most what was stated), and the return beside that of MPC at the same design, whose own limit is set so that
-it lies beyond the real one as often (required: within 2 %). 1000 fresh runs, MPC 100 of them.
+(required: at most what was stated), and the return beside that of MPC at the same design, whose own limit is set so
+that it lies beyond the real one as often (required: within 2 %). 1000 fresh runs, MPC 100 of them.
 """
 
 from __future__ import annotations
@@ -89,8 +89,9 @@ def main(seeds: list[int]) -> None:
         mpc, often = mpc_as_often(own, design, fraction)
         value, other = learned.returns(own.objective)[:100].mean(), mpc.returns(own.objective).mean()
         lqr = outside(own, driven(own, saturated_lqr(own, design), design, 1000))
+        off = (value - other) / abs(other)
         print(f"| {seed} | {own.design.describe(design)} | {found.status.name} | {fraction:.2%} | {lqr:.2%} | "
-              f"{often:.2%} | {value:.4g} | {other:.4g} | {(value - other) / abs(other):+.2%} |", flush=True)  # fmt: skip
+              f"{often:.2%} | {value:.4g} | {other:.4g} | {off:+.2%} |", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":
