@@ -12,6 +12,7 @@ from mpc.exceptions import InputError, NotConvexError
 from mpc.tolerances import ASYMMETRY, NEGATIVE_WEIGHT
 
 Array = NDArray[np.float64]
+_OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD and R = D'WD."
 
 
 def as_floats(name: str, value: ArrayLike) -> Array:
@@ -69,6 +70,33 @@ def as_weight(name: str, value: ArrayLike, n: int) -> Array:
     symmetric: Array = (weight + weight.T) / 2
     symmetric.flags.writeable = False
     return symmetric
+
+
+def as_cross_weight(value: ArrayLike | None, Q: Array, R: Array) -> Array | None:
+    """Return the weight S (nx, nu) of 2 x'Su, read-only, for which [Q S; S' R] is positive semidefinite; None for None.
+
+    Q and R are weights that `as_weight` has checked.
+    """
+    if value is None:
+        return None
+    S = as_array("S", value, (len(Q), len(R)))
+    d = np.sqrt(np.abs(np.concatenate([np.diag(Q), np.diag(R)])))
+    dx, du = np.split(d, [len(Q)])
+    stray = (S != 0) & ((dx == 0)[:, None] | (du == 0))  # no scale says how small these would have to be
+    if stray.any():
+        i, j = (int(k) for k in np.argwhere(stray)[0])
+        free = f"Q[{i}, {i}]" if dx[i] == 0 else f"R[{j}, {j}]"
+        raise NotConvexError(
+            f"S: got {S[i, j]:.3g} at index {(i, j)} where {free} = 0, expected [Q S; S' R] ⪰ 0. {_OUTPUTS}", "S"
+        )
+    d[d == 0] = np.inf
+    smallest = float(np.linalg.eigvalsh(np.block([[Q, S], [S.T, R]]) / d / d[:, None])[0])
+    if smallest < -NEGATIVE_WEIGHT:
+        raise NotConvexError(
+            f"S: got a stage cost [Q S; S' R] with a negative direction (scaled eigenvalue {smallest:.3g}), expected "
+            f"[Q S; S' R] ⪰ 0. {_OUTPUTS}", "S", smallest,
+        )  # fmt: skip
+    return S
 
 
 def as_count(name: str, value: Any) -> int:

@@ -120,7 +120,7 @@ def _predict(problem: MPCProblem, layout: _Layout) -> tuple[Array, Array]:
 
 
 def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice], nv: int) -> Array:
-    """Matrix W of the cost ξ'Wξ = Σ e'Qe + d'Rd + e_N'Pe_N."""
+    """Matrix W of the cost ξ'Wξ = Σ e'Qe + 2 e'Sd + d'Rd + e_N'Pe_N."""
     N = problem.horizon
     error = X.copy()
     effort = U.copy()
@@ -131,6 +131,9 @@ def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice], nv: int
     W = np.zeros((nv, nv))
     for k in range(N):
         W += error[k].T @ problem.Q @ error[k] + effort[k].T @ problem.R @ effort[k]
+        if problem.S is not None:
+            cross = error[k].T @ problem.S @ effort[k]
+            W += cross + cross.T
     W += error[N].T @ problem.P @ error[N]
     return (W + W.T) / 2
 

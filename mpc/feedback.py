@@ -21,12 +21,12 @@ def stabilising_feedback(problem: MPCProblem) -> Array | None:
     if problem.horizon * np.log(max(radius, 1.0)) <= np.log(GROWTH):
         return None
     sx, su = cost_units(problem.A, problem.B, problem.Q, problem.R)
-    gains = _riccati_gains(problem, problem.Q, problem.R, problem.P)
+    gains = _riccati_gains(problem, problem.Q, problem.R, problem.S, problem.P)
     growth = _closed_loop_growth(problem, gains, sx)
     if growth > GROWTH:
         Q = np.diag(1 / problem.state_extent**2)
         R = np.diag(1 / np.where(problem.input_extent > 0, problem.input_extent, 1 / su) ** 2)
-        others = _riccati_gains(problem, Q, R, Q)
+        others = _riccati_gains(problem, Q, R, None, Q)
         if _closed_loop_growth(problem, others, sx) < growth:
             gains = others
     return gains
@@ -37,7 +37,7 @@ def block_lengths(problem: MPCProblem) -> tuple[int, ...]:
     return problem.blocks if problem.blocks is not None else (1,) * problem.horizon
 
 
-def _riccati_gains(problem: MPCProblem, Q: Array, R: Array, P: Array) -> Array:
+def _riccati_gains(problem: MPCProblem, Q: Array, R: Array, S: Array | None, P: Array) -> Array:
     """Optimal gains block by block, backwards from the terminal weight."""
     A = problem.A
     B = problem.B
@@ -52,6 +52,9 @@ def _riccati_gains(problem: MPCProblem, Q: Array, R: Array, P: Array) -> Array:
             M = step.T @ M @ step
             M[: problem.nx, : problem.nx] += Q
             M[problem.nx :, problem.nx :] += R
+            if S is not None:
+                M[: problem.nx, problem.nx :] += S
+                M[problem.nx :, : problem.nx] += S.T
         Mxu = M[: problem.nx, problem.nx :]
         Muu = M[problem.nx :, problem.nx :]
         K = _solve_scaled(Muu, Mxu.T)

@@ -32,8 +32,8 @@ SOLVERS = ("daqp", "osqp", "clarabel")
 class LinearMPC(MPCProblem):
     """Model predictive controller of x⁺ = Ax + Bu (+ Ew), a callable u = controller(x).
 
-    Minimises Σ_{k<N} x_k'Qx_k + u_k'Ru_k + x_N'Px_N subject to x_k in X (k = 1 … N), u_k in U (k = 0 … N-1) and
-    x_N in the terminal set (Borrelli, Bemporad and Morari, *Predictive Control*, 2017, eq. 12.6).
+    Minimises Σ_{k<N} x_k'Qx_k + 2 x_k'Su_k + u_k'Ru_k + x_N'Px_N subject to x_k in X (k = 1 … N), u_k in U
+    (k = 0 … N-1) and x_N in the terminal set (Borrelli, Bemporad and Morari, *Predictive Control*, 2017, eq. 12.6).
 
     Parameters
     ----------
@@ -43,6 +43,9 @@ class LinearMPC(MPCProblem):
         Input matrix [-].
     Q, R : (nx, nx) and (nu, nu) array, or their diagonals, or numbers
         Weights, symmetric positive semidefinite; R may be singular while the condensed Hessian is definite.
+    S : (nx, nu) array, optional
+        Cross weight, `N` in python-control and MATLAB, with [Q S; S' R] positive semidefinite: outputs y = Cx + Du of
+        weight W have Q = C'WC, S = C'WD, R = D'WD. With references it weighs (x - x_ref)'S(u - u_ref).
     horizon : int
         N [steps].
     P : (nx, nx) array, optional

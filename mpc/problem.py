@@ -15,6 +15,7 @@ from mpc.checks import (
     as_array,
     as_blocks,
     as_count,
+    as_cross_weight,
     as_halfspaces,
     as_pair,
     as_rate_limit,
@@ -30,9 +31,9 @@ from mpc.tolerances import SMALL_BOUND
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MPCProblem:
-    """Minimise Σ x'Qx + u'Ru + x_N'Px_N subject to the model and the limits; see `LinearMPC` for every argument.
+    """Minimise Σ x'Qx + 2 x'Su + u'Ru + x_N'Px_N subject to the model and the limits.
 
-    `condense` turns it into a `ParametricQP`, `LinearMPC` solves it.
+    `LinearMPC` says what every argument is. `condense` turns it into a `ParametricQP`, `LinearMPC` solves it.
 
     Attributes
     ----------
@@ -48,6 +49,7 @@ class MPCProblem:
     B: Any = None
     Q: Any = field(kw_only=True)
     R: Any = field(kw_only=True)
+    S: Any = field(default=None, kw_only=True)
     horizon: int = field(kw_only=True)
     P: Any = field(default=None, kw_only=True)
     X: Any = field(default=None, kw_only=True)
@@ -66,11 +68,12 @@ class MPCProblem:
     def __post_init__(self) -> None:
         A, B = as_pair(self.A, self.B)
         self._set(A=A, B=B, Q=as_weight("Q", self.Q, len(A)), R=as_weight("R", self.R, B.shape[1]))
+        self._set(S=as_cross_weight(self.S, self.Q, self.R))
         self._set(horizon=as_count("horizon", self.horizon))
         self._check_sets()
         self._check_options()
         if self.P is None:
-            gain, P = lqr(A, B, Q=self.Q, R=self.R)
+            gain, P = lqr(A, B, Q=self.Q, R=self.R, S=self.S)
             self._set(P=P, given_P=None, riccati_gain=gain)
         else:
             P = as_weight("P", self.P, len(A))
@@ -129,7 +132,9 @@ class MPCProblem:
     @cached_property
     def gain(self) -> Array:
         """Gain K (nu, nx) of the unconstrained regulator u = -K x, see `lqr`."""
-        return self.riccati_gain if self.riccati_gain is not None else lqr(self.A, self.B, Q=self.Q, R=self.R)[0]
+        if self.riccati_gain is not None:
+            return self.riccati_gain
+        return lqr(self.A, self.B, Q=self.Q, R=self.R, S=self.S)[0]
 
     @cached_property
     def input_extent(self) -> Array:

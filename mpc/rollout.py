@@ -82,6 +82,8 @@ def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> 
     R = np.asarray(problem.R)
     P = np.asarray(problem.P)
     cost = np.sum(error[:-1] @ Q * error[:-1]) + np.sum(effort @ R * effort) + error[-1] @ P @ error[-1]
+    if problem.S is not None:
+        cost += 2 * np.sum(error[:-1] @ problem.S * effort)
     if problem.soft is not None:
         linear, quadratic = problem.soft
         s = relative_violations(problem, states, problem.price_units)

@@ -194,7 +194,7 @@ def _matrices(staging: Staging) -> tuple[Any, Any]:
     """Upper triangle of the Hessian, and the rows: first state, dynamics, constraints."""
     stages = staging.stages
     n = staging.n
-    H = sparse.triu(sparse.block_diag([block for stage in stages for block in (stage.Hx, stage.Hv)])).tocsc()
+    H = sparse.triu(sparse.block_diag([block for stage in stages for block in stage.hessians])).tocsc()
     widths = [len(stage.gx) + len(stage.gv) for stage in stages]
     starts = np.cumsum([0, *widths])
     equal = sparse.lil_matrix((n * len(stages), int(starts[-1])))

@@ -17,7 +17,7 @@ _INSIDE = 0.9  # share of the limits that the first guess uses
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One step: ξ⁺ = Aξ + Bν + c, cost ½ξ'Hxξ + gx'ξ + ½ν'Hvν + gv'ν, rows Cν + Dξ <= d.
+    """One step: ξ⁺ = Aξ + Bν + c, cost ½ξ'Hxξ + gx'ξ + ½ν'Hvν + gv'ν + ξ'Hcν, rows Cν + Dξ <= d; without Hc, None.
 
     ξ is (x, last input) where the last input matters, ν is (u, t) with t >= 0 the largest violation of the step where
     it has a price; `nu` is the number of entries of u in ν, zero where the input is held and at the end.
@@ -34,6 +34,22 @@ class Stage:
     D: Array
     d: Array
     nu: int
+    Hc: Array | None
+
+    @property
+    def hessians(self) -> list[Array]:
+        """The Hessian in (ξ, ν) as its diagonal blocks."""
+        if self.Hc is None:
+            return [self.Hx, self.Hv]
+        return [np.block([[self.Hx, self.Hc], [self.Hc.T, self.Hv]])]
+
+    def slopes(self, state: Array, variables: Array) -> tuple[Array, Array]:
+        """Slope of the cost by ξ and by ν."""
+        by_state = self.Hx @ state + self.gx
+        by_variables = self.Hv @ variables + self.gv
+        if self.Hc is None:
+            return by_state, by_variables
+        return by_state + self.Hc @ variables, by_variables + self.Hc.T @ state
 
 
 class Staging:
@@ -64,6 +80,9 @@ class Staging:
         self.n = problem.nx + self.memory
         self.Q, self.P = (np.asarray(w) * self.state_size * self.state_size[:, None] for w in (problem.Q, problem.P))
         self.R = np.asarray(problem.R) * self.input_size * self.input_size[:, None]
+        self.S: Array | None = None
+        if problem.S is not None:
+            self.S = problem.S * self.input_size * self.state_size[:, None]
         self.cost = float(np.trace(self.Q) + np.trace(self.R)) or 1.0
         self.held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
         last = given.get("u_prev", np.zeros(problem.nu))[: self.memory] / self.input_size[: self.memory]
@@ -130,8 +149,25 @@ class Staging:
         if self.price is not None and priced:
             gv[-1] = self.price[0] / self.cost
             Hv[-1, -1] = 2 * self.price[1] / self.cost
+        Hc = None
+        if self.S is not None and k < last:
+            Hc = self._cross(k, 2 * self.S / self.cost, Hx, gx, gv, free)
         A, B, c = self._dynamics(k, free, priced)
-        return Stage(A, B, c, Hx, gx, Hv, gv, *self._rows(k, free, priced), free)
+        return Stage(A, B, c, Hx, gx, Hv, gv, *self._rows(k, free, priced), free, Hc)
+
+    def _cross(self, k: int, S: Array, Hx: Array, gx: Array, gv: Array, free: int) -> Array | None:
+        """Hc of step k; the other terms of the cross weight S are written into the rest of the cost."""
+        nx = self.problem.nx
+        gx[:nx] -= S @ self.u_ref[k]
+        if not free:  # the input is one of the states
+            Hx[:nx, nx:] = S
+            Hx[nx:, :nx] = S.T
+            gx[nx:] -= S.T @ self.x_ref[k]
+            return None
+        gv[:free] -= S.T @ self.x_ref[k]
+        Hc = np.zeros((len(gx), len(gv)))
+        Hc[:nx, :free] = S
+        return Hc
 
     def _dynamics(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
         """(A, B, c) of the step after k; zero at the end."""
@@ -202,6 +238,8 @@ def _input_size(problem: MPCProblem, x: Array, given: Given) -> Array:
     if "u_ref" in given:
         asked = np.abs(given["u_ref"].reshape(N, -1)).max(axis=0)
     spent = float(np.sqrt(reach @ np.abs(problem.P) @ reach))
+    if problem.S is not None:  # u = -R⁻¹S'x may cost nothing together with x, where alone it costs as much as x
+        spent += float(np.sqrt(reach @ np.abs(problem.Q) @ reach))
     weight = np.sqrt(np.diag(np.asarray(problem.R)))
     regulated = np.where(weight > 0, spent / np.where(weight > 0, weight, 1.0) + asked, np.inf)
     size = np.minimum(np.where(problem.input_extent > 0, problem.input_extent, np.inf), regulated)

@@ -107,11 +107,15 @@ class _Iteration:
             w = self.weights[k]
             M = st.Hv + (st.C.T * w) @ st.C + st.B.T @ V @ st.B
             cross = st.B.T @ V @ st.A + (st.C.T * w) @ st.D
+            if st.Hc is not None:
+                cross += st.Hc.T
             inverse = _inverse(M)
             K = -inverse @ cross
             closed = st.A + st.B @ K
             rows = st.D + st.C @ K
             V = st.Hx + closed.T @ V @ closed + K.T @ st.Hv @ K + (rows.T * w) @ rows
+            if st.Hc is not None:
+                V += 2 * st.Hc @ K  # made symmetric below
             V = (V + V.T) / 2
             self.gains[k] = K
             self.inverses[k] = inverse
@@ -123,9 +127,10 @@ class _Iteration:
         for k in reversed(range(len(self.stages))):
             st = self.stages[k]
             K = self.gains[k]
-            slope = st.Hv @ self.variables[k] + st.gv + st.C.T @ rho[k]
+            by_state, by_variables = st.slopes(self.states[k], self.variables[k])
+            slope = by_variables + st.C.T @ rho[k]
             forward[k] = -self.inverses[k] @ (slope + st.B.T @ v_next)
-            v_next = st.Hx @ self.states[k] + st.gx + st.D.T @ rho[k] + K.T @ slope + (st.A + st.B @ K).T @ v_next
+            v_next = by_state + st.D.T @ rho[k] + K.T @ slope + (st.A + st.B @ K).T @ v_next
         slacks = []
         multipliers = []
         dx = np.zeros(len(self.states[0]))

@@ -117,7 +117,7 @@ class OffsetFreeMPC:
     def target(self, reference: ArrayLike) -> tuple[Array, Array]:
         """Steady state (x, u) in X and U that brings Cx nearest to the reference (ny,), in least squares.
 
-        Where several do, the one of least cost x'Qx + u'Ru.
+        Where several do, the one of least cost x'Qx + 2 x'Su + u'Ru.
 
         Raises
         ------
@@ -164,6 +164,9 @@ class OffsetFreeMPC:
         W = np.zeros((len(size), len(size)))
         W[: mpc.nx, : mpc.nx] = mpc.Q
         W[mpc.nx :, mpc.nx :] = mpc.R
+        if mpc.S is not None:
+            W[: mpc.nx, mpc.nx :] = mpc.S
+            W[mpc.nx :, : mpc.nx] = mpc.S.T
         W = W * size * size[:, None]
         W = W / max(float(np.trace(W)), np.finfo(float).tiny) + NEGLIGIBLE * np.eye(len(size))
         T = output / unit
