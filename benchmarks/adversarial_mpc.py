@@ -121,7 +121,7 @@ def promises(problem, plan, x, signals):
         wrong.append("violation")
     if (
         plan.status is not Status.INFEASIBLE
-        and abs(plan.cost - cost_of(problem, plan.inputs, plan.states)) > 1e-6 * plan.cost
+        and abs(plan.cost - cost_of(problem, plan.inputs, plan.states)) > 1e-6 * plan.cost + 1e-12 * x @ problem.Q @ x
     ):
         wrong.append("cost")
     if plan.status is Status.SOLVED and problem.soft is None and relative(problem, plan.states).max(initial=0.0) > 2e-6:
@@ -274,9 +274,10 @@ def verdict(problem, plan, x, signals):
         elif not away:
             best = reference(problem, x, signals)
             if best is not None:
-                if plan.cost > best[0] * (1 + 1e-5) + 1e-9 * abs(x @ problem.P @ x):
+                zero = 1e-9 * x @ (problem.P + problem.Q) @ x  # with a cross weight P may be zero where Q is not
+                if plan.cost > best[0] * (1 + 1e-5) + zero:
                     wrong.append("cost above the reference")
-                if plan.cost < best[0] * (1 - 1e-5) - 1e-9 * abs(x @ problem.P @ x):
+                if plan.cost < best[0] * (1 - 1e-5) - zero:
                     wrong.append("cost below the reference")
                 if np.abs((plan.inputs[0] - best[1][0]) / problem.input_extent).max() > 1e-3:
                     wrong.append("first input")
