@@ -50,7 +50,8 @@ def lqr(
     References
     ----------
     Hautus, *Controllability and observability conditions of linear autonomous systems*, 1969 (the rank test);
-    Arnold and Laub, Proc. IEEE 72(12), 1984 (the solver, in SciPy); Hewer, IEEE TAC 16(4), 1971 (its refinement).
+    Arnold and Laub, Proc. IEEE 72(12), 1984 (the solver, in SciPy); Hewer, IEEE TAC 16(4), 1971 (its refinement);
+    Anderson and Moore, *Optimal Control: Linear Quadratic Methods*, 1990 (the cross weight taken out of a problem).
     """
     A, B = as_pair(A, B)
     Q = as_weight("Q", Q, A.shape[0])
