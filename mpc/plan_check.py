@@ -16,7 +16,8 @@ from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, REMEMBERED
 class PlanCheck:
     """Gradient by the inputs alone, and duality gap, each relative to its own parts.
 
-    In the residuals of all variables those of another size would hide it.
+    In the residuals of all variables those of another size would hide it. With a cross weight the parts may cancel to a
+    cost that is small beside them: then what both can have lost, by convexity, is also set against the cost itself.
 
     Parameters
     ----------
@@ -43,28 +44,34 @@ class PlanCheck:
         radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
         self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
 
-    def doubt(self, v: Array, y: Array, q: Array, high: Array, states: Array) -> float:
-        """The larger of both for variables v and multipliers y, with `states` (N + 1, nx) in place of those in v."""
+    def doubt(self, v: Array, y: Array, q: Array, high: Array, states: Array, own_cost: float | None = None) -> float:
+        """The largest of them for variables v and multipliers y, with `states` (N + 1, nx) in place of those in v.
+
+        `own_cost` is the cost of the plan in the units of H, where it is to be compared with.
+        """
         v = v.copy()
         v[self._states[:, : states.shape[1]]] = states / self._size
         y = y[self._equal :]
         Hv = self._H @ v
         pushed = self._limits_T @ y
         unit = float(np.abs(v).max(initial=0.0))
-        gradient = self._gradient(Hv, q, pushed, unit) if self._remembers else 0.0
+        left, largest = self._gradient(Hv, q, pushed, unit) if self._remembers else (np.zeros(1), 0.0)
+        gradient = float(np.linalg.norm(left)) / largest if largest > 0 else 0.0
         least = INTERIOR_POINT / KKT_REPORTED * self._weight * unit**2  # that the solver knows of
         cost = max(abs(float(v @ Hv)), abs(float(q @ v)), least)
         gap = abs(float(y @ (high[self._equal :] - self._limits @ v)))
-        return max(gradient, gap / cost if cost > 0 else 0.0)
+        doubt = max(gradient, gap / cost if cost > 0 else 0.0)
+        if own_cost is None or max(own_cost, least) <= 0:
+            return doubt
+        return max(doubt, (float(np.abs(left).sum()) * unit + gap) / max(own_cost, least))
 
-    def _gradient(self, Hv: Array, q: Array, pushed: Array, unit: float) -> float:
-        """Gradient by the inputs, with costates that leave none by the states, relative to its largest part."""
+    def _gradient(self, Hv: Array, q: Array, pushed: Array, unit: float) -> tuple[Array, float]:
+        """Gradient by the inputs, with costates that leave none by the states, and the size of its largest part."""
         force = Hv + q + pushed
         costates = self._costates.solve(force[self._states.ravel()])
         left = force[self._inputs] - self._driven @ costates
         parts = [Hv[self._inputs], q[self._inputs], pushed[self._inputs], self._driven_sizes @ np.abs(costates)]
-        largest = max(NEGLIGIBLE * self._weight * unit, *(float(np.linalg.norm(part)) for part in parts))
-        return float(np.linalg.norm(left)) / largest if largest > 0 else 0.0
+        return left, max(NEGLIGIBLE * self._weight * unit, *(float(np.linalg.norm(part)) for part in parts))
 
 
 def _columns(staging: Staging) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

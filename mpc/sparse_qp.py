@@ -17,7 +17,7 @@ from mpc.plan import Plan, Residuals, Status
 from mpc.plan_check import PlanCheck
 from mpc.problem import MPCProblem
 from mpc.relaxation import inputs_conflict, regulated, saturated_regulator
-from mpc.rollout import Given, admissible, pushes, relative_violations, rollout, rollout_with_feedback
+from mpc.rollout import Given, admissible, cost_of, pushes, relative_violations, rollout, rollout_with_feedback
 from mpc.solving import CondensedSolver
 from mpc.stages import Staging
 from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERFLOW
@@ -94,10 +94,15 @@ class SparseSolver:
             v, y = self._osqp(q, low, high) if solver == "osqp" else self._clarabel(q, low, high)
             found = self._candidate(v, self._residuals(v, y, q, low, high), x, given, solver)
             if found.status is Status.SOLVED:
-                if self._check.doubt(v, y, q, high, found.states) <= KKT_REPORTED:
+                cost = self._scaled_cost(found, given) if self.problem.S is not None else None
+                if self._check.doubt(v, y, q, high, found.states, cost) <= KKT_REPORTED:
                     break
                 found = replace(found, status=Status.INACCURATE)
         return found
+
+    def _scaled_cost(self, found: Candidate, given: Given) -> float:
+        """Cost of a candidate in the units of the QP."""
+        return cost_of(self.problem, found.inputs, found.states, given) / self._staging.cost
 
     def _vectors(self, x: Array, given: Given) -> tuple[Array, Array, Array]:
         """Linear cost and the two sides of all rows."""

@@ -123,6 +123,15 @@ def test_every_solver_finds_the_plan_of_least_output_cost_in_any_units(seed):
         assert output_faults(data, outputs, x, signals, units, solver)[1] == []
 
 
+@pytest.mark.parametrize("seed", [[1, 2, 974], [1, 2, 428], [0, 2, 392]])
+def test_outputs_that_cancel_to_a_small_cost_are_planned_to_as_many_digits(seed):
+    rng = np.random.default_rng(seed)  # weights of inputs five powers of ten apart, states that offset them
+    data, outputs, x, signals = output_case(rng)
+    units = tuple(10.0 ** rng.uniform(-4, 4, size) for size in (len(x), data["B"].shape[1], None))
+    for solver in ("daqp", "osqp", "clarabel"):
+        assert output_faults(data, outputs, x, signals, units, solver) == (Status.SOLVED, [])
+
+
 def test_references_enter_the_cross_term():
     A, B = double_integrator()
     C, D = np.array([[1.0, 0.5]]), np.array([[2.0]])
