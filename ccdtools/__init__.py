@@ -26,12 +26,16 @@ if TYPE_CHECKING:
     from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
     from ccdtools.controllers.filtered import Filtered
     from ccdtools.controllers.learned import LearnedPolicy, load_policy
+    from ccdtools.controllers.observed import Observed
     from ccdtools.controllers.signals import Reference
     from ccdtools.disturbances.disturbance import Gaussian, Recorded, Sum, Uniform
     from ccdtools.disturbances.iso_road import ISORoad
     from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
     from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
-    from ccdtools.exceptions import CCDError, InputError, JumpWarning, LimitWarning, SamplingWarning
+    from ccdtools.estimation.extended import ExtendedKalmanFilter
+    from ccdtools.estimation.kalman import KalmanFilter
+    from ccdtools.estimation.measurement import Measurement
+    from ccdtools.exceptions import CCDError, InputError, JumpWarning, LimitWarning, NotDetectableError, SamplingWarning
     from ccdtools.limits import depth_outside, excursions
     from ccdtools.output_limits import OutputLimits
     from ccdtools.plants.design_space import DesignSpace
@@ -68,6 +72,7 @@ __all__ = [
     "DesignSpace",
     "DigitalTwin",
     "Equilibrium",
+    "ExtendedKalmanFilter",
     "Filtered",
     "FirstOrderHold",
     "FixedStart",
@@ -76,12 +81,16 @@ __all__ = [
     "ISORoad",
     "InputError",
     "JumpWarning",
+    "KalmanFilter",
     "LearnedPolicy",
     "LimitWarning",
     "LinearFeedback",
     "LinearModel",
     "Mean",
     "MeanSpread",
+    "Measurement",
+    "NotDetectableError",
+    "Observed",
     "OnlineConfig",
     "OutputLimits",
     "Passive",
@@ -137,7 +146,6 @@ __all__ = [
 ]
 
 _HOMES = {
-    "PID": "controllers.controllers",
     "CCDError": "exceptions",
     "CVaR": "co_design.risk",
     "CoDesignConfig": "co_design.configuration",
@@ -147,6 +155,7 @@ _HOMES = {
     "DesignSpace": "plants.design_space",
     "DigitalTwin": "twin.twin",
     "Equilibrium": "plants.equilibrium",
+    "ExtendedKalmanFilter": "estimation.extended",
     "Filtered": "controllers.filtered",
     "FirstOrderHold": "plants.first_order_hold",
     "FixedStart": "co_design.problem",
@@ -155,14 +164,19 @@ _HOMES = {
     "ISORoad": "disturbances.iso_road",
     "InputError": "exceptions",
     "JumpWarning": "exceptions",
+    "KalmanFilter": "estimation.kalman",
     "LearnedPolicy": "controllers.learned",
     "LimitWarning": "exceptions",
     "LinearFeedback": "controllers.controllers",
     "LinearModel": "plants.linear_model",
     "Mean": "co_design.risk",
     "MeanSpread": "co_design.risk",
+    "Measurement": "estimation.measurement",
+    "NotDetectableError": "exceptions",
+    "Observed": "controllers.observed",
     "OnlineConfig": "twin.online",
     "OutputLimits": "output_limits",
+    "PID": "controllers.controllers",
     "Passive": "controllers.controllers",
     "Plant": "plants.plant",
     "QuadraticObjective": "co_design.objective",

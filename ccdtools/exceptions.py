@@ -11,6 +11,27 @@ class InputError(CCDError, sets.InputError):
     """Bad input, in one line; carries `argument`, `got`, `expected` and `cure`, as in `invariant_sets`."""
 
 
+class NotDetectableError(CCDError, ValueError):
+    """No steady estimator can be relied on: a mode that does not decay is not seen, or no noise reaches it.
+
+    Attributes
+    ----------
+    eigenvalue : complex or None
+        That of the mode, where it is known.
+    states : tuple of int
+        Indices of the states that the mode is mostly made of.
+    """
+
+    def __init__(self, message: str, eigenvalue: complex | None = None, states: tuple[int, ...] = ()) -> None:
+        super().__init__(message, eigenvalue, states)
+        self.message = message
+        self.eigenvalue = eigenvalue
+        self.states = states
+
+    def __str__(self) -> str:
+        return self.message
+
+
 class SamplingWarning(UserWarning):
     """A plant has a mode that its sampling time hardly resolves, or not at all, for some design of its box."""
 

@@ -12,6 +12,8 @@ from ccdtools.arrays import ArrayField, Immutable, frozen
 from ccdtools.checks import as_count, as_floats
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
+from ccdtools.estimation.measurement import Measurement, Sensor
+from ccdtools.exceptions import InputError
 from ccdtools.simulation import as_output, as_reference, as_simulable, matched_runs, simulate
 from ccdtools.trajectory import Trajectory
 
@@ -29,20 +31,24 @@ class Scenario(Immutable):
         Its length is that of the runs.
     reference : Reference or (nx,) or (T, nx) array_like, optional
         What tracking controllers follow.
-    output : (ny, nx) array_like, optional
-        Measured outputs, for controllers that need them.
+    output : Measurement, or (ny, nx) array_like, Plant, or callable, optional
+        What is measured, for controllers that need it, see `simulate`. Its noise is drawn once, from `seed`: every
+        controller meets the same one, run by run.
+    seed : int, optional
+        Required by random noise of the measurement.
 
     Raises
     ------
     InputError
-        If the shapes disagree with each other or with the plant.
+        If the shapes disagree with each other or with the plant, or a seed is missing.
     """
 
     plant: Any
     x0: ArrayField
     disturbance: ArrayField
     reference: Reference | ArrayField = None
-    output: ArrayField = None
+    output: Any = None
+    seed: int | None = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -52,8 +58,17 @@ class Scenario(Immutable):
         x0, w = matched_runs(plant, self.x0, self.disturbance, max(steps, 1))
         for name, value in (("plant", plant), ("x0", frozen(x0)), ("disturbance", frozen(w)),
                             ("reference", as_reference(plant, self.reference)),
-                            ("output", as_output(plant, self.output))):  # fmt: skip
+                            ("output", self._measured(as_output(plant, self.output), *w.shape[:2]))):  # fmt: skip
             set_(self, name, value)
+
+    def _measured(self, output: Measurement | None, runs: int, steps: int) -> Measurement | None:
+        """The measurement with its noise drawn for all runs."""
+        seed = None if self.seed is None else as_count("seed", self.seed, least=0)
+        if output is None or not output.random:
+            return output
+        if seed is None:
+            raise InputError("seed", "nothing", "a whole number, from which the noise of the measurement is drawn")
+        return output.drawn(runs, steps, np.random.default_rng(seed))
 
     def __repr__(self) -> str:
         return f"Scenario({type(self.plant).__name__}, {len(self.x0)} runs of {self.steps} steps)"
@@ -63,11 +78,18 @@ class Scenario(Immutable):
         """Length of the runs."""
         return self.disturbance.shape[1]
 
+    def sensor(self, p: ArrayLike = ()) -> Sensor | None:
+        """What is measured in the first run, at a design (np,)."""
+        if self.output is None:
+            return None
+        return Sensor(self.output.first(1, self.steps), self.plant, np.asarray(p, dtype=float), 1, self.steps, None)
+
     def first(self, runs: int, steps: int | None = None) -> Scenario:
         """The first so many runs of it, and of these the first so many steps."""
         length = self.steps if steps is None else as_count("steps", steps)
         w = self.disturbance[: as_count("runs", runs), :length]
-        return Scenario(self.plant, self.x0[:runs], w, self.reference, self.output)
+        output = None if self.output is None else self.output.first(runs, length)
+        return Scenario(self.plant, self.x0[:runs], w, self.reference, output, self.seed)
 
     def run(
         self, controller: Controller, *, design: ArrayLike | None = None, limit: ArrayLike | None = None,

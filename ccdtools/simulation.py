@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_array, as_count, as_floats, as_generator, finite, shown
+from ccdtools.checks import as_count, as_floats, as_generator, finite, shown
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Driver, Reference, Surroundings
 from ccdtools.disturbances.disturbance import Disturbance
+from ccdtools.estimation.measurement import Measurement, Sensor, as_measurement
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.linear_model import LinearModel
@@ -66,7 +67,7 @@ def simulate(
     design: ArrayLike | None = None,
     limit: ArrayLike | None = None,
     reference: Reference | ArrayLike | None = None,
-    output: ArrayLike | None = None,
+    output: ArrayLike | Measurement | Any = None,
     rng: np.random.Generator | None = None,
     progress: bool = False,
 ) -> Trajectory:
@@ -91,18 +92,20 @@ def simulate(
         Divergence limit on |x|; a run beyond it, or not finite, is stopped and counted. 1e6 by default.
     reference : Reference, or (nx,) or (T, nx) array_like, optional
         State reference for controllers that track one; `Reference(x, u)` where an input belongs to it.
-    output : (ny, nx) array_like, optional
-        Matrix C of the measured output y = C x, for controllers that need it; the state itself by default.
+    output : Measurement, or (ny, nx) array_like, Plant, or callable, optional
+        What is measured, for controllers that need it: y = C x, a plant's outputs, or a function; `Measurement` adds
+        noise. The state itself by default.
     rng : numpy.random.Generator, optional
-        Required by a random disturbance.
+        Required by a random disturbance and by random noise of the measurement, which is the same for every
+        controller and does not change what the disturbance is.
     progress : bool
         Show a progress bar.
 
     Raises
     ------
     InputError
-        On wrong shapes, a missing design, reference or generator, a policy for another design, or a controller that
-        returns the wrong shape or NaN.
+        On wrong shapes, a missing design, reference or generator, a policy for another design, a preview longer than
+        the record, or a controller that returns the wrong shape or NaN.
     """
     plant = as_simulable(plant)
     p = _design(plant, design)
@@ -110,8 +113,12 @@ def simulate(
     steps = as_count("steps", steps)
     bound = _bound(limit, plant.nx)
     try:
-        x, w = matched_runs(plant, x0, _drawn(plant, x0, disturbance, steps, rng), steps)
-        surroundings = Surroundings(w, as_reference(plant, reference), as_output(plant, output))
+        measurement = as_output(plant, output)
+        given = _drawn(plant, x0, disturbance, steps, rng)
+        x, w = matched_runs(plant, x0, given, steps)
+        sensor = None if measurement is None else Sensor(measurement, plant, p, len(x), steps, rng)
+        record = _record(given, w)
+        surroundings = Surroundings(record, as_reference(plant, reference), sensor, disturbance is not None)
         driver = Driver(controller, surroundings, len(x), plant.nu)
         return _run(plant, driver, x, w, p, bound, progress)
     except MemoryError:
@@ -206,9 +213,13 @@ def as_reference(plant: Simulable, reference: Reference | ArrayLike | None) -> R
     return reference
 
 
-def as_output(plant: Simulable, output: ArrayLike | None) -> Array | None:
-    """The output matrix (ny, nx)."""
-    return None if output is None else as_array("output", output, ("ny", plant.nx))
+def as_output(plant: Simulable, output: Any) -> Measurement | None:
+    """What is measured, if its sizes are those of the plant."""
+    if output is None:
+        return None
+    measurement = as_measurement(output)
+    measurement.check(plant.nx, plant.nu)
+    return measurement
 
 
 def _drawn(plant: Simulable, x0: ArrayLike, disturbance: Any, steps: int, rng: Any) -> Any:
@@ -220,6 +231,14 @@ def _drawn(plant: Simulable, x0: ArrayLike, disturbance: Any, steps: int, rng: A
     if isinstance(disturbance, type):
         raise InputError("disturbance", shown(disturbance), "an object of it")
     return disturbance.sample(len(_states(plant, x0)), steps, as_generator("rng", rng))
+
+
+def _record(given: ArrayLike, w: Array) -> Array:
+    """The disturbances (n, T', nw) that a preview may look into: those met (n, T, nw), and what follows on record."""
+    whole = np.asarray(given)
+    whole = whole[:, None] if whole.ndim == 1 else whole
+    later = np.broadcast_to(whole[..., w.shape[1] :, :], (len(w), whole.shape[-2] - w.shape[1], w.shape[2]))
+    return np.concatenate([w, later], axis=1) if later.size else w
 
 
 def _states(plant: Simulable, x0: ArrayLike) -> Array:

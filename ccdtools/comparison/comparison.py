@@ -18,6 +18,7 @@ from ccdtools.comparison.baselines import REFERENCE
 from ccdtools.comparison.outside import Outside
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
+from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits
@@ -227,7 +228,7 @@ def _score(
         depth_worst=float(outside.peak.max()) if len(outside.peak) else float("nan"),
         exceeded=outside.exceeded,
         further_outside_than=(),
-        step_time=step_time(controller, run.states[0, 0], scenario),
+        step_time=step_time(controller, run.states[0, 0], scenario, run.design),
     )
 
 
@@ -236,11 +237,11 @@ def _mean(values: Array) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-def step_time(controller: Controller, x: Array, scenario: Scenario) -> float:
-    """Median time of one call for one state (nx,) [s], with the signals that the controller needs."""
-    if isinstance(controller, Filtered):
+def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike = ()) -> float:
+    """Median time of one call for one state (nx,) at a design (np,) [s], with the signals that the controller needs."""
+    if isinstance(controller, Filtered | Observed):
         controller = controller.uncounted()
-    around = Surroundings(scenario.disturbance[:1], scenario.reference, scenario.output)
+    around = Surroundings(scenario.disturbance[:1], scenario.reference, scenario.sensor(p))
     call = one_call(controller, x, around, scenario.plant.nu)
     times = []
     for _ in range(TIMED_CALLS):

@@ -11,11 +11,12 @@ word           arguments                what they hold
 "reference"    ``x_ref=``, ``u_ref=``   reference (nx,) and (nu,); with an attribute ``horizon`` N, (N + 1, nx), (N, nu)
 "preview"      ``w=``                   disturbances known ahead, (N, nw), held beyond the end of the record
 "last_input"   ``u_prev=``              input applied one sample ago, zero at first, (nu,)
-"output"       ``y=``                   measured output (ny,)
+"output"       ``y=``                   measured output (ny,), with its noise; the state where none is given
 ============== ======================== ============================================================================
 
 `u_prev` and `y` have one row per run when the controller is called with a batch. A controller that needs a preview is
-called run by run, because each run meets a disturbance of its own.
+called run by run, because each run meets a disturbance of its own; its horizon is at most the whole record. Beside `y`
+the state itself is handed over, too; `Observed` hands on an estimate in its place.
 
 A controller with memory has ``reset``. `simulate` never changes the one it is given: it copies it, once for all runs
 if ``reset(n)`` takes their number, else once per run, and resets the copies. One without memory that learns in a closed

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_count, as_floats, finite, shown
 from ccdtools.controllers.controllers import SIGNALS, Controller
+from ccdtools.estimation.measurement import Sensor
 from ccdtools.exceptions import InputError
 
 
@@ -57,13 +58,16 @@ class Surroundings:
     ----------
     disturbances : (n, T, nw) array
     reference : Reference or None
-    output : (ny, nx) array or None
-        Measured outputs y = C x; the state itself where it is None.
+    output : Sensor or None
+        What is measured; the state itself where it is None.
+    recorded : bool
+        Whether the disturbances are a record, which a preview ends with; else there are none.
     """
 
     disturbances: Array
     reference: Reference | None
-    output: Array | None
+    output: Sensor | None
+    recorded: bool = True
 
 
 class Driver:
@@ -72,27 +76,32 @@ class Driver:
     Raises
     ------
     InputError
-        If the controller cannot be called, needs an unknown signal, or a reference that was not given.
+        If the controller cannot be called, needs an unknown signal, a reference that was not given, or a preview that
+        is longer than the whole record.
     """
 
     def __init__(self, controller: Controller, surroundings: Surroundings, runs: int, nu: int) -> None:
-        self.needs = needs_of(controller)
-        if callable(getattr(controller, "loop", None)):
-            controller = controller.loop(1 if "preview" in self.needs else runs)  # type: ignore[attr-defined]
-            self.needs = needs_of(controller)
+        self.needs, self.copies, self.batched = opened(controller, runs)
         if "reference" in self.needs and surroundings.reference is None:
             raise InputError("reference", "nothing", "a reference, which the controller needs")
         self.surroundings = surroundings
-        self.horizon = getattr(controller, "horizon", None)
-        self.copies, self.batched = _copies(controller, runs, one_by_one="preview" in self.needs)
+        self.horizon = getattr(self.copies[0], "horizon", None)
         self.last = np.zeros((runs, nu))
+        length = surroundings.disturbances.shape[1]
+        if "preview" in self.needs and surroundings.recorded and (self.horizon or 0) > length:
+            got = f"{self.horizon} samples, which the controller previews"
+            cure = "Take a shorter horizon, or a longer disturbance."
+            raise InputError("horizon", got, f"at most {length}, the samples of the disturbance", cure)
 
     def __call__(self, k: int, x: Array) -> Any:
         """Inputs (n, nu) at sample k for states (n, nx)."""
+        if not self.needs and self.batched:
+            return self.copies[0](x)
+        y = self._measured(k, x)
         if self.batched:
-            return self.copies[0](x, **self._signals(k, x, self.last, slice(None))) if self.needs else self.copies[0](x)
+            return self.copies[0](x, **self._signals(k, y, slice(None)))
         return np.stack([
-            np.asarray(controller(x[i], **self._signals(k, x[i], self.last[i], i)), dtype=float)
+            np.asarray(controller(x[i], **self._signals(k, y, i)), dtype=float)
             for i, controller in enumerate(self.copies)
         ])  # fmt: skip
 
@@ -100,8 +109,20 @@ class Driver:
         """Keep the inputs (n, nu) that were applied."""
         self.last = u
 
-    def _signals(self, k: int, x: Array, last: Array, run: int | slice) -> dict[str, Any]:
-        """The keyword arguments of one call; `x` and `last` are rows of the run, or of all runs."""
+    def first_call(self, x: Array) -> Any:
+        """A function without arguments that calls the controller for one state (nx,) at the first sample."""
+        signals = self._signals(0, self._measured(0, x[None]), 0)
+        return lambda: self.copies[0](x, **signals)
+
+    def _measured(self, k: int, x: Array) -> Array | None:
+        """Outputs (n, ny), if the controller needs them."""
+        if "output" not in self.needs:
+            return None
+        sensor = self.surroundings.output
+        return x if sensor is None else sensor(k, x, self.last)
+
+    def _signals(self, k: int, y: Array | None, run: int | slice) -> dict[str, Any]:
+        """The keyword arguments of one call, for one run or all."""
         around = self.surroundings
         ahead = self.horizon
         signals = dict[str, Any]()
@@ -114,9 +135,9 @@ class Driver:
         if "preview" in self.needs:
             signals["w"] = _window(around.disturbances[run], k, ahead)
         if "last_input" in self.needs:
-            signals["u_prev"] = last
-        if "output" in self.needs:
-            signals["y"] = x if around.output is None else x @ around.output.T
+            signals["u_prev"] = self.last[run]
+        if y is not None:
+            signals["y"] = y[run]
         return signals
 
 
@@ -160,9 +181,28 @@ def _check_takes_state(controller: Any) -> None:
 
 def one_call(controller: Controller, x: Array, surroundings: Surroundings, nu: int) -> Any:
     """A function without arguments that calls the controller for one state (nx,), for timing."""
-    driver = Driver(controller, surroundings, 1, nu)
-    signals = driver._signals(0, x, driver.last[0], 0)
-    return lambda: driver.copies[0](x, **signals)
+    return Driver(controller, surroundings, 1, nu).first_call(x)
+
+
+def needs_in_loop(controller: Any) -> frozenset[str]:
+    """What a controller needs in a closed loop, where it may be another that it makes."""
+    return needs_of(_in_loop(controller, 1))
+
+
+def opened(controller: Any, runs: int) -> tuple[frozenset[str], list[Any], bool]:
+    """What a controller needs, the controllers to call for so many runs, and whether one takes all runs at once.
+
+    Those with memory are copies, which are reset.
+    """
+    one_by_one = "preview" in needs_of(controller)
+    controller = _in_loop(controller, 1 if one_by_one else runs)
+    needs = needs_of(controller)
+    return needs, *_copies(controller, runs, one_by_one="preview" in needs)
+
+
+def _in_loop(controller: Any, runs: int) -> Any:
+    """The controller itself, or the one with memory that it makes for so many runs."""
+    return controller.loop(runs) if callable(getattr(controller, "loop", None)) else controller
 
 
 def _copies(controller: Any, runs: int, *, one_by_one: bool) -> tuple[list[Any], bool]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +15,8 @@ from ccdtools.checks import as_floats, as_generator, as_instance, shown
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.signals import Reference
+from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
@@ -58,6 +61,9 @@ def deploy(
     *,
     x0: ArrayLike,
     limit: ArrayLike | None = None,
+    reference: Reference | ArrayLike | None = None,
+    output: Measurement | Any = None,
+    rng: np.random.Generator | None = None,
     progress: bool = False,
 ) -> Trajectory:
     """The log of `controller` on a real plant under a recorded disturbance.
@@ -69,6 +75,10 @@ def deploy(
     x0 : (nx,) or (n, nx) array_like
     limit : (nx,) array_like, optional
         Divergence limit on |x|, see `simulate`.
+    reference, output : optional
+        What a controller is to follow, and what is measured, see `simulate`.
+    rng : numpy.random.Generator, optional
+        Required by random noise of the measurement.
 
     Raises
     ------
@@ -77,7 +87,10 @@ def deploy(
     """
     w = as_floats("disturbance", disturbance)
     steps = w.shape[-2] if w.ndim > 1 else w.size
-    return simulate(plant, controller, x0=x0, steps=steps, disturbance=w, design=design, limit=limit, progress=progress)
+    return simulate(
+        plant, controller, x0=x0, steps=steps, disturbance=w, design=design, limit=limit, reference=reference,
+        output=output, rng=rng, progress=progress,
+    )  # fmt: skip
 
 
 def deploy_and_update(

@@ -1,0 +1,154 @@
+"""A controller that acts on an estimate in place of the state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, Immutable
+from ccdtools.checks import as_count, as_floats, has_method
+from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.signals import needs_in_loop, needs_of, opened
+from ccdtools.estimation.belief import Belief, Estimator
+from ccdtools.exceptions import InputError
+
+PASSED_ON = ("horizon", "design", "agent")
+SIGNAL_OF = {"y": "output", "u_prev": "last_input"}
+EXPECTED = "an estimator, such as a KalmanFilter or an ExtendedKalmanFilter"
+
+
+class _Memory:
+    """The belief of all runs, and the controllers with their own memory; nothing before the first sample."""
+
+    belief: Belief | None = None
+    needs: frozenset[str] = frozenset()
+    controllers: list[Any] | None = None
+    batched = True
+    runs = 0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Observed(Immutable):
+    """u = controller(x̂_{k|k}), with the state as an estimator judges it from y_k and the inputs applied so far.
+
+    It needs "output" and "last_input", and asks for what the controller asks for besides (reference, preview, time);
+    memory and design of the controller are its own. The state that a closed loop hands over is not looked at. Every run
+    starts with the estimator's own first estimate; `reset` forgets, copies start afresh, and neither the controller nor
+    the estimator is changed. One run may be controlled with vectors y (ny,) and u_prev (nu,), too.
+
+    ``Observed(Filtered(controller, admissible), estimator)`` filters inputs by the estimate, as a real loop must;
+    ``Filtered(Observed(controller, estimator), admissible)`` by the state itself. Only the latter keeps the state in
+    the set of the filter; the former, the estimate, but for what the next measurement corrects.
+
+    Parameters
+    ----------
+    controller : callable
+        u = controller(x), batched; see `ccdtools.controllers.controllers`.
+    estimator : KalmanFilter, ExtendedKalmanFilter, or anything with their start, predict and update
+        Of the same states.
+
+    Raises
+    ------
+    InputError
+        If one is of another kind; in a loop, if outputs are missing or more or fewer than the estimator's.
+
+    Examples
+    --------
+    >>> lqg = Observed(LinearFeedback(K), KalmanFilter(A, B, C, W, V))
+    >>> run = simulate(plant, lqg, x0=x0, steps=100, output=Measurement(C, noise=[0.01]), rng=rng)
+    """
+
+    controller: Controller
+    estimator: Estimator
+    _memory: _Memory = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        needs_of(self.controller)
+        for method in ("start", "predict", "update"):
+            has_method("estimator", self.estimator, method, EXPECTED)
+        object.__setattr__(self, "_memory", _Memory())
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        object.__setattr__(self, "_memory", _Memory())
+
+    def __repr__(self) -> str:
+        return f"Observed({self.controller!r}, {self.estimator!r})"
+
+    def __getattr__(self, name: str) -> Any:
+        """What the controller has and a closed loop asks for."""
+        if name in PASSED_ON and "controller" in self.__dict__:
+            return getattr(self.controller, name)
+        raise AttributeError(f"'Observed' object has no attribute {name!r}")
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What a closed loop hands over besides the state."""
+        return needs_in_loop(self.controller) | {"output", "last_input"}
+
+    @property
+    def estimate(self) -> Array | None:
+        """x̂_{k|k} (n, nx) of the last call; nothing before the first. A simulation works on a copy."""
+        return None if self._memory.belief is None else self._memory.belief.mean
+
+    def uncounted(self) -> Observed:
+        """A copy whose filter, if it has one, counts on its own."""
+        apart = getattr(self.controller, "uncounted", None)
+        return Observed(self.controller if apart is None else apart(), self.estimator)
+
+    def reset(self, n: int) -> None:
+        """Start afresh with `n` runs."""
+        memory = self._memory
+        memory.runs = as_count("n", n)
+        memory.needs, memory.controllers, memory.batched = opened(self.controller, n)
+        memory.belief = None
+
+    def __call__(
+        self, x: ArrayLike | None = None, *, y: ArrayLike | None = None, u_prev: ArrayLike | None = None, **signals: Any
+    ) -> Array:
+        """Inputs (n, nu), or (nu,) for one run; advances the memory by one sample. NaN where the estimate is."""
+        nu = int(self.estimator.nu)
+        outputs = self._rows("y", y, int(self.estimator.ny), "Pass output=Measurement(…) to the simulation.")
+        last = self._rows("u_prev", u_prev, nu, "It is 0 before the first.")
+        single = np.ndim(y) < 2  # type: ignore[arg-type]
+        if last.shape[0] != outputs.shape[0]:
+            raise InputError("u_prev", f"{len(last)} rows", f"{len(outputs)}, as many as outputs")
+        memory = self._memory
+        if memory.controllers is None or memory.runs != len(outputs):
+            self.reset(len(outputs))
+        with np.errstate(all="ignore"):  # of a run that is lost
+            expected = self.estimator.start(len(outputs)) if memory.belief is None else \
+                self.estimator.predict(memory.belief, last)  # fmt: skip
+            memory.belief = self.estimator.update(expected, outputs, last)
+        known = np.isfinite(memory.belief.mean).all(axis=1, keepdims=True)
+        states = np.where(known, memory.belief.mean, 0.0)
+        u = np.where(known, self._inputs(states, outputs, last, signals), np.nan)
+        return u[0] if single else u
+
+    def _inputs(self, states: Array, y: Array, last: Array, signals: dict[str, Any]) -> Array:
+        """What the controller answers to the estimates (n, nx) of all runs, (n, nu)."""
+        memory = self._memory
+        given = {name: value for name, value in (("y", y), ("u_prev", last)) if SIGNAL_OF[name] in memory.needs}
+        assert memory.controllers is not None
+        if memory.batched:
+            u = memory.controllers[0](states, **signals, **given)
+        else:
+            u = [controller(state, **signals, **{name: value[i] for name, value in given.items()})
+                 for i, (controller, state) in enumerate(zip(memory.controllers, states))]  # fmt: skip
+        u = np.asarray(u, dtype=float)
+        if u.shape != last.shape:
+            raise InputError("controller", f"inputs of shape {u.shape}", f"{last.shape}")
+        return u
+
+    def _rows(self, name: str, value: ArrayLike | None, size: int, cure: str) -> Array:
+        """A signal as rows (n, size); one run may be given as (size,)."""
+        if value is None:
+            raise InputError(name, "nothing", f"({size},) or (n, {size})", cure)
+        rows = np.atleast_2d(as_floats(name, value))
+        if rows.ndim != 2 or rows.shape[1] != size:
+            raise InputError(name, f"shape {np.shape(value)}", f"({size},) or (n, {size}) of the estimator", cure)
+        return rows
+

@@ -1,0 +1,143 @@
+"""What is believed of a state, a mean with a covariance, and how a prediction and a measurement change it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_array, as_floats
+from ccdtools.exceptions import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """Estimates of n runs.
+
+    Attributes
+    ----------
+    mean : (n, nx) array
+    covariance : (nx, nx) array of all runs, or (n, nx, nx)
+    """
+
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """Estimates along a record of n runs and T samples.
+
+    Attributes
+    ----------
+    means : (n, T, nx) array
+        x̂_{k|k}.
+    covariances : (T, nx, nx) array of all runs, or (n, T, nx, nx)
+    innovations : (n, T, ny) array
+        y_k less what was expected.
+    innovation_covariances : (T, ny, ny) or (n, T, ny, ny) array
+        What they should be like.
+    """
+
+    means: Array
+    covariances: Array
+    innovations: Array
+    innovation_covariances: Array
+
+
+class Estimator(Protocol):
+    """What `Observed` asks of an estimator, which has no memory itself: a belief goes in, the next comes out."""
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        ...
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        ...
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        ...
+
+    def start(self, n: int) -> Belief:
+        """Of n runs, before the first measurement."""
+        ...
+
+    def predict(self, belief: Belief, u: Array) -> Belief:
+        """One sample later, after inputs (n, nu)."""
+        ...
+
+    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
+        """With outputs (n, ny) measured after inputs (n, nu)."""
+        ...
+
+
+def transposed(M: Array) -> Array:
+    """The transposes of matrices (..., n, m)."""
+    return M.swapaxes(-1, -2)
+
+
+def symmetric(M: Array) -> Array:
+    """The symmetric part of matrices (..., n, n), which rounding leaves."""
+    return np.asarray((M + transposed(M)) / 2)
+
+
+def predicted_covariance(P: Array, F: Array, W: Array) -> Array:
+    """F P Fᵀ + W."""
+    return symmetric(F @ P @ transposed(F) + W)
+
+
+def innovation_covariance(P: Array, H: Array, V: Array) -> Array:
+    """H P Hᵀ + V."""
+    return symmetric(H @ P @ transposed(H) + V)
+
+
+def gain_of(P: Array, H: Array, V: Array) -> Array:
+    """P Hᵀ (H P Hᵀ + V)⁻¹, (..., nx, ny), for outputs in any units."""
+    S = innovation_covariance(P, H, V)
+    unit = np.sqrt(np.diagonal(S, axis1=-2, axis2=-1))
+    scaled = S / unit[..., :, None] / unit[..., None, :]
+    found = np.linalg.solve(scaled, (H @ P) / unit[..., :, None]) / unit[..., :, None]
+    return transposed(found)
+
+
+def updated_covariance(P: Array, H: Array, V: Array, K: Array) -> Array:
+    """(I − K H) P (I − K H)ᵀ + K V Kᵀ, which stays positive semidefinite whatever is rounded (Joseph's form)."""
+    rest = np.eye(P.shape[-1]) - K @ H
+    return symmetric(rest @ P @ transposed(rest) + K @ V @ transposed(K))
+
+
+def along(estimator: Any, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
+    """The estimates along a record: y (T, ny) or (n, T, ny), and u (T, nu) or (n, T, nu), u_k held from k to k + 1."""
+    y = _runs("outputs", outputs, estimator.ny)
+    n, steps = y.shape[:2]
+    u = _runs("inputs", inputs, estimator.nu)
+    if u.shape[:2] != (n, steps):
+        raise InputError("inputs", f"shape {u.shape}", f"({n}, {steps}, {estimator.nu}), as many as outputs")
+    belief = estimator.start(n)
+    last = np.zeros((n, estimator.nu))
+    rows: list[tuple[Array, Array, Array, Array]] = []
+    for k in range(steps):
+        belief = estimator.predict(belief, last) if k else belief
+        innovation, S = estimator.innovation(belief, y[:, k], last)
+        belief = estimator.update(belief, y[:, k], last)
+        rows.append((belief.mean, belief.covariance, innovation, S))
+        last = u[:, k]
+    means, covariances, innovations, expected = (list(column) for column in zip(*rows))
+    return Estimates(
+        np.stack(means, axis=1), np.stack(covariances, axis=-3), np.stack(innovations, axis=1),
+        np.stack(expected, axis=-3),
+    )  # fmt: skip
+
+
+def _runs(argument: str, value: ArrayLike, size: int) -> Array:
+    """A record (n, T, size), of which one run may be given as (T, size)."""
+    array = as_floats(argument, value)
+    return as_array(argument, array[None] if array.ndim == 2 else array, ("n", "T", size))

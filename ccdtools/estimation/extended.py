@@ -1,0 +1,193 @@
+"""The Kalman filter of nonlinear models, linearised about its own estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_count, as_instance
+from ccdtools.estimation.belief import (
+    Belief,
+    Estimates,
+    along,
+    gain_of,
+    innovation_covariance,
+    predicted_covariance,
+    updated_covariance,
+)
+from ccdtools.estimation.covariances import as_noise_covariances, as_start
+from ccdtools.estimation.measurement import as_measurement
+from ccdtools.estimation.outputs import Output
+from ccdtools.exceptions import InputError
+from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.sampled_model import SampledModel
+
+Transition = Callable[[Array, Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExtendedKalmanFilter(Immutable):
+    """A Kalman filter of x⁺ = f(x, u, p) + w and y_k = h(x_k, u_{k-1}, p) + v_k, linearised about its estimate.
+
+    In current form: x̂_{k|k} has y_k in it. f is differentiated exactly; so are the outputs of a plant, while those of
+    a function are by central differences in parts of the estimate's standard deviation. On a linear model it is the
+    time-varying `KalmanFilter`. It is no optimal filter, and may diverge where the first estimate is far off.
+
+    Parameters
+    ----------
+    model : Plant, SampledModel or LinearModel
+        f at w = 0.
+    output : (ny, nx) array_like, Plant, callable, or Measurement
+        h, as in `Measurement`; the model's own outputs where it is nothing. Its noise plays no part.
+    W, V : (nx, nx) and (ny, ny) array_like
+        Covariances of the process noise of a sample and of the measurement noise, or their diagonals.
+    P0 : (nx, nx) or (nx,) array_like
+        Covariance of the first state about `x0`.
+    x0 : (nx,) array_like, optional
+        Estimate before the first measurement; 0 by default.
+    design : (np,) array_like
+        p, where the model has design parameters.
+
+    Raises
+    ------
+    InputError
+        If `model` is of another kind, sizes disagree, a covariance is indefinite or missing, or no design is given.
+
+    References
+    ----------
+    Anderson, Moore (1979), Optimal filtering, section 8.2; Bucy, Joseph (1968) for the update of covariances.
+
+    Examples
+    --------
+    >>> estimator = ExtendedKalmanFilter(plant, [[1.0, 0.0]], W=[1e-6, 1e-4], V=[1e-4], P0=[0.1, 1.0], design=p)
+    >>> controller = Observed(policy, estimator)
+    """
+
+    model: Any
+    output: Any = None
+    W: ArrayField = field(kw_only=True)
+    V: ArrayField = field(kw_only=True)
+    P0: ArrayField = field(kw_only=True)
+    x0: ArrayField = field(default=None, kw_only=True)
+    design: ArrayField = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        as_instance("model", self.model, (Plant, SampledModel, LinearModel), "a Plant, a SampledModel or a LinearModel")
+        own = self.model if isinstance(self.model, Plant) else getattr(self.model, "plant", None)
+        if self.output is None and own is None:
+            cure = "A LinearModel has no outputs of its own."
+            raise InputError("output", "nothing", "what is measured, such as a matrix C (ny, nx)", cure)
+        set_(self, "output", as_measurement(own if self.output is None else self.output))
+        set_(self, "design", self._checked_design())
+        x0, P0 = as_start(self.x0, self.P0, self.nx)
+        set_(self, "x0", x0)
+        set_(self, "P0", P0)
+        W, V = as_noise_covariances(self.W, self.V, self.nx, self.ny)
+        set_(self, "W", W)
+        set_(self, "V", V)
+
+    def _checked_design(self) -> Array:
+        """The design (np,), empty where the model has none."""
+        space = self.model.design
+        if space is None or space.dim == 0:
+            if self.design is not None and np.size(self.design) > 0:
+                raise InputError("design", "values", "nothing, because the model has no design parameters")
+            return np.zeros(0)
+        if self.design is None:
+            raise InputError("design", "nothing", f"values for {', '.join(space.names)}")
+        return space.check_one(self.design)
+
+    def __deepcopy__(self, memory: Any) -> ExtendedKalmanFilter:
+        """Itself, because it never changes: a copy for each run would differentiate the model again."""
+        return self
+
+    def __repr__(self) -> str:
+        return f"ExtendedKalmanFilter({self.nx} states, {self.nu} inputs, {self.ny} outputs, {self.model!r})"
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return int(self.model.nx)
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return int(self.model.nu)
+
+    @cached_property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return self._h(self.x0[None], np.zeros((1, self.nu))).shape[1]
+
+    @cached_property
+    def _h(self) -> Output:
+        """What is measured, at the design."""
+        return self.output.at(self.nx, self.nu, self.design)
+
+    @cached_property
+    def _f(self) -> Transition:
+        """(x (n, nx), u (n, nu)) → x⁺ (n, nx) and ∂x⁺/∂x, (nx, nx) or (n, nx, nx)."""
+        if isinstance(self.model, LinearModel):
+            A, B, _ = self.model.matrices(self.design)
+            c = self.model.constant(self.design)
+            return lambda x, u: (x @ A.T + u @ B.T + c, A)
+        return _differentiated(self.model, self.design)
+
+    def start(self, n: int) -> Belief:
+        """The belief of n runs before the first measurement."""
+        return Belief(np.tile(self.x0, (as_count("n", n), 1)), np.tile(self.P0, (n, 1, 1)))
+
+    def predict(self, belief: Belief, u: Array) -> Belief:
+        """A sample later, after inputs (n, nu)."""
+        mean, F = self._f(belief.mean, u)
+        return Belief(mean, predicted_covariance(belief.covariance, F, self.W))
+
+    def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
+        """y (n, ny) less what is expected after inputs (n, nu), and its covariance (n, ny, ny) to first order."""
+        return y - self._h(belief.mean, u), innovation_covariance(belief.covariance, self._slope(belief, u), self.V)
+
+    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
+        """With outputs (n, ny) measured, after inputs (n, nu)."""
+        H = self._slope(belief, u)
+        K = gain_of(belief.covariance, H, self.V)
+        innovation = y - self._h(belief.mean, u)
+        mean = belief.mean + (K @ innovation[:, :, None])[:, :, 0]
+        return Belief(mean, updated_covariance(belief.covariance, H, self.V, K))
+
+    def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
+        """Estimates along a record of outputs (T, ny) or (n, T, ny) and inputs (T, nu) or (n, T, nu).
+
+        ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
+        """
+        return along(self, outputs, inputs)
+
+    def _slope(self, belief: Belief, u: Array) -> Array:
+        """∂h/∂x at the estimates."""
+        variances = np.diagonal(belief.covariance, axis1=-2, axis2=-1)
+        return self._h.slope(belief.mean, u, np.sqrt(np.maximum(variances, 0.0)))
+
+
+def _differentiated(model: Plant | SampledModel, p: Array) -> Transition:
+    """(x, u) → x⁺ (n, nx) and ∂x⁺/∂x (n, nx, nx) at w = 0 and one design."""
+    nx = model.nx
+    x, u, design = (ca.MX.sym(name, size) for name, size in zip("xup", (nx, model.nu, model.design.dim)))
+    after = model.step(x, u, ca.DM.zeros(model.nw, 1), design)
+    both = ca.vertcat(after, ca.vec(ca.jacobian(after, x)))
+    function = ca.Function("transition", [x, u, design], [ca.densify(both)])
+
+    def transition(states: Array, inputs: Array) -> tuple[Array, Array]:
+        """Of states (n, nx) and inputs (n, nu)."""
+        columns = np.asarray(function(states.T, inputs.T, p), dtype=float).T
+        F = columns[:, nx:].reshape(-1, nx, nx).swapaxes(1, 2)
+        return frozen(columns[:, :nx]), F
+
+    return transition

@@ -1,0 +1,174 @@
+"""Kalman filters of linear models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_array, as_count, as_flag, as_floats, finite
+from ccdtools.estimation.belief import (
+    Belief,
+    Estimates,
+    along,
+    gain_of,
+    innovation_covariance,
+    predicted_covariance,
+    updated_covariance,
+)
+from ccdtools.estimation.covariances import as_noise_covariances, as_start
+from ccdtools.estimation.steady_state import steady_covariance
+from ccdtools.exceptions import InputError
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class KalmanFilter(Immutable):
+    """Least-variance estimates of x⁺ = A x + B u + w from y_k = C x_k + D u_{k-1} + v_k.
+
+    In current form: x̂_{k|k} has y_k in it. The filter has no memory itself; `Observed` gives it one in a closed loop,
+    `filter` runs it along a record. Before the first measurement the estimate is x0 with covariance P0.
+
+    Parameters
+    ----------
+    A, B, C : (nx, nx), (nx, nu) and (ny, nx) array_like
+        Of a discrete model, such as ``model.matrices(p)``.
+    W, V : (nx, nx) and (ny, ny) array_like
+        Covariances of the process noise of a sample, in states, and of the measurement noise; variances (nx,), (ny,)
+        where they are diagonal. `noise_covariance` gives W of continuous noise; held noise of covariance S has E S Eᵀ.
+    D : (ny, nu) array_like, optional
+        Of outputs that depend on the input, which see the one applied until then; 0 by default.
+    steady : bool
+        Whether the gain is the constant one of long runs; else it starts at P0 and changes over time.
+    x0 : (nx,) array_like, optional
+        Estimate before the first measurement; 0 by default.
+    P0 : (nx, nx) or (nx,) array_like, optional
+        Its covariance, needed without `steady`; with it, it is the covariance of long runs.
+
+    Attributes
+    ----------
+    gain : (nx, ny) array
+        M of the steady x̂_{k|k} = x̂_{k|k-1} + M (y_k − ŷ_k); the predicting form has A M.
+    covariance, predicted : (nx, nx) array
+        Of x given y up to the present, and up to a sample ago, in the long run.
+    poles : (nx,) array
+        Eigenvalues of the error of the steady filter.
+
+    Raises
+    ------
+    InputError
+        If sizes disagree, W is not positive semidefinite or V not positive definite, P0 is missing or not asked for.
+    NotDetectableError
+        With `steady`, if the outputs do not see a mode that does not decay, or no noise reaches one on the unit circle.
+
+    References
+    ----------
+    Anderson, Moore (1979), Optimal filtering, chapters 3 and 4; Bucy, Joseph (1968) for the update of covariances.
+
+    Examples
+    --------
+    >>> estimator = KalmanFilter(A, B, [[1.0, 0.0]], W=E @ E.T * 0.01, V=[1e-4])
+    >>> controller = Observed(LinearFeedback(K), estimator)
+    """
+
+    A: ArrayField
+    B: ArrayField
+    C: ArrayField
+    W: ArrayField
+    V: ArrayField
+    D: ArrayField = field(default=None, kw_only=True)
+    steady: bool = field(default=True, kw_only=True)
+    x0: ArrayField = field(default=None, kw_only=True)
+    P0: ArrayField = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        A = as_array("A", np.atleast_2d(as_floats("A", self.A)), ("nx", "nx"))
+        nx = len(A)
+        if A.shape != (nx, nx):
+            raise InputError("A", f"shape {A.shape}", "a square matrix (nx, nx)")
+        B = finite("B", as_floats("B", self.B))
+        if B.ndim != 2 or len(B) != nx:
+            raise InputError("B", f"shape {B.shape}", f"({nx}, nu)")
+        C = as_array("C", self.C, ("ny", nx))
+        ny = len(C)
+        D = np.zeros((ny, B.shape[1])) if self.D is None else as_array("D", self.D, (ny, B.shape[1]))
+        W, V = as_noise_covariances(self.W, self.V, nx, ny)
+        set_(self, "steady", as_flag("steady", self.steady))
+        if self.steady and self.P0 is not None:
+            raise InputError("P0", "a covariance", "nothing with steady=True", "Pass steady=False to start from it.")
+        for name, value in (("A", A), ("B", frozen(B)), ("C", C), ("D", frozen(D)), ("W", W), ("V", V)):
+            set_(self, name, value)
+        x0, P0 = as_start(self.x0, self.predicted if self.steady else self.P0, nx)
+        set_(self, "x0", x0)
+        set_(self, "P0", None if self.steady else P0)
+
+    def __repr__(self) -> str:
+        kind = "steady" if self.steady else "time-varying"
+        return f"KalmanFilter({self.nx} states, {self.nu} inputs, {self.ny} outputs, {kind})"
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return self.B.shape[1]
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.C)
+
+    @cached_property
+    def predicted(self) -> Array:
+        """Covariance (nx, nx) of x_k given y up to k − 1, in the long run."""
+        return frozen(steady_covariance(self.A, self.C, self.W, self.V))
+
+    @cached_property
+    def gain(self) -> Array:
+        """M (nx, ny) of the steady filter."""
+        return frozen(np.ascontiguousarray(gain_of(self.predicted, self.C, self.V)))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance (nx, nx) of x_k given y up to k, in the long run."""
+        return frozen(updated_covariance(self.predicted, self.C, self.V, self.gain))
+
+    @property
+    def poles(self) -> Array:
+        """Eigenvalues (nx,) of A − A M C."""
+        return np.linalg.eigvals(self.A - self.A @ self.gain @ self.C)
+
+    def start(self, n: int) -> Belief:
+        """The belief of n runs before the first measurement."""
+        return Belief(np.tile(self.x0, (as_count("n", n), 1)), self.predicted if self.steady else self.P0)
+
+    def predict(self, belief: Belief, u: Array) -> Belief:
+        """A sample later, after inputs (n, nu)."""
+        mean = belief.mean @ self.A.T + u @ self.B.T
+        P = self.predicted if self.steady else predicted_covariance(belief.covariance, self.A, self.W)
+        return Belief(mean, P)
+
+    def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
+        """y (n, ny) less what is expected after inputs (n, nu), and its covariance (ny, ny)."""
+        expected = belief.mean @ self.C.T + u @ self.D.T
+        return y - expected, innovation_covariance(belief.covariance, self.C, self.V)
+
+    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
+        """With outputs (n, ny) measured, after inputs (n, nu)."""
+        K = self.gain if self.steady else gain_of(belief.covariance, self.C, self.V)
+        P = self.covariance if self.steady else updated_covariance(belief.covariance, self.C, self.V, K)
+        innovation = y - belief.mean @ self.C.T - u @ self.D.T
+        return Belief(belief.mean + innovation @ K.T, P)
+
+    def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
+        """Estimates along a record of outputs (T, ny) or (n, T, ny) and inputs (T, nu) or (n, T, nu).
+
+        ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
+        """
+        return along(self, outputs, inputs)

@@ -1,0 +1,151 @@
+"""What sensors say: outputs with noise, the same in every loop that is closed with the same random numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.checks import as_floats, as_generator, finite, shown
+from ccdtools.disturbances.disturbance import Gaussian
+from ccdtools.estimation.outputs import Output, as_stated_output, check_sizes, output_at
+from ccdtools.exceptions import InputError
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Measurement(Immutable):
+    """y_k = h(x_k, u_{k-1}, p) + v_k: what is measured, before the input u_k is decided on.
+
+    Outputs that depend on the input see the one that was applied until then, u_{k-1}, which is 0 before the first.
+
+    Parameters
+    ----------
+    output : (ny, nx) array_like, Plant, or callable
+        C of y = C x; a plant whose `outputs` are measured, at the design that is simulated; or a function of states
+        (n, nx) that returns (n, ny), and is also given u (n, nu) and p (np,) where its arguments have these names.
+    noise : (ny,) array_like, Disturbance, or (T, ny) or (n, T, ny) array_like, optional
+        Standard deviations of independent normal noise, in the units of y; anything with ``sample(runs, steps, rng)``;
+        or the noise itself, run by run. None by default.
+
+    Raises
+    ------
+    InputError
+        If `output` states none, or `noise` is neither; sizes are compared once the plant is known.
+
+    Examples
+    --------
+    >>> sensor = Measurement([[1.0, 0.0]], noise=[0.01])
+    >>> run = simulate(plant, controller, x0=x0, steps=100, output=sensor, rng=np.random.default_rng(0))
+    """
+
+    output: Any
+    noise: Any = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "output", as_stated_output(self.output))
+        object.__setattr__(self, "noise", _as_noise(self.noise))
+
+    def __repr__(self) -> str:
+        what = "a matrix" if isinstance(self.output, np.ndarray) else type(self.output).__name__
+        return f"Measurement({what}, {'no noise' if self.noise is None else f'noise: {type(self.noise).__name__}'})"
+
+    def check(self, nx: int, nu: int) -> None:
+        """Raise an `InputError` unless it fits a plant of so many states and inputs; functions show when called."""
+        check_sizes(self.output, nx, nu)
+
+    @property
+    def random(self) -> bool:
+        """Whether its noise is yet to be drawn."""
+        return hasattr(self.noise, "sample")
+
+    def at(self, nx: int, nu: int, p: Array) -> Output:
+        """h at one design, of a plant of so many states and inputs."""
+        return output_at(self.output, nx, nu, p)
+
+    def drawn(self, runs: int, steps: int, rng: np.random.Generator | None) -> Measurement:
+        """The same measurement with its noise drawn, for so many runs of so many steps."""
+        if not self.random:
+            return self
+        return replace(self, noise=_drawn(self.noise, runs, steps, as_generator("rng", rng)))
+
+    def first(self, runs: int, steps: int) -> Measurement:
+        """That of the first so many runs and steps, where its noise is drawn."""
+        if self.noise is None or self.random:
+            return self
+        return replace(self, noise=self.noise[:runs, :steps])
+
+
+class Sensor:
+    """A measurement in a closed loop of so many runs: (k, x, u) → y.
+
+    Its noise comes from a generator of its own, split off from `rng`: what else is drawn from `rng` stays the same with
+    and without it, and it is drawn only where a controller listens.
+    """
+
+    def __init__(
+        self, measurement: Measurement, plant: Any, p: Array, runs: int, steps: int, rng: np.random.Generator | None
+    ) -> None:
+        self._h = measurement.at(plant.nx, plant.nu, p)
+        self._measurement = measurement
+        self._size = (runs, steps)
+        self._rng = as_generator("rng", rng).spawn(1)[0] if measurement.random else None
+        if measurement.noise is not None and not measurement.random:
+            _check_noise(measurement.noise, runs, steps)
+
+    @cached_property
+    def noise(self) -> Array | None:
+        """(n, T, ny), or (1, T, ny) for all runs; None where there is none."""
+        noise: Array | None = self._measurement.drawn(*self._size, self._rng).noise
+        return noise
+
+    def __call__(self, k: int, x: Array, u: Array) -> Array:
+        """Outputs (n, ny) at sample k for states (n, nx) after inputs (n, nu)."""
+        with np.errstate(all="ignore"):  # of a run that is lost
+            y = self._h(x, u)
+        if self.noise is None:
+            return y
+        if self.noise.shape[2] != y.shape[1]:
+            raise InputError("output.noise", f"{self.noise.shape[2]} channels", f"{y.shape[1]}, one per output")
+        return np.asarray(y + self.noise[:, k])
+
+
+def as_measurement(value: Any) -> Measurement:
+    """A `Measurement`, from itself or from what it may measure, without noise."""
+    return value if isinstance(value, Measurement) else Measurement(value)
+
+
+def _as_noise(value: Any) -> Any:
+    """Noise as something to sample, or as an array (n, T, ny)."""
+    expected = "standard deviations (ny,), a Disturbance, or noise (T, ny) or (n, T, ny)"
+    if value is None:
+        return None
+    if hasattr(value, "sample"):
+        if isinstance(value, type):
+            raise InputError("output.noise", shown(value), "an object of it")
+        return value
+    noise = np.atleast_1d(as_floats("output.noise", value, expected=expected))
+    finite("output.noise", noise)
+    if noise.ndim == 1 and noise.size and (noise >= 0).all():
+        return Gaussian(noise)
+    if noise.ndim not in (2, 3) or noise.size == 0:
+        got = "a negative standard deviation" if noise.ndim == 1 and noise.size else f"shape {noise.shape}"
+        raise InputError("output.noise", got, expected)
+    return frozen(noise[None] if noise.ndim == 2 else noise)
+
+
+def _drawn(noise: Any, runs: int, steps: int, rng: np.random.Generator) -> Array:
+    """A sample of noise (runs, steps, ny)."""
+    drawn = as_floats("output.noise", noise.sample(runs, steps, rng))
+    if drawn.ndim != 3:
+        raise InputError("output.noise", f"a sample of shape {drawn.shape}", f"({runs}, {steps}, ny)")
+    _check_noise(drawn, runs, steps)
+    return frozen(finite("output.noise", drawn))
+
+
+def _check_noise(noise: Array, runs: int, steps: int) -> None:
+    """Raise an `InputError` unless there is noise for so many runs and steps."""
+    if len(noise) not in (1, runs) or noise.shape[1] < steps:
+        raise InputError("output.noise", f"shape {noise.shape}", f"({runs}, {steps}, ny)")

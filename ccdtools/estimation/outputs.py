@@ -1,0 +1,160 @@
+"""What is measured, y = h(x, u, p), from any of the ways in which it may be stated, with its slope in x."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_array, as_floats, shown
+from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import Vectorised
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.sampled_model import SampledModel
+
+STEP = np.finfo(float).eps ** (1 / 3)  # of a difference, in standard deviations of the state
+LEAST_STEP = np.finfo(float).eps ** (2 / 3)  # the same, in parts of the state
+FROM_STATE_AND_INPUT = ("u", "p")  # what a function may ask for by name besides the state
+EXPECTED = "a matrix C (ny, nx), a Plant with outputs, or a function h(x), which may also ask for u and p"
+
+
+class Output(Protocol):
+    """y = h(x, u) at one design."""
+
+    def __call__(self, x: Array, u: Array) -> Array:
+        """Outputs (n, ny) of states (n, nx) and inputs (n, nu)."""
+        ...
+
+    def slope(self, x: Array, u: Array, spread: Array) -> Array:
+        """∂h/∂x, (ny, nx) or (n, ny, nx); `spread` (n, nx) are standard deviations of the states."""
+        ...
+
+
+class MatrixOutput:
+    """y = C x."""
+
+    def __init__(self, C: Array) -> None:
+        self.C = C
+
+    def __call__(self, x: Array, u: Array) -> Array:
+        """Outputs (n, ny)."""
+        return x @ self.C.T
+
+    def slope(self, x: Array, u: Array, spread: Array) -> Array:
+        """C."""
+        return self.C
+
+
+class PlantOutput:
+    """The outputs of a plant at one design."""
+
+    def __init__(self, plant: Plant, p: Array) -> None:
+        given = [plant.x, plant.u, plant.p]
+        slope = ca.vec(ca.jacobian(plant.outputs, plant.x))
+        self._shape = (plant.nx, plant.ny)
+        self._p = p
+        self._value = Vectorised(ca.Function("y", given, [ca.densify(plant.outputs)]))
+        self._slope = Vectorised(ca.Function("H", given, [ca.densify(slope)]))
+
+    def __call__(self, x: Array, u: Array) -> Array:
+        """Outputs (n, ny)."""
+        return np.asarray(self._value(x, u, self._p))
+
+    def slope(self, x: Array, u: Array, spread: Array) -> Array:
+        """(n, ny, nx), by differentiation."""
+        columns = self._slope(x, u, self._p).reshape(len(x), *self._shape)
+        return np.asarray(columns.swapaxes(1, 2))
+
+
+class FunctionOutput:
+    """A function of arrays."""
+
+    def __init__(self, function: Callable[..., Any], asks: tuple[str, ...], p: Array) -> None:
+        self._function = function
+        self._asks = asks
+        self._p = p
+
+    def __call__(self, x: Array, u: Array) -> Array:
+        """Outputs (n, ny)."""
+        given = {"u": u, "p": self._p}
+        y = as_floats("output", self._function(x, **{name: given[name] for name in self._asks}))
+        if y.ndim != 2 or len(y) != len(x) or y.shape[1] == 0:
+            cure = "It is called with all states at once: x[:, 0] is the first of each run."
+            raise InputError("output", f"outputs of shape {y.shape} for states {x.shape}", f"({len(x)}, ny)", cure)
+        return y
+
+    def slope(self, x: Array, u: Array, spread: Array) -> Array:
+        """(n, ny, nx), by central differences; 0 along states that are known exactly, where it does not matter."""
+        n, nx = x.shape
+        steps = np.where(spread > 0, np.maximum(STEP * spread, LEAST_STEP * np.abs(x)), 0.0)
+        moved = steps[:, None, :] * np.eye(nx)
+        up, down = x[:, None, :] + moved, x[:, None, :] - moved
+        inputs = np.repeat(u, nx, axis=0)
+        rise = self(up.reshape(-1, nx), inputs) - self(down.reshape(-1, nx), inputs)
+        run = np.einsum("nii->ni", up - down)
+        columns = rise.reshape(n, nx, -1) / np.where(run > 0, run, 1.0)[:, :, None]
+        return np.asarray(columns.swapaxes(1, 2))
+
+
+def as_stated_output(value: Any) -> Any:
+    """`value`, if it states outputs: a matrix as a read-only array, a Plant, or a function.
+
+    Raises
+    ------
+    InputError
+        If it is none of these, a plant without outputs, or a function that asks for something else.
+    """
+    if isinstance(value, SampledModel):
+        value = value.plant
+    if isinstance(value, Plant):
+        if value.ny == 0:
+            raise InputError("output", "a plant without outputs", EXPECTED, "Plant(outputs=…) names them.")
+        return value
+    if callable(value) and not isinstance(value, type):
+        asked_of(value)
+        return value
+    if value is None or isinstance(value, type | str):
+        raise InputError("output", shown(value), EXPECTED)
+    return as_array("output", value, ("ny", "nx"))
+
+
+def asked_of(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Which of u and p a function asks for by name, besides the state, which comes first."""
+    try:
+        parameters = list(inspect.signature(function).parameters.values())
+    except (TypeError, ValueError):  # a callable in C need not have a signature
+        return ()
+    rest = parameters[1:]
+    unknown = [q for q in rest if q.name not in FROM_STATE_AND_INPUT and q.default is q.empty
+               and q.kind not in (q.VAR_POSITIONAL, q.VAR_KEYWORD)]  # fmt: skip
+    if not parameters or parameters[0].kind is parameters[0].KEYWORD_ONLY or unknown:
+        names = ", ".join(q.name for q in parameters)
+        raise InputError("output", f"a function of ({names})", "one of x, which may also ask for u and p by name")
+    return tuple(q.name for q in rest if q.name in FROM_STATE_AND_INPUT)
+
+
+def output_at(stated: Any, nx: int, nu: int, p: Array) -> Output:
+    """The outputs at one design (np,) of a plant of so many states and inputs.
+
+    Raises
+    ------
+    InputError
+        If the sizes disagree, or the design is none of the plant whose outputs they are.
+    """
+    check_sizes(stated, nx, nu)
+    if isinstance(stated, Plant):
+        return PlantOutput(stated, stated.design.check_one(p))
+    return FunctionOutput(stated, asked_of(stated), p) if callable(stated) else MatrixOutput(stated)
+
+
+def check_sizes(stated: Any, nx: int, nu: int) -> None:
+    """Raise an `InputError` if a matrix or a plant has other sizes."""
+    if isinstance(stated, Plant) and (stated.nx, stated.nu) != (nx, nu):
+        got = f"outputs of a plant of {stated.nx} states and {stated.nu} inputs"
+        raise InputError("output", got, f"those of one of {nx} states and {nu} inputs")
+    if isinstance(stated, np.ndarray):
+        as_array("output", stated, ("ny", nx))
