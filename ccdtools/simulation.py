@@ -236,9 +236,11 @@ def _drawn(plant: Simulable, x0: ArrayLike, disturbance: Any, steps: int, rng: A
 def _record(given: ArrayLike, w: Array) -> Array:
     """The disturbances (n, T', nw) that a preview may look into: those met (n, T, nw), and what follows on record."""
     whole = np.asarray(given)
+    if whole.shape[1 if whole.ndim == 3 else 0] == w.shape[1]:
+        return w
     whole = whole[:, None] if whole.ndim == 1 else whole
     later = np.broadcast_to(whole[..., w.shape[1] :, :], (len(w), whole.shape[-2] - w.shape[1], w.shape[2]))
-    return np.concatenate([w, later], axis=1) if later.size else w
+    return np.concatenate([w, later], axis=1)
 
 
 def _states(plant: Simulable, x0: ArrayLike) -> Array:

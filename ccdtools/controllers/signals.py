@@ -194,9 +194,10 @@ def opened(controller: Any, runs: int) -> tuple[frozenset[str], list[Any], bool]
 
     Those with memory are copies, which are reset.
     """
-    one_by_one = "preview" in needs_of(controller)
-    controller = _in_loop(controller, 1 if one_by_one else runs)
     needs = needs_of(controller)
+    in_loop = _in_loop(controller, 1 if "preview" in needs else runs)
+    if in_loop is not controller:
+        controller, needs = in_loop, needs_of(in_loop)
     return needs, *_copies(controller, runs, one_by_one="preview" in needs)
 
 

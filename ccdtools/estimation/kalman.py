@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_array, as_count, as_flag, as_floats, finite
+from ccdtools.checks import as_array, as_count, as_flag, as_floats, as_instance, as_vector, finite
 from ccdtools.estimation.belief import (
     Belief,
     Estimates,
@@ -20,13 +20,17 @@ from ccdtools.estimation.belief import (
     updated_covariance,
 )
 from ccdtools.estimation.covariances import as_noise_covariances, as_start
+from ccdtools.estimation.outputs import LINEARISED, output_matrices
 from ccdtools.estimation.steady_state import steady_covariance
 from ccdtools.exceptions import InputError
+from ccdtools.plants.discretisation import discretise
+from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.plant import Plant
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KalmanFilter(Immutable):
-    """Least-variance estimates of x⁺ = A x + B u + w from y_k = C x_k + D u_{k-1} + v_k.
+    """Least-variance estimates of x⁺ = A x + B u + w from y_k = C x_k + D u_{k-1} + y0 + v_k.
 
     In current form: x̂_{k|k} has y_k in it. The filter has no memory itself; `Observed` gives it one in a closed loop,
     `filter` runs it along a record. Before the first measurement the estimate is x0 with covariance P0.
@@ -34,12 +38,14 @@ class KalmanFilter(Immutable):
     Parameters
     ----------
     A, B, C : (nx, nx), (nx, nu) and (ny, nx) array_like
-        Of a discrete model, such as ``model.matrices(p)``.
+        Of a discrete model, such as ``model.matrices(p)``; `of` takes all of them from a linear plant with outputs.
     W, V : (nx, nx) and (ny, ny) array_like
         Covariances of the process noise of a sample, in states, and of the measurement noise; variances (nx,), (ny,)
         where they are diagonal. `noise_covariance` gives W of continuous noise; held noise of covariance S has E S Eᵀ.
     D : (ny, nu) array_like, optional
         Of outputs that depend on the input, which see the one applied until then; 0 by default.
+    y0 : (ny,) array_like, optional
+        Outputs at x = 0, u = 0, such as those of a plant at rest; 0 by default.
     steady : bool
         Whether the gain is the constant one of long runs; else it starts at P0 and changes over time.
     x0 : (nx,) array_like, optional
@@ -79,6 +85,7 @@ class KalmanFilter(Immutable):
     W: ArrayField
     V: ArrayField
     D: ArrayField = field(default=None, kw_only=True)
+    y0: ArrayField = field(default=None, kw_only=True)
     steady: bool = field(default=True, kw_only=True)
     x0: ArrayField = field(default=None, kw_only=True)
     P0: ArrayField = field(default=None, kw_only=True)
@@ -95,15 +102,37 @@ class KalmanFilter(Immutable):
         C = as_array("C", self.C, ("ny", nx))
         ny = len(C)
         D = np.zeros((ny, B.shape[1])) if self.D is None else as_array("D", self.D, (ny, B.shape[1]))
+        y0 = frozen(np.zeros(ny)) if self.y0 is None else as_vector("y0", self.y0, ny, of="one per output")
         W, V = as_noise_covariances(self.W, self.V, nx, ny)
         set_(self, "steady", as_flag("steady", self.steady))
         if self.steady and self.P0 is not None:
             raise InputError("P0", "a covariance", "nothing with steady=True", "Pass steady=False to start from it.")
-        for name, value in (("A", A), ("B", frozen(B)), ("C", C), ("D", frozen(D)), ("W", W), ("V", V)):
+        for name, value in (("A", A), ("B", frozen(B)), ("C", C), ("D", frozen(D)), ("y0", y0), ("W", W), ("V", V)):
             set_(self, name, value)
         x0, P0 = as_start(self.x0, self.predicted if self.steady else self.P0, nx)
         set_(self, "x0", x0)
         set_(self, "P0", None if self.steady else P0)
+
+    @classmethod
+    def of(
+        cls, plant: Plant, *, W: ArrayLike, V: ArrayLike, design: ArrayLike = (), steady: bool = True,
+        x0: ArrayLike | None = None, P0: ArrayLike | None = None,
+    ) -> KalmanFilter:  # fmt: skip
+        """The filter of a linear plant's own outputs at a design (np,), for example of `linearise(plant, equilibrium)`.
+
+        Raises
+        ------
+        InputError
+            Also if the dynamics or the outputs are not linear in x and u, there are no outputs, or x = 0 is no rest.
+        """
+        as_instance("plant", plant, Plant, "a Plant")
+        model = discretise(plant, sampling_guard="ignore") if plant.linear else None
+        if not isinstance(model, LinearModel) or model.affine:
+            got = "nonlinear dynamics" if model is None else "a constant term in the dynamics"
+            raise InputError("plant", got, "a linear plant that rests at 0", LINEARISED)
+        A, B, _ = model.matrices(design)
+        C, D, y0 = output_matrices(plant, model.design.check_one(design) if model.design is not None else np.zeros(0))
+        return cls(A, B, C, W, V, D=D, y0=y0, steady=steady, x0=x0, P0=P0)
 
     def __repr__(self) -> str:
         kind = "steady" if self.steady else "time-varying"
@@ -156,15 +185,17 @@ class KalmanFilter(Immutable):
 
     def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
         """y (n, ny) less what is expected after inputs (n, nu), and its covariance (ny, ny)."""
-        expected = belief.mean @ self.C.T + u @ self.D.T
-        return y - expected, innovation_covariance(belief.covariance, self.C, self.V)
+        return self._surprise(belief, y, u), innovation_covariance(belief.covariance, self.C, self.V)
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
         """With outputs (n, ny) measured, after inputs (n, nu)."""
         K = self.gain if self.steady else gain_of(belief.covariance, self.C, self.V)
         P = self.covariance if self.steady else updated_covariance(belief.covariance, self.C, self.V, K)
-        innovation = y - belief.mean @ self.C.T - u @ self.D.T
-        return Belief(belief.mean + innovation @ K.T, P)
+        return Belief(belief.mean + self._surprise(belief, y, u) @ K.T, P)
+
+    def _surprise(self, belief: Belief, y: Array, u: Array) -> Array:
+        """y (n, ny) less what is expected."""
+        return np.asarray(y - belief.mean @ self.C.T - u @ self.D.T - self.y0)
 
     def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
         """Estimates along a record of outputs (T, ny) or (n, T, ny) and inputs (T, nu) or (n, T, nu).

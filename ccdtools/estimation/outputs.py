@@ -19,6 +19,7 @@ from ccdtools.plants.sampled_model import SampledModel
 STEP = np.finfo(float).eps ** (1 / 3)  # of a difference, in standard deviations of the state
 LEAST_STEP = np.finfo(float).eps ** (2 / 3)  # the same, in parts of the state
 FROM_STATE_AND_INPUT = ("u", "p")  # what a function may ask for by name besides the state
+LINEARISED = "Linearise it: linearise(plant, equilibrium(plant, p)); or use an ExtendedKalmanFilter."
 EXPECTED = "a matrix C (ny, nx), a Plant with outputs, or a function h(x), which may also ask for u and p"
 
 
@@ -149,6 +150,24 @@ def output_at(stated: Any, nx: int, nu: int, p: Array) -> Output:
     if isinstance(stated, Plant):
         return PlantOutput(stated, stated.design.check_one(p))
     return FunctionOutput(stated, asked_of(stated), p) if callable(stated) else MatrixOutput(stated)
+
+
+def output_matrices(plant: Plant, p: Array) -> tuple[Array, Array, Array]:
+    """C (ny, nx), D (ny, nu) and y0 (ny,) of a plant's outputs y = C x + D u + y0 at one design.
+
+    Raises
+    ------
+    InputError
+        If there are none, or they are not linear in x and u.
+    """
+    as_stated_output(plant)
+    z = ca.vertcat(plant.x, plant.u)
+    slope = ca.jacobian(plant.outputs, z)
+    if ca.depends_on(slope, z):
+        raise InputError("plant", "outputs that are not linear in x and u", "linear ones", LINEARISED)
+    rest = ca.Function("rest", [z, plant.p], [ca.densify(plant.outputs)])(np.zeros(z.shape), p)
+    both = np.asarray(ca.Function("both", [plant.p], [ca.densify(slope)])(p), dtype=float)
+    return both[:, : plant.nx], both[:, plant.nx :], np.asarray(rest, dtype=float).ravel()
 
 
 def check_sizes(stated: Any, nx: int, nu: int) -> None:

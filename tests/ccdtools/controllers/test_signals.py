@@ -99,6 +99,33 @@ def test_a_preview_is_that_of_each_run():
             np.testing.assert_array_equal(signals["w"], run.disturbances[i, np.minimum(np.arange(k, k + 3), 5)])
 
 
+def test_a_preview_that_is_longer_than_the_record_is_refused():
+    with pytest.raises(InputError, match="horizon: got 7 samples, which the controller previews, expected at most 6"):
+        loop(Listener("preview", horizon=7))
+    loop(Listener("preview", horizon=6))
+    loop(Listener("reference", horizon=7), reference=[0.0, 0.0])
+    scenario = Scenario(MODEL, np.zeros((3, 2)), np.zeros((3, 6, 2)))
+    with pytest.raises(InputError, match="horizon"):
+        scenario.run(Listener("preview", horizon=7))
+
+
+def test_without_disturbance_any_preview_is_of_zeros():
+    listener = Listener("preview", horizon=7)
+    simulate(MODEL, listener, x0=[1.0, 0.0], steps=3)
+    assert listener.heard[0][1]["w"].shape == (7, 2)
+
+
+@pytest.mark.parametrize("runs", [1, 2, 8])
+def test_a_preview_sees_what_the_record_holds_beyond_the_simulation(runs):
+    listener = Listener("preview", horizon=4)
+    w = np.random.default_rng(0).standard_normal((runs, 8, 2))
+    simulate(MODEL, listener, x0=[1.0, 0.0], steps=3, disturbance=w)
+    np.testing.assert_array_equal(listener.heard[-1][1]["w"], w[-1, 2:6])
+    listener = Listener("preview", horizon=4)
+    simulate(MODEL, listener, x0=[1.0, 0.0], steps=3, disturbance=w[0])
+    np.testing.assert_array_equal(listener.heard[-1][1]["w"], w[0, 2:6])
+
+
 def test_run_by_run_the_loop_is_the_same_as_batched():
     np.testing.assert_allclose(loop(Listener("preview")).states, loop(Listener()).states, rtol=1e-14, atol=1e-15)
 
