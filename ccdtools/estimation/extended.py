@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -183,6 +184,8 @@ def _differentiated(model: Plant | SampledModel, p: Array) -> Transition:
     after = model.step(x, u, ca.DM.zeros(model.nw, 1), design)
     both = ca.vertcat(after, ca.vec(ca.jacobian(after, x)))
     function = ca.Function("transition", [x, u, design], [ca.densify(both)])
+    with contextlib.suppress(RuntimeError):  # an implicit step has no scalar instructions, which are faster
+        function = function.expand()
 
     def transition(states: Array, inputs: Array) -> tuple[Array, Array]:
         """Of states (n, nx) and inputs (n, nu)."""

@@ -176,6 +176,24 @@ def test_a_mode_on_the_unit_circle_without_noise_is_named_and_filtered_over_time
     assert variances[-1] < 0.01
 
 
+@pytest.mark.parametrize("drift", [1e-10, 1e-14, 1e-20])
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+def test_a_bias_that_hardly_drifts_is_filtered_slowly(drift, unit):
+    F, H = np.array([[0.9, 0.3 / unit], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    noise = np.diag([1e-2, drift * unit**2])
+    steady = KalmanFilter(F, np.ones((2, 1)), H, noise, [[1.0]])
+    P = steady.predicted
+    K = F @ P @ H.T / (H @ P @ H.T + 1.0)
+    size = np.sqrt(np.diag(P))
+    residual = (F @ P @ F.T - K @ H @ P @ F.T + noise - P) / np.outer(size, size)
+    assert np.abs(residual).max() < 1e-12
+    assert 0 < 1 - np.abs(steady.poles).max() < 1e-4
+    # a bias of slow drift q, seen through gain g with noise of density r, has the variance √(q r) / g of long runs
+    gain = 0.3 / (1 - 0.9)
+    density = 1.0 + 1e-2 / 0.1**2
+    assert P[1, 1] == pytest.approx(unit**2 * np.sqrt(drift * density) / gain, rel=0.01)
+
+
 def test_without_process_noise_a_stable_plant_is_predicted():
     still = KalmanFilter(0.5 * A, B, C, np.zeros((2, 2)), V)
     np.testing.assert_array_equal(still.gain, np.zeros((2, 1)))
