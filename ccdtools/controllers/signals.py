@@ -152,6 +152,7 @@ def needs_of(controller: Any) -> frozenset[str]:
     if isinstance(controller, type) or not callable(controller):
         cure = "A gain K becomes a controller with LinearFeedback(K), for u = −K x."
         cure = cure if isinstance(controller, np.ndarray | list | tuple) else ""
+        cure = "Observed(controller, estimator) is one." if hasattr(controller, "predict") else cure
         raise InputError("controller", shown(controller), "a callable u = controller(x)", cure)
     if hasattr(controller, "state_dict") and hasattr(controller, "forward"):
         cure = "Use LearnedPolicy(agent, design), or a function that calls the module."

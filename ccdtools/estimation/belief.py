@@ -138,6 +138,7 @@ def along(estimator: Any, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
 
 
 def _runs(argument: str, value: ArrayLike, size: int) -> Array:
-    """A record (n, T, size), of which one run may be given as (T, size)."""
+    """A record (n, T, size), of which one run may be given as (T, size), or (T,) where the size is one."""
     array = as_floats(argument, value)
+    array = array[:, None] if array.ndim == size == 1 else array
     return as_array(argument, array[None] if array.ndim == 2 else array, ("n", "T", size))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -112,6 +113,10 @@ class KalmanFilter(Immutable):
         x0, P0 = as_start(self.x0, self.predicted if self.steady else self.P0, nx)
         set_(self, "x0", x0)
         set_(self, "P0", None if self.steady else P0)
+
+    def __deepcopy__(self, memory: Any) -> KalmanFilter:
+        """Itself, because it never changes: a copy for each run would solve the Riccati equation again."""
+        return self
 
     @classmethod
     def of(

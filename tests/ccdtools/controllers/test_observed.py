@@ -286,6 +286,7 @@ def test_copies_and_pickles_start_afresh():
     ("call", "message"),
     [
         (lambda: Observed(K, STEADY), "controller: got .*A gain K becomes a controller"),
+        (lambda: run(STEADY), r"controller: got a KalmanFilter.*Observed\(controller, estimator\) is one"),
         (lambda: Observed(FEEDBACK, FEEDBACK), "estimator: got a LinearFeedback, expected an estimator"),
         (lambda: Observed(FEEDBACK, KalmanFilter), "estimator: got the class KalmanFilter"),
         (lambda: Observed(FEEDBACK, STEADY)([0.0, 0.0]), r"y: got nothing, expected \(1,\) or \(n, 1\)"),

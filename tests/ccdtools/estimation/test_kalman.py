@@ -235,6 +235,12 @@ def test_records_of_other_sizes_are_refused():
         steady.filter(np.zeros((5, 1)), np.zeros((4, 1)))
 
 
+def test_records_of_one_channel_may_be_vectors():
+    steady = KalmanFilter(A, B, C, W, V)
+    y, u = np.arange(5.0), np.ones(5)
+    np.testing.assert_array_equal(steady.filter(y, u).means, steady.filter(y[None, :, None], u[:, None]).means)
+
+
 def test_a_plant_without_inputs_has_a_filter():
     found = KalmanFilter(A, np.zeros((2, 0)), C, W, V)
     assert found.filter(np.zeros((5, 1)), np.zeros((5, 0))).means.shape == (1, 5, 2)
