@@ -67,6 +67,7 @@ def test_in_the_long_run_both_filters_are_one():
     assert np.abs(first.means[:, 5] - other.means[:, 5]).max() > 1e-3
     np.testing.assert_allclose(first.means[:, -1], other.means[:, -1], rtol=1e-8)
     np.testing.assert_allclose(other.covariances[-1], steady.covariance, rtol=1e-8)
+    np.testing.assert_allclose(first.covariances[0], other.covariances[-1], rtol=1e-8)
     np.testing.assert_allclose(first.innovation_covariances[0], other.innovation_covariances[-1], rtol=1e-8)
 
 

@@ -72,7 +72,7 @@ def test_noise_does_not_change_the_disturbance():
     noisy, _ = loop(Measurement(C, noise=[0.3]))
     np.testing.assert_array_equal(noisy.disturbances, plain.disturbances)
     rng = np.random.default_rng(0)
-    runs = [cc.simulate(MODEL, cc.LinearFeedback(K), x0=[1.0, 0.0], steps=5, disturbance=Gaussian([1.0, 1.0]), rng=rng,
+    runs = [cc.simulate(MODEL, Listener(), x0=[1.0, 0.0], steps=5, disturbance=Gaussian([1.0, 1.0]), rng=rng,
                         output=Measurement(C, noise=[1.0])).disturbances for _ in range(2)]  # fmt: skip
     again = np.random.default_rng(0)
     expected = [Gaussian([1.0, 1.0]).sample(1, 5, again) for _ in range(2)]
