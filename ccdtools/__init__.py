@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.least_depth import least_depth
     from ccdtools.co_design.objective import QuadraticObjective
     from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+    from ccdtools.co_design.random_starts import RandomStarts
     from ccdtools.co_design.result import CoDesignResult
     from ccdtools.co_design.risk import CVaR, Mean, MeanSpread
     from ccdtools.comparison.baselines import baselines, saturated_lqr
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
     from ccdtools.controllers.learned import LearnedPolicy, load_policy
     from ccdtools.controllers.observed import Observed
     from ccdtools.controllers.signals import Reference
-    from ccdtools.disturbances.disturbance import Gaussian, Recorded, Sum, Uniform
+    from ccdtools.disturbances.combinations import Constant, Mixture, Stacked, Sum
+    from ccdtools.disturbances.disturbance import Gaussian, Recorded, Uniform
     from ccdtools.disturbances.iso_road import ISORoad
     from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
     from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
@@ -68,6 +70,7 @@ __all__ = [
     "CoDesignConfig",
     "CoDesignProblem",
     "CoDesignResult",
+    "Constant",
     "CustomObjective",
     "DesignSpace",
     "DigitalTwin",
@@ -89,6 +92,7 @@ __all__ = [
     "Mean",
     "MeanSpread",
     "Measurement",
+    "Mixture",
     "NotDetectableError",
     "Observed",
     "OnlineConfig",
@@ -96,12 +100,14 @@ __all__ = [
     "Passive",
     "Plant",
     "QuadraticObjective",
+    "RandomStarts",
     "RealPlant",
     "Recorded",
     "Reference",
     "SampledModel",
     "SamplingWarning",
     "Scenario",
+    "Stacked",
     "Study",
     "Sum",
     "SuspensionMetrics",
@@ -151,6 +157,7 @@ _HOMES = {
     "CoDesignConfig": "co_design.configuration",
     "CoDesignProblem": "co_design.problem",
     "CoDesignResult": "co_design.result",
+    "Constant": "disturbances.combinations",
     "CustomObjective": "co_design.custom_objective",
     "DesignSpace": "plants.design_space",
     "DigitalTwin": "twin.twin",
@@ -172,6 +179,7 @@ _HOMES = {
     "Mean": "co_design.risk",
     "MeanSpread": "co_design.risk",
     "Measurement": "estimation.measurement",
+    "Mixture": "disturbances.combinations",
     "NotDetectableError": "exceptions",
     "Observed": "controllers.observed",
     "OnlineConfig": "twin.online",
@@ -180,14 +188,16 @@ _HOMES = {
     "Passive": "controllers.controllers",
     "Plant": "plants.plant",
     "QuadraticObjective": "co_design.objective",
+    "RandomStarts": "co_design.random_starts",
     "RealPlant": "studies.study",
     "Recorded": "disturbances.disturbance",
     "Reference": "controllers.signals",
     "SampledModel": "plants.sampled_model",
     "SamplingWarning": "exceptions",
     "Scenario": "scenario",
+    "Stacked": "disturbances.combinations",
     "Study": "studies.study",
-    "Sum": "disturbances.disturbance",
+    "Sum": "disturbances.combinations",
     "SuspensionMetrics": "comparison.suspension",
     "Trajectory": "trajectory",
     "Uniform": "disturbances.disturbance",

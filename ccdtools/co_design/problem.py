@@ -20,6 +20,7 @@ from ccdtools.checks import (
     shown,
 )
 from ccdtools.co_design.objective import Objective, Weights, as_objective
+from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk, as_risk
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
@@ -33,7 +34,10 @@ NARROWEST = 1e-5  # width of a box of designs beside its bounds, of which single
 
 
 class Scenarios(Protocol):
-    """Anything that draws initial states with their disturbances."""
+    """Anything that draws initial states with their disturbances.
+
+    Where runs have a disturbance of any length that does not depend on their starts, it is an attribute `disturbance`.
+    """
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Initial states (runs, nx) and disturbances (runs, steps, nw)."""
@@ -87,6 +91,11 @@ class FixedStart(Immutable):
         """Initial states (runs, nx) and disturbances (runs, steps, nw)."""
         return np.tile(self.x0, (runs, 1)), self.disturbance.sample(runs, steps, rng)
 
+    def check_within(self, X: Polytope) -> None:
+        """Raise an `InputError` if the start lies outside X."""
+        if not X.contains(self.x0):
+            raise InputError("scenarios.x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CoDesignProblem(Immutable):
@@ -123,7 +132,7 @@ class CoDesignProblem(Immutable):
     ------
     InputError
         If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
-        not in X or not in U, U is not a box, a `FixedStart` lies outside X, or the box of designs is too narrow.
+        not in X or not in U, U is not a box, starts lie outside X, or the box of designs is too narrow.
     """
 
     model: Model
@@ -187,8 +196,8 @@ class CoDesignProblem(Immutable):
         x0, w = (np.shape(array) for array in drawn)
         if x0 != (1, self.model.nx):
             raise InputError("scenarios", f"initial states of shape {x0[1:]}", f"({self.model.nx},)")
-        if isinstance(self.scenarios, FixedStart) and not self.X.contains(self.scenarios.x0):
-            raise InputError("scenarios.x0", f"{self.scenarios.x0.tolist()}, which is outside X", "a state within X")
+        if isinstance(self.scenarios, FixedStart | RandomStarts):
+            self.scenarios.check_within(self.X)
         replayed = self.discrepancy is not None and self.discrepancy.noise == "replayed"
         width = self.model.nx if replayed else self.model.nw
         if (self.discrepancy is None or replayed) and w != (1, self.steps, width):
@@ -198,12 +207,13 @@ class CoDesignProblem(Immutable):
         """What drives the model for any number of steps, (runs, steps, ·): nw disturbances, or nx draws or errors.
 
         Scenarios are asked for no more than an episode, which is all that they promise, and these follow one another;
-        the disturbance of a `FixedStart` has any length.
+        a `disturbance` of theirs has any length.
         """
         if self.discrepancy is not None and self.discrepancy.noise == "quantiles":
             return rng.random((runs, steps, self.model.nx))
-        if isinstance(self.scenarios, FixedStart):
-            return self.scenarios.sample(runs, steps, rng)[1]
+        disturbance = getattr(self.scenarios, "disturbance", None)
+        if callable(getattr(disturbance, "sample", None)):
+            return np.asarray(disturbance.sample(runs, steps, rng))  # type: ignore[union-attr]
         episodes = [self.scenarios.sample(runs, self.steps, rng)[1] for _ in range(-(-steps // self.steps))]
         return np.concatenate(episodes, axis=1)[:, :steps]
 

@@ -1,14 +1,14 @@
-"""Disturbances acting on a plant: random, recorded, or a sum of both."""
+"""Disturbances acting on a plant: random or recorded."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_array, as_count, as_floats, as_generator, as_vector, finite, has_method, shown
+from ccdtools.checks import as_array, as_count, as_floats, as_generator, as_vector, finite, shown
 from ccdtools.exceptions import InputError
 
 
@@ -42,7 +42,7 @@ class Gaussian(Immutable):
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
-        _check_draw(runs, steps, rng)
+        check_draw(runs, steps, rng)
         return self.mean + self.std * rng.standard_normal((runs, steps, len(self.std)))
 
 
@@ -68,41 +68,8 @@ class Uniform(Immutable):
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
-        _check_draw(runs, steps, rng)
+        check_draw(runs, steps, rng)
         return rng.uniform(self.lower, self.upper, (runs, steps, len(self.lower)))
-
-
-@dataclass(frozen=True, eq=False)
-class Sum(Immutable):
-    """The sum of independent disturbances with the same channels."""
-
-    terms: tuple[Disturbance, ...]
-
-    def __post_init__(self) -> None:
-        try:
-            terms = tuple(self.terms)
-        except TypeError:
-            terms = ()
-        if not terms:
-            raise InputError("terms", shown(self.terms), "a tuple of disturbances")
-        for term in terms:
-            has_method("terms", term, "sample", "disturbances, with a method sample(runs, steps, rng)")
-        widths = [getattr(term, "nw", None) for term in terms]
-        _check_widths([width for width in widths if width is not None])
-        object.__setattr__(self, "terms", terms)
-
-    @property
-    def nw(self) -> int | None:
-        """Number of channels, if a term knows it."""
-        widths = [getattr(term, "nw", None) for term in self.terms]
-        return next((width for width in widths if width is not None), None)
-
-    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
-        """Sequences (runs, steps, nw)."""
-        _check_draw(runs, steps, rng)
-        drawn = [term.sample(runs, steps, rng) for term in self.terms]
-        _check_widths([w.shape[-1] for w in drawn])
-        return np.sum(drawn, axis=0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,7 +101,7 @@ class Recorded(Immutable):
         InputError
             If the recording is shorter than `steps`.
         """
-        _check_draw(runs, steps, rng)
+        check_draw(runs, steps, rng)
         spare = len(self.signal) - steps
         if spare < 0:
             raise InputError("steps", steps, f"at most {len(self.signal)}, the samples of the recording")
@@ -142,21 +109,8 @@ class Recorded(Immutable):
         return self.signal[starts[:, None] + np.arange(steps)]
 
 
-def is_recorded(disturbance: Any) -> bool:
-    """Whether a disturbance, or a term of a sum, is a recording: a single run of it is always the same."""
-    if isinstance(disturbance, Sum):
-        return any(map(is_recorded, disturbance.terms))
-    return isinstance(disturbance, Recorded)
-
-
-def _check_draw(runs: int, steps: int, rng: np.random.Generator) -> None:
+def check_draw(runs: int, steps: int, rng: np.random.Generator) -> None:
     """Raise an `InputError` unless the arguments of `sample` make sense."""
     as_count("runs", runs)
     as_count("steps", steps)
     as_generator("rng", rng)
-
-
-def _check_widths(widths: list[int]) -> None:
-    """Raise an `InputError` if the terms of a sum have different numbers of channels."""
-    if len(set(widths)) > 1:
-        raise InputError("terms", f"disturbances of {', '.join(map(str, widths))} channels", "as many in each")

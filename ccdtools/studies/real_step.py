@@ -20,7 +20,8 @@ UNSTABLE = 3.0  # the same, three times a difference: no step that follows its p
 ABSURD = 1e3  # the same, of a disturbance that throws the plant out of X: no step is what is wrong with it
 NEAR = 0.1  # part of X, around its middle, that every step must hold in
 MOST_SUBSTEPS = 1000  # that are recommended
-DRAWN = 1000  # samples of a disturbance that say how large it is
+DRAWN = 1000  # samples of a disturbance that say how large it is,
+DRAWN_RUNS = 200  # and runs, for what differs from run to run
 
 
 def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Array], *, guard: str) -> None:
@@ -54,15 +55,24 @@ def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Arra
 
 
 def extent_of(disturbance: Disturbance, steps: int = DRAWN) -> tuple[Array, Array]:
-    """Bounds (nw,) of draws of a disturbance; of as many as a recording has, or half so many."""
+    """Bounds (nw,) of draws of a disturbance: of one run, as long as a recording is at most, and of many short ones.
+
+    They are symmetric but for what does not change in a run: an uncertain mass may be far heavier, and is not negative.
+    """
+    several = disturbance.sample(DRAWN_RUNS, 2, np.random.default_rng(0))
     while True:
         try:
-            drawn = np.abs(disturbance.sample(1, steps, np.random.default_rng(0))).max(axis=(0, 1))
-            return -drawn, drawn
+            single = disturbance.sample(1, steps, np.random.default_rng(0))
+            break
         except InputError:
             if steps <= 2:
                 raise
             steps //= 2
+    constant = (several[:, :1] == several).all(axis=(0, 1)) & (single[:, :1] == single).all(axis=(0, 1))
+    drawn = np.concatenate([single[0], several.reshape(-1, several.shape[2])])
+    largest = np.abs(drawn).max(axis=0)
+    lower, upper = drawn.min(axis=0, initial=0.0), drawn.max(axis=0, initial=0.0)
+    return np.where(constant, lower, -largest), np.where(constant, upper, largest)
 
 
 def _error(plant: Plant, region: Region, substeps: int) -> IntegrationError:

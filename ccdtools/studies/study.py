@@ -27,7 +27,8 @@ from ccdtools.checks import (
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.risk import MEAN, Risk
-from ccdtools.disturbances.disturbance import Disturbance, is_recorded
+from ccdtools.disturbances.combinations import is_recorded
+from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.discretisation import ACCURACY, discretise
@@ -268,13 +269,13 @@ class Study(Immutable):
     def model(self) -> Model:
         """The discrete model: exact and symbolic in the design, or integrated to an accuracy within X, U and W.
 
-        W are the bounds of a thousand draws of the disturbance.
+        W are the bounds of a thousand samples of the disturbance, and of 200 runs of it.
         """
         if self.plant.linear:
             return as_regulated_model("plant", discretise(self.plant, sampling_guard=self.sampling_guard))
         W = extent_of(self.disturbance)
         model = discretise(
-            self.plant, X=self.X, U=self.U, W=W if W[1].any() else None, sampling_guard=self.sampling_guard,
+            self.plant, X=self.X, U=self.U, W=W if np.any(W) else None, sampling_guard=self.sampling_guard,
             accuracy=self.accuracy, method=self.method,
         )  # fmt: skip
         return as_regulated_model("plant", model)

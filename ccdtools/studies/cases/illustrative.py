@@ -4,7 +4,8 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.co_design.objective import QuadraticObjective
-from ccdtools.disturbances.disturbance import Gaussian, Sum, Uniform
+from ccdtools.disturbances.combinations import Sum
+from ccdtools.disturbances.disturbance import Gaussian, Uniform
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
 from ccdtools.studies.study import RealPlant, Study

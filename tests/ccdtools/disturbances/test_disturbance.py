@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ccdtools import InputError
-from ccdtools.disturbances.disturbance import Gaussian, Recorded, Sum, Uniform
+from ccdtools.disturbances.combinations import Sum
+from ccdtools.disturbances.disturbance import Gaussian, Recorded, Uniform
 
 
 def test_gaussian_noise_has_the_stated_moments_and_is_white(rng):

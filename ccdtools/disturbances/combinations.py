@@ -1,0 +1,186 @@
+"""Disturbances made of others: added, side by side, one of several, or held over a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_vector, has_method, shown
+from ccdtools.disturbances.disturbance import Disturbance, Recorded, check_draw
+from ccdtools.exceptions import InputError
+
+A_DISTURBANCE = "disturbances, with a method sample(runs, steps, rng)"
+
+
+class Combination(Immutable):
+    """A disturbance that is made of others, its `terms`."""
+
+    terms: tuple[Disturbance, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Sum(Combination):
+    """The sum of independent disturbances with the same channels."""
+
+    terms: tuple[Disturbance, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "terms", _checked("terms", self.terms))
+        _check_alike([width for width in _widths(self.terms) if width is not None])
+
+    @property
+    def nw(self) -> int | None:
+        """Number of channels, if a term knows it."""
+        return next((width for width in _widths(self.terms) if width is not None), None)
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
+        """Sequences (runs, steps, nw)."""
+        check_draw(runs, steps, rng)
+        drawn = [term.sample(runs, steps, rng) for term in self.terms]
+        _check_alike([w.shape[-1] for w in drawn])
+        return np.sum(drawn, axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Stacked(Combination):
+    """Independent disturbances side by side: the channels of the first, then those of the second, and so on.
+
+    Parameters
+    ----------
+    terms : tuple of Disturbance
+
+    Examples
+    --------
+    >>> Stacked((Gaussian([0.3]), Constant(Uniform([-0.2], [0.2]))))  # a road, and the part by which a load differs
+    ... # doctest: +SKIP
+    """
+
+    terms: tuple[Disturbance, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "terms", _checked("terms", self.terms))
+
+    @property
+    def nw(self) -> int | None:
+        """Number of channels, if all terms know theirs."""
+        widths = [width for width in _widths(self.terms) if width is not None]
+        return sum(widths) if len(widths) == len(self.terms) else None
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
+        """Sequences (runs, steps, nw)."""
+        check_draw(runs, steps, rng)
+        return np.concatenate([term.sample(runs, steps, rng) for term in self.terms], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Constant(Combination):
+    """What is uncertain but does not change: drawn once per run, and held over it.
+
+    Parameters
+    ----------
+    distribution : Disturbance
+        Its first sample of each run is the one that is held.
+    """
+
+    distribution: Disturbance
+
+    def __post_init__(self) -> None:
+        has_method("distribution", self.distribution, "sample", "a disturbance, such as Uniform([-0.2], [0.2])")
+
+    @property
+    def terms(self) -> tuple[Disturbance, ...]:  # type: ignore[override]
+        """The distribution."""
+        return (self.distribution,)
+
+    @property
+    def nw(self) -> int | None:
+        """Number of channels, if the distribution knows it."""
+        return _widths(self.terms)[0]
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
+        """Sequences (runs, steps, nw), each of equal samples."""
+        check_draw(runs, steps, rng)
+        return np.repeat(self.distribution.sample(runs, 1, rng), steps, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture(Combination):
+    """One of several disturbances with the same channels, drawn for each run: roads, speeds or drivers.
+
+    Parameters
+    ----------
+    terms : tuple of Disturbance
+    weights : array_like (number of terms,), optional
+        How likely each is, up to a common factor; all alike by default.
+    """
+
+    terms: tuple[Disturbance, ...]
+    weights: ArrayField = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "terms", _checked("terms", self.terms))
+        _check_alike([width for width in _widths(self.terms) if width is not None])
+        object.__setattr__(self, "weights", as_chances("weights", self.weights, len(self.terms), of="one per term"))
+
+    @property
+    def nw(self) -> int | None:
+        """Number of channels, if a term knows it."""
+        return next((width for width in _widths(self.terms) if width is not None), None)
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
+        """Sequences (runs, steps, nw)."""
+        check_draw(runs, steps, rng)
+        chosen = rng.choice(len(self.terms), runs, p=self.weights)
+        least = min(runs, 2)  # a recording replays a single run from its start, which one of several runs must not do
+        counts = np.bincount(chosen, minlength=len(self.terms)).tolist()
+        parts = {i: self.terms[i].sample(max(n, least), steps, rng) for i, n in enumerate(counts) if n}
+        _check_alike([w.shape[-1] for w in parts.values()])
+        drawn = np.empty((runs, steps, next(iter(parts.values())).shape[-1]))
+        for i, w in parts.items():
+            drawn[chosen == i] = w[: counts[i]]
+        return drawn
+
+
+def is_recorded(disturbance: Any) -> bool:
+    """Whether a disturbance, or a term of one, is a recording: a single run of it is the same every time."""
+    if isinstance(disturbance, Combination):
+        return any(map(is_recorded, disturbance.terms))
+    return isinstance(disturbance, Recorded)
+
+
+def as_chances(argument: str, weights: ArrayLike | None, size: int, *, of: str) -> Array:
+    """Probabilities (size,) from weights ≥ 0 of which one is not zero; equal ones where there are none."""
+    if weights is None:
+        return frozen(np.full(size, 1.0 / size))
+    given = as_vector(argument, weights, size, of=of)
+    if (given < 0).any() or not given.any():
+        raise InputError(argument, shown(given), "numbers ≥ 0, one of them above 0")
+    return frozen(given / given.max() / (given / given.max()).sum())
+
+
+def _checked(argument: str, value: Any) -> tuple[Disturbance, ...]:
+    """A tuple of at least one disturbance."""
+    try:
+        terms = tuple(value)
+    except TypeError:
+        terms = ()
+    if not terms:
+        raise InputError(argument, shown(value), "a tuple of disturbances")
+    for term in terms:
+        has_method(argument, term, "sample", A_DISTURBANCE)
+    return terms
+
+
+def _widths(terms: tuple[Disturbance, ...]) -> list[int | None]:
+    """Numbers of channels, None for a disturbance that does not know its own."""
+    return [getattr(term, "nw", None) for term in terms]
+
+
+def _check_alike(widths: list[int]) -> None:
+    """Raise an `InputError` if terms have different numbers of channels."""
+    if len(set(widths)) > 1:
+        raise InputError("terms", f"disturbances of {', '.join(map(str, widths))} channels", "as many in each")
