@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.expert import expert_dataset, feasible_sets
     from ccdtools.co_design.least_depth import least_depth
     from ccdtools.co_design.objective import QuadraticObjective
+    from ccdtools.co_design.preview import previewed_limits, previewed_objective, previewed_problem
     from ccdtools.co_design.problem import CoDesignProblem, FixedStart
     from ccdtools.co_design.random_starts import RandomStarts
     from ccdtools.co_design.result import CoDesignResult
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from ccdtools.controllers.filtered import Filtered
     from ccdtools.controllers.learned import LearnedPolicy, load_policy
     from ccdtools.controllers.observed import Observed
+    from ccdtools.controllers.previewing import Previewing
     from ccdtools.controllers.signals import Reference
     from ccdtools.disturbances.combinations import Constant, Mixture, Stacked, Sum
     from ccdtools.disturbances.disturbance import Gaussian, Recorded, Uniform
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from ccdtools.plants.linearisation import deviations, linearise
     from ccdtools.plants.noise_covariance import noise_covariance
     from ccdtools.plants.plant import Plant
+    from ccdtools.plants.preview import with_preview
     from ccdtools.plants.sampled_model import SampledModel
     from ccdtools.plants.torch_function import to_torch
     from ccdtools.scenario import Scenario
@@ -99,6 +102,7 @@ __all__ = [
     "OutputLimits",
     "Passive",
     "Plant",
+    "Previewing",
     "QuadraticObjective",
     "RandomStarts",
     "RealPlant",
@@ -138,6 +142,9 @@ __all__ = [
     "output_objective",
     "plant_from_matrices",
     "plant_from_state_space",
+    "previewed_limits",
+    "previewed_objective",
+    "previewed_problem",
     "read_disturbance",
     "read_road",
     "read_speed",
@@ -149,6 +156,7 @@ __all__ = [
     "to_torch",
     "updated_problem",
     "weighted_acceleration",
+    "with_preview",
 ]
 
 _HOMES = {
@@ -187,6 +195,7 @@ _HOMES = {
     "PID": "controllers.controllers",
     "Passive": "controllers.controllers",
     "Plant": "plants.plant",
+    "Previewing": "controllers.previewing",
     "QuadraticObjective": "co_design.objective",
     "RandomStarts": "co_design.random_starts",
     "RealPlant": "studies.study",
@@ -226,6 +235,9 @@ _HOMES = {
     "output_objective": "co_design.custom_objective",
     "plant_from_matrices": "plants.linear_plants",
     "plant_from_state_space": "plants.linear_plants",
+    "previewed_limits": "co_design.preview",
+    "previewed_objective": "co_design.preview",
+    "previewed_problem": "co_design.preview",
     "read_disturbance": "disturbances.recordings",
     "read_road": "disturbances.recordings",
     "read_speed": "disturbances.recordings",
@@ -237,6 +249,7 @@ _HOMES = {
     "to_torch": "plants.torch_function",
     "updated_problem": "twin.replay",
     "weighted_acceleration": "comparison.ride_comfort",
+    "with_preview": "plants.preview",
 }
 
 

@@ -1,0 +1,164 @@
+"""Co-design with disturbances known ahead: the problem of the model that carries them in its state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ccdtools.arrays import Array, ArrayField, Immutable
+from ccdtools.checks import as_array, as_count, as_instance, as_limits, has_method
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.problem import CoDesignProblem, Scenarios
+from ccdtools.exceptions import InputError
+from ccdtools.plants.preview import as_channels, previewed_state, with_preview
+from invariant_sets import Polytope
+
+DRAWN = 200  # episodes that say how large a disturbance is,
+ROOM = 3.0  # and how much larger than the largest of them it may be: a limit that binds would make an MPC infeasible
+
+
+def previewed_problem(
+    problem: CoDesignProblem, steps: int, *, channels: Sequence[int] | None = None, W: Any = None
+) -> CoDesignProblem:
+    """The same problem with disturbances known ahead: LQR, MPC, the expert and the learned policy see them.
+
+    Its state is (x, w_k, …, w_{k+N−1}), see `with_preview`; a policy found for it runs on the plant itself as
+    `Previewing(policy, steps)`. X_fea of so many states is out of reach: `expert_dataset` falls back on the region that
+    LQR keeps; say `sets="lqr"`, and it does not try.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        Without a learned discrepancy.
+    steps : int
+        N samples, the present one included.
+    channels : sequence of int, optional
+        Which disturbances are known ahead, from 0; all by default.
+    W : Polytope, or bounds (lower, upper), optional
+        Limits of those disturbances, beside X; by default three times the largest of 200 episodes: nothing
+        can be done about what is coming, and limits of it must not bind.
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind or size, or the problem has a discrepancy.
+
+    Examples
+    --------
+    >>> ahead = previewed_problem(problem, 10)
+    >>> data = expert_dataset(ahead, samples=1000, sets="lqr", rng=rng)
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    if problem.discrepancy is not None:
+        got = "a problem with a discrepancy, whose disturbance is not known ahead"
+        raise InputError("problem", got, "one without", "Learn the errors of the model with_preview gives.")
+    steps = as_count("steps", steps)
+    known = as_channels(channels, problem.model.nw)
+    scenarios = PreviewedScenarios(problem.scenarios, steps, known)
+    if W is None:
+        W = _drawn_bounds(problem, known)
+    return replace(
+        problem, model=with_preview(problem.model, steps, channels=known), scenarios=scenarios,
+        X=previewed_limits(problem.X, W, steps, channels=len(known)),
+        objective=previewed_objective(problem.objective, steps, channels=len(known)),
+    )  # fmt: skip
+
+
+def previewed_limits(X: Any, W: Any, steps: int, *, channels: int = 1) -> Polytope:
+    """X and, for every sample of a preview, W: the limits of the state (x, w_k, …, w_{k+N−1}).
+
+    Parameters
+    ----------
+    X : Polytope, or bounds (lower, upper) with one number per state
+    W : Polytope, or bounds (lower, upper)
+        Of the disturbances known ahead.
+    steps : int
+        N.
+    channels : int
+        How many disturbances are known ahead.
+    """
+    nx = X.dim if isinstance(X, Polytope) else np.size(X[0])
+    limits: Polytope = as_limits("X", X, nx, "one per state")
+    W = as_limits("W", W, as_count("channels", channels), "one per disturbance known ahead")
+    for _ in range(as_count("steps", steps)):
+        limits = limits.cartesian_product(W)
+    return limits
+
+
+def previewed_objective(objective: QuadraticObjective, steps: int, *, channels: int = 1) -> QuadraticObjective:
+    """An objective of the state (x, w_k, …, w_{k+N−1}) that judges x alone."""
+    as_instance("objective", objective, QuadraticObjective, "a QuadraticObjective")
+    length = as_count("steps", steps) * as_count("channels", channels)
+    Q = block_diag(objective.Q, np.zeros((length, length)))
+    if type(objective) is QuadraticObjective:
+        return replace(objective, Q=Q)
+    return PreviewedObjective(Q, objective.R, objective)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PreviewedObjective(QuadraticObjective):
+    """Rewards of another objective, of the first states.
+
+    Attributes
+    ----------
+    own : QuadraticObjective
+    """
+
+    own: QuadraticObjective = None  # type: ignore[assignment]
+
+    def rewards(self, x_next: Any, u: Any, *more: Any) -> Any:
+        """Rewards (...,) of next states (..., nx + register) and inputs (..., nu)."""
+        return self.own.rewards(x_next[..., : len(self.own.Q)], u, *more)
+
+
+@dataclass(frozen=True, eq=False)
+class PreviewedScenarios(Immutable):
+    """Scenarios of a model with a register: its first content is what comes first, its disturbance what comes later.
+
+    Attributes
+    ----------
+    own : Scenarios
+        Of the model without the register; they must draw N samples more than an episode has.
+    steps : int
+        N.
+    channels : tuple of int
+        Disturbances that are known ahead.
+    """
+
+    own: Scenarios
+    steps: int
+    channels: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        has_method("own", self.own, "sample", "scenarios, such as FixedStart(x0, disturbance)")
+
+    @property
+    def disturbance(self) -> Any:
+        """What drives the model where its register does not matter; None where the scenarios do not say."""
+        return getattr(self.own, "disturbance", None)
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Initial states (runs, nx + N·channels) and disturbances (runs, steps, nw)."""
+        x0, w = self.own.sample(runs, steps + self.steps, rng)
+        return previewed_state(x0, w[:, : self.steps], self.channels), shifted(w, self.steps, self.channels)
+
+
+def shifted(w: Array, steps: int, channels: Sequence[int]) -> Array:
+    """What enters a register of `steps` samples in place of disturbances (n, T + steps, nw), (n, T, nw)."""
+    later = np.array(w[:, : w.shape[1] - steps])
+    later[..., list(channels)] = w[:, steps:, list(channels)]
+    return later
+
+
+def _drawn_bounds(problem: CoDesignProblem, known: tuple[int, ...]) -> tuple[ArrayField, ArrayField]:
+    """Bounds of the disturbances known ahead, symmetric, from a few episodes."""
+    _, w = problem.scenarios.sample(DRAWN, problem.steps, np.random.default_rng(0))
+    largest = ROOM * np.abs(as_array("scenarios, disturbances", w)).max(axis=(0, 1))[list(known)]
+    if not (largest > 0).all():
+        cure = "Give their bounds W, or name other channels."
+        raise InputError("problem", "a disturbance known ahead that is always zero", "one that is not", cure)
+    return -largest, largest

@@ -1,0 +1,171 @@
+"""Models that carry disturbances known ahead in their state: a shift register.
+
+References
+----------
+Tomizuka, "Optimal continuous finite preview problem", IEEE TAC 20(3), 1975; for suspensions Louam, Wilson and Sharp,
+"Optimal control of a vehicle suspension incorporating the time delay between front and rear wheel inputs", Vehicle
+System Dynamics 17(6), 1988.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, overload
+
+import casadi as ca
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_count, as_instance, shown
+from ccdtools.exceptions import InputError
+from ccdtools.plants.discretisation import discretise
+from ccdtools.plants.integration_error import IntegrationError
+from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.models import Model
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.sampled_model import SampledModel
+
+
+@overload
+def with_preview(model: Plant, steps: int, *, channels: Sequence[int] | None = None) -> Plant: ...
+
+
+@overload
+def with_preview(model: Model, steps: int, *, channels: Sequence[int] | None = None) -> Model: ...
+
+
+def with_preview(model: Model | Plant, steps: int, *, channels: Sequence[int] | None = None) -> Model | Plant:
+    """The model whose state is (x, w_k, …, w_{k+N−1}) and whose disturbance is w_{k+N}, N samples ahead.
+
+    Its LQR is optimal preview control, and whatever else sees its state sees the preview. It has as many inputs and
+    disturbances as before, and stays symbolic in its design.
+
+    Parameters
+    ----------
+    model : LinearModel, SampledModel or Plant
+        Of a plant comes the discrete plant with its sampling time: exact where it is linear, else by its Runge–Kutta
+        steps.
+    steps : int
+        N; the first of the samples that are known is the present one.
+    channels : sequence of int, optional
+        Which disturbances are known ahead, from 0; all by default. The others act at once, as before.
+
+    Returns
+    -------
+    LinearModel, SampledModel or Plant
+        What was given; nx + N·(number of channels) states.
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind or size, or the model is integrated by collocation, whose step is no
+        expression.
+
+    Examples
+    --------
+    >>> ahead = with_preview(discretise(plant), 10)
+    >>> K, _ = lqr(*ahead.matrices(p)[:2], Q=previewed_objective(objective, 10).Q, R=objective.R)  # doctest: +SKIP
+    """
+    as_instance("model", model, (LinearModel, SampledModel, Plant), "a LinearModel, a SampledModel or a Plant")
+    steps = as_count("steps", steps)
+    known = as_channels(channels, model.nw)
+    if isinstance(model, LinearModel):
+        return _linear(model, steps, known)
+    if isinstance(model, SampledModel):
+        return _sampled(model, steps, known)
+    step = _exact_step(model) if model.linear else model.step
+    return _plant(model, step, model.nw, steps, known)
+
+
+def _exact_step(plant: Plant) -> ca.Function:
+    """(x, u, w, p) → x⁺ of a plant that is linear in x, u and w."""
+    exact = discretise(plant, sampling_guard="ignore")
+    assert isinstance(exact, LinearModel)
+    assert exact.c is not None
+    x, u, w = plant.x, plant.u, plant.w
+    after = exact.A @ x + exact.B @ u + exact.E @ w + exact.c
+    return ca.Function("step", [x, u, w, exact.symbols], [after])
+
+
+def as_channels(channels: Sequence[int] | None, nw: int) -> tuple[int, ...]:
+    """The disturbances that are known ahead, in the order given; an `InputError` if they are not some of nw."""
+    if nw == 0:
+        raise InputError("model", "no disturbance", "one whose disturbance is known ahead")
+    if channels is None:
+        return tuple(range(nw))
+    expected = f"different whole numbers from 0 to {nw - 1}"
+    if isinstance(channels, str) or not isinstance(channels, Sequence | np.ndarray):
+        raise InputError("channels", shown(channels), expected)
+    known = tuple(as_count("channels", channel, least=0) for channel in channels)
+    if not known or len(set(known)) != len(known) or max(known) >= nw:
+        raise InputError("channels", shown(list(known)), expected)
+    return known
+
+
+def previewed_state(x: Any, w: Any, channels: Sequence[int] | None = None) -> Array:
+    """(x, w_k, …, w_{k+N−1}) of states (..., nx) and what they will meet (..., N, nw), (..., nx + N·channels)."""
+    w = np.asarray(w, dtype=float)
+    known = w if channels is None else w[..., list(channels)]
+    return np.concatenate([x, known.reshape(*known.shape[:-2], -1)], axis=-1)
+
+
+def _linear(model: LinearModel, steps: int, known: tuple[int, ...]) -> LinearModel:
+    """The register below a linear model."""
+    q = len(known)
+    length = q * steps
+    acting = ca.SX(model.nx, length)
+    acting[:, :q] = model.E[:, list(known)]
+    shift = ca.SX.zeros(length, length)
+    shift[: length - q, q:] = ca.SX.eye(length - q)
+    entering = ca.SX.zeros(length, model.nw)
+    direct = ca.SX(model.E)
+    for i, channel in enumerate(known):
+        entering[length - q + i, channel] = 1
+        direct[:, channel] = 0
+    A = ca.vertcat(ca.horzcat(model.A, acting), ca.horzcat(ca.SX.zeros(length, model.nx), shift))
+    B = ca.vertcat(model.B, ca.SX.zeros(length, model.nu))
+    assert model.c is not None
+    c = ca.vertcat(model.c, ca.SX.zeros(length, 1))
+    return LinearModel(model.symbols, A, B, ca.vertcat(direct, entering), model.dt, model.design, c)
+
+
+def _sampled(model: SampledModel, steps: int, known: tuple[int, ...]) -> SampledModel:
+    """The register below a sampled model, as a discrete plant."""
+    if model.plant.continuous and model.method != "rk4":
+        got = f"a model by {model.method}, whose step is no expression"
+        raise InputError("model", got, 'one by Runge–Kutta: discretise(plant, method="rk4")')
+    plant = _plant(model.plant, model.step.expand(), model.nw, steps, known)
+    length = len(known) * steps
+    error = model.error
+    if error is not None:
+        ahead = np.tile(_padded(error.w, model.nw)[list(known)], steps)
+        bound = np.r_[error.bound, np.zeros(length)]
+        error = IntegrationError(bound, error.relative, np.r_[error.x, ahead], error.u, _padded(error.w, model.nw),
+                                 error.p)  # fmt: skip
+    scale = None if model.scale is None else np.r_[model.scale, np.ones(length)]
+    return replace(model, plant=plant, method="rk4", error=error, scale=scale, errors=False)
+
+
+def _padded(w: Array, size: int) -> Array:
+    """A disturbance with zeros behind it, as of errors that were not looked at."""
+    return np.r_[w, np.zeros(size - len(w))]
+
+
+def _plant(plant: Plant, step: ca.Function, nw: int, steps: int, known: tuple[int, ...]) -> Plant:
+    """The register below a step (x, u, w, p) → x⁺, with `nw` disturbances."""
+    q = len(known)
+    x, u = ca.SX.sym("x", plant.nx + q * steps), ca.SX.sym("u", plant.nu)
+    w, p = ca.SX.sym("w", nw), ca.SX.sym("p", plant.design.dim)
+    register = x[plant.nx :]
+    acting = ca.SX(w)
+    for i, channel in enumerate(known):
+        acting[channel] = register[i]
+    after = step(x[: plant.nx], u, acting, p)
+    ahead = [f"w{channel + 1} in {k} samples" if k else f"w{channel + 1}" for k in range(steps) for channel in known]
+    return Plant(
+        x, u, w, p, ca.vertcat(after, register[q:], w[list(known)]), plant.design, plant.dt, continuous=False,
+        state_names=[*plant.state_names, *ahead], input_names=plant.input_names,
+        outputs=plant.output(x[: plant.nx], u, p) if plant.ny else (), output_names=plant.output_names,
+        output_limits=plant.output_limits if plant.ny else None,
+    )  # fmt: skip
