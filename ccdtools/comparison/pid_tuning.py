@@ -93,7 +93,8 @@ class _Trial:
         A, B, _ = problem.model.matrices(design)
         x0, drawn = problem.scenarios.sample(runs, problem.steps, rng)
         w = np.array(drawn)
-        w[::2] += w.std(axis=(0, 1)) * rng.standard_normal((len(w[::2]), 1, w.shape[2]))
+        changing = (w != w[:, :1]).any(axis=(0, 1))  # an uncertain mass stays what it is
+        w[::2] += changing * w.std(axis=(0, 1)) * rng.standard_normal((len(w[::2]), 1, w.shape[2]))
         return cls(problem, plant, design, A, B, x0, w)
 
     def controller(self, C: Array, z: Array) -> PID:
