@@ -131,8 +131,8 @@ class Evaluation:
     def on_model(self, logs: Sequence[Residuals]) -> Scenario:
         """What a generation is judged on: the nominal model, with its assumed disturbance or with logged errors.
 
-        Before the first log every run starts at x0. Afterwards it starts where the runs of the newest log did, and
-        meets the errors that they met, to their end.
+        Before the first log every run starts where the study says. Afterwards it starts where the runs of the newest
+        log did, and meets the errors that they met, to their end.
         """
         if not logs:
             x0, w = self.problem.scenarios.sample(self.config.model_runs, self.study.steps, self.rng("model scenario"))
@@ -190,12 +190,12 @@ class Evaluation:
         return np.where(is_common(np.arange(runs))[:, None, None], common, w)
 
     def on_updated(self, discrepancy: Discrepancy, *, noise: str) -> Scenario:
-        """From x0 on the model updated by a discrepancy."""
+        """On the model updated by a discrepancy, from where the study says."""
         n = self.config.model_runs
         steps = self.study.steps
         rng = self.rng("updated scenario")
         plant = TwinPlant(self.study.model, replace(discrepancy, noise=noise))
-        return Scenario(plant, np.tile(self.study.x0, (n, 1)), rng.random((n, steps, self.study.plant.nx)))
+        return Scenario(plant, self.study.model_starts(n, rng), rng.random((n, steps, self.study.plant.nx)))
 
     def on_real(self) -> Scenario:
         """The deployment itself if it is one long run; else many runs like it."""

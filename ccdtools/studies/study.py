@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -26,7 +27,11 @@ from ccdtools.checks import (
 )
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+<<<<<<< HEAD
 from ccdtools.co_design.risk import MEAN, Risk
+=======
+from ccdtools.co_design.random_starts import RandomStarts
+>>>>>>> 429fd9b (A study may start its episodes anywhere in a set)
 from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
@@ -155,6 +160,9 @@ class Study(Immutable):
         in X, see `discretise`.
     method : {"auto", "rk4", "collocation"}
         Of the same model: explicit Runge–Kutta, or collocation for stiff plants.
+    starts : Polytope, distribution or (n, nx) array, optional
+        Where episodes and evaluations on the model start, see `RandomStarts`; at `x0` by default. The real plant starts
+        at its own x0.
 
     Raises
     ------
@@ -187,6 +195,7 @@ class Study(Immutable):
     risk: Risk = MEAN
     accuracy: float = ACCURACY
     method: str = "auto"
+    starts: Any = None
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {self.plant!r}, {self.steps} steps, start {self.plant.design.describe(self.p0)})"
@@ -248,6 +257,8 @@ class Study(Immutable):
                 raise InputError(argument, "a set without the origin", "limits around the point that is regulated to")
         if not self.X.contains(self.x0):
             raise InputError("x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
+        if self.starts is not None:
+            self._check_starts()
         self.problem()  # checks dimensions, boundedness, that U is a box, and the sizes of Q and R
 
     def _check_stabilisable(self) -> None:
@@ -258,6 +269,17 @@ class Study(Immutable):
         except MPCError as error:
             got = f"{self.plant.design.describe(self.p0)}, where LQR fails ({error})"
             raise InputError("p0", got, "a design at which the model can be stabilised") from None
+
+    def _check_starts(self) -> None:
+        """Raise unless the starts are states of the plant within X."""
+        try:
+            scenarios = RandomStarts(self.starts, self.disturbance)
+            drawn = np.shape(scenarios.states(1, np.random.default_rng(0)))
+            if drawn != (1, self.plant.nx):
+                raise InputError("x0", f"states of shape {drawn[1:]}", f"({self.plant.nx},), one per state")
+            scenarios.check_within(self.X)
+        except InputError as error:
+            raise InputError("starts", error.got, error.expected, error.cure) from None
 
     def _check_real(self, real: RealPlant) -> None:
         """Raise unless the real plant is one that the model may describe, with steps that follow it."""
@@ -303,19 +325,35 @@ class Study(Immutable):
 
     def problem(self) -> CoDesignProblem:
         """The co-design problem on the nominal model, from the evaluation's start."""
-        scenarios = FixedStart(self.x0, self.disturbance)
         return CoDesignProblem(
+<<<<<<< HEAD
             self.model, self.X, self.U, self.objective, scenarios, self.steps, limit_tolerance=self.limit_tolerance,
             output_limits=OutputLimits.of(self.plant), risk=self.risk,
         )  # fmt: skip
+=======
+            self.model, self.X, self.U, self.objective, self.scenarios, self.steps, limit_tolerance=self.limit_tolerance
+        )
+>>>>>>> 429fd9b (A study may start its episodes anywhere in a set)
+
+    @property
+    def scenarios(self) -> FixedStart | RandomStarts:
+        """What episodes and evaluations on the model start from and meet."""
+        if self.starts is None:
+            return FixedStart(self.x0, self.disturbance)
+        return RandomStarts(self.starts, self.disturbance)
+
+    def model_starts(self, runs: int, rng: np.random.Generator) -> Array:
+        """Initial states (runs, nx) of evaluations on the model; nothing is drawn where all are x0."""
+        scenarios = self.scenarios
+        return scenarios.states(runs, rng) if isinstance(scenarios, RandomStarts) else np.tile(self.x0, (runs, 1))
 
     def started(self, *, x0: ArrayLike | None = None, p0: ArrayLike | None = None) -> Study:
-        """The same study from another state or design; a real start equal to the old x0 moves along."""
+        """The same study from one other state or design; a real start equal to the old x0 moves along."""
         if x0 is None:
             return self if p0 is None else replace(self, p0=p0)
         x0 = as_vector("x0", x0, self.plant.nx, of="one per state")
         real = replace(self.real, x0=x0) if np.array_equal(self.real.x0, self.x0) else self.real
-        return replace(self, x0=x0, real=real, p0=self.p0 if p0 is None else p0)
+        return replace(self, x0=x0, real=real, p0=self.p0 if p0 is None else p0, starts=None)
 
 
 def _check_disturbance(argument: str, disturbance: Disturbance, plant: Plant | SampledModel) -> None:

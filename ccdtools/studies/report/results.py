@@ -63,7 +63,7 @@ def results(
         "study": study.name, "title": study.title, "seed": evaluation.seed,
         "quick": config.quick, "preset": config.preset,
         "wall_seconds": sum(stage.values["seconds"] for stage in stages),
-        "x0": study.x0, "dt": study.plant.dt,
+        "x0": study.x0, "starts": None if study.starts is None else repr(study.scenarios), "dt": study.plant.dt,
         "deployment_steps": evaluation.deployment_steps, "deployment_runs": study.real.runs,
         "state_names": study.plant.state_names, "input_names": study.plant.input_names,
         "design_space": {"names": space.names, "units": space.units, "lower": space.lower, "upper": space.upper},

@@ -1,10 +1,13 @@
 """Declaring a study, finding one, and starting it elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from ccdtools import InputError
+from ccdtools import Gaussian, InputError, Uniform
 from ccdtools.studies import Study, load_study, study_names
+from invariant_sets import Polytope
 
 THIRD = '''
 """A mass on a spring whose stiffness is the design."""
@@ -55,6 +58,40 @@ def test_the_start_may_be_elsewhere(illustrative):
     assert illustrative.started() is illustrative
     x0, _ = moved.problem().scenarios.sample(1, 5, np.random.default_rng(0))
     np.testing.assert_array_equal(x0, [[-2, -2]])
+
+
+@pytest.mark.parametrize(
+    "starts",
+    [
+        Polytope.from_bounds([-1, -1], [1, 0]), Uniform([-1, -1], [1, 0]), [[-1, 0], [1, -1], [0.5, -0.5]],
+        Gaussian([0.1, 0]),
+    ],
+)
+def test_episodes_may_start_anywhere_in_a_set(illustrative, starts):
+    study = replace(illustrative, starts=starts)
+    x0, w = study.problem().scenarios.sample(50, 4, np.random.default_rng(0))
+    assert np.abs(x0).max() <= 1
+    assert len(np.unique(x0, axis=0)) > 2
+    assert w.shape == (50, 4, 2)
+    assert len(np.unique(study.model_starts(9, np.random.default_rng(0)), axis=0)) > 2
+    np.testing.assert_array_equal(study.real.x0, illustrative.real.x0)
+    np.testing.assert_array_equal(study.started(x0=[-2, -2]).problem().scenarios.x0, [-2, -2])
+    assert study.started(p0=[0.8]).starts is not None
+
+
+@pytest.mark.parametrize(
+    ("starts", "message"),
+    [
+        (Uniform([0, 0], [6, 0]), "starts: got .* reaches outside X"),
+        ([[0, 0], [9, 0]], "starts: got .* as state 2, which is outside X"),
+        (Uniform([0], [1]), r"starts: got states of shape \(1,\)"),
+        ([0.0, 0.0], r"starts: got shape \(2,\)"),
+        ("X", "starts: got 'X'"),
+    ],
+)
+def test_starts_outside_the_limits_are_refused(illustrative, starts, message):
+    with pytest.raises(InputError, match=message):
+        replace(illustrative, starts=starts)
 
 
 def test_a_real_start_of_its_own_stays(suspension):
