@@ -11,9 +11,10 @@ from scipy.linalg import block_diag
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_count, as_instance, as_limits, has_method
-from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.objective import Objective, QuadraticObjective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
 from ccdtools.exceptions import InputError
+from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.preview import as_channels, previewed_state, with_preview
 from invariant_sets import Polytope
 
@@ -61,10 +62,12 @@ def previewed_problem(
     scenarios = PreviewedScenarios(problem.scenarios, steps, known)
     if W is None:
         W = _drawn_bounds(problem, known)
+    limits = problem.output_limits
     return replace(
         problem, model=with_preview(problem.model, steps, channels=known), scenarios=scenarios,
         X=previewed_limits(problem.X, W, steps, channels=len(known)),
         objective=previewed_objective(problem.objective, steps, channels=len(known)),
+        output_limits=None if limits is None else _previewed_output_limits(limits, problem.model.nx),
     )  # fmt: skip
 
 
@@ -89,30 +92,82 @@ def previewed_limits(X: Any, W: Any, steps: int, *, channels: int = 1) -> Polyto
     return limits
 
 
-def previewed_objective(objective: QuadraticObjective, steps: int, *, channels: int = 1) -> QuadraticObjective:
+def previewed_objective(objective: Objective, steps: int, *, channels: int = 1) -> Objective:
     """An objective of the state (x, w_k, …, w_{k+N−1}) that judges x alone."""
-    as_instance("objective", objective, QuadraticObjective, "a QuadraticObjective")
     length = as_count("steps", steps) * as_count("channels", channels)
-    Q = block_diag(objective.Q, np.zeros((length, length)))
-    if type(objective) is QuadraticObjective:
-        return replace(objective, Q=Q)
-    return PreviewedObjective(Q, objective.R, objective)
+    as_objective("objective", objective)
+    if type(objective) is not QuadraticObjective:
+        return PreviewedObjective.of(objective, length)
+    return replace(objective, **_with_register(objective.weights(np.zeros(0), 0, 0), length).keywords())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PreviewedObjective(QuadraticObjective):
-    """Rewards of another objective, of the first states.
+class PreviewedObjective(Objective):
+    """Rewards of another objective, of all states but those of the register.
 
     Attributes
     ----------
-    own : QuadraticObjective
+    own : Objective
+    length : int
+        Of the register.
     """
 
-    own: QuadraticObjective = None  # type: ignore[assignment]
+    own: Objective
+    length: int
 
-    def rewards(self, x_next: Any, u: Any, *more: Any) -> Any:
-        """Rewards (...,) of next states (..., nx + register) and inputs (..., nu)."""
-        return self.own.rewards(x_next[..., : len(self.own.Q)], u, *more)
+    @classmethod
+    def of(cls, own: Objective, length: int) -> PreviewedObjective:
+        """With the cost of the design that the other has."""
+        return cls(own, length, design_cost=own.design_cost, episode=own.episode)
+
+    def __repr__(self) -> str:
+        return f"{self.own!r} before a register of {self.length}"
+
+    @property
+    def looks_back(self) -> bool:
+        """Whether the other does."""
+        return self.own.looks_back
+
+    def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
+        """Rewards (...,) of states (..., nx + register) and inputs (..., nu)."""
+        return self.own.rewards(self._own(x_next), u, None if x is None else self._own(x), p)
+
+    def final_rewards(self, x: Any, p: Any) -> Any:
+        """What the other's end adds."""
+        return self.own.final_rewards(self._own(x), p)
+
+    def weights(self, p: Array, nx: int, nu: int) -> Weights:
+        """The other's, with none on the register."""
+        return _with_register(self.own.weights(p, nx - self.length, nu), self.length)
+
+    def check(self, nx: int, nu: int, designs: int) -> None:
+        """Raise an `InputError` unless the other fits a model of so many states less."""
+        self.own.check(nx - self.length, nu, designs)
+
+    def describe(self) -> dict[str, Any]:
+        """The other's."""
+        return self.own.describe()
+
+    def _own(self, x: Any) -> Any:
+        """The states without the register."""
+        return x[..., : x.shape[-1] - self.length]
+
+
+def _with_register(own: Weights, length: int) -> Weights:
+    """The weights with none on a register of that length."""
+    S = None if own.S is None else np.vstack([own.S, np.zeros((length, len(own.R)))])
+    return Weights(block_diag(own.Q, np.zeros((length, length))), own.R, S)
+
+
+def _previewed_output_limits(limits: OutputLimits, nx: int) -> OutputLimits:
+    """The same limits, of the first nx states."""
+    own = limits.outputs
+
+    def outputs(x: Any, u: Any, p: Any) -> Any:
+        """Of CasADi columns."""
+        return own.function(nx, u.numel(), p.numel())(x[:nx], u, p)
+
+    return replace(limits, outputs=outputs)
 
 
 @dataclass(frozen=True, eq=False)

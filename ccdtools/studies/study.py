@@ -27,11 +27,8 @@ from ccdtools.checks import (
 )
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
-<<<<<<< HEAD
-from ccdtools.co_design.risk import MEAN, Risk
-=======
 from ccdtools.co_design.random_starts import RandomStarts
->>>>>>> 429fd9b (A study may start its episodes anywhere in a set)
+from ccdtools.co_design.risk import MEAN, Risk
 from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
@@ -326,14 +323,9 @@ class Study(Immutable):
     def problem(self) -> CoDesignProblem:
         """The co-design problem on the nominal model, from the evaluation's start."""
         return CoDesignProblem(
-<<<<<<< HEAD
-            self.model, self.X, self.U, self.objective, scenarios, self.steps, limit_tolerance=self.limit_tolerance,
-            output_limits=OutputLimits.of(self.plant), risk=self.risk,
+            self.model, self.X, self.U, self.objective, self.scenarios, self.steps,
+            limit_tolerance=self.limit_tolerance, output_limits=OutputLimits.of(self.plant), risk=self.risk,
         )  # fmt: skip
-=======
-            self.model, self.X, self.U, self.objective, self.scenarios, self.steps, limit_tolerance=self.limit_tolerance
-        )
->>>>>>> 429fd9b (A study may start its episodes anywhere in a set)
 
     @property
     def scenarios(self) -> FixedStart | RandomStarts:

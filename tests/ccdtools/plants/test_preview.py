@@ -8,6 +8,7 @@ import pytest
 
 from ccdtools import (
     CoDesignProblem,
+    CustomObjective,
     DesignSpace,
     FixedStart,
     Gaussian,
@@ -246,7 +247,7 @@ def test_memory_and_design_of_a_law_are_those_of_the_loop(rng):
 class Judged(QuadraticObjective):
     """An objective of one's own."""
 
-    def rewards(self, x_next, u):
+    def rewards(self, x_next, u, x=None, p=None):
         return -abs(x_next[..., 0]) - 0 * u[..., 0]
 
 
@@ -254,7 +255,20 @@ def test_an_objective_of_ones_own_sees_the_states_alone(rng):
     objective = previewed_objective(Judged(Q, R), 3)
     x = rng.standard_normal((7, 7))
     np.testing.assert_array_equal(objective.rewards(x, np.zeros((7, 1))), -abs(x[:, 0]))
-    assert objective.Q.shape == (7, 7)
+    assert objective.weights(np.zeros(0), 7, 1).Q.shape == (7, 7)
+
+
+def test_costs_of_outputs_and_their_limits_see_the_states_alone(rng):
+    own = CustomObjective(lambda x, u, p: p[0] * x[0] ** 2 + x[1] * u[0] + u[0] ** 2 + x[1] ** 2,
+                          terminal_cost=lambda x, p: x[1] ** 4, design_cost=lambda p: p[0])  # fmt: skip
+    objective = previewed_objective(own, 3)
+    x, u, p = rng.standard_normal((5, 5)), rng.standard_normal((5, 1)), np.array([2.0])
+    np.testing.assert_array_equal(objective.rewards(x, u, x, p), own.rewards(x[:, :2], u, x[:, :2], p))
+    np.testing.assert_array_equal(objective.final_rewards(x, p), own.final_rewards(x[:, :2], p))
+    assert objective.cost_of_design(p, 10) == 2.0
+    weights = objective.weights(p, 5, 1)
+    np.testing.assert_array_equal(weights.Q, np.diag([2.0, 1, 0, 0, 0]))
+    np.testing.assert_array_equal(weights.S, [[0], [0.5], [0], [0], [0]])
 
 
 def stiff():
