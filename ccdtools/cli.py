@@ -18,7 +18,7 @@ import typer
 import ccdtools
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import CCDError, InputError
-from ccdtools.studies.options import Options, located, numbers, one_number, study_names, whole_number
+from ccdtools.studies.options import Options, known_studies, located, numbers, one_number, study_names, whole_number
 from ccdtools.studies.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def everywhere(
 
 @app.command()
 def run(
-    study: Annotated[str, typer.Argument(help="Name of a study (see `ccdtools studies`), or a Python file with one.")],
+    study: Annotated[str, typer.Argument(help=f"Which study: {known_studies()} with one.")],
     output: Annotated[str | None, typer.Option(help="Folder of the run. Default: runs/STUDY-1, -2, …")] = None,
     seed: Annotated[str, typer.Option(metavar="INTEGER", help="Seed of every random number.")] = "0",
     generations: Annotated[str, typer.Option(metavar="INTEGER", help="Times to design, deploy and learn.")] = "2",
@@ -151,8 +151,14 @@ def studies() -> None:
     """List the studies that come with the package."""
     from ccdtools.studies.loading import load_study
 
-    for name in study_names():
-        typer.echo(f"{name:<16}{load_study(name).title}")
+    names = study_names()
+    width = max(map(len, names))
+    for name in names:
+        study = load_study(name)
+        plant = study.plant
+        inputs = "1 input" if plant.nu == 1 else f"{plant.nu} inputs"
+        design = ", ".join(plant.design.names)
+        typer.echo(f"{name:<{width}}  {study.title}: {plant.nx} states, {inputs}, design {design}")
 
 
 def main() -> None:

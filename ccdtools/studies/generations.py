@@ -94,7 +94,8 @@ class Generations:
             state = self._next(generation, state)
         service = state.service
         config = self.evaluation.config
-        beyond = self._stage("held-out", "Roads that no generation has met", self.compute.held_out, state.history)
+        label = "What brought the gain, and disturbances that no generation has met"
+        beyond = self._stage("held-out", label, self.compute.held_out, state.history)
         notes = {"study": self.evaluation.study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
         contents = results(

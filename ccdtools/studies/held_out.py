@@ -1,4 +1,4 @@
-"""Roads that no generation has met, beside the one that trained: every controller there, and what brought the gain."""
+"""Disturbances that no generation has met, beside the one that trained: every controller there, and the gains."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 from ccdtools.exceptions import InputError
-from ccdtools.studies.options import study_names
+from ccdtools.studies.options import known_studies, study_names
 from ccdtools.studies.study import Study
 
 OURS = ("ccdtools", "mpc", "learning", "invariant_sets")
@@ -44,7 +44,7 @@ def load_study(name: str | Path) -> Study:
 def load_with_sources(name: str | Path) -> LoadedStudy:
     """The study of a name or a file, as `load_study` finds it, with its sources."""
     if not isinstance(name, str | Path):
-        raise InputError("study", f"a {type(name).__name__}", f"one of {', '.join(study_names())}, or a Python file")
+        raise InputError("study", f"a {type(name).__name__}", known_studies())
     text = str(name)
     if text.endswith(".py"):
         module, neighbours = _executed(Path(text))
@@ -52,7 +52,7 @@ def load_with_sources(name: str | Path) -> LoadedStudy:
         module = import_module(f"ccdtools.studies.cases.{text}")
         neighbours = []
     else:
-        raise InputError("study", repr(text), f"one of {', '.join(study_names())}, or a Python file")
+        raise InputError("study", repr(text), known_studies())
     study = getattr(module, "study", None)
     if not isinstance(study, Study):
         raise InputError("study", f"{text}, which declares no `study`", "a ccdtools.studies.Study of that name")

@@ -155,9 +155,14 @@ class Options:
 
 
 def study_names() -> list[str]:
-    """Names of the studies that come with the package."""
+    """Names of the studies that come with the package: the modules of `ccdtools.studies.cases`."""
     cases = Path(__file__).parent / "cases"
     return sorted(file.stem for file in cases.glob("*.py") if not file.stem.startswith("_"))
+
+
+def known_studies() -> str:
+    """What may be asked for in the place of a study, in words."""
+    return f"one of {', '.join(study_names())}, or a Python file"
 
 
 def located(study: str) -> str:
@@ -192,7 +197,7 @@ def numbers(argument: str, text: str | None) -> list[float] | None:
 
 def _check_study(study: Any) -> None:
     """Raise unless it is the name of a study, or a Python file."""
-    expected = f"one of {', '.join(study_names())}, or a Python file"
+    expected = known_studies()
     if not isinstance(study, str):
         raise InputError("study", shown(study), expected)
     if study.endswith(".py") and not _is_file(study):

@@ -285,7 +285,7 @@ class LoopStages:
         )
 
     def held_out(self, rng: np.random.Generator, history: Sequence[GenerationRecord]) -> Stage:
-        """Every controller on roads that no generation has met, and what brought the gain, there and where deployed."""
+        """Every controller under disturbances that no generation has met, and the gains there and where deployed."""
         return held_out_stage(self.evaluation, history)
 
     def evaluate(

@@ -1,8 +1,6 @@
-"""The active suspension of Tsai et al.: a quarter car whose spring and damper are the design.
+"""The active suspension of Tsai et al.: a quarter car whose spring and damper are the design."""
 
-Masses and tyre stiffness as in Allison, Guo and Han, "Co-design of an active suspension using simultaneous dynamic
-optimization", Journal of Mechanical Design 136, 2014.
-"""
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -10,34 +8,26 @@ import numpy as np
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.disturbances.roads import GeneratedRoad
-from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants import library
+from ccdtools.plants.library.quarter_car import PAPER_DT
 from ccdtools.plants.plant import Plant
 from ccdtools.studies.study import RealPlant, Study
 from invariant_sets import Polytope
 
-SPRUNG, UNSPRUNG = 325.0, 65.0  # kg
-TYRE = 232.5e3  # N/m
 HARDENING = 0.01  # of k_s [1/m²] and of c_s [s/m], in the real spring and damper
 
 
 def quarter_car(*, nonlinear: bool = False) -> Plant:
-    """x = [tyre deflection, unsprung velocity, suspension deflection, sprung velocity]; u [N]; w = ż₀ [m/s]."""
-    x, u, w, p = ca.SX.sym("x", 4), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
-    tyre, unsprung, deflection, sprung = ca.vertsplit(x)
-    spring, damper = ca.vertsplit(p)
-    rate = sprung - unsprung
-    force = spring * deflection + damper * rate
-    if nonlinear:
-        force += HARDENING * (spring * deflection**3 + damper * ca.fabs(rate) * rate)
-    dynamics = ca.vertcat(
-        unsprung - w,
-        (-TYRE * tyre + force - u) / UNSPRUNG,
-        rate,
-        (-force + u) / SPRUNG,
-    )
-    design = DesignSpace(["k_s", "c_s"], lower=[1e4, 500.0], upper=[4e4, 3000.0], units=["N/m", "N·s/m"])
-    names = ["z_us − z₀ [m]", "ż_us [m/s]", "z_s − z_us [m]", "ż_s [m/s]"]
-    return Plant(x, u, w, p, dynamics, design, dt=0.05, state_names=names, input_names=["u [N]"])
+    """The library's at the paper's sampling time; or besides with the paper's real spring and damper."""
+    car = library.QuarterCar()
+    plant = library.quarter_car(car=car, dt=PAPER_DT)
+    if not nonlinear:
+        return plant
+    _, wheel, travel, body = ca.vertsplit(plant.x)
+    spring, damper = ca.vertsplit(plant.p)
+    rate = body - wheel
+    force = HARDENING * (spring * travel**3 + damper * ca.fabs(rate) * rate)
+    return replace(plant, dynamics=plant.dynamics + ca.vertcat(0, force / car.unsprung, 0, -force / car.sprung))
 
 
 study = Study(

@@ -1,4 +1,4 @@
-"""Where the gain comes from, and whether it holds on roads that no generation has met: tables and phrases."""
+"""Where the gain comes from, and whether it holds under disturbances that no generation has met: tables and phrases."""
 
 from __future__ import annotations
 

@@ -14,9 +14,10 @@ from ccdtools.comparison.ride_comfort import frequency_weighting
 from ccdtools.comparison.suspension import actuator_energy, suspension_metrics, suspension_travel, tyre_load
 from ccdtools.disturbances.iso8608 import BAND, road_spectrum
 from ccdtools.exceptions import InputError
-from ccdtools.studies.cases.suspension import SPRUNG, TYRE, UNSPRUNG, quarter_car
+from ccdtools.studies.cases.suspension import quarter_car
 
 K_S, C_S = 2e4, 1500.0  # N/m, N s/m
+SPRUNG, UNSPRUNG, TYRE = 325.0, 65.0, 232.5e3  # kg, kg, N/m: of the paper's quarter car
 SIGNALS = {
     "acceleration": np.zeros((2, 3)), "travel": np.zeros((2, 4)), "tyre_force": np.zeros((2, 4)),
     "force": np.zeros((2, 3)), "dt": 0.1, "stop": 0.08, "static_load": 3000.0,

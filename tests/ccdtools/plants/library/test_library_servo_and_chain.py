@@ -7,7 +7,6 @@ import pytest
 from library_oracles import matrices, motion, oscillations, rates
 
 from ccdtools.plants.library import Servo, dc_servo, illustrative, mass_chain
-from ccdtools.studies.cases import illustrative as case
 
 CONSTANT, RESISTANCE = 0.0274, 4.0  # of the tutorial's motor
 
@@ -105,14 +104,6 @@ def test_forces_push_the_masses_they_are_said_to_push():
 
 
 # ── illustrative ──
-
-
-@pytest.mark.parametrize("real", [False, True])
-def test_the_illustrative_example_is_that_of_the_study(real, rng):
-    own, other = illustrative(real=real), case.real if real else case.model
-    for _ in range(20):
-        x, u, w = rng.uniform(-3, 3, 2), rng.uniform(-1, 1, 1), rng.standard_normal(2)
-        np.testing.assert_allclose(rates(own, [1.7], x, u, w), rates(other, [1.7], x, u, w), rtol=1e-13, atol=1e-14)
 
 
 def test_the_illustrative_example_is_unstable_as_the_paper_says():

@@ -1,0 +1,47 @@
+"""What the studies of the library's quarter car share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.disturbances.iso8608 import RoadClass
+from ccdtools.disturbances.iso_road import ISORoad
+from ccdtools.plants.library import quarter_car
+from ccdtools.studies.study import RealPlant, Study
+from invariant_sets import Polytope
+
+SPEED = 20.0  # m/s
+STATES = np.array([0.04, 2.5, 0.1, 1.0])  # limits: m, m/s, m (to the stops), m/s
+GOOD = np.array([0.01, 1.0, 0.05, 0.2])  # what is tolerable on an average road, in the same units
+FORCE = 1000.0  # N, for GOOD and as the limit; below the 2500 N at which the real actuator ends
+LAGGING_FORCE = 2500.0  # N, of the state that follows it with a lag; it costs nothing beside the demanded one
+
+
+def quarter_car_study(name: str, title: str, *, nonlinear: bool = False, actuator_lag: bool = False) -> Study:
+    """A quarter car that drives on an average road, from a rest."""
+    plant = quarter_car(nonlinear=nonlinear, actuator_lag=actuator_lag)
+    limits = np.append(STATES, LAGGING_FORCE) if actuator_lag else STATES
+    weights = np.append(GOOD**-2, 0.0) if actuator_lag else GOOD**-2
+    start = np.zeros(plant.nx)
+    return Study(
+        name=name,
+        title=title,
+        plant=plant,
+        X=Polytope.from_bounds(-limits, limits),
+        U=Polytope.from_bounds([-FORCE], [FORCE]),
+        objective=QuadraticObjective(Q=np.diag(weights), R=[[FORCE**-2]]),  # Bryson's rule
+        disturbance=_road("C"),
+        x0=start,
+        p0=[27692.0, 1906.5],  # where the study of the suspension starts, too
+        steps=300,
+        real=RealPlant(
+            quarter_car(actuator_lag=actuator_lag, real=True), _road("C"), x0=start, runs=1, steps=12000,
+            held_out={"average road (C)": _road("C"), "poor road (D)": _road("D")},
+        ),
+    )  # fmt: skip
+
+
+def _road(road_class: RoadClass) -> ISORoad:
+    """A road of a class of ISO 8608 at the sampling time of the library's cars."""
+    return ISORoad(road_class, speed=SPEED, dt=0.01)

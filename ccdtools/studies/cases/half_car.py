@@ -1,0 +1,6 @@
+"""Half a car on roads of ISO 8608; springs and dampers of both axles are the design."""
+
+from ccdtools.plants.library import half_car
+from ccdtools.studies.cases._cars import car_study
+
+study = car_study("half_car", "Half car", half_car(), half_car(real=True))

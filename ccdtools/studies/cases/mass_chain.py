@@ -1,0 +1,5 @@
+"""Four masses in a row, driven at one end and shaken at the other; stiffness and damping are the design."""
+
+from ccdtools.studies.cases._chains import chain_study
+
+study = chain_study("mass_chain", "Chain of four masses", 4)

@@ -1,0 +1,5 @@
+"""Ten masses in a row, 20 states: as large as the whole loop is meant to run."""
+
+from ccdtools.studies.cases._chains import chain_study
+
+study = chain_study("mass_chain_10", "Chain of ten masses", 10)

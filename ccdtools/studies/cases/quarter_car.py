@@ -1,0 +1,5 @@
+"""A quarter car on roads of ISO 8608; its spring and damper are the design."""
+
+from ccdtools.studies.cases._quarter_cars import quarter_car_study
+
+study = quarter_car_study("quarter_car", "Quarter car")

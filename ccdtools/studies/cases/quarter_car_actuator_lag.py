@@ -1,0 +1,5 @@
+"""The quarter car whose active force follows the input with a lag of 1/60 s."""
+
+from ccdtools.studies.cases._quarter_cars import quarter_car_study
+
+study = quarter_car_study("quarter_car_actuator_lag", "Quarter car with actuator lag", actuator_lag=True)
