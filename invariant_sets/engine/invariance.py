@@ -31,7 +31,7 @@ from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, loca
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
 from invariant_sets.engine.recursion import Caps, Outcome, Region, Shape, iterate
 from invariant_sets.engine.unstable_modes import unstable_bounds
-from invariant_sets.exceptions import NumericalError
+from invariant_sets.exceptions import NumericalError, TimeLimitError
 from invariant_sets.interior_form import FLAT, unit_rows
 from invariant_sets.linear_programs import inscribed_ball
 from invariant_sets.polytope import Polytope
@@ -70,6 +70,8 @@ def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResul
         return _largest(task, guess)
     except LimitReached as limit:  # before the recursion has begun
         status = Status.TIME_LIMIT if isinstance(limit, TimeLimitReached) else Status.FACET_LIMIT
+    except TimeLimitError:  # the vertices of X itself are too many
+        status = Status.FACET_LIMIT
     except NumericalError:
         status = Status.NOT_CERTIFIED
     return no_set(task.X.dim, 0, task.X, status)

@@ -106,3 +106,13 @@ def test_a_generous_time_limit_changes_nothing():
         assert limited.iterations == free.iterations
         assert np.array_equal(limited.set.A, free.set.A)
         assert np.array_equal(limited.outer.b, free.outer.b)
+
+
+def test_a_box_of_too_many_vertices_is_a_status_and_no_error():
+    """Of 2²⁰ vertices; the answer lies in the box, and nothing smaller is promised."""
+    A, B = chain(10, 0.05)
+    X = Polytope.from_bounds(-np.ones(20), np.ones(20))
+    result = maximal_control_invariant_set(A, B, X=X, U=(-10.0, 10.0), time_limit=5.0)
+    assert result.status is Status.FACET_LIMIT
+    assert result.set.is_empty
+    np.testing.assert_array_equal(result.outer.bounding_box(), [-np.ones(20), np.ones(20)])
