@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.risk import CVaR, Mean, MeanSpread
     from ccdtools.comparison.baselines import baselines, saturated_lqr
     from ccdtools.comparison.comparison import compare
+    from ccdtools.comparison.ride import Ride
     from ccdtools.comparison.ride_comfort import comfort, weighted_acceleration
     from ccdtools.comparison.suspension import SuspensionMetrics, suspension_metrics
     from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
@@ -108,6 +109,7 @@ __all__ = [
     "RealPlant",
     "Recorded",
     "Reference",
+    "Ride",
     "SampledModel",
     "SamplingWarning",
     "Scenario",
@@ -201,6 +203,7 @@ _HOMES = {
     "RealPlant": "studies.study",
     "Recorded": "disturbances.disturbance",
     "Reference": "controllers.signals",
+    "Ride": "comparison.ride",
     "SampledModel": "plants.sampled_model",
     "SamplingWarning": "exceptions",
     "Scenario": "scenario",

@@ -322,8 +322,14 @@ class Polyhedron:
     def bounding_box(self) -> tuple[Array, Array]:
         """Return the smallest box (lower, upper), each (n,), infinite where unbounded. Raises `EmptySetError`."""
         self._require_point("bounding_box")
+        lower, upper = self._box
+        return lower.copy(), upper.copy()
+
+    @cached_property
+    def _box(self) -> tuple[Array, Array]:
+        """The bounding box of a set with a point: linear programs in more than four dimensions, so solved once."""
         eye = np.eye(self.dim)
-        return 0.0 - self._supports(-eye), self._supports(eye) + 0.0  # no negative zeros
+        return frozen(0.0 - self._supports(-eye)), frozen(self._supports(eye) + 0.0)  # no negative zeros
 
     def support(self, d: Any) -> Any:
         """Return h(d) = max dᵀx over the set: +inf if unbounded in d, −inf if empty.

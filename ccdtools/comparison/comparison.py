@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any
 
@@ -15,6 +15,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.comparison.baselines import REFERENCE
+from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.comparison.outside import Outside
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
@@ -59,6 +60,8 @@ class Score:
         The controllers that leave X less deep, or less often, on the runs that both saw; see `further_outside`.
     step_time : float
         Median time of one call with one state [s].
+    metrics : dict of str to float
+        What the metrics asked for say of the runs that did not diverge; NaN where all did.
     """
 
     controller: str
@@ -73,6 +76,7 @@ class Score:
     exceeded: str
     further_outside_than: tuple[str, ...]
     step_time: float
+    metrics: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,6 +114,7 @@ class Comparison:
                 "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
                 "depth_worst": score.depth_worst, "exceeded": score.exceeded,
                 "further_outside_than": ", ".join(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
+                **score.metrics,
             }
             for score in self.scores
         ]  # fmt: skip
@@ -153,6 +158,7 @@ def compare(
     limit: ArrayLike | None = None,
     few: Mapping[str, int] | None = None,
     output_limits: OutputLimits | None = None,
+    metrics: Metrics | None = None,
 ) -> Comparison:
     """Scores of all controllers on one scenario, paired to the one named LQR.
 
@@ -172,6 +178,9 @@ def compare(
         Controllers that see only the first so many runs; MPC 100 by default.
     output_limits : OutputLimits, optional
         Limits of outputs, whose violations are counted with those of X.
+    metrics : function, optional
+        `Trajectory` → mapping of names, with units, to numbers: what the scores hold beside the returns. Such as a
+        `Ride`.
 
     Raises
     ------
@@ -192,6 +201,7 @@ def compare(
         as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
     few = {"MPC": MPC_RUNS} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")
     runs = {name: min(as_count(f"few[{name!r}]", n), len(scenario.x0)) for name, n in few.items()}
+    as_metrics(metrics)
     limits = StateLimits(X)
     reference = scenario.run(controllers[REFERENCE], design=design, limit=limit)
     scores = []
@@ -200,7 +210,8 @@ def compare(
         seen = scenario.first(runs.get(name, len(scenario.x0)))
         run = reference if name == REFERENCE else seen.run(controller, design=design, limit=limit)
         outside[name] = Outside.of(run, limits, scenario.plant, output_limits)
-        scores.append(_score(name, controller, run, reference, objective, outside[name].whole, scenario))
+        score = _score(name, controller, run, reference, objective, outside[name].whole, scenario)
+        scores.append(score if metrics is None else replace(score, metrics=metrics_of(metrics, run)))
     return Comparison(tuple(
         replace(score, further_outside_than=outside[score.controller].further_than(outside)) for score in scores
     ))  # fmt: skip

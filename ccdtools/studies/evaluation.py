@@ -256,7 +256,7 @@ class Evaluation:
                 everyone["learned, no filter"] = policy
             scores = compare(
                 everyone, scenario, design=design, objective=self.study.objective, X=self.study.X,
-                limit=self.problem.limit, few={"MPC": self.config.mpc_runs},
+                limit=self.problem.limit, few={"MPC": self.config.mpc_runs}, metrics=self.study.metrics,
                 output_limits=self.problem.output_limits,
             )  # fmt: skip
             place = {"plant": plant, "model": name, "generation": generation}
@@ -316,6 +316,7 @@ class Evaluation:
             "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
             "depth_worst": score.depth_worst, "exceeded": score.exceeded,
             "further_outside_than": list(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
+            "metrics": score.metrics,
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:

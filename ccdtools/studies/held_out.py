@@ -74,7 +74,7 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: InService) -
     for name, scenario in evaluation.held_out.items():
         scores = compare(
             everyone, scenario, design=service.design, objective=evaluation.study.objective, X=evaluation.study.X,
-            limit=evaluation.problem.limit, few={"MPC": MPC_RUNS},
+            limit=evaluation.problem.limit, few={"MPC": MPC_RUNS}, metrics=evaluation.study.metrics,
             output_limits=evaluation.problem.output_limits,
         )  # fmt: skip
         place = {"plant": f"held out: {name}", "model": name, "generation": generation}

@@ -29,6 +29,7 @@ from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk
+from ccdtools.comparison.metrics import Metrics, as_metrics, try_metrics
 from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
@@ -160,6 +161,9 @@ class Study(Immutable):
     starts : Polytope, distribution or (n, nx) array, optional
         Where episodes and evaluations on the model start, see `RandomStarts`; at `x0` by default. The real plant starts
         at its own x0.
+    metrics : function, optional
+        `Trajectory` → mapping of names, with units, to numbers, such as a `Ride`: what every comparison shows beside
+        the returns.
 
     Raises
     ------
@@ -193,6 +197,7 @@ class Study(Immutable):
     accuracy: float = ACCURACY
     method: str = "auto"
     starts: Any = None
+    metrics: Metrics | None = None
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {self.plant!r}, {self.steps} steps, start {self.plant.design.describe(self.p0)})"
@@ -244,6 +249,9 @@ class Study(Immutable):
         as_choice("filter", self.filter, FILTERS)
         object.__setattr__(self, "accuracy", as_positive("accuracy", self.accuracy))
         as_choice("method", self.method, ("auto", *METHODS))
+        metrics = as_metrics(self.metrics)
+        if metrics is not None:
+            try_metrics(metrics, self.plant)
 
     def _check_limits(self) -> None:
         """Raise unless X and U can be regulated in, and the start lies within X."""

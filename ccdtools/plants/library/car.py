@@ -46,16 +46,20 @@ class Car(Parameters):
     wheel_rear: float = 50.0
     tyre: float = 2e5
 
-    def axles(self, p: ca.SX, *, strut: RealStrut, real: bool) -> tuple[Corner, Corner]:
-        """A corner of the front axle and one of the rear axle, at the design p of `axle_design`."""
+    @property
+    def loads(self) -> tuple[float, float]:
+        """Static loads of a front tyre and of a rear one [N]."""
         wheelbase = self.front + self.rear
-        loads = (
+        return (
             GRAVITY * (self.wheel_front + self.body / 2 * self.rear / wheelbase),
             GRAVITY * (self.wheel_rear + self.body / 2 * self.front / wheelbase),
         )
+
+    def axles(self, p: ca.SX, *, strut: RealStrut, real: bool) -> tuple[Corner, Corner]:
+        """A corner of the front axle and one of the rear axle, at the design p of `axle_design`."""
         front, rear = (
             Corner(p[2 * i], p[2 * i + 1], self.tyre, load, strut, nonlinear=real, real=real)
-            for i, load in enumerate(loads)
+            for i, load in enumerate(self.loads)
         )
         return front, rear
 

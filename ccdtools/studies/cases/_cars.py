@@ -6,6 +6,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.comparison.ride import Ride
 from ccdtools.disturbances.iso8608 import RoadClass
 from ccdtools.disturbances.iso_road import ISORoad
 from ccdtools.plants.library import Car
@@ -48,7 +49,18 @@ def car_study(name: str, title: str, nominal: Plant, real: Plant, *, track: floa
             real, road("C"), x0=start, runs=1, steps=12000,
             held_out={"average road (C)": road("C"), "poor road (D)": road("D")},
         ),
+        metrics=_ride(nominal),
     )  # fmt: skip
+
+
+def _ride(plant: Plant) -> Ride:
+    """How a car rides at its centre of mass, and on its wheels."""
+    names = plant.state_names
+    tyres, travels = ([i for i, name in enumerate(names) if kind in name] for kind in ("tyre", "travel"))
+    front, rear = CAR.loads
+    loads = [front if "front" in names[i] else rear for i in tyres]
+    body = next(i for i, name in enumerate(names) if "heave rate" in name)
+    return Ride(body, travels, tyres, CAR.tyre, loads, WHEEL["travel"])
 
 
 def _by_kind(plant: Plant, values: dict[str, float]) -> Array:

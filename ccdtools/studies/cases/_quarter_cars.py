@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.comparison.ride import Ride
 from ccdtools.disturbances.iso8608 import RoadClass
 from ccdtools.disturbances.iso_road import ISORoad
-from ccdtools.plants.library import quarter_car
+from ccdtools.plants.library import QuarterCar, quarter_car
+from ccdtools.plants.library.struts import GRAVITY
 from ccdtools.studies.study import RealPlant, Study
 from invariant_sets import Polytope
 
@@ -39,7 +41,15 @@ def quarter_car_study(name: str, title: str, *, nonlinear: bool = False, actuato
             quarter_car(actuator_lag=actuator_lag, real=True), _road("C"), x0=start, runs=1, steps=12000,
             held_out={"average road (C)": _road("C"), "poor road (D)": _road("D")},
         ),
+        metrics=quarter_car_ride(stop=STATES[2], forces=[4] if actuator_lag else None),
     )  # fmt: skip
+
+
+def quarter_car_ride(*, stop: float, forces: list[int] | None = None) -> Ride:
+    """How a quarter car rides, whose suspension meets its stops at a travel [m]."""
+    car = QuarterCar()
+    load = GRAVITY * (car.sprung + car.unsprung)
+    return Ride(body=3, travels=[2], tyres=[0], stiffness=car.tyre, loads=[load], stop=stop, forces=forces)
 
 
 def _road(road_class: RoadClass) -> ISORoad:

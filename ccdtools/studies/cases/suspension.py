@@ -11,6 +11,7 @@ from ccdtools.disturbances.roads import GeneratedRoad
 from ccdtools.plants import library
 from ccdtools.plants.library.quarter_car import PAPER_DT
 from ccdtools.plants.plant import Plant
+from ccdtools.studies.cases._quarter_cars import quarter_car_ride
 from ccdtools.studies.study import RealPlant, Study
 from invariant_sets import Polytope
 
@@ -46,5 +47,6 @@ study = Study(
     ),
     paper_networks=(16, 32, 32, 16),
     samples=1000,
+    metrics=quarter_car_ride(stop=0.5),  # the limit in X
     sampling_guard="ignore",  # the paper's dt: the wheel oscillates at 9.6 to 10.3 Hz, half the sampling rate is 10 Hz
 )

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ccdtools.arrays import Array
+from ccdtools.studies.report import style as look
 from ccdtools.studies.report.style import BOUND, COLOURS, LINES, controller_colours, without_grid
 from invariant_sets import Polytope, plot_polytope
 
@@ -119,7 +120,7 @@ def plot_trajectories(
                 own = time[: len(mean)]
                 ax.fill_between(own, low[:, row], high[:, row], color=colours[name], alpha=0.15, lw=0)
                 ax.plot(own, mean[:, row], color=colours[name], label=name, **LINES.get(name, {}))
-        grid[0, c].set_title(title, color=title_colours[c] if title_colours else "k")
+        grid[0, c].set_title(look.title(title), color=title_colours[c] if title_colours else "k")
         grid[-1, c].set_xlabel(time_label)
     for row, label in enumerate(labels):
         low, high = grid[row, 0].get_ylim()
@@ -127,7 +128,7 @@ def plot_trajectories(
             if low - 0.05 * (high - low) <= edge <= high + 0.05 * (high - low):
                 for ax in grid[row]:
                     ax.axhline(edge, **BOUND)
-        grid[row, 0].set_ylabel(label)
+        grid[row, 0].set_ylabel(look.label(label))
     grid[0, 0].legend(ncols=len(names), loc="best")
     figure.align_ylabels()
     return list(grid.flat)
@@ -148,7 +149,7 @@ def plot_quantiles(
         ax.plot(time, quantiles[:, len(levels) // 2, i], color=COLOURS["learned"], lw=1.3, label="median")
         ax.plot(time, errors[:, i], ".-", color="k", lw=0.5, ms=3.5, label="logged error")
         ax.plot(time[~inside], errors[~inside, i], "o", mfc="none", mec=COLOURS["LQR"], ms=6, label="outside")
-        ax.set_ylabel(f"error of {label}")
+        ax.set_ylabel(look.label(f"error of {label}"))
         ax.set_title(f"{inside.mean():.0%} inside", loc="right", fontsize=8, pad=3)
     grid[-1].set_xlabel(time_label)
     handles, names = grid[0].get_legend_handles_labels()

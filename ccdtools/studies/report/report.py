@@ -29,6 +29,7 @@ from ccdtools.studies.report.formatting import (
     with_minus,
 )
 from ccdtools.studies.report.gains import gain_headings, gain_rows, held_out_rows
+from ccdtools.studies.report.metric_tables import held_out_metrics, metric_table
 from ccdtools.studies.report.tables import fewer_runs_notes, write_tables
 from ccdtools.studies.report.verdicts import difference_text, limit_notes, reference_of, saw_fewer_runs, verdict
 from ccdtools.studies.run_folder import RunFolder
@@ -77,7 +78,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         figures={figure["name"]: figure for figure in shown}, signals=_signal_rows(run) + _design_rows(run),
         weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
         gains={"headings": gain_headings(results), "rows": gain_rows(results),
-               "held_out": held_out_rows(results, run.study.steps)},
+               "held_out": held_out_rows(results, run.study.steps), "metrics": held_out_metrics(results)},
         sampling=sampling_note(run.study.plant), no_sets=_no_sets(run),
         single=run.study.real.runs == 1, real_is_model=run.study.real_is_model,
         updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],
@@ -168,7 +169,7 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
         blocks.append({
             "generation": g, "plant": place(rows[0]), "design": design_text(results, rows[0]["design"]),
             "bounds": active_bounds_text(rows[0]["active_bounds"]), "rows": shown,
-            "notes": fewer_runs_notes(rows) + limit_notes(rows),
+            "metrics": metric_table(rows), "notes": fewer_runs_notes(rows) + limit_notes(rows),
         })  # fmt: skip
     return blocks
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import re
+import textwrap
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any
@@ -28,6 +30,9 @@ BOUND: dict[str, Any] = {"color": "#444444", "lw": 0.9, "ls": (0, (5, 3))}
 NOT_WORSE_STRIP = "#DDEBDD"
 CHOSEN = "#D4A017"  # star of the iterate that was returned
 DPI = 130
+LABEL = 20  # characters beside axes of an inch and a half
+TITLE = 64  # above axes of five inches
+INSIDE = re.compile(r"(?<![,:]) ")  # spaces within a value
 SETTINGS: Any = {
     "axes.grid": True, "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False,
     "axes.labelsize": 9, "axes.titlesize": 9, "grid.color": "#E3E3E3", "grid.linewidth": 0.6,
@@ -55,6 +60,16 @@ def png(figure: Figure) -> bytes:
     with styled():
         figure.savefig(buffer, format="png", dpi=DPI)
     return buffer.getvalue()
+
+
+def label(text: str) -> str:
+    """The name of a vertical axis in as many lines as a low one needs."""
+    return textwrap.fill(text, LABEL, break_long_words=False)
+
+
+def title(text: str) -> str:
+    """The title of a column in as many lines as half a page needs, broken between the values of a design."""
+    return textwrap.fill(INSIDE.sub("\N{NO-BREAK SPACE}", text), TITLE, break_long_words=False)
 
 
 def controller_colours(names: Sequence[str]) -> dict[str, str]:

@@ -18,6 +18,7 @@ from ccdtools.studies.report.formatting import (
     share,
 )
 from ccdtools.studies.report.gains import console_lines
+from ccdtools.studies.report.metric_tables import metrics_in
 from ccdtools.studies.report.verdicts import difference_text, limit_notes, reference_of, saw_fewer_runs
 from ccdtools.studies.run_folder import RunFolder
 
@@ -68,6 +69,7 @@ def comparison_rows(results: Mapping[str, Any], table: str = "comparison") -> li
         | dict(zip(("paired_low95", "paired_high95"), row["paired_to_lqr"]["ci95"]))
         | {name: row[name] for name in ("diverged", *LIMIT_COLUMNS)}
         | {"further_outside_than": ", ".join(row["further_outside_than"]), "step_time_us": row["step_time_us"]}
+        | dict(metrics_in(row))
         for row in results[table]
     ]
 

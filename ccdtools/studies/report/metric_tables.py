@@ -1,0 +1,43 @@
+"""Tables of what a study measures beside the returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ccdtools.studies.report.formatting import generation_name
+from ccdtools.studies.report.verdicts import reference_of, saw_fewer_runs
+
+Values = Mapping[str, Any]
+
+
+def metric_table(rows: Sequence[Values]) -> dict[str, Any] | None:
+    """Names, and values per controller, of the rows of one block of a comparison; None where nothing was measured."""
+    names = list(dict.fromkeys(name for row in rows for name in metrics_in(row)))
+    if not names:
+        return None
+    reference = reference_of(rows, rows[0])
+    lines = [
+        {"controller": row["controller"], "star": saw_fewer_runs(row, reference),
+         "values": [metrics_in(row).get(name) for name in names]}
+        for row in rows
+    ]  # fmt: skip
+    return {"names": names, "lines": lines}
+
+
+def held_out_metrics(results: Values) -> list[dict[str, Any]]:
+    """The same of every held-out disturbance and design, each with a title."""
+    blocks = dict.fromkeys((row["model"], row["generation"]) for row in results["held_out"])
+    tables = []
+    for model, generation in blocks:
+        rows = [row for row in results["held_out"] if (row["model"], row["generation"]) == (model, generation)]
+        table = metric_table(rows)
+        if table is not None:
+            tables.append({"title": f"{model}, {generation_name(generation)}", **table})
+    return tables
+
+
+def metrics_in(row: Values) -> Values:
+    """The metrics of a row; none in runs of versions that had no metrics."""
+    found: Values = row.get("metrics", {})
+    return found
