@@ -15,9 +15,11 @@ import numpy as np
 
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
+from invariant_sets.time_limits import hull_facets
 from invariant_sets.tolerances import CHECKED, EPS, FLAT, REDUNDANT, ROUNDING, SAME, TINY
 
 Array = np.ndarray
+MOST_DUAL_FACETS = 100_000  # of a hull that only sorts rows out before their linear programs: three seconds
 _DIRECTIONS = 5  # tried for a volume; the two with the least cancellation are compared
 
 
@@ -179,10 +181,11 @@ def irredundant_rows(F: Array, g: Array, tol: float = REDUNDANT) -> Array:
 def strongly_irredundant_rows(F: Array, g: Array) -> Array:
     """Return the indices of the rows on the hull of the dual points F/g and 0; all rows where Qhull cannot tell.
 
+    It is not asked where the hull may have very many facets, as that of a box in 20 dimensions, which has 2²⁰.
     {F y <= g} with 0 inside may be unbounded: then 0 is a vertex of the dual hull and counts for nothing.
     """
     n = F.shape[1]
-    if n == 1 or len(g) <= n + 1 or g.min() <= FLAT:
+    if n == 1 or len(g) <= n + 1 or g.min() <= FLAT or hull_facets(len(g) + 1, n) > MOST_DUAL_FACETS:
         return np.arange(len(g))
     try:
         hull = convex_hull(np.vstack([F / g[:, None], np.zeros(n)]))

@@ -274,3 +274,15 @@ def test_repr_and_html_say_what_the_set_is():
     assert repr(P) == "Polytope(dim=2, 4 inequalities)"
     assert "[0, 2]" in P._repr_html_()
     assert "<td>True</td>" in Polytope.empty(1)._repr_html_()
+
+
+def test_rows_of_a_box_in_twenty_dimensions_are_sorted_out_without_its_million_vertices(rng):
+    """Doubled rows, looser ones and one that only touches a corner go; the box stays."""
+    n = 20
+    half = rng.uniform(0.5, 2.0, n)
+    box = Polytope.from_bounds(-half, half)
+    A = np.vstack([box.A, box.A, box.A, np.ones((1, n))])
+    b = np.concatenate([box.b, box.b, 1.5 * box.b, [half.sum()]])
+    found = Polytope(A, b).minimal()
+    assert found.A.shape == (2 * n, n)
+    np.testing.assert_allclose(found.bounding_box(), [-half, half], rtol=1e-9)
