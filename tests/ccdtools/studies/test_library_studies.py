@@ -1,16 +1,21 @@
 """The studies that come with the package: one for every plant of the library, each ready to run."""
 
+import csv
 import inspect
+import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_runs import tiny_configuration
 from typer.testing import CliRunner
 
-from ccdtools import Study, saturated_lqr, simulate
+from ccdtools import Study, depth_outside, expert_dataset, saturated_lqr, simulate
 from ccdtools.cli import app
 from ccdtools.plants import library
-from ccdtools.studies import load_study, study_names
+from ccdtools.studies import Generations, RunFolder, load_study, study_names
+from ccdtools.studies.report.report import write_report
 
 PLANTS = [name for name in library.__all__ if inspect.isfunction(getattr(library, name))]
 
@@ -82,3 +87,32 @@ def test_the_command_line_names_every_study_where_one_looks_for_them():
     for name in study_names():
         assert name in helped
         assert name in str(refused.exception)
+
+
+def test_two_generations_of_a_vehicle_come_to_a_report_that_shows_how_it_rides(tmp_path):
+    """Episodes of 40 steps, and hardly any iterations."""
+    study = load_study("half_car")
+    real = replace(study.real, runs=1, steps=500, held_out={"other": study.disturbance})
+    study = replace(study, steps=40, real=real)
+    folder = RunFolder.create(tmp_path / "half_car")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Generations(study, tiny_configuration(study, sets="none"), folder, echo=lambda line: None, progress=False).run()
+        page = write_report(study, folder).read_text(encoding="utf-8")
+    results = json.loads((folder.path / "results.json").read_text(encoding="utf-8"))
+    assert len(results["generations"]) == 2
+    rows = [*results["comparison"], *results["held_out"]]
+    assert all(0 < row["metrics"]["comfort [m/s²]"] < 5 for row in rows)
+    with (folder.path / "comparison.csv").open(encoding="utf-8") as file:
+        assert "actuator power [W]" in next(csv.reader(file))
+    assert page.count("<th>comfort [m/s²]</th>") == len({(row["generation"], row["plant"]) for row in rows})
+
+
+def test_twenty_states_are_initialised_and_judged_without_the_corners_of_their_limits():
+    """X has 2²⁰ of them: the expert is followed from the region that saturated LQR keeps."""
+    study = load_study("mass_chain_10")
+    data = expert_dataset(study.problem(), samples=15, rng=np.random.default_rng(0), time_limit=1.0)
+    assert data.sets.lqr == 15
+    assert data.diverged == 0
+    assert len(data.inputs) > 50
+    assert depth_outside(1.5 * study.X.bounding_box()[1], study.X) == pytest.approx(0.5)
