@@ -90,14 +90,15 @@ def test_the_command_line_names_every_study_where_one_looks_for_them():
 
 
 def test_two_generations_of_a_vehicle_come_to_a_report_that_shows_how_it_rides(tmp_path):
-    """Episodes of 40 steps, and hardly any iterations."""
-    study = load_study("half_car")
+    """Episodes of 20 steps, and hardly any iterations."""
+    study = load_study("quarter_car")
     real = replace(study.real, runs=1, steps=500, held_out={"other": study.disturbance})
-    study = replace(study, steps=40, real=real)
-    folder = RunFolder.create(tmp_path / "half_car")
+    study = replace(study, steps=20, real=real)
+    config = replace(tiny_configuration(study, sets="none"), held_out_runs=2, held_out_steps=50)
+    folder = RunFolder.create(tmp_path / "quarter_car")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        Generations(study, tiny_configuration(study, sets="none"), folder, echo=lambda line: None, progress=False).run()
+        Generations(study, config, folder, echo=lambda line: None, progress=False).run()
         page = write_report(study, folder).read_text(encoding="utf-8")
     results = json.loads((folder.path / "results.json").read_text(encoding="utf-8"))
     assert len(results["generations"]) == 2
