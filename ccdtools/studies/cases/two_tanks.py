@@ -1,22 +1,18 @@
 """Two tanks that are filled to their levels; their areas and the upper outlet are the design.
 
-The plant is stated in levels and voltage, which rest elsewhere than at 0; both plants are in deviations from where the
-nominal one rests. The real one leaks and rests lower.
+Both plants are in deviations from where the nominal one rests; the real one leaks and rests lower. The library states
+them so in closed form, which `deviations` of the plant in levels equals in three times the time.
 """
 
 import numpy as np
 
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Gaussian
-from ccdtools.plants.equilibrium import equilibrium
 from ccdtools.plants.library import two_tanks
-from ccdtools.plants.linearisation import deviations
 from ccdtools.studies.study import RealPlant, Study
 from invariant_sets import Polytope
 
 p0 = [28.0, 28.0, 0.071]  # those of the library's source
-levels = two_tanks(absolute=True)
-rest = equilibrium(levels, p0)
 limits = np.array([4.5, 6.0])  # cm; the upper tank rests at 5 to 17 cm, as its outlet says, the lower one at 10 cm
 tolerable = np.array([3.0, 0.5])
 inflows = Gaussian(std=[1.0, 1.0])  # cm³/s, beside 10 cm³/s of the pump
@@ -25,7 +21,7 @@ start = np.array([-3.0, -4.0])
 study = Study(
     name="two_tanks",
     title="Two tanks",
-    plant=deviations(levels, rest),
+    plant=two_tanks(),
     X=Polytope.from_bounds(-limits, limits),
     U=Polytope.from_bounds([-2.9], [2.9]),  # V; at rest 2.99 V, and the pump does not draw
     objective=QuadraticObjective(Q=np.diag(tolerable**-2), R=[[1.0]]),  # Bryson's rule
@@ -33,5 +29,5 @@ study = Study(
     x0=start,
     p0=p0,
     steps=200,
-    real=RealPlant(deviations(two_tanks(absolute=True, real=True), rest), inflows, x0=start, runs=100, steps=200),
+    real=RealPlant(two_tanks(real=True), inflows, x0=start, runs=100, steps=200),
 )
