@@ -1,7 +1,6 @@
 """Two tanks that are filled to their levels; their areas and the upper outlet are the design.
 
-Both plants are in deviations from where the nominal one rests; the real one leaks and rests lower. The library states
-them so in closed form, which `deviations` of the plant in levels equals in three times the time.
+Both plants are in deviations from where the nominal one rests; the real one leaks and rests lower.
 """
 
 import numpy as np
