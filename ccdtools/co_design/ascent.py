@@ -26,6 +26,8 @@ from ccdtools.co_design.climb import Climb
 from ccdtools.co_design.design_gradients import FEW, STEPS, Differences, Slope
 from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors, to_design
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
+from ccdtools.co_design.feasible import DesignRegion
+from ccdtools.co_design.feasible_slope import measured_slope
 from ccdtools.co_design.gradient_check import check_gradients
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.reinforcement.ppo import PPOPart
@@ -62,6 +64,7 @@ class Ascent:
         self.start = design
         self.evaluation = evaluation
         self.limits = task.limits
+        self.region = DesignRegion(task.problem.design, task.problem.design.to_unit(design))
         self.v = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32).requires_grad_(True)
         self.check = check_gradients(task.problem, agent, design, rng=rng, ppo=config.ppo) if task.moving else None
         self.ppo = PPOPart(task.problem, agent, self._p(), rng, config)
@@ -97,7 +100,7 @@ class Ascent:
     def by_differences(self) -> bool:
         """Whether the design follows finite differences in the place of the gradient through the model."""
         wrong = self.check is not None and not self.check.trusted
-        return wrong and len(self.v) <= FEW and self.task.config.design_gradient == "pathwise"
+        return wrong and self.region.free.sum() <= FEW and self.task.config.design_gradient == "pathwise"
 
     def block(self, bar: tqdm) -> None:
         """One block of iterations, and what it brought."""
@@ -157,7 +160,7 @@ class Ascent:
         judge = self.task.judge
         scenarios = scenario_tensors(judge, fewer_runs(SLOPE_RUNS, judge.steps), self.rng)
         prices = self.limits.prices(self._seen(best), best.v) if self.limits is not None and self.limited else None
-        self.slope = Slope.measured(Differences(judge, best.agent, scenarios, prices), best.v)
+        self.slope = measured_slope(Differences(judge, best.agent, scenarios, prices), best.v, self.region)
         return self.slope.promises(self._matters)
 
     @property
@@ -209,6 +212,7 @@ class Ascent:
             v=self.v if self.task.moving else None,
             scale=abs(self.best.score) or 1.0,
             slope=(lambda: self._slope_by_differences(scenarios)) if self.by_differences else None,
+            region=None if self.region.whole_box else self.region,
         )
         Climb(average, length, counted=counted, look=self._looked).run()
 
@@ -305,15 +309,24 @@ class Ascent:
         return -design_gradient
 
     def _move_design(self, gradient: Tensor, factor: float) -> None:
-        """Adam in the unit box on the clipped gradient, then back into the bounds."""
+        """Adam in the unit box on the clipped gradient, then back into the bounds and the constraints."""
+        gradient = self.region.masked(gradient)
         norm = gradient.norm()
         if not norm.isfinite():
             return
+        rate = self.task.config.design_rate * factor
+        if self.region.bounded:  # Adam's own scaling would lead a step along a constraint off its way
+            point = self.v.detach().double().numpy()
+            gradient = torch.tensor(self.region.step(point, gradient.double().numpy(), rate), dtype=gradient.dtype)
+            norm = gradient.norm()
         self.v.grad = -gradient / norm.clamp(min=1.0)
-        _set_rate(self.design_optimiser, self.task.config.design_rate * factor)
+        _set_rate(self.design_optimiser, rate)
         self.design_optimiser.step()
         with torch.no_grad():
             self.v.clamp_(0.0, 1.0)
+            if self.region.bounded:
+                found = self.region.nearest(self.v.double().numpy())
+                self.v.copy_(torch.tensor(self.region.last if found is None else found))
 
     def _p(self) -> Tensor:
         """The present design (np,), without its gradient."""
@@ -321,7 +334,7 @@ class Ascent:
 
     def _design(self) -> Array:
         """The present design (np,), in physical units."""
-        return self.task.problem.design.from_unit(self.v.detach().double().numpy())
+        return self.region.settled(self.v)
 
     def history(self) -> History:
         """The evaluations so far."""

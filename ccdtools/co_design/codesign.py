@@ -62,7 +62,7 @@ def codesign(
     Raises
     ------
     InputError
-        If an argument is of the wrong kind, `design` lies outside its bounds, `agent` does not observe (x, p) over the
+        If an argument is of the wrong kind, `design` is not feasible, `agent` does not observe (x, p) over the
         box of designs or acts within other bounds than U, or the objective does not take torch tensors.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
@@ -70,7 +70,7 @@ def codesign(
     as_generator("rng", rng)
     config = as_instance("config", CoDesignConfig() if config is None else config, CoDesignConfig, "a CoDesignConfig")
     judge = as_instance("judge", problem if judge is None else judge, CoDesignProblem, "a CoDesignProblem or None")
-    design = problem.design.check_one(design)
+    design = _first_design(problem, design)
     if not isinstance(problem.risk, Mean) and ("ppo" in method or config.design_gradient != "pathwise"):
         got = f'"{method}" with the design gradient "{config.design_gradient}"'
         raise InputError("method", got, '"pathwise" for both: PPO follows the mean return, and the problem has a risk')
@@ -95,12 +95,12 @@ def _result(
     """The winner of the race, with what the others came to."""
     winner = ascents[0]
     space = task.problem.design
-    best = space.from_unit(winner.best.v.double().numpy())
+    best = winner.region.settled(winner.best.v)
     assert winner.status is not None
     return CoDesignResult(
         best, winner.best.agent, space.active_bounds(best), winner.history(), winner.check, winner.best.limits,
         winner.status, task.method, _gains(task, winner, agent, design), winner.convergence(),
-        _with_ends(found, ascents, task, design),
+        _with_ends(found, ascents, design), space.active_constraints(best),
     )  # fmt: skip
 
 
@@ -115,20 +115,25 @@ def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dic
     return {"design": moved - before, "policy": winner.best.score - moved}
 
 
-def _with_ends(
-    found: tuple[Valley, ...], ascents: list[Ascent], task: Task, design: Array
-) -> tuple[Valley, ...]:  # fmt: skip
+def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], design: Array) -> tuple[Valley, ...]:
     """The valleys, with where the best co-design that began on each of them ended; `design` is the given one."""
     named = []
     for valley in found:
         places = [valley.design, design] if valley.given else [valley.design]
         begun = [one for one in ascents if any(np.array_equal(one.start, place) for place in places)]
         if begun:
-            best = leader(begun).best
-            end = task.problem.design.from_unit(best.v.double().numpy())
-            valley = replace(valley, found=end, found_return=best.score)
+            first = leader(begun)
+            end = first.region.settled(first.best.v)
+            valley = replace(valley, found=end, found_return=first.best.score)
         named.append(valley)
     return tuple(named)
+
+
+def _first_design(problem: CoDesignProblem, design: ArrayLike) -> Array:
+    """A given design that may be built, to the last digit; else an `InputError`."""
+    space = problem.design
+    given = space.check_feasible(design)
+    return given if space.constraints is None or (space.constraint_values(given) <= 0).all() else space.project(given)
 
 
 def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:

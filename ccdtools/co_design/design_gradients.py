@@ -61,8 +61,11 @@ class Differences:
         """Slopes (n, np) about a point of the unit box, or about the nearest one from which the step stays inside."""
         centre = inside(v.double(), step)
         columns = []
-        for i in range(len(v)):
+        for i, free in enumerate(self.problem.design.free):
             h = torch.zeros_like(centre)
+            if not free:
+                columns.append(h.new_zeros(len(self.scenarios[0])))
+                continue
             h[i] = step
             columns.append((self._returns(centre + h) - self._returns(centre - h)) / (2 * step))
         return torch.stack(columns, dim=1)
@@ -135,7 +138,11 @@ class Slope:
     @classmethod
     def measured(cls, differences: Differences, v: Tensor) -> Slope:
         """At a point of the unit box."""
-        by_run = differences.about(v, differences.step(v))
+        return cls.of(differences.about(v, differences.step(v)), v)
+
+    @classmethod
+    def of(cls, by_run: Tensor, v: Tensor) -> Slope:
+        """From the slopes of every run (n, np) at a point of the unit box."""
         both = np.stack([by_run.mean(0).numpy(), standard_error(by_run).numpy()])
         point = v.double().numpy()
         room = np.where(both[0] > 0, 1.0 - point, point)

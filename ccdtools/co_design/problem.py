@@ -132,7 +132,8 @@ class CoDesignProblem(Immutable):
     ------
     InputError
         If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
-        not in X or not in U, U is not a box, starts lie outside X, or the box of designs is too narrow.
+        not in X or not in U, U is not a box, starts lie outside X, or the box of designs is too narrow or has no entry
+        that is not fixed.
     """
 
     model: Model
@@ -151,6 +152,11 @@ class CoDesignProblem(Immutable):
         model = as_regulated_model("model", self.model)
         if model.design is None or model.design.dim == 0:
             raise InputError("model", "a model without design parameters", "one of a plant with a DesignSpace")
+        if not model.design.free.any():
+            raise InputError(
+                "model", "a box of designs whose entries are all fixed", "at least one with lower < upper",
+                "To keep a design that could be changed, set CoDesignConfig.design_rate to 0.",
+            )  # fmt: skip
         _check_widths(model.design)
         object.__setattr__(self, "X", _bounded_limits("X", self.X, model.nx, "one per state"))
         object.__setattr__(self, "U", _bounded_limits("U", self.U, model.nu, "one per input"))
@@ -252,15 +258,17 @@ class CoDesignProblem(Immutable):
 
     @property
     def observation_bounds(self) -> tuple[Array, Array]:
-        """Range of the observation (x, p), each (nx + np,)."""
+        """Range of the observation (x, p), each (nx + np,); a fixed entry of p in the middle of one as large as it is."""
         scale = self.state_scale
-        return np.r_[-scale, self.design.lower], np.r_[scale, self.design.upper]
+        lower, upper = self.design.lower, self.design.upper
+        room = np.where(self.design.free, 0.0, np.where(lower == 0, 1.0, 0.5 * np.abs(lower)))
+        return np.r_[-scale, lower - room], np.r_[scale, upper + room]
 
 
 def _check_widths(design: DesignSpace) -> None:
     """Raise an `InputError` if single precision, which policies work in, cannot tell the designs of the box apart."""
     size = np.maximum(np.abs(design.lower), np.abs(design.upper))
-    narrow = np.flatnonzero(design.upper - design.lower < NARROWEST * size)
+    narrow = np.flatnonzero(design.free & (design.upper - design.lower < NARROWEST * size))
     if len(narrow):
         i = narrow[0]
         raise InputError(

@@ -227,6 +227,8 @@ class CoDesignResult(Immutable):
     convergence : Convergence or None
     valleys : tuple of Valley
         The local optima of the landscape, best first; empty where it was not looked at.
+    active_constraints : dict
+        Values of the constraints on the design that hold it, by name.
     """
 
     design: Array
@@ -240,12 +242,15 @@ class CoDesignResult(Immutable):
     gains: dict[str, float] = field(default_factory=dict)
     convergence: Convergence | None = None
     valleys: tuple[Valley, ...] = ()
+    active_constraints: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", frozen(np.array(self.design, dtype=float)))
 
     def __repr__(self) -> str:
         bounds = ", ".join(f"{name} at its {side} bound" for name, side in self.active_bounds.items()) or "none"
+        if self.active_constraints:
+            bounds += f", active constraints: {', '.join(self.active_constraints)}"
         found = f"design {_short(self.design)}, {self.status.value}, active bounds: {bounds}"
         return f"CoDesignResult({found}, {self.method}, {self.history!r})"
 
@@ -260,6 +265,7 @@ class CoDesignResult(Immutable):
             "status": self.status.name, "meaning": self.status.value, "advice": self.status.advice,
             "method": self.method, "gains": dict(self.gains), "valleys": [asdict(valley) for valley in self.valleys],
             "convergence": None if self.convergence is None else asdict(self.convergence),
+            "active_constraints": dict(self.active_constraints),
         }  # fmt: skip
 
     def describe(self) -> list[str]:
@@ -269,6 +275,9 @@ class CoDesignResult(Immutable):
         if self.gains:
             parts = (f"{gain:+.4g} from the {what}" for what, gain in self.gains.items())
             lines.append(f"gain on the model: {', '.join(parts)}")
+        if self.active_constraints:
+            values = (f"{name} = {value:.3g}" for name, value in self.active_constraints.items())
+            lines.append(f"active constraints, each to be ≤ 0: {', '.join(values)}")
         if self.convergence is not None and self.convergence.by_differences:
             lines.append("the design followed finite differences: the gradient through the model was wrong")
         if len(self.valleys) > 1:

@@ -9,7 +9,7 @@ class CoDesignStatus(Enum):
     """How a co-design ended."""
 
     CONVERGED = "converged"
-    AT_BOUND = "converged, with the design at a bound"
+    AT_BOUND = "converged, with the design at a bound"  # of the box, or an active constraint
     EDGE_OF_TRUST = "converged, with the design at the edge of the trust region"
     STILL_IMPROVING = "still improving"
     BUDGET_SPENT = "budget spent before the design settled"
@@ -30,7 +30,10 @@ class CoDesignStatus(Enum):
 
 _ADVICE = {
     CoDesignStatus.CONVERGED: "Nothing to do: the last block gained nothing that matters, and the design is level.",
-    CoDesignStatus.AT_BOUND: "Widen the named bounds if the plant allows it: the return still rises across them.",
+    CoDesignStatus.AT_BOUND: (
+        "Widen the named bounds, or relax the named constraints, if the plant allows it: the return still rises across "
+        "them."
+    ),
     CoDesignStatus.EDGE_OF_TRUST: (
         "Deploy it, and let another generation follow: a redesign that keeps its promise may go further next time."
     ),

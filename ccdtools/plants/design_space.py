@@ -1,9 +1,10 @@
-"""The box of designs a plant may take."""
+"""The box of designs a plant may take, and what constraints and whole numbers leave of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -12,37 +13,52 @@ from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_names, as_number, as_vector
+from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_names, as_number, as_vector, shown
 from ccdtools.exceptions import InputError
+from ccdtools.plants.allowed_designs import MAX_CORNERS, AllowedDesigns
+from ccdtools.plants.design_constraints import compiled, constraint_names
 
 SAME_DESIGN = 1e-3  # of the range of every parameter: two designs that differ by less are one
-MAX_CORNERS = 10  # parameters of which every combination of bounds is looked at
+FEASIBLE = 1e-6  # violation, in parts of a constraint's own size over the box, up to which a design keeps it
 INTERIOR = 64  # seeded points inside the box, beside its centre and corners
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignSpace(Immutable):
-    """Named design parameters with bounds and units.
+    """Named design parameters with bounds and units, and what else a design has to keep.
+
+    Models, guards and training data cover the whole box; a co-design takes feasible designs alone.
 
     Parameters
     ----------
     names : sequence of str
         One name per parameter.
     lower, upper : (np,) array_like
-        Bounds, in `units`; ``lower < upper``.
+        Bounds, in `units`. A parameter whose bounds are equal is fixed: the plant has it, and it is not designed.
     units : sequence of str, optional
         SI units, for tables and figures; dimensionless by default.
+    constraints : callable, optional
+        A function of a CasADi vector p (np,) that gives smooth expressions (ng,), or a list of them, each to be ≤ 0:
+        ``lambda p: p[0] + p[1] - 3.0``. It is called once; a CasADi function of p is kept.
+    constraint_names : sequence of str, optional
+        One name per constraint.
+    integer : sequence of str or int, optional
+        Names or places of the parameters that are whole numbers. Models take values between them too.
 
     Raises
     ------
     InputError
-        If the lengths differ, a name repeats, or a bound is not finite or not ordered.
+        If the lengths differ, a name repeats, a bound is not finite or not ordered, the constraints are no finite
+        expressions in p, or no design keeps the constraints and whole numbers.
     """
 
     names: Sequence[str]
     lower: ArrayField
     upper: ArrayField
     units: Sequence[str] = field(default=())
+    constraints: Any = None
+    constraint_names: Sequence[str] = ()
+    integer: Sequence[Any] = ()
 
     def __post_init__(self) -> None:
         lower = as_vector("lower", self.lower)
@@ -56,19 +72,50 @@ class DesignSpace(Immutable):
         if repeated:
             raise InputError("names", f"{', '.join(repeated)} more than once", "a different name for every parameter")
         for name, low, high in zip(names, lower, upper):
-            if not (low < high and np.isfinite(float(high) - float(low))):
-                raise InputError("lower, upper", f"[{low:g}, {high:g}] for {name}", "finite lower < upper")
+            if not (low <= high and np.isfinite(float(high) - float(low))):
+                expected = "finite lower < upper, or lower = upper for a fixed parameter"
+                raise InputError("lower, upper", f"[{low:g}, {high:g}] for {name}", expected)
         default = ("-",) * len(names)
         units = (
             default if isinstance(self.units, tuple) and not self.units else as_names("units", self.units, len(names))
         )
-        for key, value in {"names": names, "lower": lower, "upper": upper, "units": units}.items():
+        integer = _whole_numbers(self.integer, names, lower, upper)
+        for key, value in {"names": names, "lower": lower, "upper": upper, "units": units, "integer": integer}.items():
             object.__setattr__(self, key, value)
+        self._compile()
+
+    def _compile(self) -> None:
+        """Make a function of the constraints; raise an `InputError` unless it is finite and leaves a design."""
+        if self.constraints is None:
+            if len(self.constraint_names):
+                raise InputError("constraint_names", shown(self.constraint_names), "none, as there are no constraints")
+            object.__setattr__(self, "constraint_names", ())
+            return
+        function = compiled(self.constraints, self.names)
+        object.__setattr__(self, "constraints", function)
+        labels = constraint_names(self.constraint_names, function.numel_out(0))
+        object.__setattr__(self, "constraint_names", labels)
+        place = self.allowed.where_not_finite()
+        if place is not None:
+            raise InputError(
+                "constraints", f"a value that is not finite at {self.describe(self.from_unit(place))}",
+                "finite values over the whole box", "Move the bounds, or look for a division by zero.",
+            )  # fmt: skip
+        if not len(self.allowed.known):
+            p = self.from_unit(self.allowed.least_violated())
+            raise InputError(
+                "constraints", f"no design that keeps them: at best {self._broken(p)} at {self.describe(p)}",
+                "at least one design in the box at which every constraint is ≤ 0", "Widen the bounds, or ask for less.",
+            )  # fmt: skip
 
     def __repr__(self) -> str:
-        boxes = (f"{name} in [{low:g}, {high:g}]{_unit(unit)}"
-                 for name, low, high, unit in zip(self.names, self.lower, self.upper, self.units))  # fmt: skip
-        return f"DesignSpace({', '.join(boxes)})"
+        boxes = [
+            f"{name} = {low:g}{_unit(unit)} fixed" if low == high else
+            f"{name}{' whole' if name in self.integer else ''} in [{low:g}, {high:g}]{_unit(unit)}"
+            for name, low, high, unit in zip(self.names, self.lower, self.upper, self.units)
+        ]  # fmt: skip
+        kept = [f"{name} <= 0" for name in self.constraint_names]
+        return f"DesignSpace({', '.join(boxes + kept)})"
 
     @property
     def dim(self) -> int:
@@ -78,8 +125,7 @@ class DesignSpace(Immutable):
     def check(self, p: ArrayLike, *, argument: str = "design") -> Array:
         """`p` as an array (np,) or (n, np), if every row lies within the bounds; else an `InputError`."""
         array = self._sized(p, argument)
-        slack = 1e-9 * (self.upper - self.lower)
-        outside = ~((array >= self.lower - slack) & (array <= self.upper + slack))
+        outside = self._outside(array)
         if outside.any():
             i = int(np.argwhere(outside)[0][-1])
             value = array[outside][0]
@@ -94,9 +140,105 @@ class DesignSpace(Immutable):
             raise InputError(argument, f"shape {array.shape}", f"one design ({self.dim},)")
         return frozen(array)
 
+    def check_feasible(self, p: ArrayLike, *, argument: str = "design") -> Array:
+        """`p` as one design (np,) that may be built, whole numbers exactly so; else an `InputError` that says why not.
+
+        Models are not so strict: for them, `check` asks for the bounds alone.
+        """
+        design = self.check_one(p, argument=argument)
+        numbers = self.from_unit(self.allowed.rounded(self.to_unit(design)))
+        for i in np.flatnonzero(np.abs(numbers - design) > FEASIBLE):
+            raise InputError(argument, f"{self.names[i]} = {design[i]:g}", "a whole number")
+        if self.violation(design) > FEASIBLE:
+            raise InputError(
+                argument, f"{self.describe(design)} with {self._broken(design)}", "constraints ≤ 0",
+                "DesignSpace.project gives the nearest design that keeps them.",
+            )  # fmt: skip
+        exact = design.copy()
+        exact[self.whole] = np.round(design[self.whole])
+        return frozen(exact)
+
+    def constraint_values(self, p: ArrayLike) -> Array:
+        """Values of the constraints (ng,) at a design, or (n, ng) at designs (n, np), each to be ≤ 0."""
+        p = self._sized(p, "p")
+        if self.constraints is None:
+            return np.zeros((*p.shape[:-1], 0))
+        return np.asarray(self.constraints(p.T), dtype=float).T.reshape(*p.shape[:-1], -1)
+
+    def violation(self, p: ArrayLike) -> Any:
+        """The largest constraint above zero, in parts of how much it varies over the box; (), or (n,) at designs."""
+        return self.allowed.violation(self.to_unit(p))
+
+    def feasible(self, p: ArrayLike) -> Any:
+        """Whether designs lie within bounds and constraints, and are whole numbers where they should be; () or (n,)."""
+        v = self.to_unit(p)
+        within = ~self._outside(self._sized(p, "p")).any(axis=-1)
+        whole = (np.abs(self.allowed.rounded(v) - v) * self.allowed.width <= FEASIBLE).all(axis=-1)
+        return within & whole & (self.allowed.violation(v) <= FEASIBLE)
+
+    def project(self, p: ArrayLike) -> Array:
+        """The nearest feasible design (np,), distances measured in the unit box.
+
+        SLSQP from the design and from feasible designs about it; that the result is the nearest one of its surroundings
+        is confirmed by its multipliers, and none of the known feasible designs is nearer.
+
+        Raises
+        ------
+        InputError
+            If `p` has the wrong size, or no feasible design is found.
+        """
+        v = np.clip(self.to_unit(as_vector("p", p, self.dim)), 0.0, 1.0)
+        found = self.allowed.near(v)
+        if found is None:
+            raise InputError("p", self.describe(self.from_unit(v)), "a design near which a feasible one is found")
+        return self.settled(found)
+
+    def settled(self, v: ArrayLike) -> Array:
+        """The design (np,) of a feasible point of the unit box, its whole numbers exactly so."""
+        p = self.from_unit(v)
+        p[self.whole] = np.round(p[self.whole])
+        return p
+
+    def active_constraints(self, p: ArrayLike, *, tol: float = 1e-3) -> dict[str, float]:
+        """Names and values of the constraints whose edge is within `tol` of the unit box."""
+        tol = as_number("tol", tol, expected="a number from 0 to 0.5", low=0.0, high=0.5)
+        limits = self.allowed.limits
+        if limits is None:
+            return {}
+        near = limits.distances(self.to_unit(as_vector("p", p, self.dim))) <= tol
+        values = self.constraint_values(p)
+        return {name: float(g) for name, g, close in zip(self.constraint_names, values, near) if close}
+
+    @cached_property
+    def allowed(self) -> AllowedDesigns:
+        """What constraints and whole numbers leave of the unit box."""
+        return AllowedDesigns(self.lower, self.upper, self.whole, self.constraints)
+
+    @property
+    def whole(self) -> Any:
+        """Which entries are whole numbers, (np,) of bool."""
+        return np.isin(self.names, self.integer)
+
+    @property
+    def free(self) -> Any:
+        """Which entries are not fixed, (np,) of bool."""
+        return self.upper > self.lower
+
+    def _outside(self, p: Array) -> Any:
+        """Which values lie outside their bounds by more than rounding, same shape."""
+        width = self.upper - self.lower
+        slack = 1e-9 * np.where(width > 0, width, np.abs(self.upper))
+        return ~((p >= self.lower - slack) & (p <= self.upper + slack))
+
+    def _broken(self, p: Array) -> str:
+        """The constraints that a design does not keep, with their values."""
+        values = zip(self.constraint_names, self.constraint_values(p), strict=True)
+        return ", ".join(f"{name} = {g:.4g}" for name, g in values if g > 0)
+
     def to_unit(self, p: ArrayLike) -> Array:
-        """Designs mapped to the unit box, same shape."""
-        return (self._sized(p, "p") - self.lower) / (self.upper - self.lower)
+        """Designs mapped to the unit box, same shape; a fixed entry to 0."""
+        width = self.upper - self.lower
+        return (self._sized(p, "p") - self.lower) / np.where(width > 0, width, 1.0)
 
     def from_unit(self, v: ArrayLike) -> Array:
         """Points of the unit box mapped to designs, same shape; clipped to the bounds."""
@@ -110,10 +252,11 @@ class DesignSpace(Immutable):
 
     def spread(self) -> Array:
         """The corners of the box, its centre and 64 seeded points inside, (n, np); corners of 10 parameters at most."""
-        if self.dim == 0:
-            return np.zeros((1, 0))
-        corners = np.array(list(product((0.0, 1.0), repeat=min(self.dim, MAX_CORNERS))))
-        corners = np.pad(corners, ((0, 0), (0, self.dim - corners.shape[1])), constant_values=0.5)
+        if not self.free.any():
+            return self.centre[None]
+        moving = np.flatnonzero(self.free)[:MAX_CORNERS]
+        corners = np.full((2 ** len(moving), self.dim), 0.5)
+        corners[:, moving] = list(product((0.0, 1.0), repeat=len(moving)))
         interior = self.latin_hypercube(INTERIOR, np.random.default_rng(0))
         return np.vstack([self.from_unit(corners), self.centre[None], interior])
 
@@ -127,8 +270,9 @@ class DesignSpace(Immutable):
         """Names of the parameters within `tol` (of the range) of a bound, with "lower" or "upper"."""
         tol = as_number("tol", tol, expected="a number from 0 to 0.5", low=0.0, high=0.5)
         v = self.to_unit(as_vector("p", p, self.dim))
-        active = {name: "lower" for name, vi in zip(self.names, v) if vi <= tol}
-        return active | {name: "upper" for name, vi in zip(self.names, v) if vi >= 1 - tol}
+        moving = [(name, vi) for name, vi, free in zip(self.names, v, self.free) if free]
+        active = {name: "lower" for name, vi in moving if vi <= tol}
+        return active | {name: "upper" for name, vi in moving if vi >= 1 - tol}
 
     def as_dict(self, p: ArrayLike) -> dict[str, float]:
         """{name: value} of one design."""
@@ -153,6 +297,22 @@ class DesignSpace(Immutable):
         if array.ndim > 2 or array.shape[-1] != self.dim:
             raise InputError(argument, f"shape {array.shape}", f"{self.dim} values ({', '.join(self.names)})")
         return array
+
+
+def _whole_numbers(given: Any, names: tuple[str, ...], lower: Array, upper: Array) -> tuple[str, ...]:
+    """Names of the parameters that are whole numbers; raise an `InputError` unless their bounds hold one."""
+    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray):
+        raise InputError("integer", shown(given), 'a list of names or places, such as ["teeth"]')
+    places = set()
+    for one in given:
+        place = names.index(one) if isinstance(one, str) and one in names else one
+        if isinstance(place, bool) or not isinstance(place, int | np.integer) or not 0 <= place < len(names):
+            raise InputError("integer", shown(one), f"names among {', '.join(names)}, or places from 0")
+        if np.ceil(lower[place] - 1e-9) > np.floor(upper[place] + 1e-9):
+            bounds = f"{names[place]} in [{lower[place]:g}, {upper[place]:g}]"
+            raise InputError("integer", bounds, "bounds with a whole number between them")
+        places.add(int(place))
+    return tuple(names[i] for i in sorted(places))
 
 
 def sample_designs(design: DesignSpace | None) -> Array:

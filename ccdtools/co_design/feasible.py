@@ -1,0 +1,102 @@
+"""The designs that one start of a co-design may take: constraints kept, fixed entries and whole numbers as they are.
+
+A climb is led around the constraints by the nearest feasible point: the return of a point is that of the nearest
+feasible one, less a little for the distance. Every design that is evaluated is then feasible, along an active
+constraint the climb is one of fewer parameters, and away from all of them nothing is changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ccdtools.arrays import Array
+from ccdtools.plants.design_constraints import EXACT
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.nearest_design import nearest
+
+PULL = 10.0  # of the return: ½ · 10 · distance² is what a point loses at least for its distance from the feasible ones
+STARTS = 4  # known feasible points that a search begins at where it finds nothing from the point itself
+
+
+@dataclass(eq=False)
+class DesignRegion:
+    """The points of the unit box that one start may take.
+
+    Attributes
+    ----------
+    space : DesignSpace
+    last : (np,) array
+        The feasible point that was found last; at first the start.
+    """
+
+    space: DesignSpace
+    last: Array
+    free: Any = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.free = self.space.allowed.free
+
+    @property
+    def bounded(self) -> bool:
+        """Whether constraints hold the design."""
+        return self.space.constraints is not None
+
+    @property
+    def whole_box(self) -> bool:
+        """Whether nothing but its bounds holds the design."""
+        return bool(self.free.all()) and not self.bounded
+
+    def masked(self, gradient: Tensor) -> Tensor:
+        """A gradient (np,) along the entries that move alone."""
+        return gradient if self.free.all() else gradient * torch.as_tensor(self.free, dtype=gradient.dtype)
+
+    def nearest(self, v: Array) -> Array | None:
+        """The nearest feasible point to `v` (np,), its held entries those of the start; None if none is found."""
+        limits = self.space.allowed.limits
+        point = np.where(self.free, np.clip(v, 0.0, 1.0), self.last)
+        if limits is None or limits.violation(point) <= EXACT:
+            return point
+        known = self.space.allowed.known
+        starts = [self.last, *known[np.argsort(np.linalg.norm(known - point, axis=1))[:STARTS]]]
+        found = nearest(limits, point, free=self.free, starts=starts)
+        self.last = self.last if found is None else found
+        return found
+
+    def step(self, v: Array, gradient: Array, length: float) -> Array:
+        """The part of an ascent direction (np,) that a step of that length can follow from `v`, (np,)."""
+        size = float(np.linalg.norm(gradient))
+        if not self.bounded or size == 0:
+            return gradient
+        reached = self.nearest(v + length / size * gradient)
+        return gradient if reached is None else (reached - v) * size / length
+
+    def extended(self, v: Array, u: Array, gradient: Array) -> tuple[float, Array]:
+        """What is added at `v` to a cost at its nearest feasible point `u`, and the gradient (np,) of both at `v`.
+
+        Added are ½ `PULL` of the squared distance, and the rise of the cost from `u` to `v` where it rises: where
+        better designs lie within the constraints, a climb goes back from their edge as steeply as it falls there.
+        """
+        gradient = np.where(self.free, gradient, 0.0)
+        away = np.where(self.free, v - u, 0.0)
+        limits = self.space.allowed.limits
+        if limits is None or not away.any():
+            return 0.0, gradient
+        along = limits.pulled_back(np.where(self.free, v, u), u, gradient, self.free)
+        distance = float(away @ away)
+        rise = max(0.0, float(gradient @ away))
+        return rise + 0.5 * PULL * distance, along + (rise / distance + PULL) * away
+
+    def settled(self, v: Tensor) -> Array:
+        """The design (np,) of a point in single precision: feasible to the last digit, its whole numbers exact."""
+        point = v.detach().double().numpy()
+        if not self.bounded and not self.space.integer:
+            return self.space.from_unit(point)
+        exact = self.space.allowed.rounded(point)
+        limits = self.space.allowed.limits
+        found = exact if limits is None else nearest(limits, exact, free=self.free, starts=[self.last])
+        return self.space.settled(exact if found is None else found)

@@ -1,0 +1,184 @@
+"""The part of a box of designs that constraints and whole numbers leave, in the coordinates of the unit box."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice, product
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.stats import qmc
+
+from ccdtools.arrays import Array
+from ccdtools.plants.design_constraints import EXACT, UnitConstraints
+from ccdtools.plants.nearest_design import allowed_point, nearest, nearest_whole
+
+SAMPLES = 256  # points of a Sobol sequence, beside centre and corners
+MAX_CORNERS = 10  # parameters of which every combination of bounds is looked at
+ANCHORS = 64  # allowed points that are kept to search from
+STARTS = 8  # of a search for one allowed point, and of the one for the nearest
+COMBINATIONS = 100  # of whole numbers that are tried, the nearest first
+
+
+@dataclass(frozen=True, eq=False)
+class AllowedDesigns:
+    """The allowed points of a unit box.
+
+    Attributes
+    ----------
+    lower, upper : (np,) arrays
+        Of the box, in the units of the design.
+    whole : (np,) array of bool
+        Entries that are whole numbers.
+    function : casadi.Function or None
+        p → g(p) ≤ 0.
+    """
+
+    lower: Array
+    upper: Array
+    whole: Any
+    function: ca.Function | None
+
+    @cached_property
+    def width(self) -> Array:
+        """What an entry is divided by: its range, and one where it is fixed, (np,)."""
+        width = self.upper - self.lower
+        return np.where(width > 0, width, 1.0)
+
+    @cached_property
+    def free(self) -> Any:
+        """Entries that are neither fixed nor whole numbers, (np,) of bool."""
+        return self._moving & ~self.whole
+
+    @property
+    def _moving(self) -> Any:
+        """Entries that are not fixed, (np,) of bool."""
+        return self.upper > self.lower
+
+    @cached_property
+    def limits(self) -> UnitConstraints | None:
+        """The scaled constraints."""
+        if self.function is None:
+            return None
+        return UnitConstraints(self.function, self.lower, self.upper, self._samples)
+
+    @cached_property
+    def _samples(self) -> Array:
+        """Points of the whole unit box, (n, np): centre, a Sobol sequence and the corners of its first ten entries."""
+        moving = np.flatnonzero(self._moving)
+        points = np.zeros((1 + SAMPLES, len(self.lower)))
+        if not len(moving):
+            return points[:1]
+        points[:, moving] = 0.5
+        points[1:, moving] = qmc.Sobol(len(moving), rng=np.random.default_rng(0)).random(SAMPLES)
+        corners = np.tile(points[0], (2 ** min(len(moving), MAX_CORNERS), 1))
+        corners[:, moving[:MAX_CORNERS]] = list(product((0.0, 1.0), repeat=min(len(moving), MAX_CORNERS)))
+        return np.vstack([points, corners])
+
+    def where_not_finite(self) -> Array | None:
+        """A point of the unit box at which a constraint is not finite; None if there is none among the samples."""
+        if self.limits is None or not self.limits.not_finite.any():
+            return None
+        return np.asarray(self._samples[int(np.argmax(self.limits.not_finite))])
+
+    def rounded(self, v: Array) -> Array:
+        """Points (..., np) with the nearest whole numbers in their entries."""
+        if not self.whole.any():
+            return v
+        numbers = np.clip(np.round(self.lower + v * self.width), np.ceil(self.lower - 1e-9),
+                          np.floor(self.upper + 1e-9))  # fmt: skip
+        return np.where(self.whole, (numbers - self.lower) / self.width, v)
+
+    def violation(self, v: Array) -> Any:
+        """The largest violation at points (..., np), in the constraints' own sizes."""
+        return np.zeros(v.shape[:-1]) if self.limits is None else self.limits.violation(v)
+
+    @cached_property
+    def known(self) -> Array:
+        """Allowed points (n, np) to search from; none if none is found anywhere."""
+        samples = self.rounded(self._samples)
+        violations = self.violation(samples)
+        inside = samples[violations <= EXACT]
+        if len(inside):
+            return inside[:ANCHORS]
+        found = self._searched(samples[np.argsort(violations, kind="stable")])[0]
+        return samples[:0] if found is None else found[None]
+
+    def least_violated(self) -> Array:
+        """Where no point is allowed, the one that breaks the constraints least among those found, (np,)."""
+        samples = self.rounded(self._samples)
+        return self._searched(samples[np.argsort(self.violation(samples), kind="stable")])[1]
+
+    def _searched(self, samples: Array) -> tuple[Array | None, Array]:
+        """An allowed point if one is found from samples (n, np), the best first; and the least violated one."""
+        assert self.limits is not None
+        least = samples[0]
+        tried = [*samples[:STARTS], *samples[STARTS :: max(1, len(samples) // STARTS)]]
+        if self.whole.any():
+            between = allowed_point(self.limits, samples[0], self._moving)[0]
+            for centre in (between, samples[0]):
+                tried += islice(self._by_whole_numbers(centre), COMBINATIONS)
+        for start in tried:
+            u, violation = allowed_point(self.limits, start, self.free)
+            if violation <= EXACT:
+                return u, u
+            least = u if violation < self.violation(least) else least
+        return None, least
+
+    def _by_whole_numbers(self, v: Array) -> Any:
+        """`v` with other and other whole numbers in their entries, the nearest first."""
+        numbers = (self.lower + v * self.width)[self.whole]
+        ranges = (part[self.whole] for part in (self.lower, self.upper, self.width))
+        for chosen in nearest_whole(numbers, *ranges):
+            point = v.copy()
+            point[self.whole] = (chosen - self.lower[self.whole]) / self.width[self.whole]
+            yield point
+
+    def near(self, v: Array) -> Array | None:
+        """The nearest point to `v` (np,) that is allowed; None if none is found.
+
+        Whole numbers are tried from the nearest on; where none of these is allowed, from the ones about the nearest
+        point that keeps the constraints with numbers in between, and then those of the known points.
+        """
+        if not self.whole.any():
+            return self._near(v)
+        best = self._of_whole_numbers(v, v)
+        if best is None and self.limits is not None:
+            between = nearest(self.limits, v, free=self._moving, starts=self._closest_known(v), thorough=True)
+            best = None if between is None else self._of_whole_numbers(between, v)
+        known = self._closest_known(v)
+        return known[0] if best is None and known else best
+
+    def _of_whole_numbers(self, centre: Array, v: Array) -> Array | None:
+        """The nearest allowed point to `v` among those with whole numbers about a point."""
+        best: Array | None = None
+        for held in islice(self._by_whole_numbers(centre), COMBINATIONS):
+            if best is not None and _apart(held, centre) >= _apart(best, centre):
+                break
+            found = self._near(np.where(self.whole, held, v))
+            if found is not None and (best is None or _apart(found, v) < _apart(best, v)):
+                best = found
+        return best
+
+    def _closest_known(self, v: Array) -> list[Array]:
+        """Some known points, the nearest first."""
+        return sorted(self.known, key=lambda one: _apart(one, v))[:STARTS]
+
+    def _near(self, v: Array) -> Array | None:
+        """The same with the whole numbers as they are: the nearest of several searches, and of the known points."""
+        if self.limits is None or self.limits.violation(v) <= EXACT:
+            return v
+        held = ~self.free
+        same = self.known[(np.abs(self.known[:, held] - v[held]) <= 1e-9).all(axis=1)] if len(self.known) else []
+        starts = sorted(same, key=lambda one: _apart(one, v))[:STARTS]
+        found = nearest(self.limits, v, free=self.free, starts=starts, thorough=True)
+        if len(starts) and (found is None or _apart(starts[0], v) < _apart(found, v)):
+            return np.asarray(starts[0])
+        return found
+
+
+def _apart(u: Array, v: Array) -> float:
+    """Distance of two points of the unit box."""
+    return float(np.linalg.norm(u - v))
