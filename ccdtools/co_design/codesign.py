@@ -70,7 +70,7 @@ def codesign(
     as_generator("rng", rng)
     config = as_instance("config", CoDesignConfig() if config is None else config, CoDesignConfig, "a CoDesignConfig")
     judge = as_instance("judge", problem if judge is None else judge, CoDesignProblem, "a CoDesignProblem or None")
-    design = _first_design(problem, design)
+    design = problem.design.check_feasible(design)
     if not isinstance(problem.risk, Mean) and ("ppo" in method or config.design_gradient != "pathwise"):
         got = f'"{method}" with the design gradient "{config.design_gradient}"'
         raise InputError("method", got, '"pathwise" for both: PPO follows the mean return, and the problem has a risk')
@@ -127,13 +127,6 @@ def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], design: Array) 
             valley = replace(valley, found=end, found_return=first.best.score)
         named.append(valley)
     return tuple(named)
-
-
-def _first_design(problem: CoDesignProblem, design: ArrayLike) -> Array:
-    """A given design that may be built, to the last digit; else an `InputError`."""
-    space = problem.design
-    given = space.check_feasible(design)
-    return given if space.constraints is None or (space.constraint_values(given) <= 0).all() else space.project(given)
 
 
 def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:

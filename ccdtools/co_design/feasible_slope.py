@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
@@ -35,7 +36,7 @@ class FeasibleSlope(Slope):
     edges_error: Array
 
     @classmethod
-    def within(cls, by_run: Array, point: Array, limits: UnitConstraints, free: Array) -> FeasibleSlope:
+    def within(cls, by_run: Array, point: Array, limits: UnitConstraints, free: Any) -> FeasibleSlope:
         """From the slopes of every run (n, np) at a point of the unit box."""
         b = by_run.mean(axis=0)
         far = best_step(limits, point, b, free)
@@ -75,7 +76,7 @@ def measured_slope(differences: Differences, v: Tensor, region: DesignRegion) ->
     return FeasibleSlope.within(by_run.numpy(), point if found is None else found, limits, region.free)
 
 
-def best_step(limits: UnitConstraints, point: Array, slope: Array, free: Array) -> Array:
+def best_step(limits: UnitConstraints, point: Array, slope: Array, free: Any) -> Array:
     """The step (np,) of at most the distance ahead in every entry, within straight constraints, that rises most."""
     low = np.where(free, np.maximum(-AHEAD, -point), 0.0)
     high = np.where(free, np.minimum(AHEAD, 1.0 - point), 0.0)

@@ -2,6 +2,9 @@
 
 LQR at each design is the optimum where no input saturates, and close to it where inputs saturate little, so that its
 map J(p) has the valleys of the co-design itself. (A valley is one of the cost, a hill of the return.)
+
+Designs that break a constraint are moved to the nearest feasible ones, and every combination of whole numbers has hills
+of its own.
 """
 
 from __future__ import annotations
@@ -22,6 +25,8 @@ from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.lqr_regions import lqr_gains
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
+from ccdtools.plants.design_space import FEASIBLE, DesignSpace
+from ccdtools.plants.nearest_design import nearest
 
 RUNS = 96  # scenarios that every design is simulated on, the same for all
 ROWS = 6000  # runs simulated side by side
@@ -32,6 +37,8 @@ FIRST_STEP = 0.1  # of the climb, in the unit box,
 LAST_STEP = 0.01  # and where it ends
 ROUNDS = 60  # of the climb at most
 PATH = 9  # designs between two hilltops that are looked at
+COMBINATIONS = 8  # of whole numbers that are climbed with; up to so many, all of them
+HILLS = 2  # that are climbed with one combination
 RIDGE = 2e-3  # of the return: two hills that are parted by less are one
 
 
@@ -54,12 +61,12 @@ class Landscape:
         self._x0, self._w = scenario_tensors(problem, fewer_runs(as_count("runs", runs), problem.steps), rng)
 
     def returns(self, points: ArrayLike) -> Array:
-        """Mean returns (n,) at points (n, np) of the unit box; −inf where LQR has no solution."""
+        """Mean returns (n,) at points (n, np) of the unit box; −inf without an LQR, or where a constraint is broken."""
         V: Array = np.clip(np.atleast_2d(np.asarray(points, dtype=float)), 0.0, 1.0)
         designs = self.problem.design.from_unit(V)
         A, B, _ = self.problem.model.matrices(designs)
         gains = lqr_gains(self.problem, A, B, designs)
-        known = np.isfinite(gains).all(axis=(1, 2))
+        known = np.isfinite(gains).all(axis=(1, 2)) & (self.problem.design.allowed.violation(V) <= FEASIBLE)
         out = np.full(len(V), -np.inf)
         K = gains[known]
         values = [
@@ -104,11 +111,16 @@ def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gener
     Kolda, Lewis and Torczon, SIAM Review 45(3), 2003 (compass search).
     """
     landscape = Landscape(problem, rng)
-    few = problem.design.dim in POINTS
-    given = problem.design.to_unit(problem.design.check_one(design))
-    V = np.vstack([given, _spread(problem.design.dim, rng)])
+    space = problem.design
+    given = space.to_unit(space.check_one(design))
+    V = np.vstack([given, _samples(space, rng)])
     J = landscape.returns(V)
-    chosen = _hilltops(V, J)[:MOST] if few else [int(np.argmax(J))]
+    if space.integer:
+        V, J, chosen = _hilltops_by_combination(landscape, V, J)
+    elif space.free.sum() in POINTS:
+        chosen = _hilltops(V, J)[:MOST]
+    else:
+        chosen = [int(np.argmax(J))]
     tops, heights = _climbed(landscape, V[[0, *chosen]], J[[0, *chosen]])
     distinct: list[int] = []
     of_given = -1
@@ -120,13 +132,66 @@ def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gener
             distinct.append(hill)
         if i == 0:  # the given design is the first that was climbed from
             of_given = hill
-    return tuple(Valley(problem.design.from_unit(tops[i]), float(heights[i]), given=i == of_given) for i in distinct)
+    return tuple(Valley(space.settled(tops[i]), float(heights[i]), given=i == of_given) for i in distinct)
+
+
+def combinations(space: DesignSpace) -> float:
+    """How many combinations of whole numbers a design may have; 1 where there are no whole numbers."""
+    lower, upper = (bound[space.whole] for bound in (space.lower, space.upper))
+    return float(np.prod(np.floor(upper + 1e-9) - np.ceil(lower - 1e-9) + 1.0))
+
+
+def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
+    """Feasible points all over the unit box (n, np), with every combination of whole numbers if these are few."""
+    moving = np.flatnonzero(space.free)
+    points = np.zeros((0, space.dim))
+    if combinations(space) > COMBINATIONS or not space.integer:
+        spread = _spread(len(moving), rng)
+        points = np.zeros((len(spread), space.dim))
+        points[:, moving] = spread
+        return _feasible(space, space.allowed.rounded(points))
+    within = np.flatnonzero(space.allowed.free)
+    spread = _spread(len(within), rng) if len(within) else np.zeros((1, 0))
+    for numbers in space.allowed.combinations():
+        part = np.tile(numbers, (len(spread), 1))
+        part[:, within] = spread
+        points = np.vstack([points, part])
+    return _feasible(space, points)
 
 
 def _spread(size: int, rng: np.random.Generator) -> Array:
     """Points of the unit box (n, size): a Sobol sequence, and the corners where they are few."""
     points = qmc.Sobol(size, rng=rng).random(POINTS.get(size, MANY))
     return np.vstack([points, list(product((0.0, 1.0), repeat=size))]) if size in POINTS else points
+
+
+def _feasible(space: DesignSpace, V: Array) -> Array:
+    """Points (n, np) with those that break a constraint moved to the nearest that keep it, their whole numbers kept."""
+    limits = space.allowed.limits
+    if limits is None:
+        return V
+    V = V.copy()
+    for i in np.flatnonzero(limits.violation(V) > 0):
+        found = nearest(limits, V[i], free=space.allowed.free)
+        V[i] = V[i] if found is None else found
+    return V
+
+
+def _hilltops_by_combination(landscape: Landscape, V: Array, J: Array) -> tuple[Array, Array, list[int]]:
+    """Points (n, np) with their returns, and which of them are the highest hilltops of the best combinations.
+
+    Where there are more than a few combinations, they are found by a climb along the whole numbers too.
+    """
+    space = landscape.problem.design
+    if combinations(space) > COMBINATIONS:
+        first = np.argsort(-J, kind="stable")[:MOST]
+        visited = [_climbed(landscape, V[[i]], J[[i]], across=True, seen=True) for i in first]
+        V = np.vstack([V, *(points for points, _ in visited)])
+        J = np.concatenate([J, *(returns for _, returns in visited)])
+    keys, which = np.unique(np.round(V[:, space.whole], 9), axis=0, return_inverse=True)
+    groups = [np.flatnonzero(which.ravel() == k) for k in range(len(keys))]
+    best = sorted((group for group in groups if np.isfinite(J[group]).any()), key=lambda group: -J[group].max())
+    return V, J, [int(group[i]) for group in best[:COMBINATIONS] for i in _hilltops(V[group], J[group])[:HILLS]]
 
 
 def _hilltops(V: Array, J: Array) -> list[int]:
@@ -137,19 +202,33 @@ def _hilltops(V: Array, J: Array) -> list[int]:
     return sorted(tops, key=lambda i: -J[i])
 
 
-def _climbed(landscape: Landscape, V: Array, J: Array) -> tuple[Array, Array]:
-    """Where compass search from each point (n, np) ends, and the returns there."""
+def _climbed(
+    landscape: Landscape, V: Array, J: Array, *, across: bool = False, seen: bool = False
+) -> tuple[Array, Array]:
+    """Where compass search from each point (n, np) ends, and the returns there.
+
+    With `across`, along whole numbers too, one at least at a time; with `seen`, all points that were looked at.
+    """
+    space = landscape.problem.design
     V = V.copy()
     J = J.copy()
     size = V.shape[1]
-    compass = np.vstack([np.eye(size), -np.eye(size)])
-    step = np.full(len(V), FIRST_STEP)
+    moving = space.free if across else space.allowed.free
+    least = np.where(space.whole, 1.0 / space.allowed.width, 0.0)
+    compass = np.vstack([np.eye(size)[moving], -np.eye(size)[moving]])
+    step = np.full(len(V), FIRST_STEP if len(compass) else 0.0)
+    looked = [(V.copy(), J.copy())]
     for _ in range(ROUNDS):
         climbing = np.flatnonzero(step >= LAST_STEP)
         if not len(climbing):
             break
-        tried = np.clip(V[climbing][:, None] + step[climbing][:, None, None] * compass, 0.0, 1.0)
-        returns = landscape.returns(tried.reshape(-1, size)).reshape(len(climbing), -1)
+        moves = compass * np.maximum(step[climbing][:, None, None], least)
+        tried = np.clip(V[climbing][:, None] + moves, 0.0, 1.0).reshape(-1, size)
+        tried = _feasible(space, space.allowed.rounded(tried))
+        returns = landscape.returns(tried)
+        looked.append((tried, returns))
+        tried = tried.reshape(len(climbing), -1, size)
+        returns = returns.reshape(len(climbing), -1)
         best = returns.argmax(axis=1)
         for row, i in enumerate(climbing):
             if returns[row, best[row]] > J[i]:
@@ -157,11 +236,16 @@ def _climbed(landscape: Landscape, V: Array, J: Array) -> tuple[Array, Array]:
                 J[i] = returns[row, best[row]]
             else:
                 step[i] /= 2
+    if seen:
+        return np.vstack([points for points, _ in looked]), np.concatenate([values for _, values in looked])
     return V, J
 
 
 def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float) -> bool:
     """Whether the straight path between two hilltops never falls below the lower one by a ridge's depth."""
+    whole = landscape.problem.design.whole
+    if not np.array_equal(np.round(higher[whole], 9), np.round(lower[whole], 9)):
+        return False
     if np.abs(higher - lower).max() <= 2 * LAST_STEP:
         return True
     shares = np.linspace(0, 1, PATH + 2)[1:-1, None]

@@ -258,7 +258,7 @@ class CoDesignProblem(Immutable):
 
     @property
     def observation_bounds(self) -> tuple[Array, Array]:
-        """Range of the observation (x, p), each (nx + np,); a fixed entry of p in the middle of one as large as it is."""
+        """Range of the observation (x, p), each (nx + np,); that of a fixed entry of p is as wide as it is large."""
         scale = self.state_scale
         lower, upper = self.design.lower, self.design.upper
         room = np.where(self.design.free, 0.0, np.where(lower == 0, 1.0, 0.5 * np.abs(lower)))

@@ -11,20 +11,22 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.landscape import valleys
+from ccdtools.co_design.landscape import COMBINATIONS, combinations, valleys
 from ccdtools.co_design.result import Valley
 from ccdtools.co_design.task import Task
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.statistics import paired_difference
 from learning.networks import ActorCritic
 
 SAME_PLACE = 0.02  # of the box: two starts this close are one
 HOPEFUL = 0.2  # of the best valley's return: one that is worse by more is named, and not climbed from
+FEW = 4  # starts with the best of many combinations of whole numbers
 MAPPED = 3  # parameters, up to which a second valley of the landscape is climbed from by default
 
 
 def chosen_valleys(task: Task, design: Array, rng: np.random.Generator) -> tuple[Valley, ...]:
     """The valleys of the landscape; none where the design is frozen or one start is asked for."""
-    if not task.moving or task.config.starts == 1:
+    if not task.designing or task.config.starts == 1:
         return ()
     return valleys(task.problem, design, rng=rng)
 
@@ -32,14 +34,22 @@ def chosen_valleys(task: Task, design: Array, rng: np.random.Generator) -> tuple
 def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[Array]:
     """The given design, and the bottoms of the best valleys that lie elsewhere."""
     space = task.problem.design
-    most = task.config.starts or (3 if space.dim <= MAPPED else 2)
+    most = task.config.starts or _by_default(space)
     starts = [np.asarray(design, dtype=float)]
     for valley in found:
         hopeful = valley.lqr_return >= found[0].lqr_return - HOPEFUL * abs(found[0].lqr_return)
-        elsewhere = all(_apart(space.to_unit(valley.design), space.to_unit(one)) for one in starts)
+        elsewhere = all(_apart(space, space.to_unit(valley.design), space.to_unit(one)) for one in starts)
         if len(starts) < most and hopeful and elsewhere:
             starts.append(valley.design)
     return starts
+
+
+def _by_default(space: DesignSpace) -> int:
+    """Starts, unless a number is asked for: of a few combinations of whole numbers all."""
+    if space.integer:
+        number = combinations(space)
+        return 1 + int(number) if number <= COMBINATIONS else FEW
+    return 3 if space.free.sum() <= MAPPED else 2
 
 
 def race(
@@ -80,13 +90,14 @@ def _hopeful(one: Ascent, first: Ascent) -> bool:
     """Whether an ascent may still overtake the first one from elsewhere, and loses no run that that one keeps."""
     if one.best.lost > first.best.lost:
         return False
-    if not _apart(one.best.v.numpy(), first.best.v.numpy()):
+    if not _apart(one.task.problem.design, one.best.v.numpy(), first.best.v.numpy()):
         return False
     behind = paired_difference(first.best.returns, one.best.returns)
     gained = one.gain.mean if np.isfinite(one.gain.mean) else 0.0
     return not (behind.ci95[0] > 0 and behind.mean > gained)
 
 
-def _apart(v: Array, other: Array) -> bool:
-    """Whether two points of the unit box are different places."""
-    return bool(np.abs(v - other).max() > SAME_PLACE)
+def _apart(space: DesignSpace, v: Array, other: Array) -> bool:
+    """Whether two points of the unit box are different places, as other whole numbers always are."""
+    away = np.abs(v - other)
+    return bool(away.max() > SAME_PLACE or (away * space.allowed.width)[space.whole].max(initial=0.0) > 0.5)

@@ -81,9 +81,14 @@ class Task:
         return alone and (self.pathwise or self.moving)
 
     @property
-    def moving(self) -> bool:
-        """Whether the design moves."""
+    def designing(self) -> bool:
+        """Whether another design than the given one may be found."""
         return self.config.design_rate > 0
+
+    @property
+    def moving(self) -> bool:
+        """Whether the design of a start moves: not one of whole numbers alone, which the starts differ in."""
+        return self.designing and bool(self.problem.design.allowed.free.any())
 
 
 @dataclass(frozen=True, eq=False)

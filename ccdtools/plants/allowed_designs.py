@@ -136,6 +136,11 @@ class AllowedDesigns:
             point[self.whole] = (chosen - self.lower[self.whole]) / self.width[self.whole]
             yield point
 
+    def combinations(self) -> Array:
+        """Every combination of whole numbers (n, np), in the unit box; the other entries are 0."""
+        first = np.zeros(len(self.lower))
+        return np.array(list(self._by_whole_numbers(self.rounded(first))))
+
     def near(self, v: Array) -> Array | None:
         """The nearest point to `v` (np,) that is allowed; None if none is found.
 

@@ -141,22 +141,23 @@ class DesignSpace(Immutable):
         return frozen(array)
 
     def check_feasible(self, p: ArrayLike, *, argument: str = "design") -> Array:
-        """`p` as one design (np,) that may be built, whole numbers exactly so; else an `InputError` that says why not.
+        """`p` as one design (np,) that may be built, to the last digit; else an `InputError` that says why not.
 
-        Models are not so strict: for them, `check` asks for the bounds alone.
+        Up to a violation of 1e-6 of a constraint's own size, and as much of a whole number, it is rounding. Models are
+        not so strict: for them, `check` asks for the bounds alone.
         """
         design = self.check_one(p, argument=argument)
         numbers = self.from_unit(self.allowed.rounded(self.to_unit(design)))
-        for i in np.flatnonzero(np.abs(numbers - design) > FEASIBLE):
+        for i in np.flatnonzero(np.abs(numbers - design) > FEASIBLE).tolist():
             raise InputError(argument, f"{self.names[i]} = {design[i]:g}", "a whole number")
         if self.violation(design) > FEASIBLE:
             raise InputError(
                 argument, f"{self.describe(design)} with {self._broken(design)}", "constraints ≤ 0",
                 "DesignSpace.project gives the nearest design that keeps them.",
             )  # fmt: skip
-        exact = design.copy()
-        exact[self.whole] = np.round(design[self.whole])
-        return frozen(exact)
+        if self.violation(design) > 0:
+            return frozen(self.project(design))
+        return frozen(self.settled(self.to_unit(design))) if self.integer else design
 
     def constraint_values(self, p: ArrayLike) -> Array:
         """Values of the constraints (ng,) at a design, or (n, ng) at designs (n, np), each to be ≤ 0."""

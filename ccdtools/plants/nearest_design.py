@@ -19,6 +19,7 @@ from ccdtools.plants.design_constraints import EXACT, UnitConstraints
 
 INWARD = 1e-12  # how far behind the edge the last corrections aim, in the constraint's own size
 CORRECTIONS = 8
+LADDER = 1000  # whole numbers of one entry that are looked at
 NEAREST = 1e-5  # of the distance: what is left of it along the constraints where a point is the nearest
 
 
@@ -70,11 +71,8 @@ def allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[A
 
 def nearest_whole(values: Array, lower: Array, upper: Array, width: Array) -> Iterator[Array]:
     """Whole numbers (k,) within bounds, in the order of their distance from `values` in units of `width`."""
-    ladders = [
-        sorted(range(int(low), int(high) + 1), key=lambda n, value=value: abs(n - value))
-        if high - low < 1000 else _around(value, int(low), int(high))
-        for value, low, high in zip(values, np.ceil(lower - 1e-9), np.floor(upper + 1e-9))
-    ]  # fmt: skip
+    bounds = zip(values, np.ceil(lower - 1e-9), np.floor(upper + 1e-9))
+    ladders = [_around(value, int(low), int(high)) for value, low, high in bounds]
 
     def distance(steps: Sequence[int]) -> float:
         """Of the numbers so many steps down their ladders."""
@@ -94,9 +92,9 @@ def nearest_whole(values: Array, lower: Array, upper: Array, width: Array) -> It
 
 
 def _around(value: float, low: int, high: int) -> list[int]:
-    """The thousand whole numbers of a long range that are nearest to a value."""
-    first = int(np.clip(round(value) - 500, low, high - 999))
-    return sorted(range(first, first + 1000), key=lambda n: abs(n - value))
+    """The whole numbers of a range, the nearest to a value first; of a long range the nearest thousand."""
+    first = int(np.clip(round(value) - LADDER // 2, low, max(low, high - LADDER + 1)))
+    return sorted(range(first, min(high + 1, first + LADDER)), key=lambda n: abs(n - value))
 
 
 def _from(limits: UnitConstraints, v: Array, start: Array, free: Array) -> Array | None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import casadi as ca
 
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.studies.loading import LoadedStudy
@@ -54,6 +55,11 @@ def jsonable_of(value: Any) -> Any:
         return {"dynamics": dynamics, **numbers}
     if isinstance(value, SymbolicFunction):
         return value.serialized()
+    if isinstance(value, DesignSpace):  # what it does not have is left out, as in the runs of before it could have it
+        held = {"constraints": value.constraints and value.constraints.serialize(), "integer": list(value.integer),
+                "constraint_names": list(value.constraint_names)}  # fmt: skip
+        plain = {name: jsonable_of(getattr(value, name)) for name in ("names", "lower", "upper", "units")}
+        return {"kind": "DesignSpace", **plain, **{name: what for name, what in held.items() if what}}
     if isinstance(value, Polytope):
         return {name: jsonable_of(getattr(value, name)) for name in ("A", "b", "A_eq", "b_eq")}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -208,7 +208,7 @@ class Study(Immutable):
         _check_disturbance("disturbance", self.disturbance, self.plant)
         object.__setattr__(self, "x0", as_vector("x0", self.x0, self.plant.nx, of="one per state"))
         p0 = as_vector("p0", self.p0, self.plant.design.dim, of="one per design parameter")
-        object.__setattr__(self, "p0", self.plant.design.check_one(p0, argument="p0"))
+        object.__setattr__(self, "p0", self.plant.design.check_feasible(p0, argument="p0"))
         if self.quantile_weight is not None:
             weight = as_weight("quantile_weight", self.quantile_weight, self.plant.nx)
             object.__setattr__(self, "quantile_weight", weight)

@@ -102,7 +102,7 @@ def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignPr
     middle = space.to_unit(centre)
     lower = space.from_unit(np.clip(middle - radius, 0, 1))
     upper = space.from_unit(np.clip(middle + radius, 0, 1))
-    return replace(problem, model=problem.model.within(DesignSpace(space.names, lower, upper, space.units)))
+    return replace(problem, model=problem.model.within(replace(space, lower=lower, upper=upper)))
 
 
 def edges(design: Array, region: DesignSpace, space: DesignSpace) -> dict[str, str]:
@@ -115,7 +115,8 @@ def in_whole_box(result: CoDesignResult, region: DesignSpace, space: DesignSpace
     """A result found in a region as it is to be read in the whole box: its edges are no bounds of the design."""
     held = result.status is CoDesignStatus.AT_BOUND and edges(result.design, region, space)
     status = CoDesignStatus.EDGE_OF_TRUST if held else result.status
-    return replace(result, active_bounds=space.active_bounds(result.design), status=status)
+    active = space.active_constraints(result.design)
+    return replace(result, active_bounds=space.active_bounds(result.design), status=status, active_constraints=active)
 
 
 def _split(twin: DigitalTwin, log: Residuals, scale: Array) -> tuple[Array, Array]:

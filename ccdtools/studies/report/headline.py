@@ -122,7 +122,7 @@ def _return_beside_lqr(word: str, percent: tuple[float, float, float] | None) ->
 def _generations(results: Results) -> list[str]:
     """What each generation changed, where it is less than the design."""
     space = results["design_space"]
-    width = [high - low for low, high in zip(space["lower"], space["upper"])]
+    width = [high - low or 1.0 for low, high in zip(space["lower"], space["upper"])]  # 1 where it is fixed
     before = results["start"]
     phrases = []
     for generation in results["generations"]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.comparison.baselines import saturated_lqr
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.simulation import simulate
 from ccdtools.studies.report import return_plots, style
 from ccdtools.studies.report.finished_run import FinishedRun
@@ -21,18 +22,23 @@ LANDSCAPE_DIVERGED = 0.01
 def landscape(run: FinishedRun) -> list[ReportFigure]:
     """Return of LQR over one or two design parameters, with the paths of the design."""
     space = run.problem.design
-    if space.dim not in LANDSCAPE:
+    shown = np.flatnonzero(space.free)
+    if len(shown) not in LANDSCAPE:
         return []
-    n = LANDSCAPE[space.dim]
-    axes = [np.linspace(low, high, n) for low, high in zip(space.lower, space.upper)]
-    grid = np.stack(np.meshgrid(*axes), axis=-1)  # (n, 1), or (y, x, 2)
-    mean, interval, diverged = (np.reshape(v, grid.shape[:-1]) for v in _returns_over(run, grid.reshape(-1, space.dim)))
+    axes = [_axis(space, i, LANDSCAPE[len(shown)]) for i in shown]
+    over = np.stack(np.meshgrid(*axes), axis=-1)  # (n, 1), or (y, x, 2)
+    grid = np.broadcast_to(space.lower, (*over.shape[:-1], space.dim)).copy()
+    grid[..., shown] = over
+    columns = _returns_over(run, grid.reshape(-1, space.dim))
+    mean, interval, diverged = (np.reshape(v, grid.shape[:-1]) for v in columns)
+    feasible = np.reshape(space.feasible(grid.reshape(-1, space.dim)), grid.shape[:-1])
+    diverged = np.where(feasible, diverged, 1.0)
     fine = diverged <= LANDSCAPE_DIVERGED
-    paths = [np.vstack([h.design[: k + 1], p]) for h, k, p in zip(run.histories, run.chosen, run.designs[1:])]
-    labels = [axis_label(name, unit) for name, unit in zip(space.names, space.units)]
+    paths = [np.vstack([h.design[: k + 1], p])[:, shown] for h, k, p in zip(run.histories, run.chosen, run.designs[1:])]
+    labels = [axis_label(space.names[i], space.units[i]) for i in shown]
     figure = style.blank(8, 4.6, quick=run.quick)
     ax = figure.add_subplot()
-    if space.dim == 1:
+    if len(shown) == 1:
         return_plots.plot_landscape_curve(
             ax, axes[0], mean, interval, diverged, [path[:, 0] for path in paths], label=labels[0],
             allowed=LANDSCAPE_DIVERGED,
@@ -48,8 +54,18 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
         top = np.unravel_index(np.where(fine, mean, -np.inf).argmax(), mean.shape)
         caption += f" Best of the grid: {run.describe(grid[top])}, {with_minus(number(float(mean[top])))}."
     if not fine.all():
-        caption += f" Where more than {share(LANDSCAPE_DIVERGED)} of the runs diverge the design is left grey or blank."
+        broken = "" if feasible.all() else ", or a constraint is broken,"
+        many = f"more than {share(LANDSCAPE_DIVERGED)} of the runs diverge"
+        caption += f" Where {many}{broken} the design is left grey or blank."
     return [ReportFigure("landscape", "Landscape of the return", caption, figure)]
+
+
+def _axis(space: DesignSpace, i: int, n: int) -> Array:
+    """Values of one parameter over its range; of whole numbers about as many."""
+    values = np.linspace(space.lower[i], space.upper[i], n)
+    if not space.whole[i]:
+        return values
+    return np.unique(np.clip(np.round(values), np.ceil(space.lower[i]), np.floor(space.upper[i])))
 
 
 def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[float], list[float]]:

@@ -34,6 +34,8 @@ def plot_history(
 ) -> list[Axes]:
     """Return (top) and design (below) over the iterations of every co-design, one column per generation.
 
+    Fixed parameters are left out.
+
     Parameters
     ----------
     histories : sequence of History
@@ -43,7 +45,8 @@ def plot_history(
         What each return was measured on.
     """
     columns = len(histories)
-    grid = figure.subplots(1 + space.dim, columns, squeeze=False, sharex="col")
+    designed = np.flatnonzero(space.free).tolist()
+    grid = figure.subplots(1 + len(designed), columns, squeeze=False, sharex="col")
     for g, history in enumerate(histories):
         top = grid[0, g]
         colour = generation_colour(g + 1)
@@ -53,15 +56,15 @@ def plot_history(
             color=colour, alpha=0.15, lw=0,
         )  # fmt: skip
         _course(top, history.iteration, history.model_return, chosen[g], colour)
-        for i in range(space.dim):
-            ax = grid[1 + i, g]
+        for row, i in enumerate(designed):
+            ax = grid[1 + row, g]
             _bounds(ax, space.lower[i], space.upper[i])
             _course(ax, history.iteration, history.design[:, i], chosen[g], colour)
         grid[-1, g].set_xlabel("iteration")
         grid[-1, g].xaxis.set_major_locator(MaxNLocator(5, integer=True))
     grid[0, 0].set_ylabel("return")
-    for i, (name, unit) in enumerate(zip(space.names, space.units)):
-        grid[1 + i, 0].set_ylabel(axis_label(name, unit))
+    for row, i in enumerate(designed):
+        grid[1 + row, 0].set_ylabel(axis_label(space.names[i], space.units[i]))
     return list(grid.flat)
 
 
