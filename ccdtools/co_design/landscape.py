@@ -222,23 +222,39 @@ def _climbed(
         climbing = np.flatnonzero(step >= LAST_STEP)
         if not len(climbing):
             break
-        moves = compass * np.maximum(step[climbing][:, None, None], least)
-        tried = np.clip(V[climbing][:, None] + moves, 0.0, 1.0).reshape(-1, size)
-        tried = _feasible(space, space.allowed.rounded(tried))
+        places = [_about(space, V[i], compass * np.maximum(step[i], least), step[i]) for i in climbing]
+        tried = np.vstack(places)
         returns = landscape.returns(tried)
         looked.append((tried, returns))
-        tried = tried.reshape(len(climbing), -1, size)
-        returns = returns.reshape(len(climbing), -1)
-        best = returns.argmax(axis=1)
-        for row, i in enumerate(climbing):
-            if returns[row, best[row]] > J[i]:
-                V[i] = tried[row, best[row]]
-                J[i] = returns[row, best[row]]
+        first = 0
+        for i, place in zip(climbing, places):
+            best = first + int(returns[first : first + len(place)].argmax())
+            first += len(place)
+            if returns[best] > J[i]:
+                V[i] = tried[best]
+                J[i] = returns[best]
             else:
                 step[i] /= 2
     if seen:
         return np.vstack([points for points, _ in looked]), np.concatenate([values for _, values in looked])
     return V, J
+
+
+def _about(space: DesignSpace, v: Array, moves: Array, reach: float) -> Array:
+    """Feasible points (n, np) that moves (m, np) from a point lead to.
+
+    Beside a constraint they are made once more with the other entries giving way along it: of a budget that is spent,
+    what one entry leaves goes to another.
+    """
+    limits = space.allowed.limits
+    if limits is not None:
+        close = np.abs(limits.distances(v)) <= reach
+        if close.any():
+            J = limits.jacobian(v)[close]
+            others = space.allowed.free & (moves == 0)
+            along = [move - np.linalg.pinv(J * other) @ (J @ move) for move, other in zip(moves, others)]
+            moves = np.vstack([moves, *along])
+    return _feasible(space, space.allowed.rounded(np.clip(v + moves, 0.0, 1.0)))
 
 
 def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float) -> bool:
