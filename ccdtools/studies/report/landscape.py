@@ -22,7 +22,7 @@ LANDSCAPE_DIVERGED = 0.01
 def landscape(run: FinishedRun) -> list[ReportFigure]:
     """Return of LQR over one or two design parameters, with the paths of the design."""
     space = run.problem.design
-    shown = np.flatnonzero(space.free)
+    shown = np.flatnonzero(space.free).tolist()
     if len(shown) not in LANDSCAPE:
         return []
     axes = [_axis(space, i, LANDSCAPE[len(shown)]) for i in shown]
