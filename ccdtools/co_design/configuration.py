@@ -26,7 +26,8 @@ class CoDesignConfig:
         Part of the return that a block must gain for another to follow.
     starts : int or None
         Designs that are climbed from: the given one, and the best of the landscape's other valleys. By default three of
-        up to three parameters, two of more; 1 leaves out the landscape.
+        up to three parameters, two of more; with whole numbers every combination of up to eight, and of more the best
+        three beside the given one, each kept from its start on. 1 leaves out the landscape.
     runs : int
         Parallel episodes of a PPO rollout.
     pathwise_runs : int

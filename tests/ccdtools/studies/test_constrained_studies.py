@@ -1,0 +1,87 @@
+"""Studies of designs with constraints, fixed entries and whole numbers."""
+
+from dataclasses import replace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import small_runs
+
+from ccdtools import CoDesignProblem, DesignSpace, FixedStart, InputError
+from ccdtools.co_design.result import History
+from ccdtools.studies.fingerprint import jsonable_of
+from ccdtools.studies.report.return_plots import plot_history
+from ccdtools.studies.trust_region import within
+
+SPACE = (
+    'DesignSpace(["k", "n", "c"], [1, 1, 2], [4, 5, 2], constraints=lambda p: p[0] + p[1] - 6.0, '
+    'constraint_names=["budget"], integer=["n"])'
+)
+SOURCE = (
+    small_runs.SPRING.replace("-p * x[0] + u + w", "-p[0] * x[0] - p[2] * x[1] + p[1] * u + w")
+    .replace('ca.SX.sym("p")', 'ca.SX.sym("p", 3)')
+    .replace('DesignSpace(["k"], [1], [4])', SPACE)
+)
+
+
+def study(p0):
+    """The study of a spring with that first design."""
+    names = {}
+    exec(SOURCE.replace("p0=[2]", f"p0={p0}"), names)
+    return names["study"]
+
+
+def problem(p0=(2, 2, 2)):
+    """Its co-design problem."""
+    own = study(list(p0))
+    return CoDesignProblem(
+        own.model, X=own.X, U=own.U, objective=own.objective, scenarios=FixedStart(own.x0, own.disturbance), steps=10
+    )
+
+
+@pytest.mark.parametrize(
+    ("p0", "message"),
+    [
+        ([3, 5, 2], "p0: got k = 3, n = 5, c = 2 with budget = 2, expected constraints ≤ 0"),
+        ([3, 2.5, 2], "p0: got n = 2.5, expected a whole number"),
+        ([3, 2, 2.5], r"p0: got c = 2.5, expected a value in \[2, 2\]"),
+    ],
+)
+def test_a_first_design_that_cannot_be_built_is_refused(p0, message):
+    with pytest.raises(InputError, match=message):
+        study(p0)
+
+
+def test_a_trust_region_keeps_what_a_design_has_to_keep():
+    whole = problem()
+    near = within(whole, np.array([2.0, 4.0, 2.0]), 0.25).design
+    np.testing.assert_allclose([near.lower, near.upper], [[1.25, 3, 2], [2.75, 5, 2]])
+    assert near.integer == ("n",)
+    assert near.constraint_names == ("budget",)
+    np.testing.assert_allclose(near.project([2.75, 5, 2]), [2, 4, 2])  # five would leave a k of one
+
+
+def test_a_network_observes_a_fixed_entry_as_zero():
+    lower, upper = problem().observation_bounds
+    assert (lower < upper).all()
+    assert (lower + upper)[-1] / 2 == 2.0
+    zero = DesignSpace(["a", "n", "c"], [1, 1, 0], [4, 5, 0])
+    lower, upper = replace(problem(), model=problem().model.within(zero)).observation_bounds
+    assert (lower[-1], upper[-1]) == (-1, 1)
+
+
+def test_a_run_is_told_apart_by_its_constraints_and_an_older_one_is_continued():
+    plain = DesignSpace(["a"], [1], [2])
+    assert set(jsonable_of(plain)) == {"kind", "names", "lower", "upper", "units"}
+    one, other = (jsonable_of(DesignSpace(["a"], [1], [2], constraints=lambda p, b=b: p[0] - b)) for b in (1.5, 1.6))
+    assert one != other
+    assert jsonable_of(DesignSpace(["a"], [1], [2], integer=["a"])) != jsonable_of(plain)
+
+
+def test_the_course_of_a_design_is_drawn_without_its_fixed_entries():
+    figure = plt.figure()
+    designs = np.array([[2.0, 2, 2], [3.0, 2, 2]])
+    history = History(*(np.arange(2.0) for _ in range(2)), designs, *(np.zeros(2) for _ in range(3)))
+    axes = plot_history(figure, [history], [1], problem().design, ["model"])
+    assert [ax.get_ylabel() for ax in axes] == ["return", "k", "n"]
+    plt.close(figure)
