@@ -66,14 +66,15 @@ class Trajectory(Immutable):
     def rewards(self, objective: Objective) -> Array:
         """Rewards (n, T); zero after a run was stopped.
 
-        The last one has what the end of the run adds, and each its part of the cost of the design.
+        The last one has what the end of the run adds, if it came to its end, and each its part of the cost of the
+        design.
         """
         as_objective("objective", objective)
         objective.check(self.states.shape[2], self.inputs.shape[2], len(self.design))
         rewards = objective.rewards(self.states[:, 1:], self.inputs, self.states[:, :-1], self.design)
         final = objective.final_rewards(self.states[:, -1], self.design)
         if final is not None:
-            rewards[:, -1] += final
+            rewards[:, -1] += np.where(self.diverged, 0.0, final)
         steps = np.arange(rewards.shape[1])
         over = self.diverged[:, None] & (steps > self.diverged_at[:, None])
         return np.where(over, 0.0, rewards) - objective.cost_of_design(self.design, len(steps)) / len(steps)

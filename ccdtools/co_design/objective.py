@@ -141,8 +141,8 @@ class QuadraticObjective(Objective):
 
     @property
     def looks_back(self) -> bool:
-        """Whether there is a cross weight."""
-        return self.S is not None
+        """Whether there is a cross weight, or a subclass has rewards of its own, which may be of anything."""
+        return self.S is not None or type(self).rewards is not QuadraticObjective.rewards
 
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
         """Rewards (...,) of next states (..., nx) and inputs (..., nu), and of states (..., nx) where there is an S."""

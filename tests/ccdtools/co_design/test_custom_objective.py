@@ -16,6 +16,7 @@ from ccdtools import (
     LinearFeedback,
     Plant,
     QuadraticObjective,
+    Trajectory,
     discretise,
     output_objective,
     saturated_lqr,
@@ -183,3 +184,25 @@ def _optimal_cost(A, B, weights, x0):
         L = weights.S.T + B.T @ P @ A
         P = weights.Q + A.T @ P @ A - L.T @ np.linalg.solve(G, L)
     return x0 @ P @ x0
+
+
+class OfMoves(QuadraticObjective):
+    def rewards(self, x_next, u, x=None, p=None):
+        return -((x_next - x) ** 2).sum(-1) - p[..., 0] * (u**2).sum(-1)
+
+
+def test_rewards_of_a_subclass_see_the_state_before_the_step_in_training_too():
+    run = loop()
+    cost = (np.diff(run.states, axis=1) ** 2).sum((1, 2)) + 2.0 * (run.inputs**2).sum((1, 2))
+    np.testing.assert_allclose(run.returns(OfMoves(Q, R)), -cost)
+    np.testing.assert_allclose(in_training(problem(OfMoves(Q, R)), run), -cost)
+
+
+def test_a_run_that_is_lost_in_its_last_step_pays_for_no_end():
+    objective = CustomObjective(lambda x, u, p: ca.sumsqr(x) + ca.sumsqr(u), lambda x, p: ca.sumsqr(x))
+    states, nothing = np.array([[[3.0, 0.0], [0.0, 2.0], [1e9, 0.0]]] * 2), np.zeros((2, 2, 1))
+    run = Trajectory(states, nothing, nothing, np.array([1, -1]), P0, 0.1)
+    np.testing.assert_array_equal(run.returns(objective), [-13.0, -13.0 - 1e18])
+    lost = simulate(MODEL, LinearFeedback(K), x0=[1.0, 0.0], steps=1, disturbance=[[1e6]], design=P0, limit=[4e3, 4e3])
+    assert lost.diverged.all()
+    np.testing.assert_allclose(in_training(problem(objective, steps=1), lost), lost.returns(objective))
