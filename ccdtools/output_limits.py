@@ -72,13 +72,17 @@ class OutputLimits(Immutable):
     def check(self, nx: int, nu: int, designs: int) -> None:
         """Raise an `InputError` unless there is a limit, and a name, for every output."""
         ny = self.outputs.function(nx, nu, designs).numel_out(0)
+        if ny == 0:
+            raise InputError("output_limits", "a function without a value", "one of at least one output")
         if len(self.lower) not in (1, ny):
             raise InputError("output_limits", f"{len(self.lower)} limits", f"{ny}, one per output")
         if len(self.names):
             as_names("output_limits, names", self.names, ny)
 
     def depths(self, x: Any, u: Any, p: Any) -> Any:
-        """How far each limit is exceeded, (..., m): negative within; arrays or torch tensors.
+        """How far each limit is exceeded, (..., m): negative within, infinite where an output is no number.
+
+        Of arrays or torch tensors.
 
         Parameters
         ----------
@@ -90,7 +94,8 @@ class OutputLimits(Immutable):
         if isinstance(y, np.ndarray):
             beyond = (sign * y[..., index] - bound) / unit
             return np.where(np.isnan(beyond), np.inf, beyond)
-        return (y[..., index.tolist()] * y.new_tensor(sign) - y.new_tensor(bound)) / y.new_tensor(unit)
+        beyond = (y[..., index.tolist()] * y.new_tensor(sign) - y.new_tensor(bound)) / y.new_tensor(unit)
+        return beyond.masked_fill(beyond.isnan(), np.inf)
 
     def row_text(self, row: int) -> str:
         """What exceeding a limit means: "tyre load [N] > 500"; of the limits that `depths` gives."""

@@ -25,7 +25,7 @@ from ccdtools.co_design.risk import MEAN, Risk, as_risk
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits
-from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.design_space import FEASIBLE, DesignSpace
 from ccdtools.plants.models import Model, as_regulated_model
 from invariant_sets import Polytope
 
@@ -173,13 +173,26 @@ class CoDesignProblem(Immutable):
         if self.output_limits is not None:
             as_instance("output_limits", self.output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
             self.output_limits.check(model.nx, model.nu, model.design.dim)
-        self.weights(model.design.centre)
+        self._check_over_designs()
         object.__setattr__(self, "warm_up", as_count("warm_up", self.warm_up, least=0))
         if self.warm_up >= self.steps:
             raise InputError("warm_up", self.warm_up, f"less than {self.steps}, the steps of an episode")
         object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
         self._check_discrepancy()
         self._check_scenarios()
+
+    def _check_over_designs(self) -> None:
+        """Raise an `InputError` unless designs cost something finite, and all have weights for LQR and MPC."""
+        designs = self.design.spread()
+        designs = designs[self.design.violation(designs) <= FEASIBLE]
+        cost = np.broadcast_to(self.objective.cost_of_design(designs, self.steps), len(designs))
+        wrong = np.flatnonzero(~np.isfinite(cost))
+        if len(wrong):
+            got = f"{cost[wrong[0]]:g} at {self.design.describe(designs[wrong[0]])}"
+            cure = "Move the bounds of the design."
+            raise InputError("objective.design_cost", got, "a finite number over the whole design box", cure)
+        for p in designs:
+            self.weights(p)
 
     def _check_discrepancy(self) -> None:
         """Raise an `InputError` if `discrepancy` is no model of this model's error."""

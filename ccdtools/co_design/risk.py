@@ -11,6 +11,8 @@ import numpy as np
 from ccdtools.checks import as_number, has_method
 from ccdtools.exceptions import InputError
 
+TINY = float(np.finfo(np.float32).tiny)  # added to a variance: the root of none has no slope
+
 
 class Risk(Protocol):
     """Turns returns into values whose mean is what is optimised."""
@@ -45,7 +47,7 @@ class MeanSpread:
     def values(self, returns: Any) -> Any:
         """(..., n) of returns (..., n): each less its part of the spread."""
         squares = (returns - returns.mean(-1)[..., None]) ** 2
-        spread = (squares.mean(-1)[..., None] + np.finfo(float).tiny) ** 0.5
+        spread = (squares.mean(-1)[..., None] + TINY) ** 0.5
         return returns - self.weight * squares / spread
 
 

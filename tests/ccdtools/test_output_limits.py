@@ -25,6 +25,8 @@ from ccdtools import (
     expert_dataset,
     simulate,
 )
+from ccdtools.co_design.differentiable_model import Stepper
+from ccdtools.co_design.episodes import simulated
 from learning import fit_actor_critic
 
 x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 1)
@@ -109,6 +111,18 @@ def test_a_codesign_keeps_a_limit_of_an_output_that_binds():
     assert found[1].limits.kept
 
 
+def test_an_output_that_is_no_number_is_beyond_its_limit_in_training_too():
+    root = OutputLimits(lambda x, u, p: ca.sqrt(x[0]), upper=2.0)
+    z, v, q = np.array([[-1.0, 0.0], [1.0, 0.0]]), np.zeros((2, 1)), np.array([1.0])
+    for of in (np.asarray, lambda part: torch.tensor(part, dtype=torch.float32)):
+        np.testing.assert_allclose(root.depths(of(z), of(v), of(q)), [[np.inf], [-0.5]])
+    scenarios = (torch.tensor([[-1.0, 0.0], [0.5, 0.0]]), torch.zeros(2, 1, 1))
+    step = Stepper.at(problem(output_limits=root), torch.tensor([1.0]))
+    seen = simulated(step, lambda x: torch.zeros(2, 1), scenarios, depths=True)
+    np.testing.assert_array_equal(seen.peak, [np.inf, 0.0])
+    np.testing.assert_array_equal(seen.outside, [1.0, 0.0])
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -119,6 +133,7 @@ def test_a_codesign_keeps_a_limit_of_an_output_that_binds():
         (lambda: problem(output_limits=OutputLimits(lambda x, u, p: x, upper=[1.0, 1.0, 1.0])), "2, one per output"),
         (lambda: problem(output_limits=OutputLimits(lambda x, u, p: x, names=["a"])), "names"),
         (lambda: problem(output_limits=(0, 1)), "output_limits"),
+        (lambda: problem(output_limits=OutputLimits(lambda x, u, p: [])), "without a value"),
     ],
 )
 def test_wrong_limits_are_refused(make, message):

@@ -13,6 +13,7 @@ from ccdtools import (
     DesignSpace,
     FixedStart,
     Gaussian,
+    InputError,
     LinearFeedback,
     Plant,
     QuadraticObjective,
@@ -206,3 +207,28 @@ def test_a_run_that_is_lost_in_its_last_step_pays_for_no_end():
     lost = simulate(MODEL, LinearFeedback(K), x0=[1.0, 0.0], steps=1, disturbance=[[1e6]], design=P0, limit=[4e3, 4e3])
     assert lost.diverged.all()
     np.testing.assert_allclose(in_training(problem(objective, steps=1), lost), lost.returns(objective))
+
+
+@pytest.mark.parametrize("cost", [lambda p: ca.log(p[0] - 2), lambda p: ca.log(p[0] - 1), lambda p: 1 / (p[1] - 0.1)])
+def test_a_design_cost_that_is_not_finite_within_the_bounds_is_refused(cost):
+    with pytest.raises(InputError, match=r"objective.design_cost: got .* at k = "):
+        problem(QuadraticObjective(Q, R, design_cost=cost))
+
+
+def test_a_cost_that_is_no_regulators_somewhere_within_the_bounds_is_refused():
+    def falling(x, u, p):
+        return (p[0] - 1.5) * ca.sumsqr(x) + ca.sumsqr(u)
+
+    with pytest.raises(InputError, match="not positive semidefinite at the design"):
+        problem(CustomObjective(falling))
+    assert problem(CustomObjective(falling, Q=Q, R=R)).weights(SPACE.lower).Q is not None
+
+
+def test_a_constraint_of_the_design_excuses_a_cost_from_what_it_forbids():
+    q = ca.SX.sym("p", 2)
+    stiff = DesignSpace(["k", "c"], [1.0, 0.1], [5.0, 1.0], constraints=lambda p: 2 - p[0])
+    model = discretise(Plant(x, u, w, q, ca.vertcat(x[1], -q[0] * x[0] - q[1] * x[1] + u + w), stiff, dt=0.1))
+    own = replace(problem(QuadraticObjective(Q, R)), model=model, objective=CustomObjective(
+        lambda x, u, p: (p[0] - 1.5) * ca.sumsqr(x) + ca.sumsqr(u), design_cost=lambda p: ca.log(p[0] - 1.5)
+    ))  # fmt: skip
+    assert own.weights(np.array([2.0, 0.5])).Q[0, 0] == pytest.approx(0.5)

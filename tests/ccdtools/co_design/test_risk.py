@@ -60,3 +60,10 @@ def test_a_wrong_risk_is_refused(make, argument):
     with pytest.raises(InputError) as caught:
         make()
     assert caught.value.argument == argument
+
+
+@pytest.mark.parametrize("kind", [torch.float32, torch.float64])
+def test_equal_returns_have_the_slope_of_their_mean(kind):
+    returns = torch.full((4,), -3.0, dtype=kind, requires_grad=True)
+    MeanSpread(2.0).values(returns).mean().backward()
+    np.testing.assert_allclose(returns.grad, 0.25)
