@@ -12,6 +12,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.risk import Mean
 from ccdtools.plants.sampling_guard import sampling_note
 from ccdtools.studies.report import style
 from ccdtools.studies.report.figures import figures
@@ -81,6 +82,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
                "held_out": held_out_rows(results, run.study.steps), "metrics": held_out_metrics(results)},
         sampling=sampling_note(run.study.plant), no_sets=_no_sets(run),
         single=run.study.real.runs == 1, real_is_model=run.study.real_is_model,
+        risk="" if isinstance(run.study.risk, Mean) else repr(run.study.risk),
         updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],
     )  # fmt: skip
 
@@ -175,17 +177,22 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
-    """States and inputs with their limits."""
+    """States, inputs and limited outputs with their limits; NaN where there is none."""
     plant = run.study.plant
     rows = []
     for names, limits in ((plant.state_names, run.study.X), (plant.input_names, run.study.U)):
         lower, upper = limits.bounding_box()
         rows += [(name, float(low), float(high)) for name, low, high in zip(names, lower, upper)]
+    limited = run.problem.output_limits
+    if limited is not None:
+        given = (np.where(np.isfinite(bound), bound, np.nan) for bound in (limited.lower, limited.upper))
+        rows += [(name, float(low), float(high)) for name, low, high in zip(limited.names, *given)
+                 if np.isfinite([low, high]).any()]  # fmt: skip
     return rows
 
 
 def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
-    """Costs in words; Q and R: their diagonals by signal name, with whatever lies beside the diagonal as a matrix."""
+    """Costs in words; Q and R as diagonals by signal name, with whatever lies beside them as matrices, as S is."""
     plant = run.study.plant
     weights = run.study.weights
     described = run.study.objective.describe()
@@ -197,9 +204,16 @@ def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
             entries = ", ".join(f"{name}: {with_minus(number(value))}" for name, value in zip(names, diagonal))
             rows.append((f"{symbol}, diagonal{where}", entries))
         else:
-            text = "; ".join(", ".join(with_minus(number(value)) for value in line) for line in weight)
-            rows.append((f"{symbol}{where}", f"[{text}]"))
+            rows.append((f"{symbol}{where}", _matrix_text(weight)))
+    if weights.S is not None:
+        rows.append((f"S{where}", _matrix_text(weights.S)))
     return rows
+
+
+def _matrix_text(matrix: Array) -> str:
+    """Its entries, line by line."""
+    text = "; ".join(", ".join(with_minus(number(value)) for value in line) for line in matrix)
+    return f"[{text}]"
 
 
 def _design_rows(run: FinishedRun) -> list[tuple[str, float, float]]:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from small_runs import tiny
 
 from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.risk import CVaR
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
@@ -351,3 +352,26 @@ def test_no_projection_is_drawn_of_sets_in_many_dimensions():
     assert [title for _, title in set_figure._cuts(2)] == [""]
     assert [title for _, title in set_figure._cuts(4)] == ["projection", "slice, other states 0"]
     assert [title for _, title in set_figure._cuts(8)] == ["slice, other states 0"]
+
+
+def test_the_page_states_cross_weight_risk_and_limits_of_outputs(masses):
+    """As the same run of another study would have it: the page is made of the study and its results."""
+    folder, results = masses
+    study = two_masses()
+    plant = study.plant
+    limited = Plant(
+        plant.x, plant.u, plant.w, plant.p, plant.dynamics, plant.design, dt=plant.dt, state_names=plant.state_names,
+        input_names=plant.input_names, outputs=[plant.u[0] - plant.x[1], plant.x[0], plant.x[2]],
+        output_names=["slip [m/s]", "free [m]", "travel [m]"],
+        output_limits=([-np.inf, -np.inf, -0.7654], [1.2345, np.inf, 0.9]),
+    )  # fmt: skip
+    S = np.zeros((4, 2))
+    S[1, 0] = -0.01234
+    other = replace(study, plant=limited, objective=QuadraticObjective(np.eye(4), 0.1 * np.eye(2), S), risk=CVaR(0.35))
+    page = {one: render(FinishedRun(one, folder, results), []) for one in (study, other)}
+    told = ["S: [0, 0; −0.01234, 0; 0, 0; 0, 0]", "uᵀRu + 2zᵀSu", "CVaR(share=0.35) of the returns",
+            "<td>slip [m/s]</td><td>n/a</td><td>1.234</td>", "<td>travel [m]</td><td>−0.7654</td><td>0.9000</td>"]
+    for text in told:
+        assert text in page[other]
+        assert text not in page[study]
+    assert "free [m]" not in page[other]
