@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ccdtools.plants.design_space import SAME_DESIGN
-from ccdtools.studies.report.formatting import FORMER, capitalised, design_text, share, signed_percent
+from ccdtools.studies.report.formatting import FORMER, capitalised, design_text, number, share, signed_percent
 from ccdtools.studies.report.gains import held_out_phrase
 from ccdtools.studies.report.verdicts import EQUAL, NOT_WORSE, outside_text, percent_of_reference, verdict
 
@@ -19,7 +19,7 @@ def headline(results: Results) -> str:
     last = len(results["generations"])
     idle = _idle(results)
     changes = [] if idle else _generations(results)
-    parts = [_cost(results, last), held_out_phrase(results), _policy(results, last), *changes]
+    parts = [_cost(results, last), held_out_phrase(results), _policy(results, last), _limits(results, last), *changes]
     text = "; ".join(part for part in parts if part) + "."
     quick = "QUICK run, not a result: " if results["quick"] else ""
     return capitalised(quick + (f"{idle}. {capitalised(text)}" if idle else text))
@@ -92,6 +92,30 @@ def _policy(results: Results, last: int) -> str:
     if word.startswith("worse"):
         return f"{sentence}, which leaves X further ({outside_text(reference, results['comparison'])})"
     return f"{sentence}, but leaves X further ({outside_text(row, results['comparison'])})"
+
+
+def _limits(results: Results, last: int) -> str:
+    """That the co-design in service did not keep its limits, and which of them the real plant exceeds most."""
+    found = _limits_in_service(results)
+    if found is None or found["kept"]:
+        return ""
+    achieved, granted = ((of["fraction"], of["depth"]) for of in (found["achieved"], found["tolerance"]))
+    left = f"{share(achieved[0])} of the states outside X, {number(achieved[1], 2)} half-widths at the peak"
+    asked = f"granted were {share(granted[0])} and {number(granted[1], 2)}"
+    exceeded = _row(results, last, "learned")["exceeded"]
+    which = f"; on the real plant most {exceeded}" if exceeded else ""
+    return f"its co-design breaks the limits ({left}, {asked}{which})"
+
+
+def _limits_in_service(results: Results) -> Mapping[str, Any] | None:
+    """How the co-design of the policy in service kept its limits; None where it says nothing of them."""
+    for generation in reversed(results["generations"]):
+        redesign = generation["redesign"]
+        if redesign is None or (redesign["chosen"] == "redesign" and generation["delivery"]["replaces"]):
+            return generation.get("limits")  # type: ignore[no-any-return]
+        if redesign["accepted"] and generation["delivery"]["replaces"]:
+            return None
+    return None
 
 
 def _without_interval(row: Mapping[str, Any]) -> str:

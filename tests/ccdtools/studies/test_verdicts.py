@@ -157,3 +157,37 @@ def test_the_headline_says_that_X_was_left_for_it():
     assert "costs 10 % less than LQR at the same design, but leaves X further (0.99 half-widths (v > 0.5); LQR 0)" in (
         headline(results)
     )
+
+
+def limits(kept, fraction=0.1833):
+    return {"kept": kept, "achieved": {"fraction": fraction, "depth": 0.836},
+            "tolerance": {"fraction": 0.001, "depth": 0.002}}  # fmt: skip
+
+
+def with_limits(first, second, **changes):
+    results = outcome(100.0, 90.0, 88.0, ends=(1.5, 2.5), **changes)
+    for generation, found in zip(results["generations"], (first, second)):
+        generation["limits"] = found
+    for row in results["comparison"]:
+        row["exceeded"] = "tyre load [N] > 500" if row["controller"] == "learned" else ""
+    return results
+
+
+def test_the_headline_says_that_the_optimum_breaks_a_limit_that_all_controllers_break():
+    said = "its co-design breaks the limits (18 % of the states outside X, 0.84 half-widths at the peak, granted were " \
+           "0.1 % and 0.0020; on the real plant most tyre load [N] > 500)"  # fmt: skip
+    assert said in headline(with_limits(limits(True), limits(False), accepted=True, moved=True))
+    assert said in headline(with_limits(limits(False), limits(True), moved=False))  # its redesign was not taken
+
+
+@pytest.mark.parametrize(
+    "results",
+    [
+        with_limits(limits(False), limits(True), accepted=True, moved=True),
+        with_limits(limits(True), limits(False)),  # not taken
+        with_limits(limits(True), limits(False), accepted=True, replaces=False),  # taken back
+        with_limits(None, None, accepted=True),  # switched off
+    ],
+)
+def test_the_headline_is_silent_on_limits_that_what_is_in_service_keeps(results):
+    assert "limits" not in headline(results)
