@@ -110,7 +110,8 @@ class OutputLimits(Immutable):
         index, sign, bound, unit = self._sides(len(value))
         F = sign[:, None] * J[index] / unit[:, None]
         g = (bound - sign * value[index, 0]) / unit
-        alone = (F[:, nx:] == 0).all(axis=1) & (F[:, :nx] != 0).any(axis=1) & (g > 0)
+        known = np.isfinite(F).all(axis=1) & np.isfinite(g)
+        alone = known & (F[:, nx:] == 0).all(axis=1) & (F[:, :nx] != 0).any(axis=1) & (g > 0)
         return F[alone, :nx], g[alone]
 
     def within(self, X: Polytope, nu: int, p: Array) -> Polytope:

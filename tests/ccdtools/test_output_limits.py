@@ -85,6 +85,13 @@ def test_mpc_keeps_limits_of_the_state_alone():
     assert 2.0 * run.states[0, :, 0].max() < 0.8 + 1e-6
 
 
+def test_a_limit_that_has_no_slope_at_rest_is_none_of_mpcs():
+    steep = OutputLimits(lambda x, u, p: [ca.sqrt(x[0]) - 5, ca.log(x[1]), p[0] * x[0]], upper=[0.0, 0.0, 0.8])
+    kept = problem(output_limits=steep).kept_by_mpc(np.array([2.0]))
+    np.testing.assert_allclose(kept.A[-1] / kept.b[-1], [2.5, 0.0])
+    assert len(kept.b) == len(problem().X.b) + 1
+
+
 def test_copies_of_limits_are_limits():
     twin = pickle.loads(pickle.dumps(problem()))
     z, v, q = np.ones((4, 2)), np.ones((4, 1)), np.array([1.0])

@@ -36,6 +36,8 @@ def loss_gradient(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, batch
     x = batch.observations[:, : problem.model.nx]
     moved = Batch(observe(x, to_design(problem, v)), batch.latents, batch.log_probs, batch.advantages, batch.targets)
     surrogate, value_loss, _ = ppo_loss(agent, moved, config)
-    paid = problem.objective.cost_of_design(to_design(problem, v), problem.steps)
+    with torch.no_grad():  # the surrogate is that of one step, in standard deviations of the advantages
+        size = problem.steps * ((batch.targets - agent.value(batch.observations)).std() + 1e-8)
+    paid = problem.objective.cost_of_design(to_design(problem, v), problem.steps) / size
     (gradient,) = torch.autograd.grad(surrogate + value_loss + paid, v)
     return -gradient

@@ -19,6 +19,7 @@ from ccdtools import (
     QuadraticObjective,
     Trajectory,
     discretise,
+    expert_dataset,
     output_objective,
     saturated_lqr,
     simulate,
@@ -26,6 +27,10 @@ from ccdtools import (
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.episodes import simulated
+from ccdtools.co_design.reinforcement.gradients import loss_gradient
+from learning import fit_actor_critic
+from learning.ppo import PPOConfig, prepare
+from learning.rollout import collect
 
 x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
 ACCELERATION = -p[0] * x[0] - p[1] * x[1] + u
@@ -232,3 +237,23 @@ def test_a_constraint_of_the_design_excuses_a_cost_from_what_it_forbids():
         lambda x, u, p: (p[0] - 1.5) * ca.sumsqr(x) + ca.sumsqr(u), design_cost=lambda p: ca.log(p[0] - 1.5)
     ))  # fmt: skip
     assert own.weights(np.array([2.0, 0.5])).Q[0, 0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+def test_the_papers_design_gradient_weighs_the_price_as_the_steps_it_is_weighed_against(unit):
+    """In any unit of the costs: its surrogate is one step's, in standard deviations of the advantages."""
+    own = problem(QuadraticObjective(unit * Q, unit * R))
+    priced = replace(own, objective=replace(own.objective, design_cost=lambda p: unit * 0.5 * p[0], episode=30))
+    data = expert_dataset(own, samples=60, rng=np.random.default_rng(0), sets="lqr")
+    agent = fit_actor_critic(
+        data.inputs, data.actions, data.values, rng=np.random.default_rng(0), action_bounds=own.input_bounds,
+        input_bounds=own.observation_bounds,
+    )  # fmt: skip
+    env = DesignEnv(own, torch.tensor(P0, dtype=torch.float32), runs=32, rng=np.random.default_rng(1))
+    rollout = collect(env, agent, steps=30, generator=torch.Generator().manual_seed(0))
+    batch = prepare(agent, rollout, PPOConfig())
+    v = torch.tensor(SPACE.to_unit(P0), dtype=torch.float32)
+    plain, paid = (loss_gradient(one, agent, v, batch, PPOConfig()) for one in (own, priced))
+    raw = batch.targets - agent.value(batch.observations).detach()
+    np.testing.assert_allclose(paid - plain, [-unit * 0.5 * 4.0 / (30 * raw.std()), 0.0], rtol=1e-3, atol=1e-6)
+    assert 1e-3 < -float(paid[0] - plain[0]) < 10
