@@ -138,10 +138,10 @@ class Stepper:
         rewards = self.problem.objective.rewards(x_next.flatten(0, 1), u.flatten(0, 1), x.flatten(0, 1), p)
         return rewards.unflatten(0, x_next.shape[:2])
 
-    def final_rewards(self, x: Tensor) -> Tensor:
-        """What the states (n, nx) at the end of an episode add, (n,)."""
-        final = self.problem.objective.final_rewards(x, self.p)
-        return x.new_zeros(len(x)) if final is None else final
+    def final_rewards(self, x: Tensor) -> Tensor | None:
+        """What the states (n, nx) at the end of an episode add, (n,); None where nothing does."""
+        final: Tensor | None = self.problem.objective.final_rewards(x, self.p)
+        return final
 
     def left(self, x: Tensor) -> Tensor:
         """States (..., nx) beyond the divergence limit, (...,) bool."""

@@ -13,8 +13,8 @@ from ccdtools.co_design.problem import CoDesignProblem
 class DesignEnv:
     """`runs` episodes side by side; observations are (x, p), actions u in the units of the plant.
 
-    Episodes end together at the problem's time limit (truncated); one that diverges terminates and restarts
-    from its own initial state.
+    Episodes end together at the problem's time limit: truncated, or terminated where the objective has a terminal cost.
+    One that diverges terminates and restarts from its own initial state.
 
     Parameters
     ----------
@@ -50,7 +50,10 @@ class DesignEnv:
         terminated = self._step.left(x)
         self._k += 1
         truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
-        reward = reward + torch.where(truncated, self._step.final_rewards(x), 0.0)
+        final = self._step.final_rewards(x)
+        if final is not None:  # what comes after the end is paid for: no value stands for it
+            reward = reward + torch.where(truncated, final, 0.0)
+            terminated, truncated = terminated | truncated, torch.zeros_like(truncated)
         successor = observe(x, self._step.p)
         if self._k >= self.problem.steps:
             return self.reset(), successor, reward, terminated, truncated

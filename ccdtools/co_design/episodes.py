@@ -114,7 +114,8 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
     if warm_up:
         progress = _counted_from_here(advanced(progress, w[:, :warm_up]))
     progress = advanced(progress, w[:, warm_up:])
-    total = progress.total + torch.where(progress.running, step.final_rewards(progress.x), 0.0).double()
+    final = step.final_rewards(progress.x)
+    total = progress.total if final is None else progress.total + torch.where(progress.running, final, 0.0).double()
     total = total - step.problem.objective.cost_of_design(step.p, steps)
     return Episode(total, ~progress.running, progress.depth / steps, progress.peak, progress.outside / steps)
 

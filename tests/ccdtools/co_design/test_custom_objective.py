@@ -155,9 +155,11 @@ def test_the_environment_of_ppo_earns_the_same_but_for_the_price():
     x0, drawn = scenario_tensors(own, 3, np.random.default_rng(4))
     seen = env.reset()
     total = torch.zeros(3)
-    for _ in range(5):
-        seen, _, reward, _, _ = env.step(-seen[:, :2] @ torch.tensor(K, dtype=torch.float32).T)
+    for k in range(5):
+        seen, _, reward, terminated, truncated = env.step(-seen[:, :2] @ torch.tensor(K, dtype=torch.float32).T)
         total = total + reward
+        assert bool(terminated.all()) == (k == 4)  # the terminal cost stands for what comes after: no value does
+        assert not truncated.any()
     run = simulate(MODEL, LinearFeedback(K), x0=x0.double(), steps=5, disturbance=drawn.double(), design=P0)
     np.testing.assert_allclose(total, run.returns(own.objective) + 6.25, rtol=1e-5)
 
