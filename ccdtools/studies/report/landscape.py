@@ -22,12 +22,13 @@ LANDSCAPE_DIVERGED = 0.01
 def landscape(run: FinishedRun) -> list[ReportFigure]:
     """Return of LQR over one or two design parameters, with the paths of the design."""
     space = run.problem.design
-    shown = np.flatnonzero(space.free).tolist()
+    shown = [int(i) for i in np.flatnonzero(space.free) if len(_axis(space, i, 2)) > 1]  # one whole number is no axis
     if len(shown) not in LANDSCAPE:
         return []
     axes = [_axis(space, i, LANDSCAPE[len(shown)]) for i in shown]
     over = np.stack(np.meshgrid(*axes), axis=-1)  # (n, 1), or (y, x, 2)
-    grid = np.broadcast_to(space.lower, (*over.shape[:-1], space.dim)).copy()
+    held = space.settled(space.allowed.rounded(np.zeros(space.dim)))
+    grid = np.broadcast_to(held, (*over.shape[:-1], space.dim)).copy()
     grid[..., shown] = over
     columns = _returns_over(run, grid.reshape(-1, space.dim))
     mean, interval, diverged = (np.reshape(v, grid.shape[:-1]) for v in columns)
@@ -65,7 +66,7 @@ def _axis(space: DesignSpace, i: int, n: int) -> Array:
     values = np.linspace(space.lower[i], space.upper[i], n)
     if not space.whole[i]:
         return values
-    return np.unique(np.clip(np.round(values), np.ceil(space.lower[i]), np.floor(space.upper[i])))
+    return np.unique(np.clip(np.round(values), np.ceil(space.lower[i] - 1e-9), np.floor(space.upper[i] + 1e-9)))
 
 
 def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[float], list[float]]:

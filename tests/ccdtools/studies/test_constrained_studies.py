@@ -1,6 +1,7 @@
 """Studies of designs with constraints, fixed entries and whole numbers."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -10,6 +11,7 @@ import small_runs
 from ccdtools import CoDesignProblem, DesignSpace, FixedStart, InputError
 from ccdtools.co_design.result import History
 from ccdtools.studies.fingerprint import jsonable_of
+from ccdtools.studies.report.landscape import landscape
 from ccdtools.studies.report.return_plots import plot_history
 from ccdtools.studies.trust_region import within
 
@@ -85,3 +87,26 @@ def test_the_course_of_a_design_is_drawn_without_its_fixed_entries():
     axes = plot_history(figure, [history], [1], problem().design, ["model"])
     assert [ax.get_ylabel() for ax in axes] == ["return", "k", "n"]
     plt.close(figure)
+
+
+@pytest.mark.parametrize("bounds", [(1.5, 2.4), (2.0 + 1e-12, 3.9)])
+def test_a_landscape_is_drawn_over_what_can_be_chosen_where_only_one_whole_number_is_left(bounds):
+    low, high = bounds
+    space = DesignSpace(["k", "n", "c"], [1, low, 2], [4, high, 2], integer=["n"])
+    whole = replace(problem(), model=problem().model.within(space))
+    [figure] = landscape_of(whole, np.array([2.0, 2, 2]))
+    assert "n = 2, c = 2" in figure.caption
+    assert "constraint" not in figure.caption
+    two = high > 3
+    assert figure.figure.axes[0].get_ylabel() == ("n" if two else "return, nominal model")
+    plt.close(figure.figure)
+
+
+def landscape_of(whole, design):
+    """The figure of the landscape of a run whose design never moved."""
+    history = SimpleNamespace(design=design[None])
+    run = SimpleNamespace(
+        problem=whole, study=SimpleNamespace(model=whole.model, steps=5, objective=whole.objective), quick=True,
+        results={"seed": 0}, histories=[history], chosen=[0], designs=[design, design], describe=whole.design.describe,
+    )  # fmt: skip
+    return landscape(run)
