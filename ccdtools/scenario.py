@@ -64,11 +64,13 @@ class Scenario(Immutable):
     def _measured(self, output: Measurement | None, runs: int, steps: int) -> Measurement | None:
         """The measurement with its noise drawn for all runs."""
         seed = None if self.seed is None else as_count("seed", self.seed, least=0)
-        if output is None or not output.random:
+        if output is None:
             return output
-        if seed is None:
+        if output.random and seed is None:
             raise InputError("seed", "nothing", "a whole number, from which the noise of the measurement is drawn")
-        return output.drawn(runs, steps, np.random.default_rng(seed))
+        drawn = output.drawn(runs, steps, np.random.default_rng(seed)) if output.random else output
+        drawn.check_noise(runs, steps)
+        return drawn
 
     def __repr__(self) -> str:
         return f"Scenario({type(self.plant).__name__}, {len(self.x0)} runs of {self.steps} steps)"

@@ -13,6 +13,7 @@ from ccdtools.checks import as_floats, as_generator, finite, shown
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.estimation.outputs import Output, as_stated_output, check_sizes, output_at
 from ccdtools.exceptions import InputError
+from ccdtools.plants.plant import Plant
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,6 +66,19 @@ class Measurement(Immutable):
         """h at one design, of a plant of so many states and inputs."""
         return output_at(self.output, nx, nu, p)
 
+    def check_noise(self, runs: int, steps: int) -> None:
+        """Raise an `InputError` unless noise that is given or drawn is enough for so many runs, and of every output.
+
+        How many outputs a function has shows when it is called.
+        """
+        if self.noise is None or self.random:
+            return
+        _check_noise(self.noise, runs, steps)
+        if isinstance(self.output, Plant):
+            _check_channels(self.noise, self.output.ny)
+        elif isinstance(self.output, np.ndarray):
+            _check_channels(self.noise, len(self.output))
+
     def drawn(self, runs: int, steps: int, rng: np.random.Generator | None) -> Measurement:
         """The same measurement with its noise drawn, for so many runs of so many steps."""
         if not self.random:
@@ -92,8 +106,7 @@ class Sensor:
         self._measurement = measurement
         self._size = (runs, steps)
         self._rng = as_generator("rng", rng).spawn(1)[0] if measurement.random else None
-        if measurement.noise is not None and not measurement.random:
-            _check_noise(measurement.noise, runs, steps)
+        measurement.check_noise(runs, steps)
 
     @cached_property
     def noise(self) -> Array | None:
@@ -107,8 +120,7 @@ class Sensor:
             y = self._h(x, u)
         if self.noise is None:
             return y
-        if self.noise.shape[2] != y.shape[1]:
-            raise InputError("output.noise", f"{self.noise.shape[2]} channels", f"{y.shape[1]}, one per output")
+        _check_channels(self.noise, y.shape[1])
         return np.asarray(y + self.noise[:, k])
 
 
@@ -149,3 +161,9 @@ def _check_noise(noise: Array, runs: int, steps: int) -> None:
     """Raise an `InputError` unless there is noise for so many runs and steps."""
     if len(noise) not in (1, runs) or noise.shape[1] < steps:
         raise InputError("output.noise", f"shape {noise.shape}", f"({runs}, {steps}, ny)")
+
+
+def _check_channels(noise: Array, outputs: int) -> None:
+    """Raise an `InputError` unless there is noise of each of so many outputs."""
+    if noise.shape[2] != outputs:
+        raise InputError("output.noise", f"{noise.shape[2]} channels", f"{outputs}, one per output")

@@ -107,7 +107,7 @@ def _named(A: Array, C: Array, W: Array, V: Array, eigenvalue: complex | None, *
     if by_noise:
         eigenvalue, _, mode = _least_of(A.T, W / unit / unit[:, None], eigenvalue)
         return NotDetectableError(
-            f"W: got no noise on {_mode(eigenvalue, mode)}, on the unit circle, so the steady filter would never "
+            f"W: got no noise on {_mode(eigenvalue, mode)} on the unit circle, so the steady filter would never "
             "correct it; expected W to reach it. Give it noise, however small, or use steady=False with P0.",
             eigenvalue, _states(mode),
         )  # fmt: skip

@@ -218,6 +218,21 @@ def test_noise_that_does_not_fit_is_named(noise, message):
         loop(Measurement(C, noise=noise))
 
 
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        ([0.1, 0.1], "output.noise: got 2 channels, expected 1, one per output"),
+        (np.zeros((30, 2)), "output.noise: got 2 channels, expected 1, one per output"),
+        (np.zeros((2, 30, 1)), r"output.noise: got shape \(2, 30, 1\), expected \(6, 30, ny\)"),
+        (np.zeros((29, 1)), r"output.noise: got shape \(1, 29, 1\), expected \(6, 30, ny\)"),
+    ],
+)
+def test_noise_that_does_not_fit_is_named_when_the_scenario_is_made(noise, message):
+    with pytest.raises(InputError, match=message):
+        scenario(output=Measurement(C, noise=noise), seed=0)
+    scenario(output=Measurement(C, noise=np.zeros((31, 1)))).first(2, 10)
+
+
 def test_random_noise_needs_a_generator_or_a_seed():
     with pytest.raises(InputError, match="rng: got nothing"):
         loop(Measurement(C, noise=[0.1]), seed=None, disturbance=None)
