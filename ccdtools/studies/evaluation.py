@@ -311,7 +311,8 @@ class Evaluation:
         space = self.problem.design
         return {
             "controller": score.controller,
-            "design": space.as_dict(design), "active_bounds": space.active_bounds(design), **asdict(score.summary),
+            "design": space.as_dict(design), "active_bounds": space.active_bounds(design),
+            "active_constraints": space.active_constraints(design), **asdict(score.summary),
             "paired_to_lqr": asdict(score.paired_to_lqr), "lqr_mean": score.lqr_mean, "diverged": score.diverged,
             "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
             "depth_worst": score.depth_worst, "exceeded": score.exceeded,

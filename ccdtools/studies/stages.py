@@ -173,7 +173,9 @@ class LoopStages:
                        *redesign["texts"]]  # fmt: skip
         active = space.active_bounds(chosen.design)
         named = ", ".join(f"{name} at its {side} bound" for name, side in active.items())
-        report.append(f"{space.describe(chosen.design)}; active bounds: {named or 'none'}")
+        kept = ", ".join(space.active_constraints(chosen.design))
+        held = f"active bounds: {named or 'none'}" + (f"; active constraints: {kept}" if kept else "")
+        report.append(f"{space.describe(chosen.design)}; {held}")
         if result.limits is not None:
             report.append(str(result.limits))
         promise = promised(self.evaluation, chosen, twin.logs)

@@ -93,6 +93,15 @@ def active_bounds_text(active: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {side}" for name, side in active.items()) or "none"
 
 
+def holding_text(row: Mapping[str, Any]) -> str:
+    """What holds the design of a row: active bounds, and active constraints where there are any.
+
+    Runs of versions that knew no constraints have none.
+    """
+    names = ", ".join(row.get("active_constraints", {}))
+    return active_bounds_text(row["active_bounds"]) + (f"; active constraints: {names}" if names else "")
+
+
 def design_text(results: Mapping[str, Any], design: Mapping[str, float]) -> str:
     """A design with its units."""
     units = dict(zip(results["design_space"]["names"], results["design_space"]["units"]))

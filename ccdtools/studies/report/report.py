@@ -18,12 +18,12 @@ from ccdtools.studies.report import style
 from ccdtools.studies.report.figures import figures
 from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun
 from ccdtools.studies.report.formatting import (
-    active_bounds_text,
     axis_label,
     capitalised,
     design_text,
     duration,
     generation_name,
+    holding_text,
     number,
     place,
     share,
@@ -77,6 +77,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
     return environment.from_string(page).render(
         r=results, study=run.study, designs=_cards(run), gradients=_gradients(results), blocks=_blocks(results),
         figures={figure["name"]: figure for figure in shown}, signals=_signal_rows(run) + _design_rows(run),
+        kept=_kept_by_designs(run),
         weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
         gains={"headings": gain_headings(results), "rows": gain_rows(results),
                "held_out": held_out_rows(results, run.study.steps), "metrics": held_out_metrics(results)},
@@ -111,7 +112,7 @@ def _cards(run: FinishedRun) -> list[dict[str, Any]]:
         }  # fmt: skip
         rows.append({
             "generation": g, "design": design_text(results, generation["design"]), "scores": scores,
-            "bounds": active_bounds_text(own["model", "learned"]["active_bounds"]),
+            "bounds": holding_text(own["model", "learned"]),
             "nominal": generation.get("nominal_return"), "deployed": generation.get("deployed_return"),
             "updated": generation.get("updated_model_return"),
         })  # fmt: skip
@@ -170,7 +171,7 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
                           "star": saw_fewer_runs(row, reference)})  # fmt: skip
         blocks.append({
             "generation": g, "plant": place(rows[0]), "design": design_text(results, rows[0]["design"]),
-            "bounds": active_bounds_text(rows[0]["active_bounds"]), "rows": shown,
+            "bounds": holding_text(rows[0]), "rows": shown,
             "metrics": metric_table(rows), "notes": fewer_runs_notes(rows) + limit_notes(rows),
         })  # fmt: skip
     return blocks
@@ -214,6 +215,13 @@ def _matrix_text(matrix: Array) -> str:
     """Its entries, line by line."""
     text = "; ".join(", ".join(with_minus(number(value)) for value in line) for line in matrix)
     return f"[{text}]"
+
+
+def _kept_by_designs(run: FinishedRun) -> list[str]:
+    """What a design has to keep besides its bounds, in words."""
+    space = run.problem.design
+    kept = {"Constraints of the design, each to be ≤ 0": space.constraint_names, "Whole numbers": space.integer}
+    return [f"{what}: {', '.join(names)}" for what, names in kept.items() if names]
 
 
 def _design_rows(run: FinishedRun) -> list[tuple[str, float, float]]:

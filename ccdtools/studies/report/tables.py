@@ -13,6 +13,7 @@ from ccdtools.studies.report.formatting import (
     active_bounds_text,
     design_text,
     generation_name,
+    holding_text,
     number,
     place,
     share,
@@ -161,7 +162,7 @@ def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _block_title(results: Mapping[str, Any], row: Mapping[str, Any]) -> str:
     """The design that a block of rows is about."""
-    bounds = active_bounds_text(row["active_bounds"])
+    bounds = holding_text(row)
     return f"{generation_name(row['generation'])}: {design_text(results, row['design'])}; active bounds: {bounds}"
 
 

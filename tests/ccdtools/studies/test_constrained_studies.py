@@ -1,5 +1,6 @@
 """Studies of designs with constraints, fixed entries and whole numbers."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,9 +8,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import small_runs
+from typer.testing import CliRunner
 
 from ccdtools import CoDesignProblem, DesignSpace, FixedStart, InputError
+from ccdtools.cli import app
 from ccdtools.co_design.result import History
+from ccdtools.studies import preparation
 from ccdtools.studies.fingerprint import jsonable_of
 from ccdtools.studies.report.landscape import landscape
 from ccdtools.studies.report.return_plots import plot_history
@@ -110,3 +114,27 @@ def landscape_of(whole, design):
         results={"seed": 0}, histories=[history], chosen=[0], designs=[design, design], describe=whole.design.describe,
     )  # fmt: skip
     return landscape(run)
+
+
+def test_a_report_names_what_a_design_keeps_and_what_holds_it(tmp_path, monkeypatch):
+    """From the command to the page: a fixed entry, a whole number and a budget that is spent at the start."""
+    monkeypatch.setattr(preparation, "configuration", small_runs.tiny_configuration)
+    source = tmp_path / "constrained.py"
+    source.write_text(SOURCE.replace("p0=[2]", "p0=[2, 4, 2]"))
+    call = ["run", str(source), "--quick", "--generations", "1", "--output", str(tmp_path / "run")]
+    done = CliRunner().invoke(app, call)
+    assert done.exit_code == 0, done.output
+    results = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert results["design_space"]["constraints"] == ["budget"]
+    assert results["design_space"]["integer"] == ["n"]
+    first = [row for row in results["comparison"] if row["generation"] == 0]
+    assert [row["active_constraints"] for row in first] == [{"budget": 0.0}] * len(first)
+    design = results["generations"][0]["design"]
+    assert design["n"] == round(design["n"])
+    assert design["k"] + design["n"] <= 6.0
+    assert design["c"] == 2.0
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "Constraints of the design, each to be ≤ 0: budget." in page
+    assert "Whole numbers: n." in page
+    assert "active constraints: budget" in page
+    assert "start: k = 2, n = 4, c = 2; active bounds: none; active constraints: budget" in done.output
