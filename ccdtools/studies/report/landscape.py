@@ -22,7 +22,7 @@ LANDSCAPE_DIVERGED = 0.01
 def landscape(run: FinishedRun) -> list[ReportFigure]:
     """Return of LQR over one or two design parameters, with the paths of the design."""
     space = run.problem.design
-    shown = [int(i) for i in np.flatnonzero(space.free) if len(_axis(space, i, 2)) > 1]  # one whole number is no axis
+    shown = [i for i in np.flatnonzero(space.free).tolist() if len(_axis(space, i, 2)) > 1]  # one number is no axis
     if len(shown) not in LANDSCAPE:
         return []
     axes = [_axis(space, i, LANDSCAPE[len(shown)]) for i in shown]
