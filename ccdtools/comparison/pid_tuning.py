@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +13,11 @@ from ccdtools.checks import as_array, as_count, as_generator, as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import PID
 from ccdtools.exceptions import InputError
-from ccdtools.simulation import Simulable, simulate
+from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.simulation import Simulable, Step, simulate
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 
+FEW = 32  # scenarios on which a model that is not linear decides
 UNSTABLE = 1e12  # cost of a loop that is not stable
 
 
@@ -33,7 +35,8 @@ def tuned_pid(
     """The PID with the best mean return on the problem's model at one design, errors replayed from a log included.
 
     Every candidate output is screened with log-uniform gains of both signs; the best few are refined by
-    Nelder–Mead, all on the same scenarios. Every other scenario has a constant offset in its disturbance, and gains
+    Nelder–Mead, all on the same scenarios; of a model that is not linear, both on its linearisation, and the model
+    itself decides between the best of them. Every other scenario has a constant offset in its disturbance, and gains
     that do not stabilise the unsaturated loop are refused: short episodes of noise that averages out would not show
     an integral that winds up, or slowly runs away.
 
@@ -57,6 +60,10 @@ def tuned_pid(
     for name, number in (("runs", runs), ("screened", screened), ("starts", starts), ("refinements", refinements)):
         as_count(name, number)
     trial = _Trial.of(problem, problem.design.check_one(design), runs, rng)
+    steep = isinstance(problem.model, SampledModel)  # a step of it costs a hundred of its linearisation's
+    own = trial
+    if steep:
+        trial = replace(trial, plant=_Linearisation(problem, trial.design))
     nu = problem.model.nu
     C_all = _default_outputs(trial.B) if outputs is None else as_array("outputs", outputs, ("k", nu, problem.model.nx))
     gains = rng.choice([-1.0, 1.0], (screened, 3, nu)) * 10 ** rng.uniform(-2, 1.5, (screened, 3, nu))
@@ -70,6 +77,10 @@ def tuned_pid(
             options={"maxfev": refinements, "xatol": 1e-3},
         )  # fmt: skip
         refined.append((result.fun, C, result.x) if result.fun <= value else (value, C, z))
+    if steep:
+        own = own.few(FEW)
+        best = sorted(refined + screening[:starts], key=lambda found: found[0])
+        refined = [(own.cost(C, z), C, z) for _, C, z in best]
     _, C, z = min(refined, key=lambda found: found[0])
     return trial.controller(C, z)
 
@@ -97,6 +108,10 @@ class _Trial:
         w[::2] += changing * w.std(axis=(0, 1)) * rng.standard_normal((len(w[::2]), 1, w.shape[2]))
         return cls(problem, plant, design, A, B, x0, w)
 
+    def few(self, runs: int) -> _Trial:
+        """The same on its first scenarios alone."""
+        return replace(self, x0=self.x0[:runs], w=self.w[:runs])
+
     def controller(self, C: Array, z: Array) -> PID:
         """The PID with gains `z` (3, nu), flat or not: parts of full input at the edge of X, with time in samples."""
         lower, upper = self.problem.input_bounds
@@ -117,6 +132,21 @@ class _Trial:
             limit=problem.limit,
         )  # fmt: skip
         return float(-run.returns(problem.objective).mean())
+
+
+class _Linearisation:
+    """The model at rest at one design, for `simulate`; driven by its disturbance, or by errors of the next state."""
+
+    def __init__(self, problem: CoDesignProblem, p: Array) -> None:
+        model = problem.model
+        self.nx, self.nu, self.dt, self.design = model.nx, model.nu, model.dt, model.design
+        self._A, self._B, E = model.matrices(p)
+        self._E = E if problem.discrepancy is None else np.eye(model.nx)
+        self.nw = self._E.shape[1]
+
+    def stepper(self, p: Array, *, batch: int) -> Step:
+        """x⁺ = A x + B u + E w."""
+        return lambda x, u, w: x @ self._A.T + u @ self._B.T + w @ self._E.T
 
 
 def _tried(problem: CoDesignProblem) -> Simulable:
