@@ -15,7 +15,7 @@ import numpy as np
 
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_positive, as_share, shown
-from ccdtools.co_design.candidates import starts
+from ccdtools.co_design.candidates import Starts, starts
 from ccdtools.co_design.expert_loops import ExpertLoops, follow
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.set_choice import SETS, Effort, SetCounts, limited
@@ -27,6 +27,7 @@ from invariant_sets import ParametricSet
 
 EXPERTS = ("lqr", "mpc", "explicit")
 TIME_LIMIT = 20.0  # for all sets [s]
+ON_EDGE = 1e-3  # of the set's range along a row: inputs at the border of what is admissible end on it
 FAR = 2.0  # largest |x|, in half-widths of X, that is imitated: a run that is being lost teaches nothing
 
 
@@ -68,6 +69,13 @@ def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
     """X_fea(p): the maximal control invariant set of every design, computed when asked for."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     return ParametricSet(partial(_state_and_input_matrices, problem.model), problem.X, problem.U)
+
+
+def _leaving(model: SampledModel, begin: Starts, x: Array, u: Array) -> float:
+    """Fraction of the states (n, nx) in known sets from which a step of the model ends outside; 0 without any."""
+    after = np.asarray(model.advance(x, u, np.zeros(model.nw), begin.p))
+    kept = [S.contains(after[i], ON_EDGE) for i, S in enumerate(begin.sets) if S is not None and S.contains(x[i])]
+    return 1.0 - float(np.mean(kept)) if kept else 0.0
 
 
 def _state_and_input_matrices(model: Model, design: Array) -> tuple[Array, Array]:
@@ -153,5 +161,6 @@ def expert_dataset(
     lost = float(np.isnan(found.values[0, : begin.candidates]).mean())
     counts = begin.counts
     if counts is not None and isinstance(problem.model, SampledModel):
-        counts = replace(counts, local=True)
+        leaving = _leaving(problem.model, begin, found.states[0], found.actions[0])
+        counts = replace(counts, local=True, leaving=leaving)
     return ExpertData(inputs[known], found.actions[known], found.values[known], begin.acceptance, lost, counts)

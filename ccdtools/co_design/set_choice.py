@@ -69,6 +69,9 @@ class SetCounts:
         Processor time of the sets [s].
     local : bool
         Whether X_fea(p) is that of a linearisation: a plant that is not linear may leave it.
+    leaving : float
+        Fraction of the sampled states of such sets from which a step of the model itself, under the input that keeps
+        its linearisation there, ends outside.
     """
 
     option: str
@@ -78,6 +81,7 @@ class SetCounts:
     reason: str = ""
     seconds: float = 0.0
     local: bool = False
+    leaving: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """What results.json keeps: counts and reason, without what is measured in seconds."""
@@ -88,7 +92,9 @@ class SetCounts:
         name = "X_fea(p) of the linearisation" if self.local else "X_fea(p)"
         named = {name: self.feasible, "the region that saturated LQR keeps": self.lqr, "X": self.limits}
         parts = [f"{which} of {count} designs" for which, count in named.items() if count]
-        return ", ".join(parts) + (f": {self.reason}" if self.reason else "")
+        checked = f"; {self.leaving:.1%} of its sampled states leave it in a step of the model itself"
+        left = checked if self.local and self.feasible else ""
+        return ", ".join(parts) + (f": {self.reason}" if self.reason else "") + left
 
 
 def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: int, effort: Effort) -> tuple[int, str]:
