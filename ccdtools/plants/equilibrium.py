@@ -98,12 +98,14 @@ class Equilibrium(Immutable):
         longest = np.asarray(_followed(step, start, self.p, designs.T, *PATHS[-1])).reshape(len(start), len(designs))
         rests = np.array([rates.at_rest(z, q) for z, q in zip(longest.T, designs)])
         size = np.abs(longest[:, rests])
-        near = SAME * size.max(axis=1, initial=0.0) + ROUNDING * size.max(initial=0.0)
+        near = (SAME * size.max(axis=1, initial=0.0) + ROUNDING * size.max(initial=0.0))[:, None] + np.column_stack(
+            [rates.resolution(z, q, rows, chosen) for z, q in zip(longest.T, designs)]
+        )
         for stations, steps in PATHS:
             found = _followed(step, ca.SX(ca.DM(start)), self.p, p, stations, steps)
             function = ca.Function("equilibrium", [p], [found[: plant.nx], found[plant.nx :]], ["p"], ["x", "u"])
             ends = np.vstack([np.asarray(part).reshape(-1, len(designs)) for part in function.call([designs.T])])
-            leaps = (np.abs(ends - longest) > near[:, None]).any(axis=0) & rests
+            leaps = (np.abs(ends - longest) > near).any(axis=0) & rests
             if not leaps.any() and all(rates.at_rest(z, q) for z, q in zip(ends.T, designs)):
                 return function
         place = plant.design.describe(designs[int(np.argmin(rests))])

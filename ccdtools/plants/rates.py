@@ -52,12 +52,24 @@ class Rates:
     def at_rest(self, z: Array, p: Array) -> bool:
         """Whether nothing moves, but for rounding of the terms that cancel there."""
         rate = self(z, p)
-        J = self.jacobian(z, p)
-        if not (np.isfinite(rate).all() and np.isfinite(J).all()):
+        if not (np.isfinite(rate).all() and np.isfinite(self.jacobian(z, p)).all()):
             return False
-        size = np.abs(J) @ np.abs(z) + np.abs(J).max(axis=1) * ROUNDING
+        return bool((np.abs(rate) <= self._rounding(z, p)).all())
+
+    def resolution(self, z: Array, p: Array, rows: Array, chosen: list[int]) -> Array:
+        """How far what is left of the rates at rest moves the chosen entries of (x, u), (nx + nu,); 0 elsewhere."""
+        moved = np.zeros(len(z))
+        J = self.jacobian(z, p)[np.ix_(rows, chosen)]
+        if len(chosen) and np.isfinite(J).all():
+            moved[chosen] = np.abs(np.linalg.pinv(J)) @ self._rounding(z, p)[rows]
+        return moved
+
+    def _rounding(self, z: Array, p: Array) -> Array:
+        """What is left of each rate (nx,) at rest by rounding."""
+        J = np.abs(self.jacobian(z, p))
+        size = J @ np.abs(z) + J.max(axis=1) * ROUNDING
         terms = np.nan_to_num(np.asarray(self._terms(z, p), dtype=float).ravel(), posinf=0.0)
-        return bool((np.abs(rate) <= ROUNDING * np.maximum(size, terms)).all())
+        return np.asarray(ROUNDING * np.maximum(size, terms))
 
     @cached_property
     def _terms(self) -> ca.Function:

@@ -265,3 +265,24 @@ def test_a_disturbance_at_rest_is_counted_from():
 def test_a_guess_that_is_no_pair_is_refused(guess):
     with pytest.raises(InputError, match=r"guess: got .*, expected a pair \(x, u\)"):
         equilibrium(swing(), [1.0], guess=guess)
+
+
+def levitated_ball():
+    """A ball under a magnet, in deviations: it rests at 0 at every design, but for the rounding of its rates."""
+    x, u, w, p = ca.SX.sym("x", 3), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    gap, current, turns = x[0] * 1e-3, x[2], p[0] * 100
+    C = 4e-7 * np.pi * turns**2 * 5e-4 / 4
+    R = 1.7e-8 * turns * 0.12 / (p[1] * 1e-6)
+    flow = (u - R * current + 2 * C * current * x[1] / gap**2) / (2 * C / gap)
+    dynamics = [1e3 * x[1], 9.81 + (w - C * (current / gap) ** 2) / 0.5, flow]
+    plant = Plant(x, u, w, p, dynamics, DesignSpace(["N", "a"], [3.0, 0.5], [8.0, 2.0]), dt=0.002)
+    return deviations(plant, equilibrium(plant, [5.0, 1.0], x=[10.0, np.nan, np.nan], u=[np.nan]))
+
+
+@pytest.mark.parametrize("design", [(6.0, 0.6), (8.0, 2.0), (5.0, 1.0), (3.0, 0.5)])
+def test_a_plant_that_rests_at_zero_everywhere_is_followed_from_any_design(design):
+    plant = levitated_ball()
+    rest = equilibrium(plant, design)
+    for p in plant.design.spread()[:20]:
+        x, u = (np.asarray(part).ravel() for part in rest.function(p))
+        np.testing.assert_allclose(np.r_[x, u], 0, atol=1e-6)
