@@ -60,7 +60,7 @@ def run(
     output: Annotated[str | None, typer.Option(help="Folder of the run. Default: runs/STUDY-1, -2, …")] = None,
     seed: Annotated[str, typer.Option(metavar="INTEGER", help="Seed of every random number.")] = "0",
     generations: Annotated[str, typer.Option(metavar="INTEGER", help="Times to design, deploy and learn.")] = "2",
-    quick: Annotated[bool, typer.Option("--quick", help="Same path, fewer samples; minutes, more if the plant is nonlinear.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Same path, fewer samples; a few minutes.")] = False,
     preset: Annotated[str, typer.Option(help="default, or paper: its networks, loss, rates and epochs.")] = "default",
     expert: Annotated[str, typer.Option(help="Imitated first: lqr (projected on X_fea), mpc, explicit.")] = "lqr",
     method: Annotated[str | None, typer.Option(help="Of the policy: pathwise, ppo, or pathwise+ppo.")] = None,

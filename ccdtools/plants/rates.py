@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Tape
 from ccdtools.plants.plant import Plant
@@ -56,10 +56,10 @@ class Rates:
             return False
         return bool((np.abs(rate) <= self._rounding(z, p)).all())
 
-    def resolution(self, z: Array, p: Array, rows: Array, chosen: list[int]) -> Array:
+    def resolution(self, z: Array, p: Array, rows: Indices, chosen: list[int]) -> Array:
         """How far what is left of the rates at rest moves the chosen entries of (x, u), (nx + nu,); 0 elsewhere."""
         moved = np.zeros(len(z))
-        J = self.jacobian(z, p)[np.ix_(rows, chosen)]
+        J = self.jacobian(z, p)[rows][:, chosen]
         if len(chosen) and np.isfinite(J).all():
             moved[chosen] = np.abs(np.linalg.pinv(J)) @ self._rounding(z, p)[rows]
         return moved
@@ -157,7 +157,7 @@ def _descended(rates: Rates, z: Array, free: Array, p: Array) -> Array:
     return at(v)
 
 
-def independent(J: Array) -> tuple[Array, Array]:
+def independent(J: Array) -> tuple[Indices, Indices]:
     """Rows and columns of J, as many as its rank, that make a regular matrix."""
     length = np.abs(J).max(axis=1, initial=0.0)
     J = J / np.where(length > 0, length, 1.0)[:, None]
@@ -171,7 +171,7 @@ def independent(J: Array) -> tuple[Array, Array]:
     return np.sort(rows[:rank]), columns
 
 
-def newton_step(rates: Rates, rows: Array, chosen: list[int]) -> ca.SX:
+def newton_step(rates: Rates, rows: Indices, chosen: list[int]) -> ca.SX:
     """z after one Newton step in the chosen entries, as an expression."""
     if not chosen:
         return rates.z
