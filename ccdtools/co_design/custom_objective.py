@@ -37,7 +37,7 @@ class CustomObjective(Objective):
     ------
     InputError
         If a cost is no function of such arguments, or returns no scalar expression of them. If LQR and MPC are to take
-        the Hessian of ℓ, and it is not positive semidefinite with respect to (x, u) or not definite with respect to u.
+        the Hessian of ℓ, and it is not positive semidefinite at some design.
     """
 
     stage_cost: Any
