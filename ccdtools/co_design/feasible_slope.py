@@ -40,9 +40,9 @@ class FeasibleSlope(Slope):
         """From the slopes of every run (n, np) at a point of the unit box."""
         b = by_run.mean(axis=0)
         far = best_step(limits, point, b, free)
-        close = limits.distances(point) <= ACTIVE
+        outward, distances = limits.edges(point)
         eye = np.eye(len(point))
-        normals = np.vstack([limits.jacobian(point)[close], -eye[free & (point <= 0)], eye[free & (point >= 1)]]) * free
+        normals = np.vstack([outward[distances <= ACTIVE], -eye[free & (point <= 0)], eye[free & (point >= 1)]]) * free
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         prices = held(normals, b)
         holding = normals[prices > 0]
@@ -81,10 +81,11 @@ def best_step(limits: UnitConstraints, point: Array, slope: Array, free: Any) ->
     low = np.where(free, np.maximum(-AHEAD, -point), 0.0)
     high = np.where(free, np.minimum(AHEAD, 1.0 - point), 0.0)
     size = max(float(np.abs(slope).max()), 1e-300)
+    normals, distances = limits.edges(point)
+    near = np.isfinite(distances)
     found = linprog(
-        -slope / size, A_ub=limits.jacobian(point), b_ub=np.maximum(-limits.values(point), 0.0),
-        bounds=list(zip(low, high)),
-    )  # fmt: skip
+        -slope / size, A_ub=normals[near], b_ub=np.maximum(distances[near], 0.0), bounds=list(zip(low, high))
+    )
     return np.asarray(found.x) if found.x is not None else np.zeros(len(point))
 
 

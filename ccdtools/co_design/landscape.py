@@ -248,9 +248,10 @@ def _about(space: DesignSpace, v: Array, moves: Array, reach: float) -> Array:
     """
     limits = space.allowed.limits
     if limits is not None:
-        close = np.abs(limits.distances(v)) <= reach
+        normals, distances = limits.edges(v)
+        close = np.abs(distances) <= reach
         if close.any():
-            J = limits.jacobian(v)[close]
+            J = normals[close]
             others = space.allowed.free & (moves == 0)
             along = [move - np.linalg.pinv(J * other) @ (J @ move) for move, other in zip(moves, others)]
             moves = np.vstack([moves, *along])

@@ -59,7 +59,7 @@ class AllowedDesigns:
 
     @cached_property
     def limits(self) -> UnitConstraints | None:
-        """The scaled constraints."""
+        """The constraints over the unit box."""
         if self.function is None:
             return None
         return UnitConstraints(self.function, self.lower, self.upper, self._samples)
@@ -92,7 +92,7 @@ class AllowedDesigns:
         return np.where(self.whole, (numbers - self.lower) / self.width, v)
 
     def violation(self, v: Array) -> Any:
-        """The largest violation at points (..., np), in the constraints' own sizes."""
+        """The largest violation at points (n, np) or at one (np,), as `UnitConstraints.violation` has it."""
         return np.zeros(v.shape[:-1]) if self.limits is None else self.limits.violation(v)
 
     @cached_property

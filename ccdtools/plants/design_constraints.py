@@ -1,4 +1,4 @@
-"""Constraints g(p) ≤ 0 on the designs of a box: as CasADi expressions, and scaled over the unit box."""
+"""Constraints g(p) ≤ 0 on the designs of a box: as CasADi expressions, and over the unit box."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ from scipy.optimize import nnls
 from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
+from ccdtools.plants.rounding import rounding
 from ccdtools.plants.symbols import as_expression, check_known
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 EXAMPLE = "a function of p that gives expressions, each to be ≤ 0, such as lambda p: p[0] + p[1] - 3.0"
 EXTENT = (0.05, 0.95)  # quantiles of a constraint over the box, between which its size is measured: a pole is left out
-EXACT = 1e-9  # violation, beside that size, that is rounding
-ON_EDGE = 1e-7  # of that size: a constraint that is closer to zero may hold a design
+EXACT = 1e-9  # violation, as `UnitConstraints.violation` has it, that is rounding
+ON_EDGE = 1e-7  # of the unit box: a constraint whose edge is closer may hold a design
+BESIDE = 1e-3  # of the unit box: samples that are closer to an edge say nothing of a constraint's size about it
+BESIDE_LEVEL = 1e-6  # of the unit box: where a constraint is level on its edge, its normal is that so far from it
+LEVEL = 1e-12  # slope beside the value below which a constraint is level
+TINY = 1e-300
 CURVED = 0.1  # curvature of the distance along the constraints below which its own curvature is left out
 
 
@@ -60,7 +65,11 @@ def constraint_names(names: Any, count: int) -> tuple[str, ...]:
 
 
 class UnitConstraints:
-    """The constraints over the unit box, each divided by its own size.
+    """The constraints over the unit box, told by how far their edges are.
+
+    A constraint g ≤ 0 and a growing function of it, such as exp(40 g) − 1 or g³, leave the same designs. What is
+    violated and by how much, and where a search goes, therefore rests on g/|∇g| at the point (Newton), which is close
+    to the distance from the edge however g is written. Where the slope vanishes with g it is a part of that distance.
 
     Parameters
     ----------
@@ -72,47 +81,108 @@ class UnitConstraints:
 
     Attributes
     ----------
-    scale : (ng,) array
-        What each constraint is divided by: how much it varies over the box, its poles left out.
+    not_finite : (n,) array of bool
+        Samples at which a constraint is not finite.
+
+    References
+    ----------
+    Schröder, Mathematische Annalen 2, 1870 (g/g′ has a simple root where g has one of any order).
     """
 
     def __init__(self, function: ca.Function, lower: Array, upper: Array, samples: Array) -> None:
         v = ca.SX.sym("v", len(lower))
-        g = function(ca.DM(lower) + v * ca.DM(upper - lower))
+        g = ca.densify(function(ca.DM(lower) + v * ca.DM(upper - lower)))
         prices = ca.SX.sym("prices", g.numel())
-        raw = _mapped(ca.Function("g", [v], [ca.densify(g)]), samples)
+        J = ca.densify(ca.jacobian(g, v))
+        self._g = ca.Function("g", [v], [g])
+        self._J = ca.Function("J", [v], [J])
+        self._rows = ca.Function("rows", [v], [ca.vec(J.T)])
+        self._rounding = ca.Function("rounding", [v], [rounding(function, v, lower, upper)])
+        self._curvature = ca.Function("H", [v, prices], [ca.densify(ca.hessian(ca.dot(prices, g), v)[0])])
+        raw = _mapped(self._g, samples)
         self.not_finite = ~np.isfinite(raw).all(axis=1)
         known = np.where(np.isfinite(raw), raw, 0.0)
         extent = np.ptp(np.quantile(known, EXTENT, axis=0), axis=0)
         size = np.abs(known).max(axis=0)
-        self.scale: Array = np.where(extent > 1e-12 * size, extent, np.where(size > 0, size, 1.0))
-        scaled = ca.densify(g / ca.DM(self.scale))
-        curvature = ca.hessian(ca.dot(prices, scaled), v)[0]
-        self._values = ca.Function("g", [v], [scaled])
-        self._jacobian = ca.Function("J", [v], [ca.densify(ca.jacobian(scaled, v))])
-        self._curvature = ca.Function("H", [v, prices], [ca.densify(curvature)])
+        self._scale = np.where(extent > 1e-12 * size, extent, np.where(size > 0, size, 1.0))
+        compressed = ca.asinh(g / ca.DM(self._near_edge(known, samples)))
+        squares = ca.sum2(ca.densify(ca.jacobian(compressed, v)) ** 2)
+        sought = ca.densify(compressed / ca.sqrt(squares + compressed**2 + TINY))
+        self._values = ca.Function("h", [v], [sought])
+        self._jacobian = ca.Function("dh", [v], [ca.densify(ca.jacobian(sought, v))])
+
+    def _near_edge(self, values: Array, samples: Array) -> Array:
+        """Size of each constraint about its edge, (ng,): the least among the samples that are not all but on it."""
+        slopes = self._steepness(samples)
+        size = np.abs(values)
+        far = (size > 0) & (size > BESIDE * np.where(np.isfinite(slopes), slopes, 0.0))
+        least = np.where(far, size, np.inf).min(axis=0)
+        return np.where(np.isfinite(least), least, self._scale)
+
+    def _steepness(self, points: Array) -> Array:
+        """Lengths of the slopes (n, ng) at points (n, np)."""
+        return _lengths(_mapped(self._rows, points).reshape(len(points), -1, points.shape[1]))
+
+    @property
+    def count(self) -> int:
+        """Number of constraints."""
+        return len(self._scale)
 
     def values(self, v: Array) -> Array:
-        """Scaled values (ng,) at a point of the unit box, or (n, ng) at points (n, np)."""
-        if v.ndim == 2:
-            return _mapped(self._values, v)
+        """What a search brings to zero, (ng,) at a point: of the sign of g, and of slope one across its edge.
+
+        It is g/|∇g| of an asinh of g, which makes a straight one of an exponential, and of less than one.
+        """
         return np.asarray(self._values(v), dtype=float).ravel()
 
     def jacobian(self, v: Array) -> Array:
-        """Their slopes (ng, np)."""
-        return np.asarray(self._jacobian(v), dtype=float)
+        """Its slopes (ng, np); zero where they are too steep for a number."""
+        slopes = np.asarray(self._jacobian(v), dtype=float)
+        return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def violation(self, v: Array) -> Any:
-        """The largest scaled value above zero, (), or (n,) at points (n, np); infinite where one is not finite."""
-        g = self.values(v)
-        return np.maximum(np.where(np.isfinite(g), g, np.inf).max(axis=-1), 0.0)
+        """The largest violation, (), or (n,) at points (n, np); infinite where a constraint is not finite.
 
-    def distances(self, v: Array) -> Array:
-        """About how far the edge of each constraint is in the unit box, (ng,); below zero where it is violated."""
-        g = self.values(v)
-        slopes = np.linalg.norm(self.jacobian(v), axis=1)
+        Of a constraint it is the larger of g/|∇g|, in lengths of the unit box and below one, and g in parts of how
+        much g varies over the box. What rounding may make of a zero is zero.
+        """
+        points = np.atleast_2d(v)
+        g = _mapped(self._g, points)
+        slopes = self._steepness(points)
+        noise = _mapped(self._rounding, points)
+        with np.errstate(invalid="ignore"):
+            distance = g / np.hypot(slopes, np.maximum(np.abs(g), TINY))
+            over = np.where(g > np.where(np.isfinite(noise), noise, 0.0), np.maximum(distance, g / self._scale), 0.0)
+        worst = np.where(np.isfinite(g), over, np.inf).max(axis=1, initial=0.0)
+        return worst if v.ndim == 2 else worst[0]
+
+    def edges(self, v: Array, off: Array | None = None) -> tuple[Array, Array]:
+        """Outward unit normals (ng, np) of the constraints at a point, and how far their edges are, (ng,).
+
+        The distances are those of straight constraints: of signs opposite to those of g, infinite where g is level.
+        With `off`, a direction (np,) that leads out, the normals of a constraint level at its edge are those beside it.
+        """
+        g = np.asarray(self._g(v), dtype=float).ravel()
+        J, slopes = self._slopes_beside(v, off)[:2]
+        own = self._steepness(v[None])[0]
+        finite = np.isfinite(slopes) & (slopes > 0)
+        normals = np.divide(J, slopes[:, None], out=np.zeros_like(J), where=finite[:, None])
         far = np.where(g < 0, np.inf, np.where(g > 0, -np.inf, 0.0))
-        return np.divide(-g, slopes, out=far, where=slopes > 1e-12)
+        level = own <= LEVEL * np.abs(g)
+        far = np.divide(-g, own, out=far, where=np.isfinite(own) & ~level)
+        return normals, np.where(np.isfinite(own), far, -g / self._scale)
+
+    def _slopes_beside(self, v: Array, off: Array | None) -> tuple[Array, Array, Any]:
+        """Slopes (ng, np), their lengths (ng,), and which are those beside the point as they vanish at it, (ng,)."""
+        J = np.asarray(self._J(v), dtype=float)
+        slopes = _lengths(J)
+        length = 0.0 if off is None else float(np.linalg.norm(off))
+        if off is None or length == 0:
+            return J, slopes, np.zeros(len(J), dtype=bool)
+        other = np.asarray(self._J(v + BESIDE_LEVEL * off / length), dtype=float)
+        steeper = _lengths(other)
+        vanishes = slopes < 0.5 * steeper
+        return np.where(vanishes[:, None], other, J), np.where(vanishes, steeper, slopes), vanishes
 
     def prices(self, u: Array, push: Array, free: Any) -> tuple[Array, Array, Array]:
         """What holds a point against a push: see `held`. Here the edges are those of constraints and unit box at `u`.
@@ -122,15 +192,14 @@ class UnitConstraints:
         (ng,), (np,) and (np,) arrays
             Prices of the constraints, those of the bounds (below zero at a lower one), and what is left of the push.
         """
-        g = self.values(u)
-        at = np.flatnonzero(g >= -ON_EDGE)
-        J = self.jacobian(u)[at]
+        normals, distances = self.edges(u, push)
+        at = np.flatnonzero(distances <= ON_EDGE)
         low = np.flatnonzero(free & (u <= 0.0))
         high = np.flatnonzero(free & (u >= 1.0))
         eye = np.eye(len(u))
-        normals = np.vstack([J, -eye[low], eye[high]])[:, free]
+        normals = np.vstack([normals[at], -eye[low], eye[high]])[:, free]
         paid = held(normals, push[free])
-        constraints = np.zeros(len(g))
+        constraints = np.zeros(len(distances))
         constraints[at] = paid[: len(at)]
         bounds = np.zeros(len(u))
         bounds[low] = -paid[len(at) : len(at) + len(low)]
@@ -144,16 +213,37 @@ class UnitConstraints:
 
         The nearest point moves along the constraints that hold it alone, and by less where they are curved away.
         """
-        constraints, bounds, _ = self.prices(u, v - u, free)
+        push = v - u
+        constraints, bounds, _ = self.prices(u, push, free)
         eye = np.eye(len(v))
-        normals = np.vstack([self.jacobian(u)[constraints > 0], eye[bounds != 0], eye[~free]])
+        normals = np.vstack([self.edges(u, push)[0][constraints > 0], eye[bounds != 0], eye[~free]])
         along = _null_space(normals)
-        curvature = along.T @ (eye + np.asarray(self._curvature(u, constraints), dtype=float)) @ along
+        curvature = along.T @ (eye + self._curved(u, push, constraints)) @ along
         if not along.size:
             return np.zeros(len(v))
         if np.linalg.eigvalsh(curvature)[0] < CURVED:
             curvature = np.eye(along.shape[1])
         return np.asarray(along @ np.linalg.solve(curvature, along.T @ gradient), dtype=float)
+
+
+    def _curved(self, u: Array, push: Array, prices: Array) -> Array:
+        """Curvature (np, np) of the constraints with those prices of their unit normals."""
+        total = np.zeros((len(u), len(u)))
+        _, slopes, vanishes = self._slopes_beside(u, push)
+        paid = np.divide(prices, slopes, out=np.zeros_like(prices), where=prices > 0)
+        beside = u + BESIDE_LEVEL * push / max(float(np.linalg.norm(push)), TINY)
+        for place, those in ((u, ~vanishes), (beside, vanishes)):
+            if paid[those].any():
+                total += np.asarray(self._curvature(place, paid * those), dtype=float)
+        return total
+
+
+def _lengths(rows: Array) -> Array:
+    """Lengths (...,) of vectors (..., np), of numbers whose squares are too large too."""
+    largest = np.asarray(np.abs(rows).max(axis=-1, initial=TINY))
+    with np.errstate(invalid="ignore"):
+        lengths = largest * np.linalg.norm(rows / largest[..., None], axis=-1)
+    return np.asarray(np.where(np.isfinite(largest), lengths, np.inf))
 
 
 def held(normals: Array, push: Array) -> Array:

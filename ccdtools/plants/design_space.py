@@ -19,7 +19,7 @@ from ccdtools.plants.allowed_designs import MAX_CORNERS, AllowedDesigns
 from ccdtools.plants.design_constraints import compiled, constraint_names
 
 SAME_DESIGN = 1e-3  # of the range of every parameter: two designs that differ by less are one
-FEASIBLE = 1e-6  # violation, in parts of a constraint's own size over the box, up to which a design keeps it
+FEASIBLE = 1e-6  # violation, as `DesignSpace.violation` has it, up to which a design keeps a constraint
 INTERIOR = 64  # seeded points inside the box, beside its centre and corners
 
 
@@ -143,8 +143,8 @@ class DesignSpace(Immutable):
     def check_feasible(self, p: ArrayLike, *, argument: str = "design") -> Array:
         """`p` as one design (np,) that may be built, to the last digit; else an `InputError` that says why not.
 
-        Up to a violation of 1e-6 of a constraint's own size, and as much of a whole number, it is rounding. Models are
-        not so strict: for them, `check` asks for the bounds alone.
+        A violation of up to 1e-6, and as much of a whole number, is rounding. Models are not so strict: for them,
+        `check` asks for the bounds alone.
         """
         design = self.check_one(p, argument=argument)
         numbers = self.from_unit(self.allowed.rounded(self.to_unit(design)))
@@ -167,7 +167,11 @@ class DesignSpace(Immutable):
         return np.asarray(self.constraints(p.T), dtype=float).T.reshape(*p.shape[:-1], -1)
 
     def violation(self, p: ArrayLike) -> Any:
-        """The largest constraint above zero, in parts of how much it varies over the box; (), or (n,) at designs."""
+        """The largest violation of a constraint, (), or (n,) at designs: about how far its edge is in the unit box.
+
+        It is g/|∇g| in the unit box, or g in parts of how much g varies over the box if that is more: an edge is the
+        same however the constraint is written, as g, as exp(40 g) − 1 or as g³.
+        """
         return self.allowed.violation(self.to_unit(p))
 
     def feasible(self, p: ArrayLike) -> Any:
@@ -206,7 +210,7 @@ class DesignSpace(Immutable):
         limits = self.allowed.limits
         if limits is None:
             return {}
-        near = limits.distances(self.to_unit(as_vector("p", p, self.dim))) <= tol
+        near = limits.edges(self.to_unit(as_vector("p", p, self.dim)))[1] <= tol
         values = self.constraint_values(p)
         return {name: float(g) for name, g, close in zip(self.constraint_names, values, near) if close}
 

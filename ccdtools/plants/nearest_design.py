@@ -17,8 +17,10 @@ from scipy.optimize import least_squares, minimize
 from ccdtools.arrays import Array
 from ccdtools.plants.design_constraints import EXACT, UnitConstraints
 
-INWARD = 1e-12  # how far behind the edge the last corrections aim, in the constraint's own size
+INWARD = 1e-12  # how far behind the edge the last corrections aim, in the unit box
 CORRECTIONS = 8
+SLIDES = 40  # along the constraints, where a search ended early,
+HALVINGS = 8  # each of them halved so often
 LADDER = 1000  # whole numbers of one entry that are looked at
 NEAREST = 1e-5  # of the distance: what is left of it along the constraints where a point is the nearest
 
@@ -103,10 +105,29 @@ def _from(limits: UnitConstraints, v: Array, start: Array, free: Array) -> Array
         begun = _restored(limits, start, free) if first is None else first
         found = _corrected(limits, _closest(limits, v, begun, free), free)
         if limits.violation(found) <= EXACT:
-            return found
+            return _slid(limits, v, found, free)
         if first is None and limits.violation(begun) <= EXACT:
-            return begun
+            return _slid(limits, v, begun, free)
     return None
+
+
+def _slid(limits: UnitConstraints, v: Array, u: Array, free: Array) -> Array:
+    """An allowed point moved along what holds it, as long as that brings it nearer to `v`.
+
+    SLSQP may end early where two constraints leave a line between them: their edges then are all but parallel.
+    """
+    for _ in range(SLIDES):
+        rest = limits.prices(u, v - u, free)[2]
+        if _held_still(v - u, rest):
+            break
+        for length in 0.5 ** np.arange(HALVINGS):
+            moved = _corrected(limits, np.clip(u + length * rest, 0.0, 1.0), free)
+            if np.linalg.norm(moved - v) < np.linalg.norm(u - v) and limits.violation(moved) <= EXACT:
+                break
+        else:
+            break
+        u = moved
+    return u
 
 
 def _closest(limits: UnitConstraints, v: Array, start: Array, free: Array) -> Array:
@@ -195,7 +216,7 @@ def _least_violation(limits: UnitConstraints, start: Array, free: Array) -> Arra
             bounds=[(0.0, 1.0)] * size + [(0.0, None)], options={"ftol": 1e-14, "maxiter": 100},
             constraints={"type": "ineq", "fun": lambda z: z[-1] - limits.values(at(z)),
                          "jac": lambda z: np.hstack([-limits.jacobian(at(z))[:, free],
-                                                     np.ones((len(limits.scale), 1))])},
+                                                     np.ones((limits.count, 1))])},
         )  # fmt: skip
     z = found.x if np.isfinite(found.x).all() else first
     return np.clip(at(z), 0.0, 1.0)
@@ -203,6 +224,9 @@ def _least_violation(limits: UnitConstraints, start: Array, free: Array) -> Arra
 
 def _is_nearest(limits: UnitConstraints, v: Array, u: Array, free: Array) -> bool:
     """Whether constraints and bounds at `u` hold it against its push towards `v`."""
-    push = v - u
-    rest = limits.prices(u, push, free)[2]
+    return _held_still(v - u, limits.prices(u, v - u, free)[2])
+
+
+def _held_still(push: Array, rest: Array) -> bool:
+    """Whether what is left of a push along the constraints is as good as nothing."""
     return bool(np.linalg.norm(rest) <= NEAREST * np.linalg.norm(push) + 1e-9)

@@ -198,3 +198,77 @@ def test_what_cannot_be_kept_is_refused_at_once(arguments, message):
 def test_a_feasible_set_that_no_sample_meets_is_found():
     needle = unit_space(lambda v: [(v[0] - 0.123) ** 2 + (v[1] - 0.877) ** 2 - 1e-6])
     np.testing.assert_allclose(needle.to_unit(needle.project(needle.centre)), [0.123, 0.877], atol=2e-3)
+
+
+REWRITTEN = {
+    "in large units": lambda g: 1e12 * g,
+    "in small units": lambda g: 1e-12 * g,
+    "cubed": lambda g: g**3,
+    "steep beyond its edge": lambda g: ca.exp(40 * g) - 1,
+    "steep within its edge": lambda g: 1 - ca.exp(-20 * g),
+    "a logarithm": lambda g: ca.log(g + 2) - np.log(2),
+}
+
+
+@pytest.mark.parametrize("name", ["a disc", "around a disc", "a wedge"])
+@pytest.mark.parametrize("rewritten", REWRITTEN)
+def test_a_growing_function_of_a_constraint_leaves_the_same_designs(rewritten, name, rng):
+    size, g = SETS[name]
+    other = unit_space(lambda v: [REWRITTEN[rewritten](value) for value in g(v)], size, by=1.0)
+    x = ca.SX.sym("x", size)
+    plain = ca.Function("g", [x], [ca.vertcat(*g(x))])
+    cloud = rng.random((100_000, size))
+    values = np.array(plain(cloud.T)).max(axis=0)
+    feasible = other.feasible(other.from_unit(cloud))
+    assert feasible[values <= 0].all()
+    assert values[feasible].max() <= 1e-5
+    for v in rng.random((5, size)):
+        found = other.to_unit(other.project(other.from_unit(v)))
+        assert np.array(plain(found)).max() <= 1e-9
+        nearest = np.linalg.norm(cloud[values <= 0] - v, axis=1).min()
+        assert np.linalg.norm(found - v) <= nearest + 1e-9
+
+
+@pytest.mark.parametrize("rate", [40.0, 400.0])
+def test_an_exponential_keeps_its_edge_however_large_it_is_over_the_box(rate):
+    space = DesignSpace(["a"], [0], [1], constraints=lambda p: ca.exp(rate * p[0]) - 2)
+    edge = np.log(2) / rate
+    assert space.feasible([0.9 * edge])
+    assert not space.feasible([1.01 * edge])
+    assert space.project([0.8])[0] == pytest.approx(edge, rel=1e-9)
+    assert space.active_constraints([edge]) != {}
+    with pytest.raises(InputError, match="no design that keeps them"):
+        DesignSpace(["a"], [0], [1], constraints=lambda p: ca.exp(rate * p[0]) - 0.999)
+
+
+LEVEL = {
+    "a point": (lambda p: (p[0] - 0.3) ** 2 + (p[1] - 0.6) ** 2, [0.3, 0.6]),
+    "a point, expanded": (lambda p: p[0] ** 2 - 0.6 * p[0] + 0.45 + p[1] ** 2 - 1.2 * p[1], [0.3, 0.6]),
+    "a corner": (lambda p: p[0] ** 2 + p[1] ** 2, [0.0, 0.0]),
+    "a line": (lambda p: (p[0] + p[1] - 1) ** 2, [0.6, 0.4]),
+    "a line as two constraints": (lambda p: [ca.exp(9 * (p[0] + p[1] - 1)) - 1, 1 - p[0] - p[1]], [0.6, 0.4]),
+    "a line of fourth powers": (lambda p: (p[0] + p[1] - 1) ** 4, [0.6, 0.4]),
+    "a circle": (lambda p: (p[0] ** 2 + p[1] ** 2 - 0.5) ** 2, np.array([0.9, 0.7]) * np.sqrt(0.5 / 1.3)),
+}
+
+
+@pytest.mark.parametrize("name", LEVEL)
+def test_constraints_that_leave_no_room_hold_designs_nonetheless(name):
+    g, nearest = LEVEL[name]
+    space = DesignSpace(["a", "b"], [0, 0], [1, 1], constraints=g)
+    found = space.project([0.9, 0.7])
+    np.testing.assert_allclose(found, nearest, atol=3e-6)
+    np.testing.assert_array_equal(space.check_feasible(found), found)
+
+
+def test_a_constraint_that_swings_widely_above_zero_leaves_nothing():
+    with pytest.raises(InputError, match="no design that keeps them"):
+        DesignSpace(["a"], [0], [1], constraints=lambda p: 2 + ca.sin(1e7 * p[0]))
+
+
+def test_an_edge_of_infinite_slope_is_not_near_everything():
+    space = DesignSpace(["a"], [0], [1], constraints=lambda p: 0.5 - ca.sqrt(p[0]))
+    assert space.violation([0.0]) > 0.1
+    assert space.project([0.0])[0] == pytest.approx(0.25)
+    other = DesignSpace(["a"], [0], [1], constraints=lambda p: ca.sqrt(p[0]) - 0.5)
+    assert other.active_constraints([0.0]) == {}
