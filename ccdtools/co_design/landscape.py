@@ -137,8 +137,8 @@ def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gener
 
 def combinations(space: DesignSpace) -> float:
     """How many combinations of whole numbers a design may have; 1 where there are no whole numbers."""
-    lower, upper = (bound[space.whole] for bound in (space.lower, space.upper))
-    return float(np.prod(np.floor(upper + 1e-9) - np.ceil(lower - 1e-9) + 1.0))
+    lower, upper = (bound[space.whole] for bound in space.outermost)
+    return float(np.prod(upper - lower + 1.0))
 
 
 def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:

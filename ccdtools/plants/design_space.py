@@ -225,6 +225,12 @@ class DesignSpace(Immutable):
         return np.isin(self.names, self.integer)
 
     @property
+    def outermost(self) -> tuple[Array, Array]:
+        """The least and the largest design (np,) each: the bounds, and of whole numbers the last ones within them."""
+        lower = np.where(self.whole, np.ceil(self.lower - 1e-9), self.lower)
+        return lower, np.where(self.whole, np.floor(self.upper + 1e-9), self.upper)
+
+    @property
     def free(self) -> Any:
         """Which entries are not fixed, (np,) of bool."""
         return self.upper > self.lower
@@ -274,8 +280,10 @@ class DesignSpace(Immutable):
     def active_bounds(self, p: ArrayLike, *, tol: float = 1e-3) -> dict[str, str]:
         """Names of the parameters within `tol` (of the range) of a bound, with "lower" or "upper"."""
         tol = as_number("tol", tol, expected="a number from 0 to 0.5", low=0.0, high=0.5)
-        v = self.to_unit(as_vector("p", p, self.dim))
-        moving = [(name, vi) for name, vi, free in zip(self.names, v, self.free) if free]
+        lower, upper = self.outermost
+        width = upper - lower
+        v = (as_vector("p", p, self.dim) - lower) / np.where(width > 0, width, 1.0)
+        moving = [(name, vi) for name, vi, free in zip(self.names, v, width > 0) if free]
         active = {name: "lower" for name, vi in moving if vi <= tol}
         return active | {name: "upper" for name, vi in moving if vi >= 1 - tol}
 

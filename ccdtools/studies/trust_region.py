@@ -20,6 +20,7 @@ from ccdtools.twin.twin import DigitalTwin
 DOUBT = 0.1  # part of the errors' energy whose change with the design is not known, above which a redesign is limited
 FIRST_RADIUS = 0.25  # of the range of every parameter
 LEAST_RADIUS = 1 / 64
+ROUNDING = 1e-9  # of whole numbers at the ends of a region
 CONSTANT = 1e-9  # difference of E over the box, relative to E, that is rounding
 
 
@@ -97,11 +98,18 @@ def doubt_of(twin: DigitalTwin, scale: Array) -> Doubt:
 
 
 def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignProblem:
-    """`problem` with the box of designs narrowed to so much of each range on either side of a design."""
+    """`problem` with the box of designs narrowed to so much of each range on either side of a design.
+
+    A whole number may take the next one either way, however short its range or small the radius.
+    """
     space = problem.design
     middle = space.to_unit(centre)
     lower = space.from_unit(np.clip(middle - radius, 0, 1))
     upper = space.from_unit(np.clip(middle + radius, 0, 1))
+    whole = space.whole
+    least, most = space.outermost
+    lower[whole] = np.maximum(np.floor(np.minimum(lower + ROUNDING, centre - 1))[whole], least[whole])
+    upper[whole] = np.minimum(np.ceil(np.maximum(upper - ROUNDING, centre + 1))[whole], most[whole])
     return replace(problem, model=problem.model.within(replace(space, lower=lower, upper=upper)))
 
 
@@ -112,8 +120,13 @@ def edges(design: Array, region: DesignSpace, space: DesignSpace) -> dict[str, s
 
 
 def in_whole_box(result: CoDesignResult, region: DesignSpace, space: DesignSpace) -> CoDesignResult:
-    """A result found in a region as it is to be read in the whole box: its edges are no bounds of the design."""
-    held = result.status is CoDesignStatus.AT_BOUND and edges(result.design, region, space)
+    """A result found in a region as it is to be read in the whole box: its edges are no bounds of the design.
+
+    A whole number is held by no slope: that the best one stands at an edge says as much.
+    """
+    at = edges(result.design, region, space)
+    holding = {CoDesignStatus.AT_BOUND: set(space.names), CoDesignStatus.CONVERGED: set(space.integer)}
+    held = holding.get(result.status, set()) & at.keys()
     status = CoDesignStatus.EDGE_OF_TRUST if held else result.status
     active = space.active_constraints(result.design)
     return replace(result, active_bounds=space.active_bounds(result.design), status=status, active_constraints=active)

@@ -4,8 +4,19 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
+import pytest
 
-from ccdtools import DesignSpace, DigitalTwin, Plant, discretise, simulate
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    DigitalTwin,
+    FixedStart,
+    Gaussian,
+    Plant,
+    QuadraticObjective,
+    discretise,
+    simulate,
+)
 from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import LinearFeedback
@@ -125,3 +136,57 @@ def test_a_silent_log_leaves_nothing_to_doubt():
     twin = taught(mass())
     quiet = replace(twin.logs[0], e=0 * twin.logs[0].e, e_next=0 * twin.logs[0].e_next)
     assert doubt_of(replace(twin, logs=(quiet,)), SCALE) == Doubt(0.0, 0.0, True)
+
+
+def gears(lower, upper):
+    """A mass behind a gear: its number of teeth is whole, its ratio is not."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    space = DesignSpace(["teeth", "ratio"], [lower, 0.5], [upper, 2.5], integer=["teeth"])
+    plant = Plant(x, u, w, p, ca.vertcat(x[1], -x[0] + p[1] * u + w / p[0]), space, dt=0.1)
+    return CoDesignProblem(
+        discretise(plant), X=([-9, -9], [9, 9]), U=([-9], [9]), steps=10,
+        objective=QuadraticObjective(np.eye(2), [[1.0]]), scenarios=FixedStart([1.0, 0.0], Gaussian([0.1])),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("box", "centre", "radius", "expected"),
+    [
+        ((2, 6), 4, LEAST_RADIUS, (3, 5)),
+        ((2, 6), 4, 0.25, (3, 5)),
+        ((2, 6), 4, 0.3, (2, 6)),
+        ((2, 6), 2, LEAST_RADIUS, (2, 3)),
+        ((2, 6), 6, 0.25, (5, 6)),
+        ((1.6, 6.7), 4, 1.0, (2, 6)),
+        ((1.6, 6.7), 2, 0.1, (2, 3)),
+        ((1, 1001), 500, 0.0101, (489, 511)),
+        ((3, 3), 3, 0.25, (3, 3)),
+    ],
+)
+def test_a_whole_number_may_take_the_next_one_in_the_smallest_region(box, centre, radius, expected):
+    region = within(gears(*box), np.array([centre, 2.5]), radius).design
+    np.testing.assert_allclose([region.lower[0], region.upper[0]], expected)
+    np.testing.assert_allclose([region.lower[1], region.upper[1]], [max(0.5, 2.5 - 2 * radius), 2.5])
+    assert region.feasible([centre, 2.5])
+
+
+def test_a_whole_number_at_the_edge_of_the_region_is_told_from_one_at_its_bound(clone, illustrative):
+    problem = gears(1.6, 6.7)
+    region = within(problem, np.array([4, 1.5]), LEAST_RADIUS).design
+    assert edges(np.array([5, 1.5]), region, problem.design) == {"teeth": "upper"}
+    assert edges(np.array([4, 1.5]), region, problem.design) == {}
+    last = within(problem, np.array([5, 1.5]), LEAST_RADIUS).design
+    assert problem.design.active_bounds([6, 1.5]) == {"teeth": "upper"}
+    assert edges(np.array([6, 1.5]), last, problem.design) == {}
+    history = History(*(np.zeros(1) for _ in range(2)), np.zeros((1, 2)), *(np.zeros(1) for _ in range(3)))
+
+    def read(teeth, region):
+        """What is said of a converged co-design of that many teeth."""
+        found = CoDesignResult(np.array([teeth, 1.5]), clone(illustrative), {}, history, None,
+                               status=CoDesignStatus.CONVERGED)  # fmt: skip
+        return in_whole_box(found, region, problem.design)
+
+    assert read(5, region).status is CoDesignStatus.EDGE_OF_TRUST
+    assert read(4, region).status is CoDesignStatus.CONVERGED
+    assert read(6, last).status is CoDesignStatus.CONVERGED
+    assert read(6, last).active_bounds == {"teeth": "upper"}
