@@ -29,6 +29,11 @@ class Trajectory(Immutable):
     design : (np,) array
     dt : float
         Sampling time [s].
+
+    Raises
+    ------
+    InputError
+        If the arrays are not of such shapes, or hold no step.
     """
 
     states: Array
@@ -47,6 +52,8 @@ class Trajectory(Immutable):
         if shapes != ((n, steps + 1), (n, steps), (n,)) or self.states.ndim != 3 or self.disturbances.ndim != 3:
             got = f"shapes {self.states.shape}, {self.inputs.shape}, {self.disturbances.shape}"
             raise InputError("states, inputs, disturbances", got, "(n, T + 1, nx), (n, T, nu) and (n, T, nw)")
+        if steps < 1:
+            raise InputError("inputs", "runs of 0 steps", "at least one step")
 
     def __repr__(self) -> str:
         n, steps, nu = self.inputs.shape

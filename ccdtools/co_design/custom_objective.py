@@ -78,6 +78,12 @@ class CustomObjective(Objective):
         H = np.asarray(self.stage_cost.hessian(nx, nu, len(p))(p), dtype=float) / 2
         return _checked_weights(H, nx, p)
 
+    def judges(self, nx: int, nu: int, designs: int) -> bool:
+        """Whether a cost depends on any of its arguments, or there is one of the design."""
+        if self.design_cost is not None or self.stage_cost.depends(nx, nu, designs):
+            return True
+        return self.terminal_cost is not None and bool(self.terminal_cost.depends(nx, designs))
+
     def check(self, nx: int, nu: int, designs: int) -> None:
         """Raise an `InputError` unless it is a function of such states, inputs and designs."""
         super().check(nx, nu, designs)

@@ -25,7 +25,7 @@ from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.lqr_regions import lqr_gains
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
-from ccdtools.plants.design_space import FEASIBLE, DesignSpace
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.nearest_design import nearest
 
 RUNS = 96  # scenarios that every design is simulated on, the same for all
@@ -61,12 +61,15 @@ class Landscape:
         self._x0, self._w = scenario_tensors(problem, fewer_runs(as_count("runs", runs), problem.steps), rng)
 
     def returns(self, points: ArrayLike) -> Array:
-        """Mean returns (n,) at points (n, np) of the unit box; −inf without an LQR, or where a constraint is broken."""
+        """Mean returns (n,) at points (n, np) of the unit box; −inf without an LQR, or where none can be built.
+
+        Nothing can be built where a constraint is broken, or between whole numbers.
+        """
         V: Array = np.clip(np.atleast_2d(np.asarray(points, dtype=float)), 0.0, 1.0)
         designs = self.problem.design.from_unit(V)
         A, B, _ = self.problem.model.matrices(designs)
         gains = lqr_gains(self.problem, A, B, designs)
-        known = np.isfinite(gains).all(axis=(1, 2)) & (self.problem.design.allowed.violation(V) <= FEASIBLE)
+        known = np.isfinite(gains).all(axis=(1, 2)) & self.problem.design.feasible(designs)
         out = np.full(len(V), -np.inf)
         K = gains[known]
         values = [
@@ -112,7 +115,7 @@ def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gener
     """
     landscape = Landscape(problem, rng)
     space = problem.design
-    given = space.to_unit(space.check_one(design))
+    given = space.allowed.rounded(space.to_unit(space.check_one(design)))
     V = np.vstack([given, _samples(space, rng)])
     J = landscape.returns(V)
     if space.integer:

@@ -77,6 +77,10 @@ class Objective(Immutable):
         """The quadratic cost of a step about rest at a design (np,), for LQR and MPC."""
         raise NotImplementedError
 
+    def judges(self, nx: int, nu: int, designs: int) -> bool:
+        """Whether anything that is chosen changes it: a state, an input or the design."""
+        return True
+
     def check(self, nx: int, nu: int, designs: int) -> None:
         """Raise an `InputError` unless it fits a model of so many states, inputs and design parameters."""
         if self.design_cost is not None:
@@ -156,6 +160,11 @@ class QuadraticObjective(Objective):
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
         """Q, R and S, the same at every design."""
         return Weights(self.Q, self.R, self.S)
+
+    def judges(self, nx: int, nu: int, designs: int) -> bool:
+        """Whether there is a weight, a cost of the design, or a subclass with rewards of its own."""
+        own = type(self).rewards is not QuadraticObjective.rewards
+        return own or self.design_cost is not None or bool(self.Q.any() or self.R.any())
 
     def check(self, nx: int, nu: int, designs: int) -> None:
         """Raise an `InputError` unless the weights are those of so many states and inputs."""

@@ -133,7 +133,7 @@ class CoDesignProblem(Immutable):
     InputError
         If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
         not in X or not in U, U is not a box, starts lie outside X, or the box of designs is too narrow or has no entry
-        that is not fixed.
+        that is not fixed. If nothing that is chosen changes the objective.
     """
 
     model: Model
@@ -166,7 +166,13 @@ class CoDesignProblem(Immutable):
             raise InputError("U", "a set that is not a box", "independent bounds on each input")
         if not self.U.contains(np.zeros(model.nu)):
             raise InputError("U", "a set without the origin", "one that holds the input 0, which keeps the state at 0")
-        as_objective("objective", self.objective).check(model.nx, model.nu, model.design.dim)
+        sizes = (model.nx, model.nu, model.design.dim)
+        as_objective("objective", self.objective).check(*sizes)
+        if not self.objective.judges(*sizes):
+            raise InputError(
+                "objective", "one that costs the same whatever is done", "a cost of states, inputs or the design",
+                "Set Q or R, a stage cost that depends on its arguments, or a design_cost.",
+            )  # fmt: skip
         object.__setattr__(self, "steps", as_count("steps", self.steps))
         object.__setattr__(self, "objective", self.objective.over(self.steps))
         as_risk("risk", self.risk)

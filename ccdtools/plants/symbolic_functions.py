@@ -71,6 +71,12 @@ class SymbolicFunction:
             self._compiled[sizes] = Vectorised(self.function(*sizes))
         return self._compiled[sizes]
 
+    def depends(self, *sizes: int) -> bool:
+        """Whether any of its arguments changes it."""
+        function = self.function(*sizes)
+        columns = [_column(name, size) for name, size in zip(self.names, sizes)]
+        return bool(ca.depends_on(ca.simplify(function(*columns)), ca.vertcat(*columns)))
+
     @property
     def values(self) -> int:
         """How many values it has, for the sizes that it was used with first."""

@@ -9,6 +9,7 @@ import pytest
 from ccdtools import InputError, LinearModel, QuadraticObjective, simulate
 from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
 from ccdtools.disturbances.disturbance import Gaussian
+from ccdtools.trajectory import Trajectory
 from mpc import lqr
 
 SCALAR = control.ss([[0.5]], [[1.0]], [[1.0]], 0, True)
@@ -254,3 +255,9 @@ def test_bad_arguments_are_refused_in_one_line(illustrative, changes, message):
     with pytest.raises(InputError, match=message) as caught:
         simulate(illustrative.model, controller, **arguments)
     assert "\n" not in str(caught.value)
+
+
+def test_runs_of_no_step_are_refused():
+    nothing = np.zeros((2, 0, 1))
+    with pytest.raises(InputError, match="inputs: got runs of 0 steps, expected at least one step"):
+        Trajectory(np.zeros((2, 1, 2)), nothing, nothing, np.full(2, -1), np.zeros(1), 0.1)

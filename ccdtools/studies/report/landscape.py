@@ -22,10 +22,12 @@ LANDSCAPE_DIVERGED = 0.01
 def landscape(run: FinishedRun) -> list[ReportFigure]:
     """Return of LQR over one or two design parameters, with the paths of the design."""
     space = run.problem.design
-    shown = [i for i in np.flatnonzero(space.free).tolist() if len(_axis(space, i, 2)) > 1]  # one number is no axis
+    lower, upper = space.outermost
+    shown = np.flatnonzero(upper > lower).tolist()  # one whole number is no axis
     if len(shown) not in LANDSCAPE:
         return []
-    axes = [_axis(space, i, LANDSCAPE[len(shown)]) for i in shown]
+    visited = np.vstack([history.design for history in run.histories] + [run.designs])
+    axes = [_axis(space, i, LANDSCAPE[len(shown)], visited[:, i]) for i in shown]
     over = np.stack(np.meshgrid(*axes), axis=-1)  # (n, 1), or (y, x, 2)
     held = space.settled(space.allowed.rounded(np.zeros(space.dim)))
     grid = np.broadcast_to(held, (*over.shape[:-1], space.dim)).copy()
@@ -42,15 +44,18 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
     if len(shown) == 1:
         return_plots.plot_landscape_curve(
             ax, axes[0], mean, interval, diverged, [path[:, 0] for path in paths], label=labels[0],
-            allowed=LANDSCAPE_DIVERGED,
+            allowed=LANDSCAPE_DIVERGED, whole=bool(space.whole[shown[0]]),
         )  # fmt: skip
     else:
-        return_plots.plot_landscape_map(ax, axes[0], axes[1], mean, fine, paths, labels=(labels[0], labels[1]))
+        return_plots.plot_landscape_map(ax, axes[0], axes[1], mean, fine, paths, labels=(labels[0], labels[1]),
+                                        whole=bool(space.whole[shown].any()))  # fmt: skip
     caption = (
         f"Mean return of saturated LQR on the nominal model over the design box ({mean.size} designs, "
         f"{LANDSCAPE_RUNS} runs each on common random numbers), computed apart from the co-design; the design should "
         "walk from its square to its star towards higher return."
     )
+    if space.whole[shown].any():
+        caption += " Of whole numbers there is nothing between those shown."
     if fine.any():
         top = np.unravel_index(np.where(fine, mean, -np.inf).argmax(), mean.shape)
         caption += f" Best of the grid: {run.describe(grid[top])}, {with_minus(number(float(mean[top])))}."
@@ -61,12 +66,11 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
     return [ReportFigure("landscape", "Landscape of the return", caption, figure)]
 
 
-def _axis(space: DesignSpace, i: int, n: int) -> Array:
-    """Values of one parameter over its range; of whole numbers about as many."""
-    values = np.linspace(space.lower[i], space.upper[i], n)
-    if not space.whole[i]:
-        return values
-    return np.unique(np.clip(np.round(values), np.ceil(space.lower[i] - 1e-9), np.floor(space.upper[i] + 1e-9)))
+def _axis(space: DesignSpace, i: int, n: int, visited: Array) -> Array:
+    """Values of one parameter over its range; of whole numbers about as many, with those that were visited."""
+    lower, upper = space.outermost
+    values = np.linspace(lower[i], upper[i], n)
+    return np.unique(np.round(np.r_[values, visited])) if space.whole[i] else values
 
 
 def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[float], list[float]]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
@@ -143,7 +145,7 @@ def _per_cent_axis(ax: Axes, low: float, high: float) -> None:
 
 def plot_landscape_curve(
     ax: Axes, designs: Array, mean: Array, interval: Array, diverged: Array, paths: Sequence[Array], *, label: str,
-    allowed: float,
+    allowed: float, whole: bool = False,
 ) -> list[Any]:  # fmt: skip
     """LQR's return over one design parameter, with the paths of the design drawn on it.
 
@@ -155,11 +157,19 @@ def plot_landscape_curve(
         One per generation.
     allowed : float
         Designs where a larger fraction diverges are shaded, and do not set the scale.
+    whole : bool
+        Whether the parameter is a whole number: then nothing is drawn between its values.
     """
     fine = diverged <= allowed
     colour = COLOURS["LQR"]
-    artists: list[Any] = [ax.fill_between(designs, mean - interval, mean + interval, color=colour, alpha=0.2, lw=0)]
-    artists += ax.plot(designs, mean, color=colour, label="LQR at this design")
+    artists: list[Any] = []
+    if whole:
+        artists.append(ax.errorbar(designs, mean, yerr=interval, fmt="_", color=colour, ms=14, mew=2, capsize=3,
+                                   label="LQR at this design"))  # fmt: skip
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    else:
+        artists.append(ax.fill_between(designs, mean - interval, mean + interval, color=colour, alpha=0.2, lw=0))
+        artists += ax.plot(designs, mean, color=colour, label="LQR at this design")
     edges = np.r_[designs[0], (designs[1:] + designs[:-1]) / 2, designs[-1]]
     for i in np.flatnonzero(~fine):
         ax.axvspan(edges[i], edges[i + 1], color="#DDDDDD", lw=0, zorder=0)
@@ -184,6 +194,7 @@ def plot_landscape_map(
     paths: Sequence[Array],
     *,
     labels: tuple[str, str],
+    whole: bool = False,
 ) -> list[Any]:
     """LQR's return over two design parameters, with the paths of the design.
 
@@ -193,13 +204,21 @@ def plot_landscape_map(
     mean, fine : (m, k) arrays
         Designs that are not fine (too many runs diverge) stay blank.
     paths : sequence of (n, 2) arrays
+    whole : bool
+        Whether a parameter is a whole number: every design of the grid then is a cell, with nothing between them.
     """
     shown = np.ma.masked_where(~fine, mean)
     without_grid(ax)
     artists: list[Any] = []
     if shown.count() > 3 and np.ptp(shown.compressed()) > 0:
-        filled = ax.contourf(x, y, shown, levels=_even_levels(shown.compressed()), cmap="Blues_r", extend="min")
-        ax.contour(x, y, shown, levels=filled.levels, colors="white", linewidths=0.5, linestyles="solid")
+        levels = _even_levels(shown.compressed())
+        filled: Any
+        if whole:
+            colours = BoundaryNorm(levels, matplotlib.colormaps["Blues_r"].N, extend="min")
+            filled = ax.pcolormesh(x, y, shown, cmap="Blues_r", norm=colours, shading="nearest", ec="white", lw=0.5)
+        else:
+            filled = ax.contourf(x, y, shown, levels=levels, cmap="Blues_r", extend="min")
+            ax.contour(x, y, shown, levels=filled.levels, colors="white", linewidths=0.5, linestyles="solid")
         without_grid(ax.figure.colorbar(filled, ax=ax, label="return of LQR, nominal model").ax)
         artists.append(filled)
         top = np.unravel_index(shown.argmax(), shown.shape)
@@ -209,9 +228,9 @@ def plot_landscape_map(
     for g, path in enumerate(paths):
         artists += _path(ax, path[:, 0], path[:, 1], g)
     ax.set(xlabel=labels[0], ylabel=labels[1])
-    room = 0.03
-    ax.set_xlim(x[0] - room * np.ptp(x), x[-1] + room * np.ptp(x))
-    ax.set_ylim(y[0] - room * np.ptp(y), y[-1] + room * np.ptp(y))
+    for set_limits, axis in ((ax.set_xlim, x), (ax.set_ylim, y)):
+        gaps = np.diff(axis)[[0, -1]] / 2 if whole else np.full(2, 0.03 * np.ptp(axis))
+        set_limits(axis[0] - gaps[0], axis[-1] + gaps[1])
     ax.legend(loc="best", markerscale=0.5)
     return artists
 

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.exceptions import InputError
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.studies.report import plotting, style
 from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun
 from ccdtools.studies.report.formatting import generation_name
@@ -19,6 +21,7 @@ from invariant_sets.results import Status
 
 _Cut = tuple[Callable[[Polytope, tuple[int, int]], Polytope], str]  # the planar set of a pair of states, its title
 SHOWN_DESIGNS = 4
+NEAR = "near the "  # begins the label of the nearest design to one that cannot be built
 MOST_PROJECTED = 4  # states of a set whose projections are drawn
 
 
@@ -37,6 +40,8 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
     local = not run.study.plant.linear
     if local:
         caption += "They are those of the linearisation at rest, which the plant itself may leave. "
+    if any(label.startswith(NEAR) for label in (*shown.sets, *shown.missing)):
+        caption += "Where a design of the box cannot be built, the nearest that can stands for it. "
     if shown.inner:
         caption += (
             f"Not the largest, but a part of it that the limits can be kept in, as far as {SET_SECONDS:g} s went: "
@@ -84,7 +89,12 @@ def _shown_sets(run: FinishedRun) -> _ShownSets:
     space = run.problem.design
     places = {"lower corner": 0.0, "upper corner": 1.0, "centre": 0.5, "between": 0.25}
     candidates = [(generation_name(run.last), run.designs[-1]), (generation_name(0), run.designs[0])]
-    candidates += [(label, space.from_unit(np.full(space.dim, v))) for label, v in places.items()]
+    for place, v in places.items():
+        design = space.from_unit(np.full(space.dim, v))
+        if space.feasible(design):
+            candidates.append((place, design))
+        elif (nearest := _nearest(space, design)) is not None:
+            candidates.append((f"{NEAR}{place}", nearest))
     lines = {generation_name(g): (style.generation_colour(g), "-") for g in (0, run.last)}
     lines |= dict(zip(places, style.OTHER_DESIGNS))
     seen: list[Array] = []
@@ -100,10 +110,18 @@ def _shown_sets(run: FinishedRun) -> _ShownSets:
             shown.missing.append(f"{title} ({result.status.name.lower().replace('_', ' ')})")
         else:
             shown.sets[title] = result.set
-            shown.lines[title] = lines[label]
+            shown.lines[title] = lines[label.removeprefix(NEAR)]
             if result.status is not Status.CONVERGED:
                 shown.inner.append(title)
     return shown
+
+
+def _nearest(space: DesignSpace, design: Array) -> Array | None:
+    """The nearest design that can be built; None if none is found."""
+    try:
+        return space.project(design)
+    except InputError:
+        return None
 
 
 def _telling_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import CoDesignProblem, InputError, LinearModel, QuadraticObjective
+from ccdtools import CoDesignProblem, CustomObjective, InputError, LinearModel, QuadraticObjective
 from ccdtools.co_design.problem import FixedStart
 from invariant_sets import Polytope
 
@@ -82,3 +82,42 @@ def test_a_start_outside_X_and_inputs_without_zero_are_refused(illustrative):
         replace(problem, scenarios=FixedStart([9.0, 0.0], illustrative.disturbance))
     with pytest.raises(InputError, match="U: got a set without the origin, expected one that holds the input 0"):
         replace(problem, U=Polytope.from_bounds([0.5], [1.0]))
+
+
+class Absolute(QuadraticObjective):
+    """Rewards of its own."""
+
+    def rewards(self, x_next, u, x=None, p=None):
+        return -abs(x_next).sum(-1)
+
+
+NOTHING = {"Q": np.zeros((2, 2)), "R": [[0.0]]}
+
+
+@pytest.mark.parametrize(
+    "objective",
+    [
+        QuadraticObjective(**NOTHING),
+        QuadraticObjective(**NOTHING, S=np.zeros((2, 1))),
+        CustomObjective(lambda x, u, p: ca.SX(3.0)),
+        CustomObjective(lambda x, u, p: x[0] - x[0], lambda x, p: 0 * x[1], Q=np.eye(2), R=[[1.0]]),
+    ],
+)
+def test_an_objective_that_nothing_changes_is_refused(illustrative, objective):
+    with pytest.raises(InputError, match="objective: got one that costs the same whatever is done"):
+        replace(illustrative.problem(), objective=objective)
+
+
+@pytest.mark.parametrize(
+    "objective",
+    [
+        QuadraticObjective(Q=np.zeros((2, 2)), R=[[1.0]]),
+        QuadraticObjective(Q=1e-12 * np.eye(2), R=[[0.0]]),
+        QuadraticObjective(**NOTHING, design_cost=lambda p: p[0]),
+        Absolute(**NOTHING),
+        CustomObjective(lambda x, u, p: p[0]),
+        CustomObjective(lambda x, u, p: ca.SX(0.0), lambda x, p: ca.sumsqr(x)),
+    ],
+)
+def test_an_objective_of_which_anything_can_be_changed_is_taken(illustrative, objective):
+    assert replace(illustrative.problem(), objective=objective).objective.judges(2, 1, 1)

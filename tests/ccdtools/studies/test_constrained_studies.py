@@ -8,16 +8,22 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import small_runs
+from matplotlib.collections import QuadMesh
+from matplotlib.contour import ContourSet
 from typer.testing import CliRunner
 
 from ccdtools import CoDesignProblem, DesignSpace, FixedStart, InputError
 from ccdtools.cli import app
+from ccdtools.co_design.landscape import Landscape
 from ccdtools.co_design.result import History
 from ccdtools.studies import preparation
 from ccdtools.studies.fingerprint import jsonable_of
 from ccdtools.studies.report.landscape import landscape
 from ccdtools.studies.report.return_plots import plot_history
+from ccdtools.studies.report.set_figure import feasible_set_figure
 from ccdtools.studies.trust_region import within
+from invariant_sets import Polytope
+from invariant_sets.results import Status
 
 SPACE = (
     'DesignSpace(["k", "n", "c"], [1, 1, 2], [4, 5, 2], constraints=lambda p: p[0] + p[1] - 6.0, '
@@ -138,3 +144,60 @@ def test_a_report_names_what_a_design_keeps_and_what_holds_it(tmp_path, monkeypa
     assert "Whole numbers: n." in page
     assert "active constraints: budget" in page
     assert "start: k = 2, n = 4, c = 2; active bounds: none; active constraints: budget" in done.output
+
+
+def whole_problem(**space):
+    """Springs whose number is whole, behind a stiffness."""
+    options = {"lower": [1, 2, 2], "upper": [4, 6, 2]} | space
+    return replace(problem(), model=problem().model.within(DesignSpace(["k", "n", "c"], integer=["n"], **options)))
+
+
+def test_nothing_is_drawn_between_whole_numbers():
+    [figure] = landscape_of(whole_problem(), np.array([2.0, 3, 2]))
+    ax = figure.figure.axes[0]
+    assert ax.get_ylabel() == "n"
+    [cells] = [one for one in ax.collections if isinstance(one, QuadMesh)]
+    corners = cells.get_coordinates()[:, 0, 1]
+    np.testing.assert_allclose(corners, np.arange(2, 8) - 0.5)
+    assert not any(isinstance(one, ContourSet) for one in ax.collections)
+    assert "nothing between" in figure.caption
+    plt.close(figure.figure)
+    [curve] = landscape_of(whole_problem(lower=[2, 2, 2], upper=[2, 600, 2]), np.array([2.0, 3, 2]))
+    line = next(one for one in curve.figure.axes[0].lines if len(one.get_xdata()) > 5)
+    shown = line.get_xdata()
+    assert line.get_linestyle() == "None"
+    np.testing.assert_array_equal(shown, np.round(shown))
+    assert 3 in shown
+    plt.close(curve.figure)
+
+
+def test_a_landscape_has_no_height_between_whole_numbers():
+    landscape = Landscape(whole_problem(), np.random.default_rng(0), runs=4)
+    between, at = landscape.returns([[0.5, 0.4, 0.0], [0.5, 0.5, 0.0]])
+    assert between == -np.inf
+    assert np.isfinite(at)
+
+
+def test_sets_are_drawn_for_designs_that_can_be_built():
+    space = whole_problem(constraints=lambda p: p[0] + p[1] / 2 - 5.4).design
+    asked = []
+
+    def result(design):
+        """A set of its own for each design that is asked for."""
+        asked.append(design)
+        size = 1.0 + design.sum() / 20
+        return SimpleNamespace(set=Polytope.from_bounds([-size] * 2, [size] * 2), status=Status.CONVERGED)
+
+    first = np.array([2.0, 3, 2])
+    run = SimpleNamespace(
+        problem=SimpleNamespace(design=space), designs=[first, first], last=1, describe=space.describe, quick=True,
+        results={"configuration": {"sets": "auto"}}, sets=SimpleNamespace(result=result),
+        study=SimpleNamespace(plant=SimpleNamespace(nx=2, linear=True, state_names=["a", "b"]),
+                              X=Polytope.from_bounds([-3, -3], [3, 3])),
+    )  # fmt: skip
+    [figure] = feasible_set_figure(run)
+    assert space.feasible(np.array(asked)).all()
+    drawn = [text.get_text() for text in figure.figure.legends[0].get_texts()]
+    assert any(label.startswith("near the upper corner") for label in drawn)
+    assert "the nearest that can stands for it" in figure.caption
+    plt.close(figure.figure)
