@@ -89,3 +89,7 @@ class Trajectory(Immutable):
     def returns(self, objective: Objective) -> Array:
         """Undiscounted returns (n,), less the cost of the design; read them together with `diverged`."""
         return self.rewards(objective).sum(axis=1)
+
+    def size_of(self, value: float, objective: Objective) -> float:
+        """How large a return of such runs is without the cost of their design."""
+        return float(objective.made_by_control(value, self.design, self.inputs.shape[1]))

@@ -152,7 +152,7 @@ class Ascent:
         best = self.best
         if best.lost < before.lost or best.violation < LESS * before.violation:
             return True
-        return bool(self.gain.ci95[0] > 0 and self.gain.mean > self.task.config.tolerance * abs(best.score))
+        return bool(self.gain.ci95[0] > 0 and self.gain.mean > self.task.config.tolerance * self._size)
 
     def _climbs(self) -> bool:
         """Whether the return that iterates are scored by still rises along the design, inside the box."""
@@ -166,7 +166,13 @@ class Ascent:
     @property
     def _matters(self) -> float:
         """The gain of a slope that is worth following, or naming."""
-        return 2 * self.task.config.tolerance * abs(self.best.score)
+        return 2 * self.task.config.tolerance * self._size
+
+    @property
+    def _size(self) -> float:
+        """How large the best return is, without the cost of its design."""
+        best = self.best
+        return float(self.task.judge.made_by_control(best.score, to_design(self.task.judge, best.v)))
 
     def _differences(self, scenarios: ScenarioTensors) -> Differences:
         """Finite differences of the present policy's return on the problem."""
@@ -180,7 +186,7 @@ class Ascent:
         """Whether no estimate of the design gradient could be trusted."""
         if self.check is None or self.check.trusted or self.task.config.design_gradient != "pathwise":
             return False
-        return self.slope.unresolved(abs(self.best.score)) or not self.by_differences
+        return self.slope.unresolved(self._size) or not self.by_differences
 
     def drawn(self, runs: int) -> ScenarioTensors:
         """Fresh scenarios of the problem."""
@@ -206,11 +212,12 @@ class Ascent:
             self.model_steps += samples
             return self.iterations % self.task.config.evaluate_every == 0
 
+        paid = float(self.task.problem.cost_of_design(self._p()))  # a constant, beside which nothing would matter
         average = SampleAverage(
-            lambda: self.cost(self.v, scenarios),
+            lambda: self.cost(self.v, scenarios) - paid,
             weights=list(self.agent.mean_network.parameters()) if self.task.pathwise else [],
             v=self.v if self.task.moving else None,
-            scale=abs(self.best.score) or 1.0,
+            scale=self._size or 1.0,
             slope=(lambda: self._slope_by_differences(scenarios)) if self.by_differences else None,
             region=None if self.region.whole_box else self.region,
         )
@@ -296,7 +303,8 @@ class Ascent:
         scenarios = self.drawn(task.config.pathwise_runs)
         self.model_steps += scenarios[1].shape[0] * scenarios[1].shape[1]
         cost = self.cost(self.v, scenarios)
-        size = cost.detach().abs()  # relative, so that a lost run's 1e8 today does not drown tomorrow's steps
+        paid = task.problem.cost_of_design(self._p())
+        size = (cost.detach() - paid).abs()  # relative, so that a lost run's 1e8 today does not drown tomorrow's steps
         parameters = list(self.agent.mean_network.parameters()) if task.pathwise else []
         *gradients, design_gradient = torch.autograd.grad(cost / size, [*parameters, self.v])
         for parameter, gradient in zip(parameters, gradients):

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.differentiable_model import ScenarioTensors
+from ccdtools.co_design.differentiable_model import ScenarioTensors, to_design
 from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.problem import CoDesignProblem
@@ -75,7 +75,8 @@ class Differences:
 
         A return that goes with 1/p bends near a small p by far more than a hundredth of the box shows.
         """
-        size = self._returns(v.detach().double()).mean().abs()
+        centre = v.detach().double()
+        size = self.problem.made_by_control(self._returns(centre).mean(), to_design(self.problem, centre))
         slope = self.about(v, STEPS[0]).mean(0)
         for step, finer in pairwise(STEPS):
             finer_slope = self.about(v, finer).mean(0)

@@ -9,7 +9,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_generator, as_instance, as_number
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.design_gradients import Differences, inside, pathwise_by_run, standard_error
-from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.episodes import episode_at, fewer_runs
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.reinforcement.gradients import network_input_gradient
@@ -60,7 +60,8 @@ def check_gradients(
     pathwise = pathwise_by_run(problem, agent, v, scenarios)
     network = network_input_gradient(problem, agent, v, rng=rng, runs=len(pathwise), config=ppo or PPOConfig())
     with torch.no_grad():
-        scale = episode_at(problem, agent, v, scenarios).total.mean().abs().item()
+        mean = episode_at(problem, agent, v, scenarios).total.mean()
+        scale = float(problem.made_by_control(mean, to_design(problem, v)))
     return GradientCheck(
         tuple(problem.design.names), by_difference.mean(0).numpy(), pathwise.mean(0).numpy(), network.double().numpy(),
         standard_error(by_difference).numpy(), standard_error(pathwise).numpy(),

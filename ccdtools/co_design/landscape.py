@@ -39,7 +39,7 @@ ROUNDS = 60  # of the climb at most
 PATH = 9  # designs between two hilltops that are looked at
 COMBINATIONS = 8  # of whole numbers that are climbed with; up to so many, all of them
 HILLS = 2  # that are climbed with one combination
-RIDGE = 2e-3  # of the return: two hills that are parted by less are one
+RIDGE = 2e-3  # of the return without the cost of the design: two hills that are parted by less are one
 
 
 class Landscape:
@@ -270,4 +270,6 @@ def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float)
         return True
     shares = np.linspace(0, 1, PATH + 2)[1:-1, None]
     between = landscape.returns(lower + shares * (higher - lower))
-    return bool(between.min() >= height - RIDGE * abs(height))
+    problem = landscape.problem
+    size = problem.made_by_control(height, problem.design.from_unit(lower))
+    return bool(between.min() >= height - RIDGE * size)

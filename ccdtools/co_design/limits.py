@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from ccdtools.co_design.differentiable_model import to_design
 from ccdtools.co_design.episodes import Episode
 from ccdtools.co_design.limit_tolerance import FLOOR, NOTHING, UNTIL_LEFT, Pair, Tolerance, measured, tolerance_by_mpc
 from ccdtools.co_design.problem import CoDesignProblem
@@ -117,7 +118,7 @@ class StateLimitPenalty:
 
         The fraction of the states outside X has no gradient: it is as the mean depth, in units of `spread`.
         """
-        size = episode.total.detach().mean().abs()
+        size = self.judge.made_by_control(episode.total.detach().mean(), to_design(self.judge, v.detach()))
         means = torch.stack([episode.depth.mean() / self.spread, episode.peak.mean()])
         multipliers = torch.tensor(self.multipliers.values(), dtype=torch.float64)
         return size * multipliers @ _penalty(_relative_excess(means, self.tolerance.at(v)))

@@ -92,6 +92,13 @@ class Objective(Immutable):
             return 0.0
         return self.design_cost.scalar(p.shape[-1])(p)[..., 0] * (steps / (self.episode or steps))
 
+    def made_by_control(self, value: Any, p: Any, steps: int) -> Any:
+        """How large a return is without the cost of its design, (...,): what differences are compared with.
+
+        A large J_d is a part of every return, and nothing that a controller does would matter beside it.
+        """
+        return abs(value + self.cost_of_design(p, steps))
+
     def over(self, steps: int) -> Self:
         """The same with `design_cost` set against an episode of so many steps, if it says nothing of its own."""
         return self if self.design_cost is None or self.episode is not None else replace(self, episode=steps)

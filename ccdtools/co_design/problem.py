@@ -256,6 +256,14 @@ class CoDesignProblem(Immutable):
         """The weights of LQR and MPC at a design (np,)."""
         return self.objective.weights(p, self.model.nx, self.model.nu)
 
+    def made_by_control(self, value: Any, p: Any) -> Any:
+        """How large the return of an episode at a design is without the cost of the design."""
+        return abs(value + self.cost_of_design(p))
+
+    def cost_of_design(self, p: Any) -> Any:
+        """What an episode pays for its design."""
+        return self.objective.cost_of_design(p, self.steps - self.warm_up)
+
     def kept_by_mpc(self, p: Array) -> Polytope:
         """The states that MPC keeps at a design: X, and limits of outputs that are linear in the state alone."""
         return self.X if self.output_limits is None else self.output_limits.within(self.X, self.model.nu, p)

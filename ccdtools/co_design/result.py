@@ -43,7 +43,7 @@ class GradientCheck(Immutable):
     deviation_error : array
         Standard error of the difference between pathwise and finite differences, run by run.
     scale : float
-        |mean return|.
+        |mean return| without the cost of the design.
     """
 
     names: tuple[str, ...]

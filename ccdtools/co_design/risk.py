@@ -30,6 +30,10 @@ class Mean:
         """The returns."""
         return returns
 
+    def describe(self) -> str:
+        """In words."""
+        return "mean"
+
 
 MEAN = Mean()
 
@@ -49,6 +53,10 @@ class MeanSpread:
         squares = (returns - returns.mean(-1)[..., None]) ** 2
         spread = (squares.mean(-1)[..., None] + TINY) ** 0.5
         return returns - self.weight * squares / spread
+
+    def describe(self) -> str:
+        """In words."""
+        return "mean minus spread" if self.weight == 1 else f"mean minus {self.weight:g} times the spread"
 
 
 @dataclass(frozen=True)
@@ -79,7 +87,17 @@ class CVaR:
         quantile = returns.gather(-1, order)
         return quantile + (returns - quantile).clamp(max=0.0) * (n / worst)
 
+    def describe(self) -> str:
+        """In words."""
+        return f"mean of the worst {100 * self.share:.3g} %"
+
 
 def as_risk(argument: str, value: Any) -> Risk:
     """`value`, if it is a risk."""
     return has_method(argument, value, "values", "Mean(), MeanSpread(weight) or CVaR(share)")
+
+
+def measure(risk: Risk) -> str:
+    """A risk in words: "mean", "mean of the worst 10 %"; of one that has no words of its own, the name of its class."""
+    describe = getattr(risk, "describe", None)
+    return describe() if callable(describe) else type(risk).__name__

@@ -19,7 +19,7 @@ from ccdtools.statistics import paired_difference
 from learning.networks import ActorCritic
 
 SAME_PLACE = 0.02  # of the box: two starts this close are one
-HOPEFUL = 0.2  # of the best valley's return: one that is worse by more is named, and not climbed from
+HOPEFUL = 0.2  # of the best valley's return without the cost of its design: one that is worse by more is named, and not climbed from
 FEW = 4  # starts with the best of many combinations of whole numbers
 MAPPED = 3  # parameters, up to which a second valley of the landscape is climbed from by default
 
@@ -37,7 +37,8 @@ def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[
     most = task.config.starts or _by_default(space)
     starts = [np.asarray(design, dtype=float)]
     for valley in found:
-        hopeful = valley.lqr_return >= found[0].lqr_return - HOPEFUL * abs(found[0].lqr_return)
+        best = found[0].lqr_return
+        hopeful = valley.lqr_return >= best - HOPEFUL * task.problem.made_by_control(best, found[0].design)
         elsewhere = all(_apart(space, space.to_unit(valley.design), space.to_unit(one)) for one in starts)
         if len(starts) < most and hopeful and elsewhere:
             starts.append(valley.design)

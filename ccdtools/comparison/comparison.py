@@ -16,7 +16,6 @@ from ccdtools.checks import as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.comparison.baselines import REFERENCE
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
-from ccdtools.comparison.outside import Outside
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.observed import Observed
@@ -24,6 +23,7 @@ from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits
 from ccdtools.output_limits import OutputLimits
+from ccdtools.outside import Outside
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.trajectory import Trajectory

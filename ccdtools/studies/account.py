@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ccdtools.studies.report.formatting import FORMER, number, percent_interval, share, with_minus
+from ccdtools.studies.report.formatting import FORMER, in_measure, number, percent_interval, share, with_minus
 from ccdtools.studies.service import JudgeStatus, ServiceStatus
 
 Values = Mapping[str, Any]
@@ -34,18 +34,32 @@ def account(generation: int, deployed: Values, redesign: Values | None, place: s
     if redesign["accepted"]:
         parts = [_redesigned(name, redesign, delivery, place), *_verdict(delivery)]
         return "; ".join([*parts, _updates(accepted, deployed["updates"], "all of it is the redesign's")])
-    before = delivery["former"]
     replaces = delivery["replaces"]
-    kept = _kept(before, accepted, replaces)
+    kept = _kept(delivery, accepted)
     changed = "changed nothing" if not accepted else "changed the policy only, by updates while deployed"
     if not replaces:
-        worse = ServiceStatus(delivery["status"]).value
-        changed = f"was {worse} than the generation before ({_change(delivery)}) and its updates were taken back"
-        if not accepted:
-            changed = f"was {worse} than the generation before ({_change(delivery)}), though nothing had changed"
+        changed = f"{_fell_back(delivery)}{_taken_back(delivery, accepted)}"
     updates = _updates(accepted, deployed["updates"], kept)
     delivered = [f"delivered {_change(delivery)}"] if accepted and replaces else []
     return "; ".join([f"{name} {changed}: {refusal(redesign)}", *delivered, *_judged(delivery), updates])
+
+
+def _fell_back(delivery: Values) -> str:
+    """How a deployment that was no redesign fell short of the one before it."""
+    if delivery["status"] == ServiceStatus.LIMITS.value:
+        return f"was {delivery['status']} ({delivery['breach']})"
+    if delivery["status"] == ServiceStatus.DIVERGED.value:
+        return f"lost more runs than generation {delivery['former']} ({_change(delivery)})"
+    return f"was {delivery['status']} than generation {delivery['former']} ({_change(delivery)})"
+
+
+def _taken_back(delivery: Values, accepted: int) -> str:
+    """What was taken back: updates of this deployment, or those of the former one, judged again by a whole one."""
+    former = f"the updates accepted in generation {delivery['former']}"
+    if delivery.get("carried"):
+        also = " and its own" if accepted else ""
+        return f", so that {former}{also}, judged again by a whole deployment, were taken back"
+    return " and its updates were taken back" if accepted else ", though nothing had changed"
 
 
 def refusal(redesign: Values) -> str:
@@ -71,7 +85,7 @@ def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> st
     elif redesign["region"]["edges"] and decision["moved"]:
         what = f"{what}, at the edge of the trust region ({', '.join(redesign['region']['edges'])})"
     gain = decision["gain"]
-    promise = percent_interval(gain["mean"], gain["ci95"], delivery["size"])
+    promise = percent_interval(gain["mean"], gain["ci95"], delivery["size"]) + in_measure(decision.get("measure", "mean"))
     delivered = f"delivered {_change(delivery)} against generation {delivery['former']}"
     return f"{name} {what}, promised {promise} and {delivered}"
 
@@ -80,7 +94,8 @@ def _verdict(delivery: Values) -> list[str]:
     """Whether a redesign stays in service, if it does not, and whether the judge was wrong."""
     status = ServiceStatus(delivery["status"])
     former = f"design and policy of generation {delivery['former']} stay in service"
-    return ([] if status.replaces else [f"{status.value}, so {former}"]) + _judged(delivery)
+    why = status.value if status is not ServiceStatus.LIMITS else f"{status.value} ({delivery['breach']})"
+    return ([] if status.replaces else [f"{why}, so {former}"]) + _judged(delivery)
 
 
 def _judged(delivery: Values) -> list[str]:
@@ -105,13 +120,16 @@ def _returns(delivery: Values, deployed: Values) -> str:
 def _change(delivery: Values) -> str:
     """The change that a deployment delivered, in per cent of what was in service."""
     change = delivery["change"]
-    return percent_interval(change["mean"], change["ci95"], delivery["size"])
+    return percent_interval(change["mean"], change["ci95"], delivery["size"]) + in_measure(delivery.get("measure", "mean"))
 
 
-def _kept(before: int, accepted: int, replaces: bool) -> str:
+def _kept(delivery: Values, accepted: int) -> str:
     """What became of the policy in service."""
-    if accepted and replaces:
+    before = delivery["former"]
+    if accepted and delivery["replaces"]:
         return f"design of generation {before}, policy updated"
+    if delivery.get("carried") and not delivery["replaces"]:
+        return f"the policy in service is that of generation {before} before its updates"
     return f"the policy in service is that of generation {before}, unchanged"
 
 

@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.risk import measure
 from ccdtools.plants.design_space import SAME_DESIGN, DesignSpace
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference, Summary, summarise_returns
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
-from ccdtools.studies.report.formatting import percent_interval
+from ccdtools.studies.report.formatting import in_measure, percent_interval
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.common_runs import paired_over_groups
+from ccdtools.twin.limits_kept import Breach, breach
+from ccdtools.twin.paired_risk import paired_in_risk
 from ccdtools.twin.recombined_returns import LoggedGain, recombined_gain
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
@@ -36,6 +38,7 @@ class RedesignStatus(Enum):
     DIVERGES = "more of its runs diverge"
     CONTRADICTED = "the updated model says the contrary"
     UNFILTERED = "the filter finds no set at its design"
+    LIMITS = "it leaves the limits further than granted"
 
     @property
     def advice(self) -> str:
@@ -46,6 +49,7 @@ class RedesignStatus(Enum):
             RedesignStatus.NO_GAIN: "Log more runs or a longer one; or the design is as good as the log can tell.",
             RedesignStatus.DIVERGES: "Limit the box of designs to those that keep the plant stable.",
             RedesignStatus.CONTRADICTED: "Deploy longer: the errors and what was learned of them tell two stories.",
+            RedesignStatus.LIMITS: "Grant more with limit_tolerance, or put the filter in service.",
             RedesignStatus.UNFILTERED: "Widen X or U, or leave the filter out: no state can be kept within X for ever.",
         }[self]
 
@@ -65,22 +69,26 @@ class RedesignDecision:
     Attributes
     ----------
     gain : PairedDifference
-        Return of a deployment of the redesign minus that of what is in service, each through E(p) of its own design: on
-        whole runs of logged errors (the interval is of the mean over the runs), or on runs recombined of them where all
-        logs are `independent` (the interval is of the means of blocks of logged runs).
+        Return of a deployment of the redesign minus that of what is in service, in the study's risk, each through E(p)
+        of its own design: on whole runs of logged errors (the interval is of the mean over the runs), or on runs
+        recombined of them where all logs are `independent` (the interval is of the means of blocks of logged runs).
     updated_gain : PairedDifference
         The same on the updated model with the unexplained rest replayed; NaN where there is none, and where the
         redesign is not taken anyway.
     needed : float
         Smallest gain for which it is taken: the price.
     size : float
-        The return in service, of which relative prices and gains are parts.
+        The return in service without the cost of the design, of which relative prices and gains are parts.
     nominal_before, nominal_after : float
         Return on the nominal model of what is in service, and of the redesign.
     moved : bool
         Whether the redesign has another design.
     status : RedesignStatus
     price : str
+    measure : str
+        What of the returns it is judged by: "mean", or the study's risk in words.
+    breach : str
+        How it breaks the limits, where it is refused for that.
     """
 
     gain: PairedDifference
@@ -92,10 +100,14 @@ class RedesignDecision:
     moved: bool
     status: RedesignStatus
     price: str
+    measure: str = "mean"
+    breach: str = ""
 
     @property
     def accepted(self) -> bool:
-        """Whether the gain is beyond chance and worth its price, no more runs diverge, and nothing contradicts it."""
+        """Whether the gain is beyond chance and worth its price, no more runs diverge, the limits are kept as far as
+        was granted, and nothing contradicts it.
+        """
         return self.status is RedesignStatus.TAKEN
 
     def describe(self, proposed: str) -> str:
@@ -107,13 +119,15 @@ class RedesignDecision:
                f"nominal model {self.nominal_before:.4g} → {self.nominal_after:.4g}"  # fmt: skip
 
     def promise(self) -> str:
-        """The gain and its interval in per cent of the return in service."""
-        return percent_interval(self.gain.mean, self.gain.ci95, self.size)
+        """The gain and its interval in per cent of the return in service, and of what of the returns it is."""
+        return percent_interval(self.gain.mean, self.gain.ci95, self.size) + in_measure(self.measure)
 
     def reason(self) -> str:
         """Why it is not taken."""
         if self.status is RedesignStatus.BELOW_PRICE:
             return f"less than its price of {self.price}"
+        if self.status is RedesignStatus.LIMITS:
+            return self.breach
         if self.status is RedesignStatus.CONTRADICTED:
             contrary = percent_interval(self.updated_gain.mean, self.updated_gain.ci95, self.size)
             return f"the updated model says the contrary, {contrary}"
@@ -125,7 +139,8 @@ class RedesignDecision:
             "gain": _plain(self.gain), "updated_gain": _plain(self.updated_gain), "needed": self.needed,
             "size": self.size, "nominal_before": self.nominal_before, "nominal_after": self.nominal_after,
             "moved": self.moved, "accepted": self.accepted, "status": self.status.value, "price": self.price,
-            "promise": self.promise(), "reason": "" if self.accepted else self.reason(),
+            "promise": self.promise(), "measure": self.measure, "breach": self.breach,
+            "reason": "" if self.accepted else self.reason(),
         }  # fmt: skip
 
 
@@ -141,9 +156,12 @@ def judge_redesign(
     Each goes from the start of a run to its end, through states of its own: in a window that begins within a run the
     cost of a start that neither has earned can outweigh everything else. Both stand behind the study's filter. It is
     taken only for a gain whose 95 % interval excludes zero and that exceeds the study's price of a redesign (a tenth
-    of a per cent if the policy alone changes), and if the updated model of `twin` does not deny it beyond chance.
+    of a per cent if the policy alone changes), if it keeps the limits as far as was granted where what is in service
+    does, and if the updated model of `twin` does not deny it beyond chance. Gains are in the study's risk: of the mean
+    return, or of the mean less its spread, or of the worst runs.
     Relative prices are of the larger of the returns on the logged errors and on the nominal model: a log with hardly
-    any disturbance says little, and the return on it is small; a part of that would move a design for nothing.
+    any disturbance says little, and the return on it is small; a part of that would move a design for nothing. They are
+    of what control makes, without the cost of the design.
     """
     if not evaluation.can_serve(candidate.design):
         return _unfiltered(evaluation, candidate, current)
@@ -152,16 +170,31 @@ def judge_redesign(
     nominal = evaluation.on_model(())
     nominal_before, nominal_after = (_mean_return(evaluation, choice, nominal) for choice in (current, candidate))
     part = logs[-1].steps / nominal.steps
-    size = float(np.nan_to_num(np.fmax(abs(nominal_before) * part, found.size)))
+    of_control = evaluation.study.objective.made_by_control(nominal_before, current.design, nominal.steps)
+    size = float(np.nan_to_num(np.fmax(of_control * part, found.size)))
     moved = _moved(evaluation, candidate, current)
     price = evaluation.study.price if moved else _price_of_a_policy(evaluation.study.price, size, part)
     needed = price.of(size, part)
     status = _status(gain, needed, safe=not found.more_lost)
     updated = _no_gain()
+    broken = _breach(evaluation, candidate, current, logs) if status is RedesignStatus.TAKEN else None
+    status = status if broken is None else RedesignStatus.LIMITS
     if status is RedesignStatus.TAKEN:
         updated = _updated_gain(evaluation, candidate, current, twin)
         status = RedesignStatus.CONTRADICTED if updated.ci95[1] < 0 else status
-    return RedesignDecision(gain, updated, needed, size, nominal_before, nominal_after, moved, status, str(price))
+    return RedesignDecision(
+        gain, updated, needed, size, nominal_before, nominal_after, moved, status, str(price),
+        measure(evaluation.study.risk), "" if broken is None else str(broken),
+    )  # fmt: skip
+
+
+def _breach(
+    evaluation: Evaluation, candidate: InService, current: InService, logs: Sequence[Residuals]
+) -> Breach | None:
+    """How a redesign breaks limits on whole logged runs that what is in service keeps."""
+    scenario, _ = evaluation.on_logs(logs)
+    after, before = (_run(evaluation, choice, scenario) for choice in (candidate, current))
+    return breach(evaluation.problem, scenario, after, before, evaluation.study.plant)
 
 
 def _gain_on_logs(
@@ -179,12 +212,13 @@ def _gain_on_logs(
             scenario = Scenario(model, x0, w)
             return _run(evaluation, candidate, scenario), _run(evaluation, current, scenario)
 
-        return recombined_gain(replay, drive, objective, count, evaluation.rng("recombined runs"))
+        rng = evaluation.rng("recombined runs")
+        return recombined_gain(replay, drive, objective, count, rng, evaluation.study.risk)
     scenario, labels = evaluation.on_logs(logs)
     before, after = (_run(evaluation, choice, scenario) for choice in (current, candidate))
     own = before.returns(objective)[~(before.diverged | after.diverged)]
     gain = _clustered(evaluation, after, before, labels)
-    size = abs(float(own.mean())) if len(own) else 0.0
+    size = before.size_of(float(own.mean()), objective) if len(own) else 0.0
     return LoggedGain(gain, size, bool(after.diverged.mean() > before.diverged.mean()))
 
 
@@ -255,11 +289,12 @@ def _updated_gain(
 def _clustered(
     evaluation: Evaluation, after: Trajectory, before: Trajectory, labels: NDArray[np.int64]
 ) -> PairedDifference:
-    """Mean difference of the returns, over groups of runs that met the same disturbance; of one, that of its series."""
+    """Difference of the returns in the study's risk: over groups of runs that met the same disturbance."""
     kept = ~(after.diverged | before.diverged)
     objective = evaluation.study.objective
     made, met = (run.rewards(objective)[kept] for run in (after, before))
-    return paired_over_groups(made, met, labels[kept], runs=evaluation.study.real.runs)
+    study = evaluation.study
+    return paired_in_risk(study.risk, made, met, labels[kept], runs=study.real.runs, stretch=evaluation.window)
 
 
 def _run(evaluation: Evaluation, choice: InService, scenario: Scenario) -> Trajectory:

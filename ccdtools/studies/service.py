@@ -11,12 +11,15 @@ import numpy as np
 from scipy import stats
 
 from ccdtools.arrays import Array
-from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, paired_returns, summarise_returns
+from ccdtools.co_design.risk import MEAN, Mean, Risk, measure
+from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, summarise_returns
 from ccdtools.studies.redesign import InService
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.common_runs import common_runs
+from ccdtools.twin.paired_risk import paired_in_risk, parts_of_risk
 
 FALSE_ALARM = 0.002  # chance that a judge who is right is called wrong in one generation: one per cent in five
+STRETCH = 100  # steps of a single run that stand for a run
 FEWEST_DEGREES = 2  # of freedom in the interval of a single run
 
 
@@ -29,6 +32,7 @@ class ServiceStatus(Enum):
     NOT_BETTER = "not better"
     WORSE = "worse"
     DIVERGED = "more of its runs diverged"
+    LIMITS = "further outside the limits than granted"
 
     @property
     def replaces(self) -> bool:
@@ -79,12 +83,14 @@ class Delivery:
     judge : JudgeStatus
         How the two agree.
     change : PairedDifference
-        Deployed return minus that of what was in service; NaN for the first generation.
+        Deployed return, in the study's risk, minus that of what was in service; NaN for the first generation.
     paired : bool
         Whether both met the same disturbances.
     size : float
-        The return that was in service.
+        The mean return that was in service, without the cost of its design.
     status : ServiceStatus
+    measure : str
+        What of the returns the change is of: "mean", or the study's risk in words.
     """
 
     returns: Summary
@@ -94,18 +100,21 @@ class Delivery:
     paired: bool
     size: float
     status: ServiceStatus
+    measure: str = "mean"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""
         return {
             "promised": asdict(self.promised), "judge": self.judge.value, "change": asdict(self.change),
             "paired": self.paired, "size": self.size, "status": self.status.value, "replaces": self.status.replaces,
+            "measure": self.measure,
         }  # fmt: skip
 
 
 def judge_deployment(
-    log: Trajectory, former: Trajectory | None, objective: Any, promised: Summary, *, redesigned: bool
-) -> Delivery:
+    log: Trajectory, former: Trajectory | None, objective: Any, promised: Summary, *, redesigned: bool,
+    risk: Risk = MEAN, stretch: int = STRETCH,
+) -> Delivery:  # fmt: skip
     """Whether a deployment replaces what was in service before it.
 
     It does if its return is better beyond chance; or if it is not worse and was asked for: by the judge, to whom it had
@@ -125,33 +134,38 @@ def judge_deployment(
         Predicted return.
     redesigned : bool
         Whether a redesign was deployed, which must bring something; what was in service before need not.
+    risk : Risk
+        What of the returns is compared with what was in service; promises are of their mean.
+    stretch : int
+        Steps of a stretch of a single run, which stands for a run where the risk is not the mean.
     """
     rewards = log.rewards(objective)
     returns = summarise_returns(rewards[~log.diverged], runs=len(rewards))
-    judge = _agreement(promised, returns)
+    judge = _agreement(promised, returns, SAME_RETURN * log.size_of(promised.mean, objective))
     if former is None:
         none = PairedDifference(np.nan, (np.nan, np.nan))
-        return Delivery(returns, promised, judge, none, False, abs(returns.mean), ServiceStatus.FIRST)
+        size = log.size_of(returns.mean, objective)
+        return Delivery(returns, promised, judge, none, False, size, ServiceStatus.FIRST, measure(risk))
     others = former.rewards(objective)
-    size = abs(float(others[~former.diverged].sum(axis=1).mean()))
-    change, paired = _change(log, former, rewards, others)
+    size = former.size_of(float(others[~former.diverged].sum(axis=1).mean()), objective)
+    change, paired = _change(log, former, rewards, others, risk, stretch)
     lost = _more_diverged(log, former, everywhere=redesigned or not paired)
     status = ServiceStatus.DIVERGED if lost else _status(change, SAME_RETURN * size, redesigned=redesigned)
-    return Delivery(returns, promised, judge, change, paired, size, status)
+    return Delivery(returns, promised, judge, change, paired, size, status, measure(risk))
 
 
-def _agreement(promised: Summary, returns: Summary) -> JudgeStatus:
+def _agreement(promised: Summary, returns: Summary, rounding: float = 0.0) -> JudgeStatus:
     """How a promise and what was delivered agree: apart where chance would hardly ever part them so far."""
     if np.isfinite(promised.mean) and not np.isfinite(returns.mean):
         return JudgeStatus.LESS
     if not np.isfinite([*promised.ci95, *returns.ci95]).all():
         return JudgeStatus.OPEN
-    if _apart(returns, promised):
+    if _apart(returns, promised, rounding):
         return JudgeStatus.LESS
-    return JudgeStatus.MORE if _apart(promised, returns) else JudgeStatus.AGREED
+    return JudgeStatus.MORE if _apart(promised, returns, rounding) else JudgeStatus.AGREED
 
 
-def _apart(lower: Summary, upper: Summary) -> bool:
+def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:
     """Whether one mean lies below another by more than chance brings in one of `FALSE_ALARM` comparisons.
 
     The halves of the 95 % intervals that face each other are those of independent errors; together they are widened
@@ -160,11 +174,13 @@ def _apart(lower: Summary, upper: Summary) -> bool:
     degrees = min(s.n - 1 if s.n > 1 else FEWEST_DEGREES for s in (lower, upper))
     wider = stats.t.ppf(1 - FALSE_ALARM, degrees) / stats.t.ppf(0.975, degrees)
     half = np.hypot(lower.ci95[1] - lower.mean, upper.mean - upper.ci95[0])
-    return bool(upper.mean - lower.mean > wider * half + SAME_RETURN * abs(upper.mean))
+    return bool(upper.mean - lower.mean > wider * half + rounding)
 
 
-def _change(log: Trajectory, former: Trajectory, own: Array, others: Array) -> tuple[PairedDifference, bool]:
-    """Difference of the deployed returns with its interval, and whether it is of pairs."""
+def _change(
+    log: Trajectory, former: Trajectory, own: Array, others: Array, risk: Risk, stretch: int
+) -> tuple[PairedDifference, bool]:  # fmt: skip
+    """Difference of the deployed returns in a risk with its interval, and whether it is of pairs."""
     runs = len(own)
     common = common_runs(runs)
     same = log.disturbances.shape == former.disturbances.shape and np.array_equal(
@@ -172,8 +188,12 @@ def _change(log: Trajectory, former: Trajectory, own: Array, others: Array) -> t
     )
     if same and (runs == 1 or runs >= 4):
         kept = ~(log.diverged | former.diverged)[common]
-        return paired_returns(own[common][kept], others[common][kept], runs=runs), True
-    return welch_difference(own[~log.diverged].sum(axis=1), others[~former.diverged].sum(axis=1)), False
+        after, before = (rewards[common][kept] for rewards in (own, others))
+        return paired_in_risk(risk, after, before, np.arange(len(after)), runs=runs, stretch=stretch), True
+    each = (run[~one.diverged].sum(axis=1) for run, one in ((own, log), (others, former)))
+    parts = each if isinstance(risk, Mean) else (parts_of_risk(risk, returns) for returns in each)
+    a, b = parts
+    return welch_difference(a, b), False
 
 
 def welch_difference(a: Array, b: Array) -> PairedDifference:

@@ -20,15 +20,23 @@ from ccdtools.scenario import Scenario
 from ccdtools.studies.account import account, region_line
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, former_services, held_out_stage
-from ccdtools.studies.redesign import InService, RedesignDecision, judge_redesign, promised, same_design
+from ccdtools.studies.redesign import (
+    InService,
+    RedesignDecision,
+    judge_redesign,
+    promised,
+    same_design,
+    same_service,
+)
 from ccdtools.studies.report.formatting import FORMER
-from ccdtools.studies.service import Served, judge_deployment, promise_of
+from ccdtools.studies.service import Served, ServiceStatus, judge_deployment, promise_of
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.trust_region import Trust, doubt_of, edges, in_whole_box, within
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
 from ccdtools.twin.free_running import held_out_bands
+from ccdtools.twin.limits_kept import Breach, breach
 from ccdtools.twin.recombined_returns import NOT_ASKED, Independence, independence
 from ccdtools.twin.replay import replay_problem, updated_problem
 from ccdtools.twin.residuals import Residuals, residuals
@@ -208,21 +216,39 @@ class LoopStages:
             got = f"a start from which every run of deployment {generation} diverged at {place}"
             raise InputError("real.x0", got, "one that some design can recover from")
         redesign = found.values["redesign"]
+        redesigned = redesign is not None and redesign["accepted"]
         delivery = judge_deployment(
             log, None if former is None else former.log, evaluation.study.objective,
-            promise_of(found.values["promised"]), redesigned=redesign is not None and redesign["accepted"],
+            promise_of(found.values["promised"]), redesigned=redesigned, risk=evaluation.study.risk,
+            stretch=evaluation.window,
         )  # fmt: skip
         updates = [asdict(update) for update in deployment.updates]
-        moved = redesign is not None and redesign["accepted"] and redesign["decisions"][redesign["chosen"]]["moved"]
+        carried = former is not None and not redesigned and not same_service(current, former.designed)
+        broken = None
+        if former is not None and delivery.status.replaces and (redesigned or carried or deployment.changed):
+            broken = self._breach(log, former.log)
+            delivery = delivery if broken is None else replace(delivery, status=ServiceStatus.LIMITS)
+        moved = redesigned and redesign["decisions"][redesign["chosen"]]["moved"]
         kept = delivery.judge.kept if moved else None  # only a design that moved shows how errors follow the design
         values = {
             "deployed_return": asdict(delivery.returns), "diverged": log.diverged.mean(), "updates": updates,
-            "delivery": delivery.as_dict() | {"former": None if former is None else former.generation},
+            "delivery": delivery.as_dict() | {
+                "former": None if former is None else former.generation, "carried": carried,
+                "breach": "" if broken is None else str(broken),
+            },
             "trust": asdict(trust.after(kept)),
         }  # fmt: skip
         space = evaluation.problem.design
         sentence = account(generation, values, redesign, space.describe(current.design))
         return Stage(values | {"account": sentence, "report": [sentence]}, packed(log), {"agent": deployment.agent})
+
+    def _breach(self, log: Trajectory, former: Trajectory) -> Breach | None:
+        """How a deployment broke limits that the one before it had kept; MPC is asked on the errors that it met."""
+        study = self.evaluation.study
+        errors = residuals(study.model, log)
+        x0, w = self.evaluation.replay([errors]).whole()
+        scenario = Scenario(self.evaluation.split.replayed_model, x0, w)
+        return breach(self.evaluation.problem, scenario, log, former, study.real.plant)
 
     def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory, deployed: Stage) -> Stage:
         """The quantiles of the one-step errors of the nominal model along all logs, and how well draws hold."""

@@ -16,7 +16,7 @@ from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from mpc import MPCError
 
-NEGLIGIBLE = 0.02  # of the return: what a start may still cost, or save
+NEGLIGIBLE = 0.02  # of the return without the cost of the design: what a start may still cost, or save
 LONGEST = 8  # windows that are waited for
 WINDOWS = 64  # that are looked at
 DESIGNS = 9  # of the box
@@ -53,9 +53,10 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
         return np.array([_return(problem, scenario, design, before) for design in designs])
 
     settled = returns(longest) if places else np.zeros(0)
+    size = problem.objective.made_by_control(settled, designs, window) if places else settled
     for before in (0, *_doubled(max(1, window // 4), longest)):
         away = np.abs(returns(before) - settled) if places else np.zeros(0)
-        if not (away > NEGLIGIBLE * np.abs(settled)).any():
+        if not (away > NEGLIGIBLE * size).any():
             return before
     return longest
 

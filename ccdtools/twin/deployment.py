@@ -48,6 +48,11 @@ class Deployment(Immutable):
     agent: ActorCritic
     updates: tuple[OnlineUpdate, ...]
 
+    @property
+    def changed(self) -> bool:
+        """Whether any update was accepted."""
+        return any(update.accepted for update in self.updates)
+
     def __repr__(self) -> str:
         accepted = sum(update.accepted for update in self.updates)
         return f"Deployment({self.log!r}, {accepted} of {len(self.updates)} updates accepted)"
@@ -112,10 +117,11 @@ def deploy_and_update(
 
     After a stretch, the errors of the nominal model along all stretches so far are replayed as disturbances. A
     candidate is trained on the first part of every stretch and goes into service only if its paired return on the
-    rest is better: the interval of the difference excludes zero, and it is worth a change. Of a single run both are
-    replayed from the start of every stretch, so that what is judged begins in states of their own; several runs are
-    judged from their own starts; where the errors logged so far do not depend on each other in time, on runs recombined
-    of them step by step (see `independence`).
+    rest is better: the interval of the difference excludes zero, and it is worth a change. Returns are compared in
+    `problem.risk`; a candidate must keep the limits as far as `problem.limit_tolerance` grants, where the policy in
+    service does. Of a single run both are replayed from the start of every stretch, so that what is judged begins in
+    states of their own; several runs are judged from their own starts; where the errors logged so far do not depend on
+    each other in time, on runs recombined of them step by step (see `independence`).
 
     Parameters
     ----------
@@ -245,9 +251,11 @@ class _Service:
         gain, size = self.judge.gain(candidate, self.agent, evidence, self.logs, told)
         accepted = gain.ci95[0] > 0 and gain.mean > config.least * size
         updated = self.judge.updated_gain(candidate, self.agent) if accepted else None
-        accepted = accepted and (updated is None or updated.ci95[0] > 0)
+        accepted = bool(accepted and (updated is None or updated.ci95[0] > 0))
+        broken = self.judge.breach(candidate, self.agent, self.logs, self.whole.plant) if accepted else None
+        accepted = accepted and broken is None
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
-        self.updates.append(OnlineUpdate(after, gain, bool(accepted), updated))
+        self.updates.append(OnlineUpdate(after, gain, accepted, updated, str(broken or "")))
         self.agent = candidate if accepted else self.agent
 
     def _unseen(self) -> list[Residuals]:

@@ -30,7 +30,8 @@ class OnlineConfig:
         Largest number of runs of that judgement, where several are deployed; where runs are recombined, about their
         number.
     least : float
-        Part of the return in service that an update has to bring; 0 for any gain beyond chance.
+        Part of the return in service, without the cost of the design, that an update has to bring; 0 for any gain
+        beyond chance.
     recombine : bool
         Whether runs are recombined step by step where their errors do not depend on each other in time.
     training : CoDesignConfig
@@ -63,17 +64,22 @@ class OnlineUpdate(Immutable):
     after : int
         Samples logged before it.
     gain : PairedDifference
-        Return of the candidate minus that of the policy in service on the held-out parts: of all held-out stretches of
-        a single run (the interval is of their series); of a run where several are deployed (of the mean over the runs,
-        or over blocks of them where they were recombined).
+        Return of the candidate minus that of the policy in service, in the problem's risk, on the held-out parts: of
+        all held-out stretches of a single run (the interval is of their series); of a run where several are deployed
+        (of the mean over the runs, or over blocks of them where they were recombined).
     accepted : bool
-        Whether the interval of the gain lies above zero, on the updated model too, and the gain matters.
+        Whether the interval of the gain lies above zero, on the updated model too, the gain matters, and the limits are
+        kept as far as is granted.
     updated_gain : PairedDifference or None
         The same on the model that former deployments have taught, with what it leaves unexplained replayed; NaN where
         more runs of the candidate diverge. None where there is no such model, or the update is not accepted anyway.
+    breach : str
+        How the candidate breaks the limits on the logged errors where what is in service keeps them; empty where it
+        does not, or the update is not accepted anyway.
     """
 
     after: int
     gain: PairedDifference
     accepted: bool
     updated_gain: PairedDifference | None = None
+    breach: str = ""

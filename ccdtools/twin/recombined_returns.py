@@ -10,8 +10,10 @@ from scipy import stats
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.objective import Objective
-from ccdtools.statistics import PairedDifference
+from ccdtools.co_design.risk import MEAN, Mean, Risk
+from ccdtools.statistics import PairedDifference, summarise
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.paired_risk import parts_of_risk
 from ccdtools.twin.recombination import Dependence, Indices, dependence
 from ccdtools.twin.replay import Replay
 
@@ -72,9 +74,9 @@ class LoggedGain:
     Attributes
     ----------
     gain : PairedDifference
-        Its return less that of what is in service, over the runs that neither loses.
+        Its return, or what a risk makes of it, less that of what is in service, over the runs that neither loses.
     size : float
-        Mean return of what is in service, without its sign; zero where no run is kept.
+        How large the mean return of what is in service is, without the cost of its design; zero where no run is kept.
     more_lost : bool
         Whether more of its runs diverge.
     """
@@ -86,12 +88,19 @@ class LoggedGain:
 
 @dataclass(frozen=True, eq=False)
 class _Tally:
-    """Sums over the runs of every block (B,): runs, those that no controller lost, their returns, those lost (k, B)."""
+    """Sums over the runs of every block (B,): runs, those that no controller lost, their returns, those lost (k, B).
+
+    Of the n runs that no controller lost, `labels` (n,) are the blocks and `each` (k, n) the returns; `last` is a run
+    of the last controller.
+    """
 
     runs: Array
     kept: Array
     returns: Array
     lost: Array
+    labels: Indices
+    each: Array
+    last: Trajectory
 
     def means(self) -> Array:
         """Mean returns (k, B); zero of a block without a run."""
@@ -139,8 +148,8 @@ def independence(log_of: Replay, drive: Drive, objective: Objective, rng: np.ran
 
 
 def recombined_gain(
-    replay: Replay, drive: Drive, objective: Objective, count: int, rng: np.random.Generator
-) -> LoggedGain:
+    replay: Replay, drive: Drive, objective: Objective, count: int, rng: np.random.Generator, risk: Risk = MEAN
+) -> LoggedGain:  # fmt: skip
     """What a candidate brings on about `count` recombined runs; both meet the same ones.
 
     The gain of a block is half that of the runs recombined in it and half that of its logged runs: what a dependence in
@@ -155,6 +164,8 @@ def recombined_gain(
         Of runs that are dealt to blocks.
     drive : callable
         (x0, errors) → the runs of the candidate and of what is in service.
+    risk : Risk
+        What of the returns the gain is of, by default their mean.
     """
     blocks = replay.blocks()
     assert blocks is not None
@@ -162,10 +173,19 @@ def recombined_gain(
     logged = _tally([(*replay.whole(), blocks)], drive, objective, blocks)
     made, met = (np.subtract(*one.means()) for one in (found, logged))
     gain = over_blocks(np.where(logged.kept > 0, RECOMBINED * made + (1 - RECOMBINED) * met, made), found.kept)
+    gain = gain if isinstance(risk, Mean) else _gain_in_risk(risk, found, logged)
     lost = over_blocks(np.subtract(*found.lost_shares()), found.runs)
     own = found.returns[1].sum() / found.kept.sum() if found.kept.any() else 0.0
     more_lost = logged.lost[0].sum() > logged.lost[1].sum() or lost.ci95[0] > 0 or lost.mean > 1 / len(blocks)
-    return LoggedGain(gain, abs(float(own)), bool(more_lost))
+    return LoggedGain(gain, found.last.size_of(float(own), objective) if found.kept.any() else 0.0, bool(more_lost))
+
+
+def _gain_in_risk(risk: Risk, found: _Tally, logged: _Tally) -> PairedDifference:
+    """Half of the gain on recombined runs and half of that on logged ones, with the interval over blocks."""
+    made, met = (np.subtract(*(parts_of_risk(risk, each, one.labels) for each in one.each)) for one in (found, logged))
+    same = np.array_equal(np.unique(found.labels), np.unique(logged.labels))
+    summary = summarise(RECOMBINED * made + (1 - RECOMBINED) * met if same else made)
+    return PairedDifference(summary.mean, summary.ci95)
 
 
 def over_blocks(values: Array, weights: Array) -> PairedDifference:
@@ -189,11 +209,14 @@ def _tally(parts: Iterable[Part], drive: Drive, objective: Objective, blocks: In
         return np.bincount(labels, weights=values, minlength=size).astype(float)
 
     sums = []
+    singles = []
     for x0, w, labels in parts:
         driven = drive(x0, w)
         kept = ~np.any([run.diverged for run in driven], axis=0)
         returns = [summed(labels, np.where(kept, run.returns(objective), 0.0)) for run in driven]
         lost = [summed(labels, run.diverged.astype(float)) for run in driven]
         sums.append((summed(labels, np.ones(len(labels))), summed(labels, kept.astype(float)), returns, lost))
+        singles.append((labels[kept], np.array([run.returns(objective)[kept] for run in driven])))
     runs, kept, returns, lost = (np.sum([one[k] for one in sums], axis=0) for k in range(4))
-    return _Tally(runs, kept, returns, lost)
+    own = np.concatenate([labels for labels, _ in singles])
+    return _Tally(runs, kept, returns, lost, own, np.concatenate([each for _, each in singles], axis=1), driven[-1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +16,11 @@ from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.common_runs import groups, paired_over_groups
+from ccdtools.twin.common_runs import groups
 from ccdtools.twin.discrepancy import TwinPlant
+from ccdtools.twin.limits_kept import Breach, breach
 from ccdtools.twin.online import OnlineConfig
+from ccdtools.twin.paired_risk import paired_in_risk
 from ccdtools.twin.recombined_returns import (
     NOT_ASKED,
     Drive,
@@ -80,8 +83,8 @@ class UpdateJudge:
     ) -> tuple[PairedDifference, float]:  # fmt: skip
         """Candidate minus policy in service on held-out parts and runs, and the size of the latter's return.
 
-        The size is that of its return on the held-out parts or on the nominal model, whichever is larger: errors of
-        hardly any size say little. NaN where more of the candidate's runs diverge.
+        The size is that of its return, without the cost of the design, on the held-out parts or on the nominal model,
+        whichever is larger: errors of hardly any size say little. NaN where more of the candidate's runs diverge.
 
         Held-out runs are recombined where all of them are `independent`. Runs that met the same disturbance, in this
         and in former deployments, are one piece of evidence.
@@ -124,12 +127,26 @@ class UpdateJudge:
         if after.diverged.sum() > before.diverged.sum() or not kept.any():
             return PairedDifference(np.nan, (np.nan, np.nan))
         rewards = [run.rewards(self.problem.objective)[kept] for run in (after, before)]
-        return paired_over_groups(rewards[0], rewards[1], groups(replay.logs)[chosen][kept], runs=len(x0))
+        return paired_in_risk(
+            self.problem.risk, rewards[0], rewards[1], groups(replay.logs)[chosen][kept], runs=len(x0),
+            stretch=self.config.window,
+        )  # fmt: skip
+
+    def breach(
+        self, candidate: ActorCritic, agent: ActorCritic, logs: Sequence[Residuals], plant: Any
+    ) -> Breach | None:
+        """How a candidate breaks limits on all errors logged so far that the policy in service keeps."""
+        parts = logs if self.runs > 1 else _equally_long(logs)
+        x0, w = Replay(tuple(parts), self.split).whole()
+        chosen = slice(self.config.judged if self.runs > 1 else None)
+        scenario = Scenario(self.split.replayed_model, x0[chosen], w[chosen])
+        after, before = self._driven(scenario, candidate, agent)
+        return breach(self.problem, scenario, after, before, plant)
 
     def _recombined_gain(self, candidate: ActorCritic, agent: ActorCritic, replay: Replay) -> LoggedGain:
         """Candidate minus policy in service on recombined runs."""
         drive = self._drive(candidate, agent)
-        return recombined_gain(replay, drive, self.problem.objective, self.config.judged, self.rng)
+        return recombined_gain(replay, drive, self.problem.objective, self.config.judged, self.rng, self.problem.risk)
 
     def _counted(self, steps: int) -> int:
         """The held-out last steps of a stretch of a single run."""
@@ -147,19 +164,28 @@ class UpdateJudge:
         rewards = [run.rewards(self.problem.objective)[kept] for run in (after, before)]
         labels = groups(replay.logs)[chosen][kept]
         if not several:
-            labels = np.zeros(1, dtype=np.int64)
-            rewards = [own[:, -self._counted(w.shape[1]) :].reshape(1, -1) for own in rewards]
-        size = abs(float(rewards[1].sum(axis=1).mean())) if kept.any() else np.nan
-        return LoggedGain(paired_over_groups(rewards[0], rewards[1], labels, runs=self.runs), size, False)
+            rewards = [own[:, -self._counted(w.shape[1]) :] for own in rewards]
+        gain = paired_in_risk(
+            self.problem.risk, rewards[0], rewards[1], labels, runs=self.runs, stretch=self.config.window
+        )
+        return LoggedGain(gain, self._size(rewards[1]) if kept.any() else np.nan, False)
+
+    def _size(self, rewards: Array) -> float:
+        """How large the mean return of runs, or of the parts of one, is without the cost of the design."""
+        steps = rewards.size // (len(rewards) if self.runs > 1 else 1)
+        mean = float(rewards.sum()) * steps / rewards.size
+        return float(self.problem.objective.made_by_control(mean, self.design, steps))
 
     def _nominal_size(self, agent: ActorCritic) -> float:
-        """Size of a policy's return on the nominal model; NaN where every run diverges, or the model is another."""
+        """Size of a policy's return on the nominal model, without the cost of the design; NaN where every run diverges,
+        or the model is another.
+        """
         if self.problem.discrepancy is not None:
             return np.nan
         x0, w = self.problem.scenarios.sample(self.config.judged, self.problem.steps, self.rng)
         (run,) = self._driven(Scenario(self.problem.model, x0, w), agent)
         returns = run.returns(self.problem.objective)[~run.diverged]
-        return abs(float(returns.mean())) if len(returns) else np.nan
+        return run.size_of(float(returns.mean()), self.problem.objective) if len(returns) else np.nan
 
     def _drive(self, *agents: ActorCritic) -> Drive:
         """What runs policies over initial states and errors."""

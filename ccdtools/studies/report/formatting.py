@@ -55,6 +55,11 @@ def percent_interval(mean: float | None, ci95: Sequence[float | None], size: flo
     return values[0] + ends
 
 
+def in_measure(measure: str) -> str:
+    """What of the returns a change is of, behind it: " in the mean of the worst 10 %"; nothing for their mean."""
+    return "" if measure == "mean" else f" in the {measure}"
+
+
 def _finite(value: float | None) -> bool:
     """Whether there is a value, and a finite one."""
     return value is not None and math.isfinite(value)

@@ -35,9 +35,11 @@ def _idle(results: Results) -> str:
 
 
 def _brought(generation: Mapping[str, Any]) -> bool:
-    """Whether a later generation left anything in service that was not there before."""
-    updated = any(update["accepted"] for update in generation["online_updates"])
-    return generation["delivery"]["replaces"] and (generation["redesign"]["accepted"] or updated)
+    """Whether a later generation left anything in service that was not there before it."""
+    delivery = generation["delivery"]
+    if not delivery["replaces"]:
+        return bool(delivery.get("carried"))  # the policy of the former generation before its updates serves again
+    return generation["redesign"]["accepted"] or any(update["accepted"] for update in generation["online_updates"])
 
 
 def _row(results: Results, generation: int, controller: str) -> dict[str, Any]:
@@ -164,8 +166,13 @@ def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> 
     updated = any(update["accepted"] for update in generation["online_updates"])
     if redesign is None:
         return "" if moved else f"{name} left the design where it was"
-    if not generation["delivery"]["replaces"]:
-        return f"{name} was taken back, because it was worse"
+    delivery = generation["delivery"]
+    if not delivery["replaces"]:
+        why = delivery["status"] if delivery.get("breach") else "worse"
+        if delivery.get("carried"):
+            updates = f"the updates of generation {delivery['former']}"
+            return f"{name} took {updates} back, which a whole deployment showed to be {why}"
+        return f"{name} was taken back, because it was {why}"
     if redesign["accepted"] and redesign["chosen"].startswith(FORMER):
         return f"{name} returned to {redesign['chosen'].removeprefix(FORMER)}"
     if moved:

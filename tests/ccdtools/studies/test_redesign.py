@@ -167,9 +167,9 @@ def test_independent_errors_are_recombined_and_say_the_same(evaluation, agent, n
 def test_the_number_of_recombined_runs_is_that_of_the_configuration(evaluation, agent, noisy, monkeypatch):
     counts = []
 
-    def spy(replay, drive, objective, count, rng):
+    def spy(replay, drive, objective, count, rng, *risk):
         counts.append(count)
-        return recombined_gain(replay, drive, objective, count, rng)
+        return recombined_gain(replay, drive, objective, count, rng, *risk)
 
     monkeypatch.setattr("ccdtools.studies.redesign.recombined_gain", spy)
     log = replace(noisy[0], independent=True)

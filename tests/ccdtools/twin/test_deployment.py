@@ -376,9 +376,9 @@ def told_independent(monkeypatch, answer=True):
         looked.append(np.concatenate([log.numbers for log in replay.logs]))
         return replace(NOT_ASKED, independent=answer, possible=answer)
 
-    def spy(replay, drive, objective, count, rng):
+    def spy(replay, drive, objective, count, rng, *risk):
         judged.append(np.concatenate([log.numbers for log in replay.logs]))
-        return recombined_gain(replay, drive, objective, count, rng)
+        return recombined_gain(replay, drive, objective, count, rng, *risk)
 
     monkeypatch.setattr("ccdtools.twin.update_judge.independence", told)
     monkeypatch.setattr("ccdtools.twin.update_judge.recombined_gain", spy)

@@ -1,0 +1,139 @@
+"""Whether a candidate keeps the limits of states and outputs, as far as the user asks, where what is in service does.
+
+Of a deployment of one run, its stretches stand for runs: the tolerance is one of episodes, and the peak of a long run
+is higher than that of each of its parts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.limit_tolerance import BESIDE_MPC, FLOOR, HORIZON, MPC_RUNS, Pair
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.limits import StateLimits
+from ccdtools.outside import Outside
+from ccdtools.scenario import Scenario
+from ccdtools.statistics import mean_interval, paired_difference
+from ccdtools.trajectory import Trajectory
+from mpc import LinearMPC, MPCError
+
+MEASURES = ("fraction", "peak")
+
+
+@dataclass(frozen=True)
+class Breach:
+    """Limits that a candidate leaves further than granted, and further than what is in service.
+
+    Attributes
+    ----------
+    achieved, before : Pair
+        Of the candidate and of what is in service, on the same runs.
+    granted : Pair
+        What the user's tolerance grants at the design of the candidate.
+    exceeded : str
+        The limit that is exceeded most.
+    by_mpc : bool
+        Whether it is granted because MPC of the same design does it.
+    """
+
+    achieved: Pair
+    before: Pair
+    granted: Pair
+    exceeded: str
+    by_mpc: bool
+
+    def __str__(self) -> str:
+        source = " by what MPC does" if self.by_mpc else ""
+        return (
+            f"it leaves the limits further than granted ({self.exceeded}: {_text(self.achieved)}; granted{source} "
+            f"{_text(self.granted)}; in service {_text(self.before)})"
+        )
+
+
+def breach(
+    problem: CoDesignProblem, scenario: Scenario, after: Trajectory, before: Trajectory, plant: Any
+) -> Breach | None:
+    """How a candidate breaks the limits; None where it keeps them, or as well as before, or may do as it likes.
+
+    It breaks them if a measure, the fraction of the samples outside or the mean over the runs of the peak depth, is
+    more than granted, and more than that of what is in service: beyond chance, where chance can be told.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        Whose limits, and whose tolerance.
+    scenario : Scenario
+        That both met; MPC meets it, too, where it says what is granted.
+    after, before : Trajectory
+        Of the candidate and of what is in service.
+    plant : Plant
+        That names the states.
+    """
+    if problem.limit_tolerance == "off":
+        return None
+    limits = StateLimits(problem.X)
+    own, other = (Outside.of(run, limits, plant, problem.output_limits) for run in (after, before))
+    if max(_pair(own).values()) <= FLOOR and isinstance(problem.limit_tolerance, str):
+        return None
+    suspect = [name for name in MEASURES if _further(own, other, name)]
+    if not suspect:
+        return None
+    by_mpc = isinstance(problem.limit_tolerance, str)
+    runs = min(len(scenario.x0), fewer_runs(MPC_RUNS, scenario.steps)) if by_mpc else len(after.states)
+    granted = _granted(problem, scenario.first(runs), after.design, limits) if by_mpc else _asked(problem)
+    achieved = _pair(own, runs)
+    broken = {name: a > g for name, a, g in zip(MEASURES, achieved.values(), granted.values())}
+    if not any(broken[name] for name in suspect):
+        return None
+    return Breach(achieved, _pair(other, runs), granted, own.whole.exceeded, by_mpc)
+
+
+def _asked(problem: CoDesignProblem) -> Pair:
+    """The user's own tolerance."""
+    assert not isinstance(problem.limit_tolerance, str)
+    return Pair(*problem.limit_tolerance)
+
+
+def _granted(problem: CoDesignProblem, scenario: Scenario, design: Array, limits: StateLimits) -> Pair:
+    """A quarter more than what MPC of a design does on a scenario; the least there is where it loses all runs."""
+    least = Pair(FLOOR, FLOOR)
+    try:
+        A, B, _ = problem.model.matrices(design)
+        mpc = LinearMPC(
+            A, B, **problem.weights(design).keywords(), horizon=HORIZON, X=problem.kept_by_mpc(design), U=problem.U
+        )
+        run = scenario.run(mpc, design=design, limit=problem.limit)
+    except MPCError:
+        return least
+    if run.diverged.all():
+        return least
+    done = _pair(Outside.of(run, limits, None, problem.output_limits))
+    return Pair(*(max(FLOOR, BESIDE_MPC * value) for value in done.values()))
+
+
+def _pair(outside: Outside, runs: int | None = None) -> Pair:
+    """Mean fraction and mean peak of the first so many runs, or of all stretches of a single one; 0 of none."""
+    first = slice(None) if outside.single else slice(runs)
+    kept = ~outside.lost[first]
+    means = (getattr(outside.pieces, name)[first][kept] for name in MEASURES)
+    return Pair(*(float(values.mean()) if len(values) else 0.0 for values in means))
+
+
+def _further(own: Outside, other: Outside, name: str) -> bool:
+    """Whether a measure is larger on the runs that neither lost, beyond chance where there is an interval."""
+    kept = ~(own.lost | other.lost)
+    values, others = (getattr(one.pieces, name)[kept] for one in (own, other))
+    if not len(values) or not values.mean() > others.mean():
+        return False
+    found = mean_interval(values - others) if own.single else paired_difference(values, others)
+    return not np.isfinite(found.ci95).all() or found.ci95[0] > 0
+
+
+def _text(pair: Pair) -> str:
+    """Both measures in words."""
+    return f"{pair.fraction:.2%} of the samples, {pair.depth:.3g} half-widths at the peak"
