@@ -19,7 +19,7 @@ from ccdtools.statistics import paired_difference
 from learning.networks import ActorCritic
 
 SAME_PLACE = 0.02  # of the box: two starts this close are one
-HOPEFUL = 0.2  # of the best valley's return without the cost of its design: one that is worse by more is named, and not climbed from
+HOPEFUL = 0.2  # of the best valley's return, without the cost of its design: one worse by more is not climbed from
 FEW = 4  # starts with the best of many combinations of whole numbers
 MAPPED = 3  # parameters, up to which a second valley of the landscape is climbed from by default
 

@@ -85,7 +85,7 @@ def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> st
     elif redesign["region"]["edges"] and decision["moved"]:
         what = f"{what}, at the edge of the trust region ({', '.join(redesign['region']['edges'])})"
     gain = decision["gain"]
-    promise = percent_interval(gain["mean"], gain["ci95"], delivery["size"]) + in_measure(decision.get("measure", "mean"))
+    promise = _percent(gain, delivery["size"], decision)
     delivered = f"delivered {_change(delivery)} against generation {delivery['former']}"
     return f"{name} {what}, promised {promise} and {delivered}"
 
@@ -119,8 +119,12 @@ def _returns(delivery: Values, deployed: Values) -> str:
 
 def _change(delivery: Values) -> str:
     """The change that a deployment delivered, in per cent of what was in service."""
-    change = delivery["change"]
-    return percent_interval(change["mean"], change["ci95"], delivery["size"]) + in_measure(delivery.get("measure", "mean"))
+    return _percent(delivery["change"], delivery["size"], delivery)
+
+
+def _percent(change: Values, size: float | None, judged: Values) -> str:
+    """A change in per cent of a return, in what of the returns was judged."""
+    return percent_interval(change["mean"], change["ci95"], size) + in_measure(judged.get("measure", "mean"))
 
 
 def _kept(delivery: Values, accepted: int) -> str:
