@@ -96,16 +96,19 @@ class Excursions(Immutable):
         Largest depth of each run.
     exceeded : str
         The row that is exceeded most, over all runs; empty where all states lie in X.
+    limits : str
+        What was left: "X", or "the limits" where those of outputs count, too.
     """
 
     fraction: Array
     mean: Array
     peak: Array
     exceeded: str = ""
+    limits: str = "X"
 
     def of(self, kept: Any) -> Excursions:
         """Those of some of the runs, by index or mask."""
-        return Excursions(self.fraction[kept], self.mean[kept], self.peak[kept], self.exceeded)
+        return Excursions(self.fraction[kept], self.mean[kept], self.peak[kept], self.exceeded, self.limits)
 
     def __post_init__(self) -> None:
         for name in ("fraction", "mean", "peak"):
@@ -116,7 +119,7 @@ class Excursions(Immutable):
             return "Excursions(no runs)"
         worst = f", most {self.exceeded}" if self.exceeded else ""
         return (
-            f"Excursions({len(self.peak)} runs, {self.fraction.mean():.2%} of the states outside X, depth "
+            f"Excursions({len(self.peak)} runs, {self.fraction.mean():.2%} of the states outside {self.limits}, depth "
             f"{self.mean.mean():.3g} in the mean, peak {self.peak.mean():.3g}, largest {self.peak.max():.3g}{worst})"
         )
 
@@ -162,14 +165,14 @@ def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[
     return excursions_of(limits.depths(runs), lambda row: limits.row_text(row, names))
 
 
-def excursions_of(by_row: Array, row_text: Callable[[int], str]) -> Excursions:
+def excursions_of(by_row: Array, row_text: Callable[[int], str], limits: str = "X") -> Excursions:
     """Those of runs that exceed each limit by so much, (n, T, m); `row_text` says what exceeding one means."""
     if not len(by_row):
-        return Excursions(np.zeros(0), np.zeros(0), np.zeros(0))
+        return Excursions(np.zeros(0), np.zeros(0), np.zeros(0), limits=limits)
     depth = np.maximum(by_row.max(axis=-1), 0.0)
     largest = by_row.reshape(-1, by_row.shape[-1]).max(axis=0)
     exceeded = row_text(int(np.argmax(largest))) if largest.max() > 0 else ""
-    return Excursions((depth > 0).mean(axis=1), depth.mean(axis=1), depth.max(axis=1), exceeded)
+    return Excursions((depth > 0).mean(axis=1), depth.mean(axis=1), depth.max(axis=1), exceeded, limits)
 
 
 def further_outside(own: Excursions, other: Excursions, *, stretches: bool = False) -> bool:

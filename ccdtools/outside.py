@@ -1,4 +1,4 @@
-"""How often and how far the runs of one controller leave X, beside those of another."""
+"""How often and how far the runs of one controller leave X, or the limits of outputs, beside those of another."""
 
 from __future__ import annotations
 
@@ -15,6 +15,11 @@ from ccdtools.trajectory import Trajectory
 
 BLOCK = 100  # samples of a stretch of a single long run at most,
 STRETCHES = 40  # of which there are at least so many
+
+
+def limits_in_words(outputs: OutputLimits | None) -> str:
+    """What a controller leaves: X, or the limits, where those of outputs count beside it."""
+    return "X" if outputs is None else "the limits"
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +57,13 @@ class Outside:
             """What exceeding a limit means."""
             return limits.row_text(row, names) if row < rows or outputs is None else outputs.row_text(row - rows)
 
-        whole = excursions_of(by_row[~run.diverged], text)
+        left = limits_in_words(outputs)
+        whole = excursions_of(by_row[~run.diverged], text, left)
         if n > 1 or steps < STRETCHES:
-            return cls(whole, excursions_of(by_row, text), False, run.diverged)
+            return cls(whole, excursions_of(by_row, text, left), False, run.diverged)
         length = min(BLOCK, steps // STRETCHES)
         pieces = by_row[0, : steps // length * length].reshape(-1, length, by_row.shape[-1])
-        return cls(whole, excursions_of(pieces, text), True, np.repeat(run.diverged, len(pieces)))
+        return cls(whole, excursions_of(pieces, text, left), True, np.repeat(run.diverged, len(pieces)))
 
     def further_than(self, others: Mapping[str, Outside]) -> tuple[str, ...]:
         """The names of those that leave X less."""

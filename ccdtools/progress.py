@@ -1,16 +1,39 @@
-"""How far a long computation is: a bar on a terminal, a line of text every ten seconds elsewhere."""
+"""How far a long computation is: a bar on a terminal, plain lines of text every ten seconds elsewhere."""
 
 from __future__ import annotations
 
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import TypeVar
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
 Echo = Callable[[str], None]
 Item = TypeVar("Item")
 EVERY = 10.0  # seconds between two lines of text
+_where = [""]  # what the computation is at, in words, for whoever tells it
+
+
+class Lines(tqdm):  # type: ignore[type-arg]
+    """A bar for a file or a notebook: a line at the start and every ten seconds, without control characters."""
+
+    def display(self, msg: str | None = None, pos: int | None = None) -> bool:
+        """Write a line; nothing where a bar would be cleared."""
+        if msg is None:
+            elapsed = self._time() - self.start_t if hasattr(self, "start_t") else 0.0  # of the first line
+            self.fp.write(f"{self.desc.removesuffix(': ')}: {self.n} of {self.total} after {elapsed:.0f} s\n")
+            self.fp.flush()
+        return False
+
+
+def bar(items: Any = None, *, label: str, total: int, progress: bool) -> tqdm:  # type: ignore[type-arg]
+    """A bar over items, or one to be updated: on a terminal, or as lines elsewhere; of no effect without `progress`."""
+    if not progress or sys.stderr.isatty():
+        return tqdm(items, desc=label, total=total, disable=not progress, leave=False)
+    return Lines(items, desc=label, total=total, leave=False, mininterval=EVERY, miniters=1)
 
 
 def counted(
@@ -18,13 +41,44 @@ def counted(
 ) -> Iterator[Item]:
     """Yield the items, with a bar if `progress`, else with lines through `echo` where it takes long."""
     if progress or echo is None:
-        yield from tqdm(items, desc=label, total=total, disable=not progress, leave=False)
+        yield from bar(items, label=label, total=total, progress=progress)
         return
     begun = time.perf_counter()
     due = begun + EVERY
     for count, item in enumerate(items):
         now = time.perf_counter()
+        at(f"{label}: {count} of {total}")
         if now >= due:
             echo(f"    {label}: {count} of {total} after {now - begun:.0f} s")
             due = now + EVERY
         yield item
+
+
+def at(text: str) -> None:
+    """Say what the computation is at: "iteration 40 of 200"."""
+    _where[0] = text
+
+
+@contextmanager
+def telling(echo: Echo | None, *, every: float = EVERY) -> Iterator[None]:
+    """Have a line say every ten seconds what the computation within is `at`; nothing without `echo`."""
+    if echo is None:
+        yield
+        return
+    at("")
+    ended = threading.Event()
+    begun = time.perf_counter()
+
+    def tell() -> None:
+        """Say so until it has ended."""
+        while not ended.wait(every):
+            where = f"{_where[0]}, " if _where[0] else ""
+            echo(f"    … {where}after {time.perf_counter() - begun:.0f} s")
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        teller.join()

@@ -7,7 +7,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from tqdm import trange
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_floats, as_generator, finite, shown
@@ -18,6 +17,7 @@ from ccdtools.estimation.measurement import Measurement, Sensor, as_measurement
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.linear_model import LinearModel
+from ccdtools.progress import bar
 from ccdtools.trajectory import Trajectory
 
 Step = Callable[[Array, Array, Array], Array]
@@ -134,7 +134,7 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
     inputs = np.zeros((n, steps, plant.nu))
     diverged_at = np.full(n, -1)
     states[:, 0] = x
-    for k in trange(steps, desc="simulating", disable=not progress, leave=False):
+    for k in bar(range(steps), label="simulating", total=steps, progress=progress):
         running = diverged_at < 0
         u = _checked_inputs(driver(k, x), running, plant.nu, k)
         inputs[:, k] = np.where(running[:, None], u, 0.0)

@@ -35,6 +35,7 @@ from ccdtools.co_design.result import Convergence, History
 from ccdtools.co_design.sample_average import SampleAverage
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.task import Iterate, Task
+from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic
 from learning.ppo import decay_exploration
@@ -239,6 +240,7 @@ class Ascent:
     def count(self, bar: tqdm) -> None:
         """One more iteration."""
         self.iterations += 1
+        at(f"iteration {self.iterations} of at most {self.task.config.iterations}")
         bar.update()
 
     def cost(self, v: Tensor, scenarios: ScenarioTensors) -> Tensor:

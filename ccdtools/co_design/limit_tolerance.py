@@ -13,6 +13,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from mpc import LinearMPC
 
 HORIZON = 20  # steps, of the MPC that sets the tolerance
+BY_MPC = f"a quarter more than MPC of the same design does, N = {HORIZON}"
 MPC_RUNS = 32  # episodes of 100 steps that it is measured on
 BESIDE_MPC = 1.25  # the tolerance relative to what MPC does: a network in its place has a resolution,
 FLOOR = 0.002  # of the states, or half-widths: and less than this is granted to it always
@@ -80,8 +81,7 @@ def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tenso
         low, high = (_granted(problem, end, scenarios).log() for end in ends)
         slopes.append((high - low) / (ends[1][i] - ends[0][i]).double())
     fraction, depth = middle.tolist()
-    source = f"MPC of the same design, N = {HORIZON}"
-    return Tolerance(Pair(fraction, depth), source, v.clone(), torch.stack(slopes, dim=1))
+    return Tolerance(Pair(fraction, depth), BY_MPC, v.clone(), torch.stack(slopes, dim=1))
 
 
 def _granted(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tensor:

@@ -23,7 +23,16 @@ from torch import Tensor
 
 from ccdtools.co_design.differentiable_model import to_design
 from ccdtools.co_design.episodes import Episode
-from ccdtools.co_design.limit_tolerance import FLOOR, NOTHING, UNTIL_LEFT, Pair, Tolerance, measured, tolerance_by_mpc
+from ccdtools.co_design.limit_tolerance import (
+    BY_MPC,
+    FLOOR,
+    NOTHING,
+    UNTIL_LEFT,
+    Pair,
+    Tolerance,
+    measured,
+    tolerance_by_mpc,
+)
 from ccdtools.co_design.problem import CoDesignProblem
 
 AIM = 0.9  # of the tolerance: what the multipliers aim at, so that some iterates are within
@@ -48,12 +57,15 @@ class LimitsOutcome:
         Where the tolerance comes from.
     multipliers : Pair
         Price of each measure in parts of the return, for as much again as is granted; zero where no limit binds.
+    outputs : bool
+        Whether limits of outputs count beside X.
     """
 
     achieved: Pair
     tolerance: Pair
     source: str
     multipliers: Pair
+    outputs: bool = False
 
     @property
     def kept(self) -> bool:
@@ -61,12 +73,16 @@ class LimitsOutcome:
         return all(a <= t for a, t in zip(self.achieved.values(), self.tolerance.values()))
 
     def __str__(self) -> str:
-        achieved = f"{self.achieved.fraction:.2%} of the states outside X, peak depth {self.achieved.depth:.3g}"
+        where = "samples outside the limits" if self.outputs else "states outside X"
+        achieved = f"{self.achieved.fraction:.2%} of the {where}, peak depth {self.achieved.depth:.3g}"
         asked = f"{self.tolerance.fraction:.2%} and {self.tolerance.depth:.3g} granted ({self.source})"
-        if self.kept:
-            return f"state limits kept: {achieved}; {asked}"
-        cure = "Grant more with limit_tolerance, give more iterations, or put the filter in service."
-        return f"state limits not kept: {achieved}; {asked}. {cure}"
+        name = "limits" if self.outputs else "state limits"
+        if not self.kept:
+            cure = "Grant more with limit_tolerance, give more iterations, or put the filter in service."
+            return f"{name} not kept: {achieved}; {asked}. {cure}"
+        if self.source == BY_MPC and max(self.achieved.values()) > FLOOR:
+            return f"{name} left no more than MPC of the same design leaves them: {achieved}; {asked}"
+        return f"{name} kept: {achieved}; {asked}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +162,8 @@ class StateLimitPenalty:
 
     def outcome(self, episode: Episode) -> LimitsOutcome:
         """How the iterate of these episodes keeps the limits."""
-        return LimitsOutcome(measured(episode), self._granted, self.tolerance.source, self.multipliers)
+        outputs = self.judge.output_limits is not None
+        return LimitsOutcome(measured(episode), self._granted, self.tolerance.source, self.multipliers, outputs)
 
     @property
     def _granted(self) -> Pair:

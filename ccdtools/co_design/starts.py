@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 
 import numpy as np
-from tqdm import tqdm
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.ascent import Ascent
@@ -15,6 +14,7 @@ from ccdtools.co_design.landscape import COMBINATIONS, combinations, valleys
 from ccdtools.co_design.result import Valley
 from ccdtools.co_design.task import Task
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.progress import bar
 from ccdtools.statistics import paired_difference
 from learning.networks import ActorCritic
 
@@ -69,10 +69,10 @@ def race(
         for design in starts
     ]
     climbing = list(ascents)
-    with tqdm(total=config.iterations, desc="co-design", disable=not progress, leave=False) as bar:
+    with bar(label="co-design", total=config.iterations, progress=progress) as shown:
         while climbing:
             for ascent in climbing:
-                ascent.block(bar)
+                ascent.block(shown)
             first = leader(ascents)
             climbing = [one for one in climbing if not one.ended and (one is first or _hopeful(one, first))]
     first = leader(ascents)

@@ -15,7 +15,7 @@ class CoDesignStatus(Enum):
     BUDGET_SPENT = "budget spent before the design settled"
     GRADIENT_UNTRUSTED = "design gradient untrusted"
     DIVERGING = "runs diverge"
-    LIMITS_BROKEN = "state limits broken"
+    LIMITS_BROKEN = "limits broken"
 
     @property
     def settled(self) -> bool:
@@ -44,5 +44,7 @@ _ADVICE = {
         "nor finite differences could be trusted."
     ),
     CoDesignStatus.DIVERGING: "Check x0 and U: with this design and policy some runs cannot be recovered.",
-    CoDesignStatus.LIMITS_BROKEN: "Raise the tolerance of the limits or CoDesignConfig.iterations: X is left too far.",
+    CoDesignStatus.LIMITS_BROKEN: (
+        "Raise the tolerance of the limits or CoDesignConfig.iterations: they are left further than granted."
+    ),
 }

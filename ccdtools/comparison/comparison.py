@@ -23,7 +23,8 @@ from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits
 from ccdtools.output_limits import OutputLimits
-from ccdtools.outside import Outside
+from ccdtools.outside import Outside, limits_in_words
+from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.trajectory import Trajectory
@@ -50,7 +51,7 @@ class Score:
     diverged : float
         Fraction of runs.
     violations : float
-        Fraction of the states outside X.
+        Fraction of the states outside X, or of the samples outside the limits where those of outputs count, too.
     depth_mean, depth_peak, depth_worst : float
         How far outside X, in half-widths of X (`ccdtools.depth_outside`): averaged over all states, the mean over the
         runs of the peak of each, and the largest of all; of the runs that did not diverge.
@@ -83,10 +84,12 @@ class Score:
 class Comparison:
     """The scores of all controllers on one scenario: a table with one row per controller.
 
-    It is iterated like a list of scores, and indexed by number or by the name of a controller.
+    It is iterated like a list of scores, and indexed by number or by the name of a controller. `limits` says what
+    violations are of: "X", or "the limits" where those of outputs count, too.
     """
 
     scores: tuple[Score, ...]
+    limits: str = "X"
 
     def __iter__(self) -> Iterator[Score]:
         return iter(self.scores)
@@ -137,13 +140,16 @@ class Comparison:
 
     def __repr__(self) -> str:
         names = f"{'controller':<20}{'return':>11}{'std':>10}{'n':>7}{'minus LQR':>12}"
-        lines = [f"{names}  {'95 % interval':<24}{'diverged':>9}{'outside X':>11}{'depth':>9}"]
-        lines += ["".join(cells) for cells in map(_text_cells, self.scores)]
+        outside = f"outside {self.limits}"
+        width = max(11, len(outside) + 2)
+        lines = [f"{names}  {'95 % interval':<24}{'diverged':>9}{outside:>{width}}{'depth':>9}"]
+        lines += ["".join([*cells[:-2], cells[-2].rjust(width), cells[-1]]) for cells in map(_text_cells, self.scores)]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""
-        head = ("controller", "return", "std", "n", "minus LQR", "95 % interval", "diverged", "outside X", "depth")
+        head = ("controller", "return", "std", "n", "minus LQR", "95 % interval", "diverged",
+                f"outside {self.limits}", "depth")  # fmt: skip
         body = "".join(f"<tr>{_html_row(_text_cells(score))}</tr>" for score in self.scores)
         return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>"
 
@@ -207,14 +213,14 @@ def compare(
     scores = []
     outside = {}
     for name, controller in controllers.items():
+        at(name)
         seen = scenario.first(runs.get(name, len(scenario.x0)))
         run = reference if name == REFERENCE else seen.run(controller, design=design, limit=limit)
         outside[name] = Outside.of(run, limits, scenario.plant, output_limits)
         score = _score(name, controller, run, reference, objective, outside[name].whole, scenario)
         scores.append(score if metrics is None else replace(score, metrics=metrics_of(metrics, run)))
-    return Comparison(tuple(
-        replace(score, further_outside_than=outside[score.controller].further_than(outside)) for score in scores
-    ))  # fmt: skip
+    found = (replace(one, further_outside_than=outside[one.controller].further_than(outside)) for one in scores)
+    return Comparison(tuple(found), limits_in_words(output_limits))
 
 
 def _score(

@@ -11,6 +11,7 @@ import numpy as np
 
 from ccdtools.checks import as_count
 from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord
 from ccdtools.studies.presets import StudyConfig
@@ -175,7 +176,9 @@ class Generations:
             return self.folder.read_stage(name)
         self.echo(label)
         start = time.perf_counter()
-        computed = compute(self.evaluation.rng(name), *inputs)
+        told = None if self.compute.progress or name == "initialisation" else self.echo  # which tells of itself
+        with telling(told):
+            computed = compute(self.evaluation.rng(name), *inputs)
         timed = replace(computed, values=computed.values | {"seconds": time.perf_counter() - start})
         stage = self.folder.keep_stage(name, timed)
         for line in stage.values.get("report", []):

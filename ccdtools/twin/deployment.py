@@ -18,6 +18,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
 from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
+from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
 from ccdtools.trajectory import Trajectory
@@ -202,10 +203,12 @@ class _Service:
         """The whole deployment."""
         runs, steps = self.whole.disturbance.shape[:2]
         count = possible_updates(runs, steps, self.config)
-        for part in deployment_parts(runs, steps, count + 1):
+        for k, part in enumerate(deployment_parts(runs, steps, count + 1)):
+            at(f"part {k + 1} of {count + 1}")
             piece = self._serve(*part, progress)
             self.pieces.append(piece)
             if len(self.pieces) <= count and self._learn(piece, part[0].start):
+                at(f"update {k + 1} of {count}")
                 self._update()
         return Deployment(joined(self.pieces, runs), self.agent, tuple(self.updates))
 

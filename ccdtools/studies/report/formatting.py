@@ -55,6 +55,11 @@ def percent_interval(mean: float | None, ci95: Sequence[float | None], size: flo
     return values[0] + ends
 
 
+def limits_of(results: Mapping[str, Any]) -> str:
+    """What a controller of a run leaves: "X", or "the limits" where those of outputs count, too."""
+    return str(results.get("limits", "X"))
+
+
 def in_measure(measure: str) -> str:
     """What of the returns a change is of, behind it: " in the mean of the worst 10 %"; nothing for their mean."""
     return "" if measure == "mean" else f" in the {measure}"

@@ -6,7 +6,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from ccdtools.plants.design_space import SAME_DESIGN
-from ccdtools.studies.report.formatting import FORMER, capitalised, design_text, number, share, signed_percent
+from ccdtools.studies.report.formatting import (
+    FORMER,
+    capitalised,
+    design_text,
+    limits_of,
+    number,
+    share,
+    signed_percent,
+)
 from ccdtools.studies.report.gains import held_out_phrase
 from ccdtools.studies.report.verdicts import EQUAL, NOT_WORSE, outside_text, percent_of_reference, verdict
 
@@ -19,10 +27,19 @@ def headline(results: Results) -> str:
     last = len(results["generations"])
     idle = _idle(results)
     changes = [] if idle else _generations(results)
-    parts = [_cost(results, last), held_out_phrase(results), _policy(results, last), _limits(results, last), *changes]
+    parts = [
+        _cost(results, last), held_out_phrase(results), _policy(results, last), _limits(results, last),
+        _judged_by(results), *changes,
+    ]  # fmt: skip
     text = "; ".join(part for part in parts if part) + "."
     quick = "QUICK run, not a result: " if results["quick"] else ""
     return capitalised(quick + (f"{idle}. {capitalised(text)}" if idle else text))
+
+
+def _judged_by(results: Results) -> str:
+    """What of the returns redesigns were judged by, where it is not their mean, which the costs here are."""
+    measure = results.get("measure", "mean")
+    return "" if measure == "mean" else f"these are mean costs, the study is judged by the {measure}"
 
 
 def _idle(results: Results) -> str:
@@ -91,9 +108,10 @@ def _policy(results: Results, last: int) -> str:
     sentence = _return_beside_lqr(word.removesuffix(" in return only"), percent)
     if not (only and sentence):
         return sentence
+    left = limits_of(results)
     if word.startswith("worse"):
-        return f"{sentence}, which leaves X further ({outside_text(reference, results['comparison'])})"
-    return f"{sentence}, but leaves X further ({outside_text(row, results['comparison'])})"
+        return f"{sentence}, which leaves {left} further ({outside_text(reference, results['comparison'])})"
+    return f"{sentence}, but leaves {left} further ({outside_text(row, results['comparison'])})"
 
 
 def _limits(results: Results, last: int) -> str:
@@ -102,7 +120,8 @@ def _limits(results: Results, last: int) -> str:
     if found is None or found["kept"]:
         return ""
     achieved, granted = ((of["fraction"], of["depth"]) for of in (found["achieved"], found["tolerance"]))
-    left = f"{share(achieved[0])} of the states outside X, {number(achieved[1], 2)} half-widths at the peak"
+    outside = f"{share(achieved[0])} of the states outside {limits_of(results)}"
+    left = f"{outside}, {number(achieved[1], 2)} half-widths at the peak"
     asked = f"granted were {share(granted[0])} and {number(granted[1], 2)}"
     exceeded = _row(results, last, "learned")["exceeded"]
     which = f"; on the real plant most {exceeded}" if exceeded else ""

@@ -24,6 +24,7 @@ from ccdtools.studies.report.formatting import (
     duration,
     generation_name,
     holding_text,
+    limits_of,
     number,
     place,
     share,
@@ -82,7 +83,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         gains={"headings": gain_headings(results), "rows": gain_rows(results),
                "held_out": held_out_rows(results, run.study.steps), "metrics": held_out_metrics(results)},
         sampling=sampling_note(run.study.plant), no_sets=_no_sets(run),
-        single=run.study.real.runs == 1, real_is_model=run.study.real_is_model,
+        limits=limits_of(results), single=run.study.real.runs == 1, real_is_model=run.study.real_is_model,
         risk="" if isinstance(run.study.risk, Mean) else repr(run.study.risk),
         updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],
     )  # fmt: skip
@@ -172,7 +173,7 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
         blocks.append({
             "generation": g, "plant": place(rows[0]), "design": design_text(results, rows[0]["design"]),
             "bounds": holding_text(rows[0]), "rows": shown,
-            "metrics": metric_table(rows), "notes": fewer_runs_notes(rows) + limit_notes(rows),
+            "metrics": metric_table(rows), "notes": fewer_runs_notes(rows) + limit_notes(rows, limits_of(results)),
         })  # fmt: skip
     return blocks
 

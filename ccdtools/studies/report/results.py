@@ -8,6 +8,8 @@ from importlib.metadata import version
 from typing import Any
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.risk import measure
+from ccdtools.outside import limits_in_words
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.stage_storage import Stage, jsonable
@@ -69,7 +71,8 @@ def results(
         "state_names": study.plant.state_names, "input_names": study.plant.input_names,
         "design_space": {"names": space.names, "units": space.units, "lower": space.lower, "upper": space.upper,
                          "constraints": space.constraint_names, "integer": space.integer},
-        "start": space.as_dict(study.p0),
+        "start": space.as_dict(study.p0), "limits": limits_in_words(evaluation.problem.output_limits),
+        "measure": measure(study.risk),
         "objective": study.objective.describe(),
         "initialisation": {key: value for key, value in initial.values.items() if key != "report"},
         "generations": list(generations),

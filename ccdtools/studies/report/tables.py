@@ -14,6 +14,7 @@ from ccdtools.studies.report.formatting import (
     design_text,
     generation_name,
     holding_text,
+    limits_of,
     number,
     place,
     share,
@@ -24,8 +25,9 @@ from ccdtools.studies.report.verdicts import difference_text, limit_notes, refer
 from ccdtools.studies.run_folder import RunFolder
 
 Row = dict[str, Any]
+OUTSIDE = "outside X"
 HEADINGS = (
-    "plant", "gen", "controller", "mean", "std", "n", "vs LQR", "95 % interval", "diverged", "outside X", "depth",
+    "plant", "gen", "controller", "mean", "std", "n", "vs LQR", "95 % interval", "diverged", OUTSIDE, "depth",
     "µs/step",
 )  # fmt: skip
 LIMIT_COLUMNS = ("violations", "depth_mean", "depth_peak", "depth_worst", "exceeded")
@@ -134,18 +136,20 @@ def learning_rows(results: Mapping[str, Any], folder: RunFolder) -> list[Row]:
 def console_table(results: Mapping[str, Any]) -> str:
     """The comparison as aligned plain text, a block per generation and plant; the active bounds are named."""
     rows = results["comparison"]
-    everything = [HEADINGS, *(_cells(row, rows) for row in rows)]
+    headings = tuple(f"outside {limits_of(results)}" if name == OUTSIDE else name for name in HEADINGS)
+    everything = [headings, *(_cells(row, rows) for row in rows)]
     widths = [max(len(cells[i]) for cells in everything) for i in range(len(HEADINGS))]
     quick = ["QUICK: fewer samples, not a result"] if results["quick"] else []
     rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
-    lines = [f"{results['title']}, seed {results['seed']}", *quick, _line(HEADINGS, widths), rule]
+    lines = [f"{results['title']}, seed {results['seed']}", *quick, _line(headings, widths), rule]
     title = ""
     for row, cells in zip(rows, everything[1:]):
         if _block_title(results, row) != title:
             title = _block_title(results, row)
             lines.append(title)
         lines.append(_line(cells, widths))
-    return "\n".join([*lines, *fewer_runs_notes(rows), *limit_notes(rows), "", *console_lines(results)])
+    notes = [*fewer_runs_notes(rows), *limit_notes(rows, limits_of(results))]
+    return "\n".join([*lines, *notes, "", *console_lines(results)])
 
 
 def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:

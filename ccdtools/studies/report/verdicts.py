@@ -89,8 +89,8 @@ def outside_text(row: Row, rows: Sequence[Row]) -> str:
     return f"{number(row['depth_peak'], 2)} half-widths{which}" + (f"; {beside}" if beside else "")
 
 
-def limit_notes(rows: Sequence[Row]) -> list[str]:
-    """One line for every controller whose verdict is on the return only, saying who leaves X how far."""
+def limit_notes(rows: Sequence[Row], limits: str = "X") -> list[str]:
+    """One line for every controller whose verdict is on the return only: who leaves X, or the limits, how far."""
     notes = []
     for row in rows:
         reference = reference_of(rows, row)
@@ -98,7 +98,7 @@ def limit_notes(rows: Sequence[Row]) -> list[str]:
             where = f"{place(row)}, {generation_name(row['generation'])}"
             word = verdict(row, reference).removesuffix(" in return only")
             beside = "equal to" if word == "equal" else f"{word} than"
-            leaves = f"it leaves X by {outside_text(row, rows)}"
+            leaves = f"it leaves {limits} by {outside_text(row, rows)}"
             notes.append(f"{where}: {row['controller']} is {beside} LQR in return only: {leaves}")
     return notes
 

@@ -1,0 +1,74 @@
+"""A long computation says how far it is: with a bar on a terminal, in plain lines elsewhere."""
+
+import io
+import sys
+import time
+
+import pytest
+
+from ccdtools.progress import at, bar, counted, telling
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self):
+        return True
+
+
+def shown(monkeypatch, stream, **options):
+    """What a bar over three items writes."""
+    monkeypatch.setattr(sys, "stderr", stream)
+    assert list(bar(range(3), label="simulating", total=3, **options)) == [0, 1, 2]
+    return stream.getvalue()
+
+
+def test_without_a_terminal_there_is_a_line_at_the_start_and_no_control_character(monkeypatch):
+    text = shown(monkeypatch, io.StringIO(), progress=True)
+    assert text.splitlines()[0] == "simulating: 0 of 3 after 0 s"
+    assert text.endswith("\n")
+    assert all(letter.isprintable() or letter == "\n" for letter in text)
+
+
+def test_lines_follow_as_items_do(monkeypatch):
+    monkeypatch.setattr("ccdtools.progress.EVERY", 0.0)
+    text = shown(monkeypatch, io.StringIO(), progress=True)
+    assert "simulating: 2 of 3 after 0 s" in text.splitlines()
+
+
+def test_on_a_terminal_there_is_a_bar_and_without_progress_nothing(monkeypatch):
+    assert "\r" in shown(monkeypatch, Terminal(), progress=True)
+    for stream in (Terminal(), io.StringIO()):
+        assert not shown(monkeypatch, stream, progress=False)
+
+
+def test_a_stage_that_takes_long_says_what_it_is_at():
+    lines = []
+    with telling(lines.append, every=0.01):
+        at("iteration 3 of at most 7")
+        while not lines:
+            time.sleep(0.005)
+    count = len(lines)
+    assert lines[-1].startswith("    … iteration 3 of at most 7, after ")
+    time.sleep(0.05)
+    assert len(lines) == count  # nothing is told once it has ended
+
+
+def test_a_stage_that_ends_soon_or_has_no_echo_says_nothing():
+    lines = []
+    with telling(lines.append), telling(None):
+        pass
+    assert not lines
+
+
+def test_an_interrupted_stage_is_told_of_no_more():
+    lines = []
+    with pytest.raises(KeyboardInterrupt), telling(lines.append, every=0.01):
+        raise KeyboardInterrupt
+    time.sleep(0.05)
+    assert not lines
+
+
+def test_items_are_all_yielded():
+    lines = []
+    assert list(counted(range(4), "X_fea(p)", total=4, echo=lines.append)) == [0, 1, 2, 3]
