@@ -15,6 +15,8 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbolic_functions import as_symbolic
 from invariant_sets import Polytope
 
+ON_THE_LIMIT = 1e-9  # half-widths: a start this far outside is on its limit
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OutputLimits(Immutable):
@@ -96,6 +98,20 @@ class OutputLimits(Immutable):
             return np.where(np.isnan(beyond), np.inf, beyond)
         beyond = (y[..., index.tolist()] * y.new_tensor(sign) - y.new_tensor(bound)) / y.new_tensor(unit)
         return beyond.masked_fill(beyond.isnan(), np.inf)
+
+    def broken_at(self, x: Array, nu: int, designs: Array) -> list[str]:
+        """The limits that a state (nx,) exceeds at each of some designs (n, np), whatever the input does: "" for none.
+
+        Only limits of outputs that do not depend on the input say so.
+        """
+        nx = len(x)
+        index, *_ = self._sides(self.outputs.function(nx, nu, designs.shape[1]).numel_out(0))
+        of_input = self.outputs.function(nx, nu, designs.shape[1]).jac_sparsity(0, 1)
+        acted_on = np.isin(index, of_input.row())
+        states = np.tile(x, (len(designs), 1))
+        depths = np.where(acted_on, -np.inf, self.depths(states, np.zeros((len(designs), nu)), designs))
+        worst = depths.argmax(axis=1)
+        return [self.row_text(row) if depth[row] > ON_THE_LIMIT else "" for row, depth in zip(worst, depths)]
 
     def row_text(self, row: int) -> str:
         """What exceeding a limit means: "tyre load [N] > 500"; of the limits that `depths` gives."""

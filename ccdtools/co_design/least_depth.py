@@ -75,6 +75,12 @@ def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> None:
     """
     if not isinstance(problem.scenarios, FixedStart):
         return
+    if problem.output_limits is not None:
+        p = problem.design.check_one(design)
+        (broken,) = problem.output_limits.broken_at(problem.scenarios.x0, problem.model.nu, p[None])
+        if broken:
+            text = f"the start breaks a limit of an output at this design, whatever the input: {broken}"
+            warnings.warn(text, LimitWarning, stacklevel=3)
     here, anywhere = unavoidable_depth(problem, design)
     if here > 0:
         warnings.warn(unavoidable_text(here, anywhere), LimitWarning, stacklevel=3)

@@ -132,8 +132,9 @@ class CoDesignProblem(Immutable):
     ------
     InputError
         If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
-        not in X or not in U, U is not a box, starts lie outside X, or the box of designs is too narrow or has no entry
-        that is not fixed. If nothing that is chosen changes the objective.
+        not in X or not in U, U is not a box, starts lie outside X or break a limit of an output that no input and no
+        design mends, or the box of designs is too narrow or has no entry that is not fixed. If nothing that is chosen
+        changes the objective.
     """
 
     model: Model
@@ -223,10 +224,20 @@ class CoDesignProblem(Immutable):
             raise InputError("scenarios", f"initial states of shape {x0[1:]}", f"({self.model.nx},)")
         if isinstance(self.scenarios, FixedStart | RandomStarts):
             self.scenarios.check_within(self.X)
+        self._check_start_outputs()
         replayed = self.discrepancy is not None and self.discrepancy.noise == "replayed"
         width = self.model.nx if replayed else self.model.nw
         if (self.discrepancy is None or replayed) and w != (1, self.steps, width):
             raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
+
+    def _check_start_outputs(self) -> None:
+        """Raise an `InputError` if the fixed start breaks a limit of an output at every design, whatever the input."""
+        if self.output_limits is None or not isinstance(self.scenarios, FixedStart):
+            return
+        broken = self.output_limits.broken_at(self.scenarios.x0, self.model.nu, self.design.spread())
+        if all(broken):
+            got = f"{self.scenarios.x0.tolist()}, where {broken[0]} whatever the input and the design"
+            raise InputError("scenarios.x0", got, "a state within the limits of the outputs")
 
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """What drives the model for any number of steps, (runs, steps, ·): nw disturbances, or nx draws or errors.

@@ -152,7 +152,7 @@ class Study(Immutable):
         Whether a sampling time that does not resolve the plant is warned of, see `discretise`, and steps of the real
         plant that may be wrong by a tenth of X.
     risk : Mean, MeanSpread or CVaR
-        What of the returns a co-design optimises; deployments and redesigns are judged by their means.
+        What of the returns a co-design optimises, and by which redesigns, updates and deployments are judged.
     accuracy : float
         Of the model of a plant that is not linear: largest error of a sample, relative to half the range of each state
         in X, see `discretise`.
@@ -169,8 +169,8 @@ class Study(Immutable):
     ------
     InputError
         If a field is of another kind or size, the model is not finite over the design box or cannot be stabilised
-        at `p0`, its accuracy is not reached, `x0` lies outside X, or the real plant is another one than the model
-        describes, or its steps are too long for it.
+        at `p0`, its accuracy is not reached, `x0` lies outside X or breaks a limit of an output, or the real plant is
+        another one than the model describes, or its steps are too long for it.
     """
 
     name: str
@@ -264,7 +264,10 @@ class Study(Immutable):
             raise InputError("x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
         if self.starts is not None:
             self._check_starts()
-        self.problem()  # checks dimensions, boundedness, that U is a box, and the sizes of Q and R
+        try:
+            self.problem()  # checks dimensions, boundedness, that U is a box, and the sizes of Q and R
+        except InputError as error:
+            raise InputError(error.argument.removeprefix("scenarios."), error.got, error.expected, error.cure) from None
 
     def _check_stabilisable(self) -> None:
         """Raise unless LQR exists at the first design."""

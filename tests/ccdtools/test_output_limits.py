@@ -18,6 +18,7 @@ from ccdtools import (
     Plant,
     QuadraticObjective,
     Scenario,
+    Study,
     baselines,
     codesign,
     compare,
@@ -27,6 +28,8 @@ from ccdtools import (
 )
 from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.co_design.episodes import simulated
+from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
+from ccdtools.exceptions import LimitWarning
 from learning import fit_actor_critic
 
 x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 1)
@@ -146,3 +149,34 @@ def test_an_output_that_is_no_number_is_beyond_its_limit_in_training_too():
 def test_wrong_limits_are_refused(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+# ── starts that break a limit ──
+
+
+def test_a_start_that_breaks_a_limit_of_an_output_at_every_design_is_refused():
+    """The spring force at x = 1.7 is 0.85 N at the softest spring."""
+    with pytest.raises(InputError, match=r"scenarios.x0: got \[1.7, 0.0\], where spring force \[N\] > 0.8 whatever"):
+        problem(scenarios=FixedStart([1.7, 0.0], Gaussian([0.05])))
+    edge = problem(scenarios=FixedStart([1.6, 0.0], Gaussian([0.05])))
+    found = edge.output_limits.broken_at(np.array([1.6, 0.0]), 1, np.array([[0.5], [0.6]]))
+    assert found == ["", "spring force [N] > 0.8"]
+
+
+def test_a_limit_that_the_input_acts_on_refuses_no_start():
+    limits = OutputLimits(lambda x, u, p: u[0] - x[1], -3.0, 5.0)
+    assert limits.broken_at(np.array([0.0, 9.0]), 1, np.array([[0.5]])) == [""]
+
+
+def test_a_start_that_breaks_a_limit_at_the_first_design_alone_is_warned_of():
+    own = problem(scenarios=FixedStart([0.5, 0.0], Gaussian([0.05])))
+    warn_of_unavoidable_depth(own, [1.5])
+    with pytest.warns(LimitWarning, match=r"the start breaks a limit .* whatever the input: spring force \[N\] > 0.8"):
+        warn_of_unavoidable_depth(own, [1.7])
+
+
+def test_a_study_names_its_own_start():
+    given = {"name": "spring", "title": "Spring", "plant": PLANT, "X": ([-3, -3], [3, 3]), "U": ([-2], [2]),
+             "objective": OBJECTIVE, "disturbance": Gaussian([0.05]), "p0": [1.0]}  # fmt: skip
+    with pytest.raises(InputError, match=r"^x0: got \[1.7, 0.0\], where spring force \[N\] > 0.8"):
+        Study(**given, x0=[1.7, 0.0])
