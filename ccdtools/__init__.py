@@ -59,7 +59,8 @@ if TYPE_CHECKING:
     from ccdtools.simulation import simulate
     from ccdtools.statistics import mean_interval
     from ccdtools.studies.loading import load_study
-    from ccdtools.studies.study import RealPlant, Study
+    from ccdtools.studies.real_plant import RealPlant
+    from ccdtools.studies.study import Study
     from ccdtools.trajectory import Trajectory
     from ccdtools.twin.deployment import deploy, deploy_and_update
     from ccdtools.twin.free_running import free_running_bands
@@ -200,7 +201,7 @@ _HOMES = {
     "Previewing": "controllers.previewing",
     "QuadraticObjective": "co_design.objective",
     "RandomStarts": "co_design.random_starts",
-    "RealPlant": "studies.study",
+    "RealPlant": "studies.real_plant",
     "Recorded": "disturbances.disturbance",
     "Reference": "controllers.signals",
     "Ride": "comparison.ride",

@@ -87,7 +87,11 @@ def run(
     filter: Annotated[str | None, typer.Option(help="Behind the policy in service: none, or admissible.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in the output folder.")] = False,
 ) -> None:
-    """Run a study: initialise, co-design, deploy, learn, redesign; compare, report."""
+    """Run a study: initialise, co-design, deploy, learn, redesign; compare, report.
+
+    Every finished stage is kept in the output folder. Ctrl-C loses only the stage it falls in: the run goes on with
+    `ccdtools resume FOLDER`, to the same results.
+    """
     options = Options(
         located(study), whole_number("--generations", generations), whole_number("--seed", seed), quick, preset,
         expert, method=method, design_gradient=design_gradient, sets=sets,

@@ -8,8 +8,9 @@ if TYPE_CHECKING:
     from ccdtools.studies.loading import load_study
     from ccdtools.studies.options import study_names
     from ccdtools.studies.presets import StudyConfig, configuration
+    from ccdtools.studies.real_plant import RealPlant
     from ccdtools.studies.run_folder import RunFolder
-    from ccdtools.studies.study import RealPlant, Study
+    from ccdtools.studies.study import Study
 
 __all__ = [
     "Generations",
@@ -24,7 +25,7 @@ __all__ = [
 
 _HOMES = {
     "Generations": "generations",
-    "RealPlant": "study",
+    "RealPlant": "real_plant",
     "RunFolder": "run_folder",
     "Study": "study",
     "StudyConfig": "presets",

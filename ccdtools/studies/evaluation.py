@@ -24,8 +24,9 @@ from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise_returns
 from ccdtools.studies.presets import StudyConfig
+from ccdtools.studies.real_plant import MINIMUM_LOG
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.studies.study import MINIMUM_LOG, Study
+from ccdtools.studies.study import Study
 from ccdtools.studies.warm_up import warm_up
 from ccdtools.twin.common_runs import groups, is_common
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -18,11 +16,9 @@ from ccdtools.checks import (
     as_instance,
     as_limit_tolerance,
     as_limits,
-    as_mapping,
     as_positive,
     as_vector,
     as_weight,
-    has_method,
     shown,
 )
 from ccdtools.co_design.objective import Objective, Weights, as_objective
@@ -30,7 +26,6 @@ from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk
 from ccdtools.comparison.metrics import Metrics, as_metrics, try_metrics
-from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits
@@ -38,72 +33,17 @@ from ccdtools.plants.discretisation import ACCURACY, discretise
 from ccdtools.plants.models import Model, as_regulated_model
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import METHODS, SampledModel
+from ccdtools.studies.disturbance_checks import check_disturbance
 from ccdtools.studies.options import FILTERS, SETS
+from ccdtools.studies.plant_checks import check_finite, check_same_plant
 from ccdtools.studies.price import DEFAULT_PRICE, RedesignPrice
+from ccdtools.studies.real_plant import RealPlant
 from ccdtools.studies.real_step import check_real_step, extent_of
 from ccdtools.twin.transport import check_disturbance_enters
 from invariant_sets import Polytope
 from mpc import MPCError, lqr
 
-MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
 MODEL_RUNS = 200  # runs logged in a deployment where the real plant is the model itself
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RealPlant(Immutable):
-    """The plant as it really is, and how it is driven.
-
-    Attributes
-    ----------
-    plant : Plant or SampledModel
-        Nonlinear or linear, with the states, inputs and design of the model. A `Plant` takes `substeps` Runge–Kutta
-        steps a sample, a model of one that `discretise` has made takes its own.
-    disturbance : Disturbance
-    x0 : (nx,) array
-        Start of every run.
-    runs : int
-        Runs logged in a deployment.
-    steps : int
-        Length of a run.
-    held_out : mapping of str to Disturbance, optional
-        Disturbances by name that no generation meets: fresh draws of each are driven at the end, beside the deployment.
-        By default `disturbance` drawn afresh, if a deployment is one run of it and it is no recording; of several runs
-        the comparison on the real plant is fresh already.
-
-    Raises
-    ------
-    InputError
-        If a field is of another kind or size, or a deployment would log fewer than 500 samples.
-    """
-
-    plant: Plant | SampledModel
-    disturbance: Disturbance
-    x0: ArrayField
-    runs: int
-    steps: int
-    held_out: Mapping[str, Disturbance] | None = None
-
-    def __post_init__(self) -> None:
-        as_instance("real.plant", self.plant, (Plant, SampledModel), "a ccdtools.Plant")
-        object.__setattr__(self, "x0", as_vector("real.x0", self.x0, self.plant.nx, of="one per state"))
-        object.__setattr__(self, "runs", as_count("real.runs", self.runs))
-        object.__setattr__(self, "steps", as_count("real.steps", self.steps))
-        if self.runs * self.steps < MINIMUM_LOG:
-            got = f"{self.runs} of {self.steps} steps"
-            raise InputError("real.runs", got, f"at least {MINIMUM_LOG} samples to learn the discrepancy from")
-        _check_disturbance("real.disturbance", self.disturbance, self.plant)
-        if self.held_out is not None:
-            object.__setattr__(self, "held_out", _checked_held_out(self.held_out, self.plant))
-
-    @property
-    def fresh(self) -> dict[str, Disturbance]:
-        """The held-out disturbances by name; none where nothing can be drawn afresh."""
-        if self.held_out is not None:
-            return dict(self.held_out)
-        return {} if self.runs > 1 or is_recorded(self.disturbance) else {"fresh draws": self.disturbance}
-
-    def __repr__(self) -> str:
-        return f"RealPlant({self.plant!r}, {self.runs} runs of {self.steps} steps)"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -204,8 +144,8 @@ class Study(Immutable):
 
     def __post_init__(self) -> None:
         self._check_kinds()
-        _check_finite(self.plant)
-        _check_disturbance("disturbance", self.disturbance, self.plant)
+        check_finite(self.plant)
+        check_disturbance("disturbance", self.disturbance, self.plant)
         object.__setattr__(self, "x0", as_vector("x0", self.x0, self.plant.nx, of="one per state"))
         p0 = as_vector("p0", self.p0, self.plant.design.dim, of="one per design parameter")
         object.__setattr__(self, "p0", self.plant.design.check_feasible(p0, argument="p0"))
@@ -291,7 +231,7 @@ class Study(Immutable):
 
     def _check_real(self, real: RealPlant) -> None:
         """Raise unless the real plant is one that the model may describe, with steps that follow it."""
-        _check_same_plant(self.plant, real)
+        check_same_plant(self.plant, real)
         if isinstance(real.plant, Plant):
             check_real_step(real.plant, self.X, self.U, extent_of(real.disturbance), guard=self.sampling_guard)
 
@@ -357,62 +297,3 @@ class Study(Immutable):
         x0 = as_vector("x0", x0, self.plant.nx, of="one per state")
         real = replace(self.real, x0=x0) if np.array_equal(self.real.x0, self.x0) else self.real
         return replace(self, x0=x0, real=real, p0=self.p0 if p0 is None else p0, starts=None)
-
-
-def _check_disturbance(argument: str, disturbance: Disturbance, plant: Plant | SampledModel) -> None:
-    """Raise unless two samples of the disturbance have the channels of the plant."""
-    has_method(argument, disturbance, "sample", "an object with sample(runs, steps, rng)")
-    try:
-        drawn = np.asarray(disturbance.sample(1, 2, np.random.default_rng(0)))
-    except InputError:
-        raise
-    except Exception as error:
-        reason = f"a {type(disturbance).__name__} whose sample(1, 2, rng) stops with {type(error).__name__}: {error}"
-        raise InputError(argument, " ".join(reason.split()), f"samples of shape (1, 2, {plant.nw})") from error
-    if drawn.shape != (1, 2, plant.nw):
-        got = f"samples of shape {drawn.shape}"
-        if drawn.ndim == 3:
-            got = f"{drawn.shape[2]} channel{'' if drawn.shape[2] == 1 else 's'}"
-        raise InputError(argument, got, f"{plant.nw}, one per disturbance of the plant")
-    if drawn.dtype.kind not in "iuf" or not np.isfinite(drawn).all():
-        raise InputError(argument, "a sample that is not a finite number", "finite samples")
-
-
-def _checked_held_out(held_out: Mapping[str, Disturbance], plant: Plant | SampledModel) -> dict[str, Disturbance]:
-    """The held-out disturbances, if each has a name of one line and draws samples for the plant."""
-    named = as_mapping("real.held_out", held_out, "a mapping of names to disturbances")
-    for name, disturbance in named.items():
-        if not isinstance(name, str) or not name.strip() or len(name.splitlines()) > 1:
-            raise InputError("real.held_out", shown(name), "names of one line")
-        _check_disturbance(f"real.held_out[{name!r}]", disturbance, plant)
-    return named
-
-
-def _check_finite(plant: Plant) -> None:
-    """Raise unless the derivatives of the dynamics are finite at the corners of the design box and between them."""
-    z = ca.vertcat(plant.x, plant.u, plant.w)
-    at_zero = ca.substitute(ca.densify(ca.jacobian(plant.dynamics, z)), z, ca.SX.zeros(z.shape))
-    matrices = ca.Function("matrices", [plant.p], [at_zero])
-    for design in plant.design.spread():
-        if not np.isfinite(np.asarray(matrices(design), dtype=float)).all():
-            got = f"dynamics that are not finite at {plant.design.describe(design)}"
-            raise InputError("plant", got, "finite ones over the whole design box", "Move the bounds of the design.")
-
-
-def _check_same_plant(model: Plant, real: RealPlant) -> None:
-    """Raise unless the real plant has the states, inputs, design and sampling time of the model, and is finite."""
-    plant = real.plant
-    for what, own, other in (("states", plant.nx, model.nx), ("inputs", plant.nu, model.nu)):
-        if own != other:
-            raise InputError("real.plant", f"{own} {what}", f"{other}, as the model has")
-    if not np.isclose(plant.dt, model.dt, rtol=1e-9, atol=0.0):
-        raise InputError("real.plant", f"dt = {plant.dt:g} s", f"{model.dt:g} s, the sampling time of the model")
-    own_space = (tuple(plant.design.names), plant.design.lower.tolist(), plant.design.upper.tolist())
-    if own_space != (tuple(model.design.names), model.design.lower.tolist(), model.design.upper.tolist()):
-        raise InputError("real.plant", "another design space", "the parameters and bounds of the model")
-    u = np.zeros(plant.nu)
-    w = np.zeros(plant.nw)
-    for design in plant.design.spread():
-        if not np.isfinite(np.asarray(plant.step(real.x0, u, w, design), dtype=float)).all():
-            got = f"a first step that is not finite at {plant.design.describe(design)}"
-            raise InputError("real.plant", got, "finite dynamics over the whole design box")

@@ -11,7 +11,8 @@ from ccdtools.disturbances.iso8608 import RoadClass
 from ccdtools.disturbances.iso_road import ISORoad
 from ccdtools.plants.library import Car
 from ccdtools.plants.plant import Plant
-from ccdtools.studies.study import RealPlant, Study
+from ccdtools.studies.real_plant import RealPlant
+from ccdtools.studies.study import Study
 from invariant_sets import Polytope
 
 CAR = Car()

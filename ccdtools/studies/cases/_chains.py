@@ -7,7 +7,8 @@ import numpy as np
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.plants.library import mass_chain
-from ccdtools.studies.study import RealPlant, Study
+from ccdtools.studies.real_plant import RealPlant
+from ccdtools.studies.study import Study
 from invariant_sets import Polytope
 
 PUSH = 1.0  # N, standard deviation of what shakes the last mass

@@ -10,7 +10,8 @@ from ccdtools.disturbances.iso8608 import RoadClass
 from ccdtools.disturbances.iso_road import ISORoad
 from ccdtools.plants.library import QuarterCar, quarter_car
 from ccdtools.plants.library.struts import GRAVITY
-from ccdtools.studies.study import RealPlant, Study
+from ccdtools.studies.real_plant import RealPlant
+from ccdtools.studies.study import Study
 from invariant_sets import Polytope
 
 SPEED = 20.0  # m/s

@@ -5,7 +5,8 @@ import numpy as np
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.plants.library import dc_servo
-from ccdtools.studies.study import RealPlant, Study
+from ccdtools.studies.real_plant import RealPlant
+from ccdtools.studies.study import Study
 from invariant_sets import Polytope
 
 limits = np.array([np.pi, 60.0])  # rad, rad/s; at 24 V and the start's gear the motor runs at 44 rad/s of the load

@@ -6,7 +6,8 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.combinations import Sum
 from ccdtools.disturbances.disturbance import Gaussian, Uniform
 from ccdtools.plants import library
-from ccdtools.studies.study import RealPlant, Study
+from ccdtools.studies.real_plant import RealPlant
+from ccdtools.studies.study import Study
 from invariant_sets import Polytope
 
 noise = Gaussian(std=[0.1, 0.2])

@@ -5,7 +5,8 @@ import numpy as np
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.plants.library import pendulum_on_cart
-from ccdtools.studies.study import RealPlant, Study
+from ccdtools.studies.real_plant import RealPlant
+from ccdtools.studies.study import Study
 from invariant_sets import Polytope
 
 limits = np.array([2.0, 5.0, 1.0, 6.0])  # m (half the track), m/s, rad, rad/s

@@ -5,7 +5,8 @@ import numpy as np
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.plants.library import wind_turbine
-from ccdtools.studies.study import RealPlant, Study
+from ccdtools.studies.real_plant import RealPlant
+from ccdtools.studies.study import Study
 from invariant_sets import Polytope
 
 limits = np.array([0.002, 0.3, 0.3])  # rad (0.005 at rest), rad/s (a quarter of 12.1 rpm)

@@ -1,0 +1,74 @@
+"""The plant as it really is, and how it is driven."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ccdtools.arrays import ArrayField, Immutable
+from ccdtools.checks import as_count, as_instance, as_vector
+from ccdtools.disturbances.combinations import is_recorded
+from ccdtools.disturbances.disturbance import Disturbance
+from ccdtools.exceptions import InputError
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.studies.disturbance_checks import check_disturbance, checked_held_out
+
+MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RealPlant(Immutable):
+    """The plant as it really is, and how it is driven.
+
+    Attributes
+    ----------
+    plant : Plant or SampledModel
+        Nonlinear or linear, with the states, inputs and design of the model. A `Plant` takes `substeps` Runge–Kutta
+        steps a sample, a model of one that `discretise` has made takes its own.
+    disturbance : Disturbance
+    x0 : (nx,) array
+        Start of every run.
+    runs : int
+        Runs logged in a deployment.
+    steps : int
+        Length of a run.
+    held_out : mapping of str to Disturbance, optional
+        Disturbances by name that no generation meets: fresh draws of each are driven at the end, beside the deployment.
+        By default `disturbance` drawn afresh, if a deployment is one run of it and it is no recording; of several runs
+        the comparison on the real plant is fresh already.
+
+    Raises
+    ------
+    InputError
+        If a field is of another kind or size, or a deployment would log fewer than 500 samples.
+    """
+
+    plant: Plant | SampledModel
+    disturbance: Disturbance
+    x0: ArrayField
+    runs: int
+    steps: int
+    held_out: Mapping[str, Disturbance] | None = None
+
+    def __post_init__(self) -> None:
+        as_instance("real.plant", self.plant, (Plant, SampledModel), "a ccdtools.Plant")
+        object.__setattr__(self, "x0", as_vector("real.x0", self.x0, self.plant.nx, of="one per state"))
+        object.__setattr__(self, "runs", as_count("real.runs", self.runs))
+        object.__setattr__(self, "steps", as_count("real.steps", self.steps))
+        if self.runs * self.steps < MINIMUM_LOG:
+            got = f"{self.runs} of {self.steps} steps"
+            raise InputError("real.runs", got, f"at least {MINIMUM_LOG} samples to learn the discrepancy from")
+        check_disturbance("real.disturbance", self.disturbance, self.plant)
+        if self.held_out is not None:
+            object.__setattr__(self, "held_out", checked_held_out(self.held_out, self.plant))
+
+    @property
+    def fresh(self) -> dict[str, Disturbance]:
+        """The held-out disturbances by name; none where nothing can be drawn afresh."""
+        if self.held_out is not None:
+            return dict(self.held_out)
+        return {} if self.runs > 1 or is_recorded(self.disturbance) else {"fresh draws": self.disturbance}
+
+    def __repr__(self) -> str:
+        return f"RealPlant({self.plant!r}, {self.runs} runs of {self.steps} steps)"
