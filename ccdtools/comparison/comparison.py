@@ -63,6 +63,8 @@ class Score:
         Median time of one call with one state [s].
     metrics : dict of str to float
         What the metrics asked for say of the runs that did not diverge; NaN where all did.
+    design_cost : float
+        What every return holds for the design: the same for all controllers.
     """
 
     controller: str
@@ -78,6 +80,7 @@ class Score:
     further_outside_than: tuple[str, ...]
     step_time: float
     metrics: dict[str, float] = field(default_factory=dict)
+    design_cost: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -246,6 +249,7 @@ def _score(
         exceeded=outside.exceeded,
         further_outside_than=(),
         step_time=step_time(controller, run.states[0, 0], scenario, run.design),
+        design_cost=float(objective.cost_of_design(run.design, scenario.steps)),
     )
 
 

@@ -115,7 +115,9 @@ def gains_in(evaluation: Evaluation, scenario: Scenario, steps: Sequence[Step]) 
     kept = ~np.any([run.diverged for run in runs], axis=0)
     rewards = [run.rewards(evaluation.study.objective)[kept] for run in runs]
     gains = gains_by_source([step.source for step in steps], rewards, runs=len(scenario.x0))
-    return {"runs": len(scenario.x0), "steps": scenario.steps, "left_out": 1 - kept.mean()} | asdict(gains)
+    paid = float(evaluation.study.objective.cost_of_design(steps[0].design, scenario.steps))
+    of = {"runs": len(scenario.x0), "steps": scenario.steps, "left_out": 1 - kept.mean(), "design_cost": paid}
+    return of | asdict(gains)
 
 
 def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:

@@ -23,7 +23,7 @@ class RedesignPrice:
     Attributes
     ----------
     amount : float
-        In per cent of the return in service, or in units of the return of an evaluation.
+        In per cent of the return in service without the cost of the design, or in units of the return of an evaluation.
     relative : bool
         Whether it is in per cent.
     """

@@ -81,13 +81,14 @@ class Study(Immutable):
     sets_time_limit : float
         Processor time for these sets [s].
     limit_tolerance : "mpc", "off" or (fraction, depth)
-        How often and how far the co-designed policy may leave X, see `CoDesignProblem`.
+        How often and how far the co-designed policy may leave X, see `CoDesignProblem`; a redesign or an update that
+        leaves it further, and further than what is in service, is refused.
     filter : {"none", "admissible"}
         What stands behind the policy in service on the real plant: nothing, or a filter that keeps the next state of
         the nominal model in X_fea(p).
     redesign_price : str
-        The gain that a redesign must promise: "0.5 %" of the return in service, or "12 return", in units of the return
-        of an evaluation.
+        The gain that a redesign must promise: "0.5 %" of the return in service without the cost of the design, or
+        "12 return", in units of the return of an evaluation.
     sampling_guard : {"warn", "ignore"}
         Whether a sampling time that does not resolve the plant is warned of, see `discretise`, and steps of the real
         plant that may be wrong by a tenth of X.

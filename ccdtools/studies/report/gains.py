@@ -17,7 +17,9 @@ WORDS = {
 
 
 def gain_percent(place: Values, source: str) -> tuple[float, float | None, float | None] | None:
-    """A gain and its interval in per cent of LQR's return at the start design; None where there is none.
+    """A gain and its interval in per cent of LQR's return at the start design, without the cost of that design.
+
+    None where there is none.
 
     Parameters
     ----------
@@ -28,7 +30,8 @@ def gain_percent(place: Values, source: str) -> tuple[float, float | None, float
     gain = place[source]
     if gain["mean"] is None or not place["start"]:
         return None
-    percent = [None if value is None else 100 * value / abs(place["start"]) for value in (gain["mean"], *gain["ci95"])]
+    size = abs(place["start"] + place.get("design_cost", 0.0)) or abs(place["start"])
+    percent = [None if value is None else 100 * value / size for value in (gain["mean"], *gain["ci95"])]
     return (percent[0] or 0.0, percent[1], percent[2])
 
 

@@ -16,7 +16,7 @@ from ccdtools.studies.report.formatting import (
     signed_percent,
 )
 from ccdtools.studies.report.gains import held_out_phrase
-from ccdtools.studies.report.verdicts import EQUAL, NOT_WORSE, outside_text, percent_of_reference, verdict
+from ccdtools.studies.report.verdicts import EQUAL, NOT_WORSE, outside_text, percent_of_reference, size_of, verdict
 
 Results = Mapping[str, Any]
 SMALL_PART = 0.02  # of a whole: a part below it goes unmentioned
@@ -75,11 +75,12 @@ def _cost(results: Results, last: int) -> str:
         return "real plant: every run of the learned policy diverges"
     if before["mean"] is None or lqr["mean"] is None or before["mean"] == 0:
         return f"real plant: cost {_cost_text(after)}{lost}; LQR at the start design: {_cost_text(before)}"
-    change = 100 * (before["mean"] - after["mean"]) / abs(before["mean"])
+    change = 100 * (before["mean"] - after["mean"]) / (size_of(before) or abs(before["mean"]))
+    of = " of what control costs" if before.get("design_cost") else ""
     costs = f"({_cost_text(before)} → {_cost_text(after)}{lost})"
     if abs(change) < NOT_WORSE:
-        return f"real plant: cost unchanged within {NOT_WORSE:g} % {costs}"
-    return f"real plant: cost {signed_percent(change)} {costs}, {_origin(before, lqr, after)}"
+        return f"real plant: cost unchanged within {NOT_WORSE:g} %{of} {costs}"
+    return f"real plant: cost {signed_percent(change)}{of} {costs}, {_origin(before, lqr, after)}"
 
 
 def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) -> str:
@@ -90,7 +91,7 @@ def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) 
         return "all of it from the design"
     if abs(by_design) <= SMALL_PART:
         return "all of it from the policy"
-    size = abs(before["mean"])
+    size = size_of(before) or abs(before["mean"])
     design = signed_percent(100 * (before["mean"] - lqr["mean"]) / size)
     policy = signed_percent(100 * (lqr["mean"] - after["mean"]) / size)
     return f"{design} from the design and {policy} from the policy"
@@ -141,7 +142,7 @@ def _limits_in_service(results: Results) -> Mapping[str, Any] | None:
 
 def _without_interval(row: Mapping[str, Any]) -> str:
     """The learned policy beside LQR where a run is too short, or drifts too much, to say what the next would bring."""
-    percent = -100 * row["paired_to_lqr"]["mean"] / abs(row["lqr_mean"])
+    percent = -100 * row["paired_to_lqr"]["mean"] / (size_of(row, "lqr_mean") or abs(row["lqr_mean"]))
     if abs(percent) < NOT_WORSE:
         costs = f"as much as LQR within {NOT_WORSE:g} %"
     else:

@@ -30,12 +30,22 @@ def _tried(row: Row) -> float:
 
 
 def percent_of_reference(row: Row, reference: Row | None) -> tuple[float, float, float] | None:
-    """Paired difference of a row and its interval in per cent of |LQR| on the same runs; None where there is none."""
+    """Paired difference of a row and its interval in per cent of |LQR| on the same runs; None where there is none.
+
+    The cost of the design, which both pay, is no part of it.
+    """
     gain = row["paired_to_lqr"]
     if reference is None or gain["mean"] is None or None in gain["ci95"] or not row["lqr_mean"]:
         return None
-    size = abs(row["lqr_mean"])
+    size = size_of(row, "lqr_mean")
+    if size == 0:
+        return None
     return (100 * gain["mean"] / size, 100 * gain["ci95"][0] / size, 100 * gain["ci95"][1] / size)
+
+
+def size_of(row: Row, name: str = "mean") -> float:
+    """How large a return of a row is without the cost of its design."""
+    return abs((row[name] or 0.0) + row.get("design_cost", 0.0))
 
 
 def verdict(row: Row, reference: Row | None) -> str:
@@ -117,6 +127,6 @@ def difference_text(row: Row) -> tuple[str, str]:
     gain = row["paired_to_lqr"]
     if gain["mean"] is None or None in gain["ci95"]:
         return number(gain["mean"], 3), "n/a"
-    floor = EQUAL / 100 * abs(row["mean"] or 0.0)
+    floor = EQUAL / 100 * size_of(row)
     mean, low, high = (number(v if abs(v) >= floor else 0.0, 3) for v in (gain["mean"], *gain["ci95"]))
     return mean, f"[{low}, {high}]"
