@@ -12,7 +12,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.risk import Mean
+from ccdtools.co_design.risk import Mean, measure
 from ccdtools.plants.sampling_guard import sampling_note
 from ccdtools.studies.report import style
 from ccdtools.studies.report.figures import figures
@@ -85,6 +85,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         sampling=sampling_note(run.study.plant), no_sets=_no_sets(run),
         limits=limits_of(results), single=run.study.real.runs == 1, real_is_model=run.study.real_is_model,
         risk="" if isinstance(run.study.risk, Mean) else repr(run.study.risk),
+        measure=measure(run.study.risk),
         updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],
     )  # fmt: skip
 
