@@ -18,6 +18,7 @@ from invariant_sets.tolerances import FELT, GAP, MEMBERSHIP, NEIGHBOUR_MARGIN, T
 from invariant_sets.validation import as_batch, as_floats, as_matrix, as_vector, check_count, check_rng, check_tolerance
 
 Array = np.ndarray
+SetOfDesign = Callable[[Array], Set]
 _SLOW = 20  # steps: a neighbour that took more is worth starting from; below, a cold start is quicker
 
 
@@ -29,8 +30,9 @@ class ParametricSet:
     ----------
     matrices : callable
         p (np,) → (A, B) or (A, B, E), arrays (nx, nx), (nx, nu) and (nx, nw).
-    X, U : Polytope, or bounds (lower, upper)
-        State and input constraints. A bound is an array of one number a coordinate, or a number for all of them.
+    X, U : Polytope, bounds (lower, upper), or callable
+        State and input constraints. A bound is an array of one number a coordinate, or a number for all of them. A
+        callable gives the set of a design p (np,).
     W : Polytope, or bounds (lower, upper), optional
         Disturbance set; the sets are then robust. E is the third matrix, or the identity.
     tol : float
@@ -57,8 +59,8 @@ class ParametricSet:
     """
 
     matrices: Callable[[Array], tuple[Any, ...]]
-    X: Set
-    U: Set
+    X: Set | SetOfDesign
+    U: Set | SetOfDesign
     _: KW_ONLY
     W: Set | None = None
     tol: float = GAP
@@ -73,12 +75,12 @@ class ParametricSet:
         if not callable(self.matrices):
             raise InputError("matrices", type(self.matrices).__name__, "a callable p -> (A, B)")
         for name, value in (("X", self.X), ("U", self.U), ("W", self.W)):
-            if value is not None or name != "W":
+            if not _varies(value) and (value is not None or name != "W"):
                 object.__setattr__(self, name, as_set_or_numbers(value, name))
         self._options.limits()  # raises where one of them is no proper number
 
     def __repr__(self) -> str:
-        nx, nu = (S.dim if isinstance(S, Polytope) else "any" for S in (self.X, self.U))
+        nx, nu = (S.dim if isinstance(S, Polytope) else "any" for S in (self.X, self.U))  # type: ignore[union-attr]
         return (f"ParametricSet(nx={nx}, nu={nu}, {'robust' if self.W is not None else 'nominal'}, "
                 f"{len(self._results)} designs known)")
 
@@ -147,12 +149,12 @@ class ParametricSet:
         return bool(inside[0]) if single else inside
 
     def _states(self, p: Any) -> int:
-        """Return the number of states: of X, or of the first design where X is two numbers for all of them."""
+        """Return the number of states: of X, or of the first design where X is no set by itself."""
         if isinstance(self.X, Polytope):
             return self.X.dim
         designs, _ = _designs(p)
         if not len(designs):
-            raise InputError("p", "no designs", "at least one, where X is two numbers for every state")
+            raise InputError("p", "no designs", "at least one, where X is two numbers for every state or a callable")
         return self.at(designs[0]).dim
 
     def _groups(self, p: Any, count: int) -> Iterator[tuple[Array, Array]]:
@@ -228,7 +230,7 @@ class ParametricSet:
         if not isinstance(answer, tuple) or len(answer) not in (2, 3):
             raise InputError("matrices", f"a value of type {type(answer).__name__}", "a tuple (A, B) or (A, B, E)")
         E = answer[2] if len(answer) == 3 and self.W is not None else None
-        task = control_task(answer[0], answer[1], self.X, self.U, self._options, E=E, W=self.W)
+        task = control_task(answer[0], answer[1], _set_at(self.X, p), _set_at(self.U, p), self._options, E=E, W=self.W)
         return largest_invariant_set(task, guess)
 
     def _neighbour(self, p: Array) -> tuple[SetResult, float] | None:
@@ -251,6 +253,16 @@ class ParametricSet:
             return None
         felt = result.outer.support(around.A) >= limit - FELT * room
         return None if felt.any() else result
+
+
+def _varies(S: Any) -> bool:
+    """Return whether a set is a function of the design."""
+    return callable(S) and not isinstance(S, (type, Polytope))
+
+
+def _set_at(S: Any, p: Array) -> Set:
+    """Return a set, of a function of the design that at one design (np,)."""
+    return S(p) if _varies(S) else S
 
 
 def _designs(p: Any) -> tuple[Array, bool]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -12,10 +13,11 @@ from safetensors.torch import save_file
 
 from learning.copula import InnovationCopula
 from learning.exceptions import CheckpointError, InputError
-from learning.networks import ActorCritic
+from learning.networks import ActionLimits, ActorCritic
 from learning.quantile import QuantileNetwork
 
 FORMAT = "ccdtools-1"
+LimitsReader: TypeAlias = Callable[[dict[str, Any]], ActionLimits]
 Network: TypeAlias = ActorCritic | QuantileNetwork | InnovationCopula
 _KINDS: dict[str, Any] = {kind.__name__: kind for kind in (ActorCritic, QuantileNetwork, InnovationCopula)}
 
@@ -46,8 +48,14 @@ def save(path: str | Path, network: Network, extra: dict[str, Any] | None = None
         raise CheckpointError(path, error, "a file that can be written") from None
 
 
-def load(path: str | Path) -> tuple[Any, dict[str, Any]]:
+def load(path: str | Path, *, action_limits: LimitsReader | None = None) -> tuple[Any, dict[str, Any]]:
     """Return the network of a file, and its `extra` values.
+
+    Parameters
+    ----------
+    path : path of a file
+    action_limits : callable, optional
+        Makes `ActionLimits` of their plain values, needed for a policy that has some.
 
     Raises
     ------
@@ -66,9 +74,15 @@ def load(path: str | Path) -> tuple[Any, dict[str, Any]]:
     header = _header(metadata.get("ccdtools", "{}"))
     if header.get("format") != FORMAT or header.get("kind") not in _KINDS:
         raise CheckpointError(path, f"format {header.get('format')!r} of {header.get('kind')!r}", repr(FORMAT))
+    shape = header.get("shape")
+    limits = shape.get("action_limits") if isinstance(shape, dict) else None
+    if limits is not None and action_limits is None:
+        raise CheckpointError(path, "action limits, which depend on the design", "a file read by ccdtools.load_policy")
     try:
-        network = _KINDS[header["kind"]].from_shape(header["shape"])
+        network = _KINDS[header["kind"]].from_shape(shape)
         network.load_state_dict(tensors)
+        if limits is not None and action_limits is not None:
+            network.action_limits = action_limits(limits)
         return network.eval(), dict(header["extra"])
     except (RuntimeError, KeyError, IndexError, TypeError, ValueError):
         raise CheckpointError(path, "tensors that do not fit the header", "an intact file") from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -42,6 +43,28 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         object.__setattr__(self, "hidden", as_sizes(self.hidden, "hidden"))
         check_number(self.initial_std, "initial_std")
+
+
+class ActionLimits(Protocol):
+    """Action bounds that depend on the last entries of an observation, such as the parameters of the plant."""
+
+    @property
+    def entries(self) -> int:
+        """How many entries."""
+        ...
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """The widest bounds, each (nu,)."""
+        ...
+
+    def bounds(self, p: Any) -> tuple[Any, Any]:
+        """Lower and upper bounds (..., nu) at entries (..., n), tensors or arrays; differentiable in tensors."""
+        ...
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values that JSON can hold."""
+        ...
 
 
 class FeedForward(nn.Module):
@@ -82,6 +105,8 @@ class ActorCritic(nn.Module):
     config : NetworkConfig
     seed : int
         For the initial weights.
+    action_limits : ActionLimits, optional
+        Bounds that depend on the observation, in the place of these, which are then the widest of them.
     """
 
     observation_offset: Tensor
@@ -100,8 +125,10 @@ class ActorCritic(nn.Module):
         *,
         config: NetworkConfig | None = None,
         seed: int = 0,
+        action_limits: ActionLimits | None = None,
     ) -> None:
         super().__init__()
+        self.action_limits = action_limits
         self.config = check_instance(NetworkConfig() if config is None else config, "config", NetworkConfig)
         for name, low, high in (
             ("observation", observation_lower, observation_upper),
@@ -144,12 +171,21 @@ class ActorCritic(nn.Module):
             return self.log_std.exp()
         return self.std_network(self.normalise(observations)).clamp(-7.0, 1.0).exp()
 
-    def action(self, latent: Tensor, *, leak: float = 0.0) -> Tensor:
+    def action_range(self, observations: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Middle and half-width of the actions, (nu,), or (..., nu) where they depend on observations (..., n_obs).
+
+        Of the observations only the last entries count, those that the limits are a function of.
+        """
+        if self.action_limits is None:
+            return self.action_offset, self.action_scale
+        if observations is None:
+            raise InputError("observations", "nothing", "what the bounds of the actions depend on")
+        lower, upper = self.action_limits.bounds(observations[..., -self.action_limits.entries :])
+        return (lower + upper) / 2, (upper - lower) / 2
+
+    def action(self, latent: Tensor, observations: Tensor | None = None, *, leak: float = 0.0) -> Tensor:
         """Actions in the units of the plant: the latent clipped to [−1, 1] and scaled."""
-        clipped = latent.clamp(-1.0, 1.0)
-        if leak:
-            clipped = clipped + leak * (latent - clipped)
-        return self.action_offset + self.action_scale * clipped
+        return scaled(latent, self.action_range(observations), leak=leak)
 
     def value(self, observations: Tensor) -> Tensor:
         """Values (...,) in the units of the return."""
@@ -171,12 +207,22 @@ class ActorCritic(nn.Module):
         return f"ActorCritic({sizes}, hidden layers {self.config.hidden})"
 
     def shape(self) -> dict:
-        """All that `from_shape` needs to build the same network again."""
+        """All that `from_shape` needs to build the same network again; action limits as plain values."""
         ranges = ((self.observation_offset, self.observation_scale), (self.action_offset, self.action_scale))
         bounds = [(middle + sign * half).tolist() for middle, half in ranges for sign in (-1, 1)]
-        return {"bounds": bounds, "config": asdict(self.config)}
+        limits = {} if self.action_limits is None else {"action_limits": self.action_limits.as_dict()}
+        return {"bounds": bounds, "config": asdict(self.config), **limits}
 
     @classmethod
     def from_shape(cls, shape: dict) -> ActorCritic:
-        """An untrained network of a given `shape()`."""
+        """An untrained network of a given `shape()`, without its action limits."""
         return cls(*shape["bounds"], config=NetworkConfig(**shape["config"]))
+
+
+def scaled(latent: Tensor, action_range: tuple[Tensor, Tensor], *, leak: float = 0.0) -> Tensor:
+    """Latent actions clipped to [−1, 1], as actions of a middle and a half-width."""
+    clipped = latent.clamp(-1.0, 1.0)
+    if leak:
+        clipped = clipped + leak * (latent - clipped)
+    middle, half = action_range
+    return middle + half * clipped

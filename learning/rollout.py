@@ -76,7 +76,7 @@ def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.
         noise = torch.randn(distribution.mean.shape, generator=generator)
         latent = distribution.mean + distribution.stddev * noise
         log_prob = distribution.log_prob(latent).sum(-1)
-        following, successor, reward, terminated, truncated = env.step(agent.action(latent))
+        following, successor, reward, terminated, truncated = env.step(agent.action(latent, observation))
         columns.append((observation, successor, latent, log_prob, reward, terminated, truncated))
         observation = following
     return Rollout(*(torch.stack(column) for column in zip(*columns)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +20,7 @@ from learning.checks import (
     check_number,
 )  # fmt: skip
 from learning.exceptions import InputError
-from learning.networks import LEAK, ActorCritic, NetworkConfig
+from learning.networks import LEAK, ActionLimits, ActorCritic, NetworkConfig, scaled
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ def fit_actor_critic(
     actions: ArrayLike,
     values: ArrayLike,
     *,
-    action_bounds: tuple[ArrayLike, ArrayLike],
+    action_bounds: tuple[ArrayLike, ArrayLike] | ActionLimits,
     input_bounds: tuple[ArrayLike, ArrayLike] | None = None,
     rng: np.random.Generator,
     network: NetworkConfig | None = None,
@@ -70,7 +71,8 @@ def fit_actor_critic(
         The expert's actions, within `action_bounds`.
     values : (n,) array_like
         Discounted returns of the expert (negative for costs); NaN where unknown, but not everywhere.
-    action_bounds : (lower, upper), each (nu,)
+    action_bounds : (lower, upper), each (nu,), or ActionLimits
+        The range of the policy; `ActionLimits` where it depends on the last observations, as U(p) does.
     input_bounds : (lower, upper), each (n_obs,), optional
         Range for the normalisation; that of the data by default.
     rng : numpy.random.Generator
@@ -92,19 +94,22 @@ def fit_actor_critic(
     rng = check_generator(rng)
     x, u, v = _checked(inputs, actions, values)
     lower, upper = _range(x) if input_bounds is None else as_bounds(input_bounds, "input_bounds", x.shape[1])
-    least, largest = as_bounds(action_bounds, "action_bounds", u.shape[1])
-    agent = ActorCritic(lower, upper, least, largest, config=shape, seed=int(rng.integers(2**31)))
+    limits: Any = action_bounds if hasattr(action_bounds, "as_dict") else None
+    least, largest = as_bounds(action_bounds if limits is None else limits.box, "action_bounds", u.shape[1])
+    seed = int(rng.integers(2**31))
+    agent = ActorCritic(lower, upper, least, largest, config=shape, seed=seed, action_limits=limits)
     known = np.isfinite(v)
     agent.value_offset.fill_(float(np.median(v[known])))
     agent.value_scale.fill_(_spread(v[known]))
     X, U, V = (torch.tensor(a, dtype=torch.float32) for a in (x, u, np.nan_to_num(v)))
     K = torch.tensor(known)
+    middle, half = (part.expand_as(U) for part in agent.action_range(X))
     parameters = [*agent.mean_network.parameters(), *agent.value_network.parameters()]
     optimiser = torch.optim.Adam(parameters, lr=config.learning_rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)
     for _ in trange(config.steps, desc="cloning", disable=not progress, leave=False):
         i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
-        error = (agent.action(agent.latent(X[i]), leak=LEAK) - U[i]) / agent.action_scale
+        error = (scaled(agent.latent(X[i]), (middle[i], half[i]), leak=LEAK) - U[i]) / half[i]
         value_error = (agent.value(X[i]) - V[i])[K[i]] / agent.value_scale
         value_loss = torch.nn.functional.smooth_l1_loss(value_error, torch.zeros_like(value_error), reduction="sum")
         loss = error.square().sum(-1).mean() + value_loss / len(i)

@@ -31,11 +31,12 @@ def admissible_inputs(problem: CoDesignProblem, design: ArrayLike, *, into: Poly
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)
+    U = problem.input_limits(p)
     if into is None:
-        found = maximal_control_invariant_set(A, B, problem.X, problem.U, time_limit=TIME_LIMIT)
+        found = maximal_control_invariant_set(A, B, problem.state_limits(p), U, time_limit=TIME_LIMIT)
         into = found.set
         if into.is_empty:
             got = f"{problem.design.describe(p)}, where no control invariant set in X was found ({found.status.name})"
             raise InputError("design", got, "a design at which some states can be kept within X", found.status.advice)
     as_instance("into", into, Polytope, "a Polytope or None")
-    return AdmissibleInputs(A, B, into, problem.U)
+    return AdmissibleInputs(A, B, into, U)

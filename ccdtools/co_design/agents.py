@@ -7,6 +7,7 @@ import numpy as np
 from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.learned import EDGE
+from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
 
@@ -28,6 +29,18 @@ def check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
             "agent", f"one made for designs in {(offset - scale).tolist()} to {(offset + scale).tolist()}",
             "the whole box of designs", "Pass input_bounds=problem.observation_bounds to fit_actor_critic.",
         )  # fmt: skip
+    _check_actions(problem, agent)
+
+
+def _check_actions(problem: CoDesignProblem, agent: ActorCritic) -> None:
+    """Raise an `InputError` unless an agent acts within U, or within U(p) at every design."""
+    if isinstance(problem.U, DesignLimits) or agent.action_limits is not None:
+        if not _same_limits(problem, agent):
+            raise InputError(
+                "agent", "one that acts within other limits than U(p)", "the limits of the problem at every design",
+                "Pass action_bounds=problem.action_bounds to fit_actor_critic.",
+            )  # fmt: skip
+        return
     middle = agent.action_offset.double().numpy()
     half = agent.action_scale.double().numpy()
     lower, upper = problem.input_bounds
@@ -40,3 +53,16 @@ def check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
             f"{lower.tolist()} to {upper.tolist()}, the bounds U",
             "Pass action_bounds=problem.input_bounds to fit_actor_critic.",
         )  # fmt: skip
+
+
+def _same_limits(problem: CoDesignProblem, agent: ActorCritic) -> bool:
+    """Whether both have limits that depend on the design, the same at designs all over the box."""
+    own, other = problem.U, agent.action_limits
+    if not isinstance(own, DesignLimits) or other is None:
+        return False
+    if (other.entries, len(other.box[0])) != (own.entries, own.dim):
+        return False
+    designs = problem.design.spread()
+    lower, upper = own.bounds(designs)
+    distance = np.abs(np.stack([lower, upper]) - np.stack(other.bounds(designs)))
+    return bool((distance <= SAME_BOUNDS * (upper - lower)).all())

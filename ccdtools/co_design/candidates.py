@@ -18,6 +18,7 @@ from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.set_choice import Effort, SetCounts, affordable_designs, sets_in_time
+from ccdtools.design_limits import DesignLimits, Limits, bounds_at
 from ccdtools.exceptions import InputError
 from invariant_sets import ParametricSet, Polytope
 
@@ -72,12 +73,12 @@ def starts(
         distinct, reason = affordable_designs(problem, family, samples, effort)
     probing = time.thread_time() - clock
     shared = distinct or samples
-    lower, upper = problem.X.bounding_box()
     cube = qmc.LatinHypercube(nx + problem.design.dim, rng=rng).random(samples)
-    x = lower + cube[:, :nx] * (upper - lower)
     p = problem.design.from_unit(cube[:, nx:])
     if shared < samples:
         p = problem.design.latin_hypercube(shared, rng)[np.arange(samples) % shared]
+    lower, upper = bounds_at(problem.X, p)
+    x = lower + cube[:, :nx] * (upper - lower)
     pool = _Pool.of(problem, p, family, effort, reason)
     everyone = np.arange(samples)
     inside = pool.contains(x, everyone)
@@ -106,7 +107,8 @@ def starts(
 class _Pool:
     """All candidates: X_fea of each design where it is known, the region of LQR elsewhere, or else X alone."""
 
-    X: Polytope
+    X: Limits
+    p: Array
     sets: list[Polytope | None]
     regions: LQRRegions
     counts: SetCounts
@@ -126,11 +128,12 @@ class _Pool:
             counts = SetCounts(effort.option, 0, len(np.unique(p, axis=0)), 0, reason or f'sets = "{effort.option}"')
         if not by_region:
             counts = replace(counts, lqr=0, limits=counts.lqr)
-        return cls(problem.X, sets, regions, counts, by_region)
+        return cls(problem.X, p, sets, regions, counts, by_region)
 
     def contains(self, x: Array, runs: Indices) -> Mask:
         """Whether x[i] lies in the set of candidate runs[i], (k,)."""
-        inside = self.X.contains(x) & self.regions.stabilised[runs]
+        within = self.X.contains(x, self.p[runs]) if isinstance(self.X, DesignLimits) else self.X.contains(x)
+        inside = within & self.regions.stabilised[runs]
         own = [self.sets[i] for i in runs]
         known = np.array([S is not None for S in own], dtype=bool)
         for k, S in enumerate(own):
@@ -151,7 +154,7 @@ class _Pool:
         """Each state at the fraction of its ray to the boundary of its set that it had to the boundary of X; the state
         itself where the set is flat or empty.
         """
-        fraction = np.minimum(_gauge(self.X, x), 1.0)
+        fraction = np.minimum(self._gauges(x, runs), 1.0)
         own = [self.sets[i] for i in runs]
         reach = np.array([0.0 if S is None else 1 / _gauge(S, row[None])[0] for S, row in zip(own, x)])
         unknown = np.array([S is None for S in own], dtype=bool)
@@ -159,6 +162,15 @@ class _Pool:
             reach[unknown] = self.regions.reach(x[unknown], runs[unknown])
         scale = np.where(reach > 0, np.minimum(fraction * reach, 1.0), 1.0)
         return scale[:, None] * x
+
+    def _gauges(self, x: Array, runs: Indices) -> Array:
+        """The least factors (k,) by which X has to be scaled to hold the states (k, nx) of these candidates."""
+        if not isinstance(self.X, DesignLimits):
+            return _gauge(self.X, x)
+        lower, upper = self.X.bounds(self.p[runs])
+        bound = np.where(x > 0, upper, lower)
+        parts = np.divide(x, bound, out=np.where(x == 0, 0.0, np.inf), where=bound != 0)
+        return np.maximum(parts.max(axis=1), np.finfo(float).tiny)
 
 
 def _gauge(S: Polytope, x: Array) -> Array:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.design_limits import DesignLimits, widest
 from ccdtools.limits import StateLimits
 from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
@@ -152,8 +153,11 @@ class Stepper:
 
         Of a facet of X by the next states (..., n, nx), or of a limit of an output by inputs and present states.
         """
-        F, g = self._facets
-        depth = (x_next @ F.T - g).amax(-1)
+        if isinstance(self.problem.X, DesignLimits):
+            depth = self.problem.X.depths(x_next, self.p).amax(-1)
+        else:
+            F, g = self._facets
+            depth = (x_next @ F.T - g).amax(-1)
         limits = self.problem.output_limits
         if limits is not None:
             depth = torch.maximum(depth, limits.depths(x, u, self.p).amax(-1))
@@ -162,7 +166,7 @@ class Stepper:
     @cached_property
     def _facets(self) -> tuple[Tensor, Tensor]:
         """X as F x ≤ g, each row divided by the half-width of X along it."""
-        limits = StateLimits(self.problem.X)
+        limits = StateLimits(widest(self.problem.X))
         return self.limit.new_tensor(limits.rows.tolist()), self.limit.new_tensor(limits.bounds.tolist())
 
 

@@ -20,7 +20,7 @@ from torch.utils.checkpoint import checkpoint
 
 from ccdtools.co_design.differentiable_model import Stepper, to_design
 from ccdtools.co_design.problem import CoDesignProblem
-from learning.networks import ActorCritic
+from learning.networks import ActorCritic, scaled
 
 LONGEST_SEGMENT = 100  # steps whose intermediate values are held at once
 FEWEST = 16  # parallel episodes, however long they are
@@ -209,6 +209,7 @@ def mean_law(agent: ActorCritic, p: Tensor) -> Law:
     layers = [(layer.weight.T, layer.bias) for layer in others]
     head = (network.head.weight.T, network.head.bias)
     skip = None if network.skip is None else entry(network.skip.weight)
+    action_range = agent.action_range(p)
 
     def law(x: Tensor) -> Tensor:
         """Inputs (n, nu)."""
@@ -218,7 +219,7 @@ def mean_law(agent: ActorCritic, p: Tensor) -> Law:
         latent = torch.addmm(head[1], hidden, head[0])
         if skip is not None:
             latent = torch.addmm(latent + skip[1], x, skip[0])
-        return agent.action(latent)
+        return scaled(latent, action_range)
 
     return law
 

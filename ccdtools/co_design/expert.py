@@ -19,6 +19,7 @@ from ccdtools.co_design.candidates import Starts, starts
 from ccdtools.co_design.expert_loops import ExpertLoops, follow
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.set_choice import SETS, Effort, SetCounts, limited
+from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
@@ -68,7 +69,9 @@ class ExpertData(Immutable):
 def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
     """X_fea(p): the maximal control invariant set of every design, computed when asked for."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    return ParametricSet(partial(_state_and_input_matrices, problem.model), problem.X, problem.U)
+    matrices = partial(_state_and_input_matrices, problem.model)
+    X, U = (limits.at if isinstance(limits, DesignLimits) else limits for limits in (problem.X, problem.U))
+    return ParametricSet(matrices, X, U)
 
 
 def _leaving(model: SampledModel, begin: Starts, x: Array, u: Array) -> float:

@@ -88,8 +88,9 @@ class ExpertLoops:
         if expert != "lqr":
             weights = [problem.weights(p).keywords() for p in starts.p]
             kept = [problem.kept_by_mpc(p) for p in starts.p]
-            models = zip(starts.regions.A, starts.regions.B, weights, kept)
-            laws = [LinearMPC(A, B, **own, horizon=horizon, X=X, U=problem.U) for A, B, own, X in models]
+            applied = [problem.input_limits(p) for p in starts.p]
+            models = zip(starts.regions.A, starts.regions.B, weights, kept, applied)
+            laws = [LinearMPC(A, B, **own, horizon=horizon, X=X, U=U) for A, B, own, X, U in models]
             label = f"{expert} of every design"
             made = counted(laws, label, total=len(laws), progress=progress, echo=echo)
             self.controllers = [self._law(law, expert) for law in made]
@@ -149,7 +150,7 @@ class SetFilters:
     """
 
     def __init__(self, problem: CoDesignProblem, starts: Starts) -> None:
-        self.U = problem.U
+        self.problem = problem
         self.scale = problem.state_scale
         self.model = starts.regions
         guarded = [i for i, S in enumerate(starts.sets) if S is not None and not S.is_empty]
@@ -180,7 +181,8 @@ class SetFilters:
         """What keeps the next state of group g in its set."""
         if g not in self._filters:
             i = self.groups[g][0]
-            self._filters[g] = AdmissibleInputs(self.model.A[i], self.model.B[i], self.sets[g], self.U)
+            U = self.problem.input_limits(self.model.designs[i])
+            self._filters[g] = AdmissibleInputs(self.model.A[i], self.model.B[i], self.sets[g], U)
         return self._filters[g]
 
     @cached_property

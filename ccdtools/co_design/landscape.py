@@ -89,10 +89,11 @@ class Landscape:
     def _simulated(self, V: Array, K: Array) -> Array:
         """Mean returns (n,) of the gains `K` (n, nu, nx) at points `V` (n, np)."""
         runs = len(self._x0)
-        low, high = (torch.tensor(bound, dtype=torch.float32) for bound in self.problem.input_bounds)
         gains = torch.tensor(K, dtype=torch.float32).repeat_interleave(runs, dim=0)
         designs = to_design(self.problem, torch.tensor(V, dtype=torch.float32))
         step = Stepper.for_each(self.problem, designs, runs)
+        bounds = self.problem.input_bounds_at(step.p)
+        low, high = (torch.as_tensor(bound, dtype=torch.float32) for bound in bounds)
 
         def law(x: Tensor) -> Tensor:
             """Inputs (n · runs, nu)."""

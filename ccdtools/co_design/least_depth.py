@@ -96,10 +96,11 @@ def _starts(problem: CoDesignProblem) -> Array:
 
 def _least(problem: CoDesignProblem, p: Array, x0: Array, steps: int) -> float:
     """The least s ≥ 0 with rows·x_k ≤ bounds + s for k = 1 … N, states and inputs in units of X and U."""
-    limits = StateLimits(problem.X)
+    limits = StateLimits(problem.state_limits(p))
     A, B, _ = problem.model.matrices(p)
     size = problem.state_scale
-    reach = np.max(np.abs(problem.input_bounds), axis=0)
+    applied = np.array(problem.input_bounds_at(p))
+    reach = np.max(np.abs(applied), axis=0)
     A = A * size / size[:, None]
     B = B * reach / size[:, None]
     nx, nu = B.shape
@@ -112,7 +113,7 @@ def _least(problem: CoDesignProblem, p: Array, x0: Array, steps: int) -> float:
     m = len(limits.bounds)
     rows = sparse.hstack([sparse.kron(eye, limits.rows * size), sparse.csr_matrix((steps * m, steps * nu)),
                           -np.ones((steps * m, 1))], format="csr")  # fmt: skip
-    lower, upper = problem.input_bounds / reach
+    lower, upper = applied / reach
     bounds = [(None, None)] * (steps * nx) + list(zip(lower, upper)) * steps + [(0.0, None)]
     cost = np.zeros(steps * (nx + nu) + 1)
     cost[-1] = 1.0

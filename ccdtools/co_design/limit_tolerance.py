@@ -94,7 +94,8 @@ def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, T
     """Episodes of online MPC, state limits relaxed where they cannot be kept, on the first few of some scenarios."""
     p = problem.design.from_unit(v.detach().double().numpy())
     A, B, _ = problem.model.matrices(p)
-    mpc = LinearMPC(A, B, **problem.weights(p).keywords(), horizon=HORIZON, X=problem.kept_by_mpc(p), U=problem.U)
+    own = problem.weights(p).keywords()
+    mpc = LinearMPC(A, B, **own, horizon=HORIZON, X=problem.kept_by_mpc(p), U=problem.input_limits(p))
     x0, w = scenarios
     runs = fewer_runs(MPC_RUNS, w.shape[1])
     with torch.no_grad():

@@ -14,12 +14,14 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_lyapunov
 
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
 from mpc import MPCError, lqr
@@ -40,10 +42,11 @@ class LQRRegions:
         Model of each design.
     K : (n, nu, nx) array
         LQR gains, u = −K x; NaN where a design cannot be stabilised.
-    lower, upper : (nu,) arrays
-        Input bounds.
-    rows : (m, nx) array
-        X as {x : rows x <= 1}; None where 0 is not inside X or U, so that no region is known.
+    lower, upper : (nu,) or (n, nu) arrays
+        Input bounds, of each design where they depend on it.
+    rows : (m, nx) or (n, m, nx) array
+        X as {x : rows x <= 1}, of each design where it depends on it; None where 0 is not inside X or U, so that no
+        region is known.
     shapes : (n, nx, nx) array
         M with x'Mx <= 1 inside X and without clipping, invariant under LQR. Of a model that is not linear, a tenth
         of the ellipsoid of its linearisation in every direction: there it is as good as linear.
@@ -68,12 +71,13 @@ class LQRRegions:
         """The regions of designs (n, np)."""
         A, B, E = problem.model.matrices(designs)
         K = lqr_gains(problem, A, B, designs)
-        lower, upper = problem.input_bounds
-        rows = _unit_rows(problem)
+        lower, upper = problem.input_bounds_at(np.asarray(designs, dtype=float))
+        rows = _unit_rows(problem, designs)
         shapes = np.full_like(A, np.inf)
         if rows is not None:
             for i in np.flatnonzero(np.isfinite(K).all(axis=(1, 2))):
-                limits = np.vstack([rows, -K[i] / upper[:, None], -K[i] / lower[:, None]])
+                least, largest = (_own(bound, i, 1)[:, None] for bound in (lower, upper))
+                limits = np.vstack([_own(rows, i, 2), -K[i] / largest, -K[i] / least])
                 shapes[i] = _ellipsoid(A[i] - B[i] @ K[i], limits, problem.state_scale)
         sampled = problem.model if isinstance(problem.model, SampledModel) else None
         shapes = shapes if sampled is None else shapes / NEARLY_LINEAR**2
@@ -81,7 +85,9 @@ class LQRRegions:
 
     def of_runs(self, runs: Indices) -> LQRRegions:
         """The regions of some of the designs."""
-        return replace(self, **{name: getattr(self, name)[runs] for name in ("A", "B", "E", "K", "shapes", "designs")})
+        parts: dict[str, Any] = {name: getattr(self, name)[runs] for name in ("A", "B", "E", "K", "shapes", "designs")}
+        parts |= {"lower": _own(self.lower, runs, 1), "upper": _own(self.upper, runs, 1)}
+        return replace(self, rows=None if self.rows is None else _own(self.rows, runs, 2), **parts)
 
     @property
     def stabilised(self) -> Mask:
@@ -95,7 +101,8 @@ class LQRRegions:
             return inside
         left = np.flatnonzero(self.stabilised[runs])
         for _ in range(LONGEST):
-            within = (x[left] @ self.rows.T <= 1 + ON_LIMIT).all(axis=1)
+            beyond = x[left] @ self.rows.T if self.rows.ndim == 2 else times(self.rows[runs[left]], x[left])
+            within = (beyond <= 1 + ON_LIMIT).all(axis=1)
             arrived = within & (_quadratic(self.shapes[runs[left]], x[left]) <= 1)
             inside[left[arrived]] = True
             going = within & ~arrived
@@ -108,7 +115,7 @@ class LQRRegions:
 
     def inputs(self, x: Array, runs: Indices) -> Array:
         """Saturated LQR of states (k, nx) at the designs `runs`, (k, nu)."""
-        return np.clip(-times(self.K[runs], x), self.lower, self.upper)
+        return np.clip(-times(self.K[runs], x), _own(self.lower, runs, 1), _own(self.upper, runs, 1))
 
     def step(self, x: Array, u: Array, runs: Indices) -> Array:
         """Nominal next states (k, nx)."""
@@ -173,11 +180,24 @@ def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> A
     return K
 
 
-def _unit_rows(problem: CoDesignProblem) -> Array | None:
-    """X as rows with right-hand side 1; None where 0 does not lie well inside X and U."""
+def _own(value: Array, of: Any, usual: int) -> Array:
+    """What an array holds for a design, or for some, where it has one dimension more than usual; else itself."""
+    return value[of] if value.ndim > usual else value
+
+
+def _unit_rows(problem: CoDesignProblem, designs: Array) -> Array | None:
+    """X as rows with right-hand side 1, of each design if it depends on it; None where 0 is not well inside X and U."""
+    lower, upper = problem.input_bounds_at(np.asarray(designs, dtype=float))
+    if not (lower < 0).all() or not (upper > 0).all():
+        return None
+    if isinstance(problem.X, DesignLimits):
+        least, largest = (bound / problem.state_scale for bound in problem.X.bounds(np.asarray(designs, dtype=float)))
+        if not (least < -ON_LIMIT).all() or not (largest > ON_LIMIT).all():
+            return None
+        eye = np.eye(problem.model.nx) / problem.state_scale
+        return np.concatenate([eye / largest[:, :, None], eye / least[:, :, None]], axis=1)
     room = problem.X.b / (np.abs(problem.X.A) @ problem.state_scale)
-    lower, upper = problem.input_bounds
-    if len(problem.X.b_eq) or not (room > ON_LIMIT).all() or not (lower < 0).all() or not (upper > 0).all():
+    if len(problem.X.b_eq) or not (room > ON_LIMIT).all():
         return None
     return problem.X.A / problem.X.b[:, None]
 

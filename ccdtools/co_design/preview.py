@@ -13,6 +13,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_count, as_instance, as_limits, has_method
 from ccdtools.co_design.objective import Objective, QuadraticObjective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
+from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.preview import as_channels, previewed_state, with_preview
@@ -71,22 +72,25 @@ def previewed_problem(
     )  # fmt: skip
 
 
-def previewed_limits(X: Any, W: Any, steps: int, *, channels: int = 1) -> Polytope:
+def previewed_limits(X: Any, W: Any, steps: int, *, channels: int = 1) -> Limits:
     """X and, for every sample of a preview, W: the limits of the state (x, w_k, …, w_{k+N−1}).
 
     Parameters
     ----------
-    X : Polytope, or bounds (lower, upper) with one number per state
+    X : Polytope, bounds (lower, upper) with one number per state, or the X(p) of a problem
     W : Polytope, or bounds (lower, upper)
-        Of the disturbances known ahead.
+        Of the disturbances known ahead; beside an X(p), their box.
     steps : int
         N.
     channels : int
         How many disturbances are known ahead.
     """
+    W = as_limits("W", W, as_count("channels", channels), "one per disturbance known ahead")
+    if isinstance(X, DesignLimits):
+        lower, upper = W.bounding_box()
+        return X.followed_by(*(np.tile(bound, as_count("steps", steps)) for bound in (lower, upper)))
     nx = X.dim if isinstance(X, Polytope) else np.size(X[0])
     limits: Polytope = as_limits("X", X, nx, "one per state")
-    W = as_limits("W", W, as_count("channels", channels), "one per disturbance known ahead")
     for _ in range(as_count("steps", steps)):
         limits = limits.cartesian_product(W)
     return limits

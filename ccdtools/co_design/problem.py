@@ -13,7 +13,6 @@ from ccdtools.checks import (
     as_floats,
     as_instance,
     as_limit_tolerance,
-    as_limits,
     as_vector,
     finite,
     has_method,
@@ -22,6 +21,7 @@ from ccdtools.checks import (
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk, as_risk
+from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, bounds_at, limits_at, widest
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits
@@ -106,9 +106,10 @@ class CoDesignProblem(Immutable):
     model : LinearModel or SampledModel
         x⁺ = A(p) x + B(p) u + E(p) w, or any x⁺ = f(x, u, w, p) that rests at x = 0, u = 0, w = 0 at every design.
         LQR, MPC and sets are then those of its linearisation there.
-    X, U : Polytope, or bounds (lower, upper)
+    X, U : Polytope, bounds (lower, upper), or function of p
         State and input limits; both bounded and around 0, U a box. Each bound is a number for all coordinates, or one
-        number each. Leaving X is counted, it does not end an episode.
+        number each. Leaving X is counted, it does not end an episode. A function of the design returns bounds, as
+        ``U=lambda p: (-u_max(p), u_max(p))`` does: the actuator that the design has, and the room that it leaves.
     objective : QuadraticObjective or CustomObjective
     scenarios : Scenarios
         Initial states and disturbances of the episodes.
@@ -132,14 +133,14 @@ class CoDesignProblem(Immutable):
     ------
     InputError
         If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
-        not in X or not in U, U is not a box, starts lie outside X or break a limit of an output that no input and no
-        design mends, or the box of designs is too narrow or has no entry that is not fixed. If nothing that is chosen
-        changes the objective.
+        not in X or not in U, at some design if they depend on it, U is not a box, starts lie outside X at every design
+        or break a limit of an output that no input and no design mends, or the box of designs is too narrow or has no
+        entry that is not fixed. If nothing that is chosen changes the objective.
     """
 
     model: Model
-    X: Polytope
-    U: Polytope
+    X: Limits
+    U: Limits
     objective: Objective
     scenarios: Scenarios
     steps: int = 100
@@ -159,13 +160,14 @@ class CoDesignProblem(Immutable):
                 "To keep a design that could be changed, set CoDesignConfig.design_rate to 0.",
             )  # fmt: skip
         _check_widths(model.design)
-        object.__setattr__(self, "X", _bounded_limits("X", self.X, model.nx, "one per state"))
-        object.__setattr__(self, "U", _bounded_limits("U", self.U, model.nu, "one per input"))
-        if not self.X.contains(np.zeros(model.nx)):
+        object.__setattr__(self, "X", _bounded_limits("X", self.X, model.nx, "one per state", model.design))
+        object.__setattr__(self, "U", _bounded_limits("U", self.U, model.nu, "one per input", model.design))
+        if not widest(self.X).contains(np.zeros(model.nx)):
             raise InputError("X", "a set without the origin", "one that holds the state 0, which is regulated to")
-        if len(self.U.minimal().b) != 2 * model.nu or (np.count_nonzero(self.U.minimal().A, axis=1) != 1).any():
+        U = widest(self.U)
+        if len(U.minimal().b) != 2 * model.nu or (np.count_nonzero(U.minimal().A, axis=1) != 1).any():
             raise InputError("U", "a set that is not a box", "independent bounds on each input")
-        if not self.U.contains(np.zeros(model.nu)):
+        if not U.contains(np.zeros(model.nu)):
             raise InputError("U", "a set without the origin", "one that holds the input 0, which keeps the state at 0")
         sizes = (model.nx, model.nu, model.design.dim)
         as_objective("objective", self.objective).check(*sizes)
@@ -223,7 +225,7 @@ class CoDesignProblem(Immutable):
         if x0 != (1, self.model.nx):
             raise InputError("scenarios", f"initial states of shape {x0[1:]}", f"({self.model.nx},)")
         if isinstance(self.scenarios, FixedStart | RandomStarts):
-            self.scenarios.check_within(self.X)
+            self.scenarios.check_within(widest(self.X))
         self._check_start_outputs()
         replayed = self.discrepancy is not None and self.discrepancy.noise == "replayed"
         width = self.model.nx if replayed else self.model.nw
@@ -277,17 +279,35 @@ class CoDesignProblem(Immutable):
 
     def kept_by_mpc(self, p: Array) -> Polytope:
         """The states that MPC keeps at a design: X, and limits of outputs that are linear in the state alone."""
-        return self.X if self.output_limits is None else self.output_limits.within(self.X, self.model.nu, p)
+        X = self.state_limits(p)
+        return X if self.output_limits is None else self.output_limits.within(X, self.model.nu, p)
+
+    def state_limits(self, p: Array) -> Polytope:
+        """X at a design (np,)."""
+        return limits_at(self.X, p)
+
+    def input_limits(self, p: Array) -> Polytope:
+        """U at a design (np,)."""
+        return limits_at(self.U, p)
+
+    def input_bounds_at(self, p: Any) -> tuple[Any, Any]:
+        """Lower and upper input bounds at designs (..., np), arrays or tensors: (nu,), or (..., nu) of a U(p)."""
+        return bounds_at(self.U, p)
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
-        """Lower and upper input bounds, each (nu,)."""
-        return self.U.bounding_box()
+        """Lower and upper input bounds, each (nu,); of a U that depends on the design the widest."""
+        return widest(self.U).bounding_box()
+
+    @property
+    def action_bounds(self) -> tuple[Array, Array] | DesignLimits:
+        """What `fit_actor_critic` takes for the bounds of a policy: those of U, or U as a function of the design."""
+        return self.U if isinstance(self.U, DesignLimits) else self.input_bounds
 
     @property
     def state_scale(self) -> Array:
-        """Largest |x| per state within X, (nx,)."""
-        return np.max(np.abs(self.X.bounding_box()), axis=0)
+        """Largest |x| per state within X, at any design, (nx,)."""
+        return np.max(np.abs(widest(self.X).bounding_box()), axis=0)
 
     @property
     def limit(self) -> Array:
@@ -316,9 +336,11 @@ def _check_widths(design: DesignSpace) -> None:
         )  # fmt: skip
 
 
-def _bounded_limits(name: str, value: Any, size: int, of: str) -> Polytope:
+def _bounded_limits(name: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:
     """The limits as a set of that dimension; raise an `InputError` unless it is bounded and not empty."""
-    limits = as_limits(name, value, size, of)
+    limits = as_limits_over(name, value, size, of, space)
+    if isinstance(limits, DesignLimits):
+        return limits
     if limits.is_empty:
         raise InputError(name, "an empty set", "one with at least one point")
     if not np.isfinite(np.concatenate(limits.bounding_box())).all():

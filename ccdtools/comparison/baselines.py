@@ -16,12 +16,12 @@ HORIZON = 20  # steps, of the MPC
 
 
 def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:
-    """The LQR of the nominal model at one design, with its inputs clipped to U."""
+    """The LQR of the nominal model at one design, with its inputs clipped to U, or to U(p)."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)
     K, _ = lqr(A, B, **problem.weights(p).keywords())
-    return LinearFeedback(K, *problem.input_bounds)
+    return LinearFeedback(K, *problem.input_bounds_at(p))
 
 
 def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> dict[str, Controller]:
@@ -38,6 +38,7 @@ def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gen
         REFERENCE: saturated_lqr(problem, design),
         "PID": tuned_pid(problem, design, rng=rng),
         "MPC": LinearMPC(
-            A, B, **problem.weights(design).keywords(), horizon=HORIZON, X=problem.kept_by_mpc(design), U=problem.U,
+            A, B, **problem.weights(design).keywords(), horizon=HORIZON, X=problem.kept_by_mpc(design),
+            U=problem.input_limits(design),
         ),
     }

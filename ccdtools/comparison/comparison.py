@@ -20,6 +20,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import Surroundings, needs_of, one_call
+from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits
 from ccdtools.output_limits import OutputLimits
@@ -163,7 +164,7 @@ def compare(
     *,
     design: ArrayLike | None = None,
     objective: Objective,
-    X: Polytope,
+    X: Limits,
     limit: ArrayLike | None = None,
     few: Mapping[str, int] | None = None,
     output_limits: OutputLimits | None = None,
@@ -179,7 +180,7 @@ def compare(
     design : (np,) array_like
         Required when the plant has design parameters.
     objective : QuadraticObjective or CustomObjective
-    X : Polytope
+    X : Polytope, or the X(p) of a problem
         State limits, whose violations are counted.
     limit : (nx,) array_like, optional
         Divergence limit on |x|, see `simulate`.
@@ -203,6 +204,10 @@ def compare(
         needs_of(controller)
     as_instance("scenario", scenario, Scenario, "a Scenario", "Use Scenario(plant, x0, disturbance).")
     as_objective("objective", objective)
+    if isinstance(X, DesignLimits):
+        if design is None:
+            raise InputError("design", "nothing", "the design whose limits X(p) count")
+        X = X.at(design)
     as_instance("X", X, Polytope, "a Polytope")
     if X.dim != scenario.plant.nx:
         raise InputError("X", f"dimension {X.dim}", f"{scenario.plant.nx}, one per state")

@@ -114,7 +114,7 @@ class _Trial:
 
     def controller(self, C: Array, z: Array) -> PID:
         """The PID with gains `z` (3, nu), flat or not: parts of full input at the edge of X, with time in samples."""
-        lower, upper = self.problem.input_bounds
+        lower, upper = self.problem.input_bounds_at(self.design)
         reach = np.abs(C) @ self.problem.state_scale
         unit = (upper - lower) / 2 / np.maximum(reach, np.finfo(float).tiny)
         kp, ki, kd = z.reshape(3, -1) * unit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_floats, as_generator, as_instance, as_vector, finite, writable_path
+from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from learning import checkpoint
 from learning.exceptions import CheckpointError
@@ -23,6 +24,8 @@ STD_RANGE = (-7.0, 1.0)  # of the logarithm of the exploration, as in `ActorCrit
 @dataclass(frozen=True, eq=False, repr=False)
 class LearnedPolicy(Immutable):
     """u = π(x, p) at one design: the mean action, or a sample of the policy if `rng` is given.
+
+    Of an agent made for input limits U(p), the inputs lie within those of the design.
 
     Parameters
     ----------
@@ -53,6 +56,7 @@ class LearnedPolicy(Immutable):
         set_(self, "agent", copy.deepcopy(self.agent))
         set_(self, "_forward", _Forward.of(self.agent))
         self._check_design()
+        set_(self, "_forward", self._forward.at(self.agent, self.design))
 
     def _check_design(self) -> None:
         """Raise an `InputError` if the design is not one that the agent was made for."""
@@ -122,7 +126,7 @@ def load_policy(path: str | Path) -> LearnedPolicy:
         If the file is not a saved policy.
     """
     as_instance("path", path, (str, Path), "the path of a saved policy")
-    agent, extra = checkpoint.load(path)
+    agent, extra = checkpoint.load(path, action_limits=DesignLimits.from_dict)
     if not isinstance(agent, ActorCritic) or "design" not in extra:
         raise CheckpointError(path, f"a {type(agent).__name__} without a design", "a saved policy")
     return LearnedPolicy(agent, extra["design"])
@@ -173,6 +177,13 @@ class _Forward:
             _array(agent.action_scale), _Network.of(agent.mean_network),
             None if agent.std_network is None else _Network.of(agent.std_network), _array(agent.log_std),
         )  # fmt: skip
+
+    def at(self, agent: ActorCritic, design: Array) -> _Forward:
+        """With the range that the actions of the agent have at a design (np,)."""
+        if agent.action_limits is None:
+            return self
+        lower, upper = agent.action_limits.bounds(design[-agent.action_limits.entries :])
+        return replace(self, action_offset=(lower + upper) / 2, action_scale=(upper - lower) / 2)
 
     def action(self, observations: Array, rng: np.random.Generator | None) -> Array:
         """Actions (..., nu) in the units of the plant: the mean ones, or samples from `rng`."""

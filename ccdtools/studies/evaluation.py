@@ -101,7 +101,7 @@ class Evaluation:
         scenario = Scenario(real.plant, real.x0, w[:, :steps])
         lqr = saturated_lqr(self.problem, self.study.p0)
         run = scenario.run(lqr, design=self.study.p0, limit=self.problem.limit)
-        outside = float(1 - self.study.X.contains(run.states[0, 1:]).mean())
+        outside = float(1 - self.problem.state_limits(self.study.p0).contains(run.states[0, 1:]).mean())
         if run.diverged.any() or outside > MOSTLY:
             lost = f"is outside X in {outside:.0%} of the samples"
             if run.diverged.any():
@@ -256,7 +256,7 @@ class Evaluation:
             if admissible is not None:
                 everyone["learned, no filter"] = policy
             scores = compare(
-                everyone, scenario, design=design, objective=self.study.objective, X=self.study.X,
+                everyone, scenario, design=design, objective=self.study.objective, X=self.problem.state_limits(design),
                 limit=self.problem.limit, few={"MPC": self.config.mpc_runs}, metrics=self.study.metrics,
                 output_limits=self.problem.output_limits,
             )  # fmt: skip

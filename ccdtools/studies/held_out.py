@@ -73,9 +73,9 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: InService) -
     rows = []
     for name, scenario in evaluation.held_out.items():
         scores = compare(
-            everyone, scenario, design=service.design, objective=evaluation.study.objective, X=evaluation.study.X,
-            limit=evaluation.problem.limit, few={"MPC": MPC_RUNS}, metrics=evaluation.study.metrics,
-            output_limits=evaluation.problem.output_limits,
+            everyone, scenario, design=service.design, objective=evaluation.study.objective,
+            X=evaluation.problem.state_limits(service.design), limit=evaluation.problem.limit, few={"MPC": MPC_RUNS},
+            metrics=evaluation.study.metrics, output_limits=evaluation.problem.output_limits,
         )  # fmt: skip
         place = {"plant": f"held out: {name}", "model": name, "generation": generation}
         rows += [place | evaluation.row(service.design, score) for score in scores]

@@ -54,13 +54,15 @@ def read_stage(folder: Path, run: str) -> Stage:
     ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile
         If a file is missing or changed, or belongs to another run.
     """
+    from ccdtools.design_limits import DesignLimits
     from learning import checkpoint
 
     _check_manifest(folder, run)
     values = json.loads((folder / "values.json").read_text(encoding="utf-8"))
     with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
         loaded = {key: arrays[key] for key in arrays.files}
-    networks = {p.stem: checkpoint.load(p)[0] for p in sorted(folder.glob("*.safetensors"))}
+    read = functools.partial(checkpoint.load, action_limits=DesignLimits.from_dict)
+    networks = {p.stem: read(p)[0] for p in sorted(folder.glob("*.safetensors"))}
     return Stage(values, loaded, networks)
 
 

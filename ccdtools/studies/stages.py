@@ -77,7 +77,7 @@ class LoopStages:
         if self.echo is not None:
             self.echo(f"    {len(data.inputs)} samples; imitation takes {config.cloning.steps} steps")
         agent = fit_actor_critic(
-            data.inputs, data.actions, data.values, action_bounds=problem.input_bounds,
+            data.inputs, data.actions, data.values, action_bounds=problem.action_bounds,
             input_bounds=problem.observation_bounds, rng=rng, network=config.network, config=config.cloning,
             progress=self.progress,
         )  # fmt: skip

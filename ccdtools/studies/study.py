@@ -15,7 +15,6 @@ from ccdtools.checks import (
     as_count,
     as_instance,
     as_limit_tolerance,
-    as_limits,
     as_positive,
     as_vector,
     as_weight,
@@ -26,6 +25,7 @@ from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk
 from ccdtools.comparison.metrics import Metrics, as_metrics, try_metrics
+from ccdtools.design_limits import Limits, as_limits_over, widest
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits
@@ -40,7 +40,6 @@ from ccdtools.studies.price import DEFAULT_PRICE, RedesignPrice
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.studies.real_step import check_real_step, extent_of
 from ccdtools.twin.transport import check_disturbance_enters
-from invariant_sets import Polytope
 from mpc import MPCError, lqr
 
 MODEL_RUNS = 200  # runs logged in a deployment where the real plant is the model itself
@@ -55,9 +54,9 @@ class Study(Immutable):
     name, title : str
     plant : Plant
         Linear in x, u, w or not; its design space, its sampling time and the limits of its outputs come with it.
-    X, U : Polytope, or bounds (lower, upper)
+    X, U : Polytope, bounds (lower, upper), or function of p
         State and input limits; both bounded and around the origin, U a box. Each bound is a number for all
-        coordinates, or one number each.
+        coordinates, or one number each. A function of the design returns bounds, see `CoDesignProblem`.
     objective : QuadraticObjective or CustomObjective
     disturbance : Disturbance
         What the nominal model assumes.
@@ -117,8 +116,8 @@ class Study(Immutable):
     name: str
     title: str
     plant: Plant
-    X: Polytope
-    U: Polytope
+    X: Limits
+    U: Limits
     objective: Objective
     disturbance: Disturbance
     x0: ArrayField
@@ -169,8 +168,9 @@ class Study(Immutable):
             if not isinstance(value, str) or not value.strip() or len(value.splitlines()) > 1:
                 raise InputError(argument, shown(value), "one line of text")
         as_instance("plant", self.plant, Plant, "a ccdtools.Plant")
-        object.__setattr__(self, "X", as_limits("X", self.X, self.plant.nx, "one per state"))
-        object.__setattr__(self, "U", as_limits("U", self.U, self.plant.nu, "one per input"))
+        space = self.plant.design
+        object.__setattr__(self, "X", as_limits_over("X", self.X, self.plant.nx, "one per state", space))
+        object.__setattr__(self, "U", as_limits_over("U", self.U, self.plant.nu, "one per input", space))
         object.__setattr__(self, "steps", as_count("steps", self.steps))
         objective = as_objective("objective", self.objective).over(self.steps)
         objective.check(self.plant.nx, self.plant.nu, self.plant.design.dim)
@@ -196,12 +196,12 @@ class Study(Immutable):
 
     def _check_limits(self) -> None:
         """Raise unless X and U can be regulated in, and the start lies within X."""
-        for argument, limits in (("X", self.X), ("U", self.U)):
+        for argument, limits in (("X", widest(self.X)), ("U", widest(self.U))):
             if limits.is_empty:
                 raise InputError(argument, "an empty set", "limits with a point between them")
             if not limits.contains(np.zeros(limits.dim)):
                 raise InputError(argument, "a set without the origin", "limits around the point that is regulated to")
-        if not self.X.contains(self.x0):
+        if not widest(self.X).contains(self.x0):
             raise InputError("x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
         if self.starts is not None:
             self._check_starts()
@@ -226,7 +226,7 @@ class Study(Immutable):
             drawn = np.shape(scenarios.states(1, np.random.default_rng(0)))
             if drawn != (1, self.plant.nx):
                 raise InputError("x0", f"states of shape {drawn[1:]}", f"({self.plant.nx},), one per state")
-            scenarios.check_within(self.X)
+            scenarios.check_within(widest(self.X))
         except InputError as error:
             raise InputError("starts", error.got, error.expected, error.cure) from None
 
@@ -234,7 +234,8 @@ class Study(Immutable):
         """Raise unless the real plant is one that the model may describe, with steps that follow it."""
         check_same_plant(self.plant, real)
         if isinstance(real.plant, Plant):
-            check_real_step(real.plant, self.X, self.U, extent_of(real.disturbance), guard=self.sampling_guard)
+            X, U = widest(self.X), widest(self.U)
+            check_real_step(real.plant, X, U, extent_of(real.disturbance), guard=self.sampling_guard)
 
     @cached_property
     def model(self) -> Model:
@@ -246,8 +247,8 @@ class Study(Immutable):
             return as_regulated_model("plant", discretise(self.plant, sampling_guard=self.sampling_guard))
         W = extent_of(self.disturbance)
         model = discretise(
-            self.plant, X=self.X, U=self.U, W=W if np.any(W) else None, sampling_guard=self.sampling_guard,
-            accuracy=self.accuracy, method=self.method,
+            self.plant, X=widest(self.X), U=widest(self.U), W=W if np.any(W) else None, accuracy=self.accuracy,
+            method=self.method, sampling_guard=self.sampling_guard,
         )  # fmt: skip
         return as_regulated_model("plant", model)
 

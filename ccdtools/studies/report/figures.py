@@ -69,10 +69,10 @@ def _policy_surface(run: FinishedRun) -> list[ReportFigure]:
     """The policy and LQR over two states."""
     if run.study.plant.nx != 2:
         return []
-    lower, upper = run.study.X.bounding_box()
+    policy = load_policy(run.folder.path / "policy.safetensors")
+    lower, upper = run.problem.state_limits(policy.design).bounding_box()
     x = (np.linspace(lower[0], upper[0], SURFACE_GRID), np.linspace(lower[1], upper[1], SURFACE_GRID))
     states = np.stack(np.meshgrid(*x), axis=-1)
-    policy = load_policy(run.folder.path / "policy.safetensors")
     controllers: dict[str, Controller] = {"learned": policy, "LQR": saturated_lqr(run.problem, policy.design)}
     surfaces = {
         name: controller(states.reshape(-1, 2)).reshape(SURFACE_GRID, SURFACE_GRID, -1)
@@ -99,12 +99,14 @@ def _trajectories(run: FinishedRun) -> list[ReportFigure]:
 def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
     """States and inputs at the start design and at the final one, on the model or on the real plant."""
     plant = run.study.plant
-    limits = tuple(np.r_[a, b] for a, b in zip(run.study.X.bounding_box(), run.study.U.bounding_box()))
     stages = {g: run.folder.read_stage(f"comparison-{g}").arrays for g in (0, run.last)}
     single = kind == "real" and run.study.real.runs == 1
     window = _liveliest(stages[0][f"{kind}_LQR_states"][1], run.problem.state_scale) if single else slice(0, None)
     columns = {}
+    limits = []
     for g, arrays in stages.items():
+        X, U = (each(run.designs[g]).bounding_box() for each in (run.problem.state_limits, run.problem.input_limits))
+        limits.append((np.r_[X[0], U[0]], np.r_[X[1], U[1]]))
         columns[f"{generation_name(g)}: {run.describe(run.designs[g])}"] = {
             name: _signals(arrays, f"{kind}_{name}", window) for name in ("LQR", "learned")
         }
@@ -112,13 +114,13 @@ def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
     labels = [*plant.state_names, *plant.input_names]
     figure = style.blank(11, 0.9 + 1.45 * len(labels), quick=run.quick)
     plotting.plot_trajectories(
-        figure, columns, plant.dt * (np.arange(length) + window.start), labels=labels, limits=(limits[0], limits[1]),
+        figure, columns, plant.dt * (np.arange(length) + window.start), labels=labels, limits=limits,
         time_label=run.time_label, title_colours=[style.generation_colour(g) for g in stages],
     )  # fmt: skip
     what = "the liveliest part of the one recorded run" if single else "mean and 95 % band of the runs"
     caption = (
         f"States and inputs under LQR (broad, pale) and the learned policy (thin), at the start design (left) and the "
-        f"final one (right): {what}. Dashed lines are limits of X and U where they are in sight."
+        f"final one (right): {what}. Dashed lines are limits of X and U at that design where they are in sight."
     )
     if kind == "model":
         caption += " Left the nominal model from x0; right the model with logged errors replayed, if there was a log."

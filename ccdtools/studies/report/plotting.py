@@ -95,7 +95,7 @@ def plot_trajectories(
     time: Array,
     *,
     labels: Sequence[str],
-    limits: tuple[Array, Array],
+    limits: Sequence[tuple[Array, Array]],
     time_label: str,
     title_colours: Sequence[str] = (),
 ) -> list[Axes]:
@@ -105,8 +105,8 @@ def plot_trajectories(
     ----------
     columns : mapping of title to mapping of controller to (3, T, signals) array
         Low, mean and high; T of them where a column is shorter than `time`.
-    limits : lower and upper (signals,) arrays
-        Drawn dashed where they are in sight.
+    limits : sequence of lower and upper (signals,) arrays
+        Of each column, drawn dashed where they are in sight.
     title_colours : sequence of str
         Of the column titles.
     """
@@ -124,9 +124,9 @@ def plot_trajectories(
         grid[-1, c].set_xlabel(time_label)
     for row, label in enumerate(labels):
         low, high = grid[row, 0].get_ylim()
-        for edge in (limits[0][row], limits[1][row]):
-            if low - 0.05 * (high - low) <= edge <= high + 0.05 * (high - low):
-                for ax in grid[row]:
+        for ax, both in zip(grid[row], limits, strict=True):
+            for edge in (both[0][row], both[1][row]):
+                if low - 0.05 * (high - low) <= edge <= high + 0.05 * (high - low):
                     ax.axhline(edge, **BOUND)
         grid[row, 0].set_ylabel(look.label(label))
     grid[0, 0].legend(ncols=len(names), loc="best")

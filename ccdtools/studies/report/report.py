@@ -13,6 +13,7 @@ from jinja2 import Environment, StrictUndefined
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.risk import Mean, measure
+from ccdtools.design_limits import DesignLimits, limits_at
 from ccdtools.plants.sampling_guard import sampling_note
 from ccdtools.studies.report import style
 from ccdtools.studies.report.figures import figures
@@ -78,7 +79,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
     return environment.from_string(page).render(
         r=results, study=run.study, designs=_cards(run), gradients=_gradients(results), blocks=_blocks(results),
         figures={figure["name"]: figure for figure in shown}, signals=_signal_rows(run) + _design_rows(run),
-        kept=_kept_by_designs(run),
+        kept=_kept_by_designs(run) + _limits_note(run),
         weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
         gains={"headings": gain_headings(results), "rows": gain_rows(results),
                "held_out": held_out_rows(results, run.study.steps), "metrics": held_out_metrics(results)},
@@ -180,11 +181,11 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
-    """States, inputs and limited outputs with their limits; NaN where there is none."""
+    """States, inputs and limited outputs with their limits, at the final design; NaN where there is none."""
     plant = run.study.plant
     rows = []
     for names, limits in ((plant.state_names, run.study.X), (plant.input_names, run.study.U)):
-        lower, upper = limits.bounding_box()
+        lower, upper = limits_at(limits, run.designs[-1]).bounding_box()
         rows += [(name, float(low), float(high)) for name, low, high in zip(names, lower, upper)]
     limited = run.problem.output_limits
     if limited is not None:
@@ -224,6 +225,13 @@ def _kept_by_designs(run: FinishedRun) -> list[str]:
     space = run.problem.design
     kept = {"Constraints of the design, each to be ≤ 0": space.constraint_names, "Whole numbers": space.integer}
     return [f"{what}: {', '.join(names)}" for what, names in kept.items() if names]
+
+
+def _limits_note(run: FinishedRun) -> list[str]:
+    """Which limits depend on the design, in words."""
+    named = [f"{limits.argument}(p) = {limits}" for limits in (run.study.X, run.study.U)
+             if isinstance(limits, DesignLimits)]  # fmt: skip
+    return [f"Limits that depend on the design, those of the final one above: {'; '.join(named)}"] if named else []
 
 
 def _design_rows(run: FinishedRun) -> list[tuple[str, float, float]]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.studies.report import plotting, style
@@ -54,8 +55,9 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
     figure = style.blank(7, 5.2, quick=run.quick) if nx == 2 else style.blank(9, 4.1 * len(cuts), quick=run.quick)
     grid = figure.subplots(len(cuts), len(pairs), squeeze=False)
     names = run.study.plant.state_names
+    X = run.problem.state_limits(run.designs[-1])
     for c, pair in enumerate(pairs):
-        frame = run.study.X if nx == 2 else run.study.X.projection(pair)
+        frame = X if nx == 2 else X.projection(pair)
         for r, (cut, title) in enumerate(cuts):
             flat = {label: cut(S, pair) for label, S in shown.sets.items()}
             artists = plotting.plot_sets(
@@ -68,7 +70,8 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
     if nx > 2:
         drawn = "above the projections, below the slices through zero" if len(cuts) > 1 else "slices through zero"
         caption += f"The sets have {nx} dimensions; shown are the pairs of states on which they differ most: {drawn}. "
-    return [ReportFigure("feasible_sets", heading, caption + "The dashed frame is X.", figure)]
+    of_final = " of the final design" if isinstance(run.study.X, DesignLimits) else ""
+    return [ReportFigure("feasible_sets", heading, caption + f"The dashed frame is X{of_final}.", figure)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,220 @@
+"""Limits of states or inputs that depend on the design: lower(p) ≤ x ≤ upper(p)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, Immutable, Mask, frozen
+from ccdtools.checks import as_limits, as_vector, shown
+from ccdtools.exceptions import InputError
+from ccdtools.plants.design_space import FEASIBLE, DesignSpace
+from ccdtools.plants.symbolic_functions import SymbolicFunction
+from ccdtools.plants.symbols import as_expression, check_known
+from invariant_sets import Polytope
+
+ON_LIMIT = 1e-9  # of the half-width: a point this far beyond a bound is on it
+PAIR = "a function of p that returns two bounds (lower, upper)"
+EXAMPLE = "Such as lambda p: (-3 * p[0], 3 * p[0])."
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DesignLimits(Immutable):
+    """A box whose bounds are functions of the design; `CoDesignProblem` and `Study` make it of a function of p.
+
+    Attributes
+    ----------
+    argument : str
+        What errors call it: X or U.
+    both : SymbolicFunction
+        p (np,) → the lower bounds, then the upper ones, (2 n,).
+    names : tuple of str
+        Of the design parameters.
+    lower, upper : (n,) arrays
+        The widest bounds that were seen over the box of designs, which scales are taken from.
+    """
+
+    argument: str
+    both: SymbolicFunction
+    names: tuple[str, ...]
+    lower: Array
+    upper: Array
+
+    @classmethod
+    def of(cls, argument: str, given: Callable[..., Any], size: int, of: str, space: DesignSpace) -> DesignLimits:
+        """The limits that a function of p gives of `size` numbers, looked at over the whole box of designs.
+
+        Raises
+        ------
+        InputError
+            If it is no function of p with two bounds, these have the wrong size or symbols of their own, or at some
+            design are not finite, not in order, or leave out 0.
+        """
+        both = SymbolicFunction(argument, _compiled(argument, given, size, of, space.dim), ("p",))
+        both.function(space.dim)
+        designs = space.spread()
+        designs = designs[space.violation(designs) <= FEASIBLE]
+        lower, upper = np.split(np.asarray(both.vector(space.dim)(designs)), 2, axis=-1)
+        wrong = {
+            "finite numbers": ~(np.isfinite(lower) & np.isfinite(upper)),
+            "lower < upper": ~(lower < upper),
+            "bounds with 0 between them, which is regulated to": ~((lower <= 0) & (upper >= 0)),
+        }
+        for expected, where in wrong.items():
+            found = np.argwhere(where)
+            if len(found):
+                k, i = found[0]
+                got = f"{lower[k, i]:.6g} and {upper[k, i]:.6g} for number {i + 1} at {space.describe(designs[k])}"
+                raise InputError(argument, got, f"{expected} over the whole box of designs")
+        return cls(argument, both, tuple(space.names), frozen(lower.min(axis=0)), frozen(upper.max(axis=0)))
+
+    def __repr__(self) -> str:
+        return f"DesignLimits({self.argument}, {self.dim} numbers)"
+
+    def __str__(self) -> str:
+        """The lower bounds, then the upper ones, as expressions of p."""
+        return str(self.both)
+
+    def __deepcopy__(self, memory: Any) -> DesignLimits:
+        """Itself, because it never changes."""
+        return self
+
+    @property
+    def dim(self) -> int:
+        """How many numbers it limits."""
+        return len(self.lower)
+
+    @property
+    def entries(self) -> int:
+        """Number of design parameters."""
+        return len(self.names)
+
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """The widest bounds, each (n,)."""
+        return self.lower, self.upper
+
+    @cached_property
+    def widest(self) -> Polytope:
+        """The box of the widest bounds."""
+        return Polytope.from_bounds(self.lower, self.upper)
+
+    def bounds(self, p: Any) -> tuple[Any, Any]:
+        """Lower and upper bounds (..., n) at designs (..., np), arrays or tensors; differentiable in tensors."""
+        both = self.both.vector(self.entries)(p)
+        return both[..., : self.dim], both[..., self.dim :]
+
+    def at(self, p: ArrayLike) -> Polytope:
+        """The box at one design (np,).
+
+        Raises
+        ------
+        InputError
+            If the bounds are not in order there: between the designs that were looked at.
+        """
+        design = as_vector("p", p, self.entries, of="one per design parameter")
+        lower, upper = self.bounds(design)
+        if not (np.isfinite(lower) & np.isfinite(upper) & (lower < upper)).all():
+            where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.names, design))
+            got = f"{shown(lower)} and {shown(upper)} at {where}"
+            raise InputError(self.argument, got, "finite lower < upper at every design")
+        return Polytope.from_bounds(lower, upper)
+
+    def depths(self, x: Any, p: Any) -> Any:
+        """How far each bound is exceeded by (..., n) at designs (np,) or (..., np), (..., 2 n), in half-widths.
+
+        Of arrays or torch tensors; negative within.
+        """
+        lower, upper = self.bounds(p)
+        half = (upper - lower) / 2
+        above, below = (x - upper) / half, (lower - x) / half
+        if isinstance(above, np.ndarray):
+            return np.concatenate([above, below], axis=-1)
+        import torch  # the tensors are here already
+
+        return torch.cat([above, below], dim=-1)
+
+    def contains(self, x: Array, p: Array) -> Mask:
+        """Whether (n, ·) lie within the bounds at designs (n, np) or (np,)."""
+        return np.asarray((self.depths(x, p) <= ON_LIMIT).all(axis=-1))
+
+    def followed_by(self, lower: Array, upper: Array) -> DesignLimits:
+        """The same with further numbers after its own, whose bounds (m,) do not depend on the design."""
+        p = ca.SX.sym("p", self.entries)
+        own = self.both.function(self.entries)(p)
+        both = ca.vertcat(own[: self.dim], ca.DM(lower), own[self.dim :], ca.DM(upper))
+        function = SymbolicFunction(self.argument, ca.Function(self.argument, [p], [both]), ("p",))
+        function.function(self.entries)
+        wider = (frozen(np.r_[own, added]) for own, added in ((self.lower, lower), (self.upper, upper)))
+        return DesignLimits(self.argument, function, self.names, *wider)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values that `from_dict` makes it of again."""
+        function = self.both.function(self.entries).serialize()
+        plain = {"lower": self.lower.tolist(), "upper": self.upper.tolist(), "names": list(self.names)}
+        return {"argument": self.argument, "function": function, **plain}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> DesignLimits:
+        """What `as_dict` gave."""
+        both = SymbolicFunction(values["argument"], ca.Function.deserialize(values["function"]), ("p",))
+        both.function(len(values["names"]))
+        lower, upper = (frozen(np.array(values[name], dtype=float)) for name in ("lower", "upper"))
+        return cls(values["argument"], both, tuple(values["names"]), lower, upper)
+
+
+Limits: TypeAlias = Polytope | DesignLimits
+
+
+def as_limits_over(argument: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:
+    """Limits on `size` numbers: a Polytope, bounds, or a function of p that gives bounds."""
+    if isinstance(value, DesignLimits):
+        if (value.dim, value.names) != (size, tuple(space.names)):
+            got = f"limits of {value.dim} numbers over designs {', '.join(value.names)}"
+            raise InputError(argument, got, f"{size}, {of}, over {', '.join(space.names)}")
+        return value
+    if callable(value) and not isinstance(value, type):
+        return DesignLimits.of(argument, value, size, of, space)
+    return as_limits(argument, value, size, of)
+
+
+def limits_at(limits: Limits, p: ArrayLike) -> Polytope:
+    """The limits at one design (np,)."""
+    return limits.at(p) if isinstance(limits, DesignLimits) else limits
+
+
+def bounds_at(limits: Limits, p: Any) -> tuple[Any, Any]:
+    """Bounds (n,) of fixed limits; of those that depend on designs (..., np), (..., n)."""
+    return limits.bounds(p) if isinstance(limits, DesignLimits) else limits.bounding_box()
+
+
+def widest(limits: Limits) -> Polytope:
+    """The limits, or of those that depend on the design the box of their widest bounds."""
+    return limits.widest if isinstance(limits, DesignLimits) else limits
+
+
+def _compiled(argument: str, given: Callable[..., Any], size: int, of: str, designs: int) -> ca.Function:
+    """p → lower and upper bounds in one column."""
+    p = ca.SX.sym("p", designs)
+    try:
+        pair = given(p)
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(argument, f"a function that stops with {reason[:200]}", PAIR, EXAMPLE) from error
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        raise InputError(argument, f"{shown(pair)} from a function of p", PAIR, EXAMPLE)
+    columns = []
+    for side in pair:
+        column = ca.vec(as_expression(argument, side.tolist() if isinstance(side, np.ndarray) else side))
+        if column.numel() not in (1, size):
+            got = f"a bound of {column.numel()} numbers"
+            raise InputError(argument, got, f"{size}, {of}" + (", or one for all" if size > 1 else ""))
+        check_known(argument, column, p=p)
+        columns.append(column if column.numel() == size else ca.repmat(column, size, 1))
+    return ca.Function(argument, [p], [ca.densify(ca.vertcat(*columns))])
