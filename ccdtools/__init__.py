@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.problem import CoDesignProblem, FixedStart
     from ccdtools.co_design.random_starts import RandomStarts
     from ccdtools.co_design.result import CoDesignResult
-    from ccdtools.co_design.risk import CVaR, Mean, MeanSpread
+    from ccdtools.co_design.risk import CVaR, Mean, MeanSpread, WorstCase
     from ccdtools.comparison.baselines import baselines, saturated_lqr
     from ccdtools.comparison.comparison import compare
     from ccdtools.comparison.ride import Ride
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ccdtools.controllers.observed import Observed
     from ccdtools.controllers.previewing import Previewing
     from ccdtools.controllers.signals import Reference
-    from ccdtools.disturbances.combinations import Constant, Mixture, Stacked, Sum
+    from ccdtools.disturbances.combinations import Cases, Constant, Mixture, Stacked, Sum
     from ccdtools.disturbances.disturbance import Gaussian, Recorded, Uniform
     from ccdtools.disturbances.iso_road import ISORoad
     from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
@@ -72,6 +72,7 @@ __all__ = [
     "PID",
     "CCDError",
     "CVaR",
+    "Cases",
     "CoDesignConfig",
     "CoDesignProblem",
     "CoDesignResult",
@@ -120,6 +121,7 @@ __all__ = [
     "SuspensionMetrics",
     "Trajectory",
     "Uniform",
+    "WorstCase",
     "admissible_inputs",
     "baselines",
     "codesign",
@@ -168,6 +170,7 @@ _HOMES = {
     "CoDesignConfig": "co_design.configuration",
     "CoDesignProblem": "co_design.problem",
     "CoDesignResult": "co_design.result",
+    "Cases": "disturbances.combinations",
     "Constant": "disturbances.combinations",
     "CustomObjective": "co_design.custom_objective",
     "DesignSpace": "plants.design_space",
@@ -214,6 +217,7 @@ _HOMES = {
     "SuspensionMetrics": "comparison.suspension",
     "Trajectory": "trajectory",
     "Uniform": "disturbances.disturbance",
+    "WorstCase": "co_design.risk",
     "admissible_inputs": "co_design.admissible",
     "baselines": "comparison.baselines",
     "codesign": "co_design.codesign",

@@ -20,7 +20,7 @@ from ccdtools.checks import (
 )
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.random_starts import RandomStarts
-from ccdtools.co_design.risk import MEAN, Risk, as_risk
+from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
 from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, bounds_at, limits_at, widest
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
@@ -121,8 +121,9 @@ class CoDesignProblem(Immutable):
         How often and how far a co-designed policy may leave X: no more than about what MPC of the same design does on
         the same scenarios; as it likes; or so large a fraction of the states, and so many half-widths of X in the mean
         of the peaks of the runs.
-    risk : Mean, MeanSpread or CVaR
-        What of the returns is optimised: by default their mean.
+    risk : Mean, MeanSpread, CVaR or WorstCase
+        What of the returns is optimised: by default their mean. `WorstCase` asks for scenarios with `Cases`; of a
+        problem with a discrepancy, whose runs are logged ones, it is the mean.
     output_limits : OutputLimits, optional
         Limits on outputs h(x, u, p), which count and are enforced as those of X are.
     warm_up : int
@@ -179,6 +180,9 @@ class CoDesignProblem(Immutable):
         object.__setattr__(self, "steps", as_count("steps", self.steps))
         object.__setattr__(self, "objective", self.objective.over(self.steps))
         as_risk("risk", self.risk)
+        if isinstance(self.risk, WorstCase):
+            risk = self.risk.over(self.scenarios) if self.discrepancy is None else of_logged_runs(self.risk)
+            object.__setattr__(self, "risk", risk)
         if self.output_limits is not None:
             as_instance("output_limits", self.output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
             self.output_limits.check(model.nx, model.nu, model.design.dim)

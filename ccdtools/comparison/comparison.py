@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
+from ccdtools.co_design.risk import Risk, as_risk, measure
 from ccdtools.comparison.baselines import REFERENCE
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.controllers.controllers import Controller
@@ -169,6 +170,7 @@ def compare(
     few: Mapping[str, int] | None = None,
     output_limits: OutputLimits | None = None,
     metrics: Metrics | None = None,
+    risk: Risk | None = None,
 ) -> Comparison:
     """Scores of all controllers on one scenario, paired to the one named LQR.
 
@@ -191,6 +193,9 @@ def compare(
     metrics : function, optional
         `Trajectory` → mapping of names, with units, to numbers: what the scores hold beside the returns. Such as a
         `Ride`.
+    risk : Risk, optional
+        Shown beside the metrics: its measure of the returns, such as ``problem.risk`` of scenarios of the problem; NaN
+        where a run diverged.
 
     Raises
     ------
@@ -216,6 +221,8 @@ def compare(
     few = {"MPC": MPC_RUNS} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")
     runs = {name: min(as_count(f"few[{name!r}]", n), len(scenario.x0)) for name, n in few.items()}
     as_metrics(metrics)
+    if risk is not None:
+        as_risk("risk", risk)
     limits = StateLimits(X)
     reference = scenario.run(controllers[REFERENCE], design=design, limit=limit)
     scores = []
@@ -226,7 +233,11 @@ def compare(
         run = reference if name == REFERENCE else seen.run(controller, design=design, limit=limit)
         outside[name] = Outside.of(run, limits, scenario.plant, output_limits)
         score = _score(name, controller, run, reference, objective, outside[name].whole, scenario)
-        scores.append(score if metrics is None else replace(score, metrics=metrics_of(metrics, run)))
+        shown = {} if metrics is None else metrics_of(metrics, run)
+        if risk is not None:
+            returns = np.where(run.diverged, np.nan, run.returns(objective))
+            shown |= {f"return, {measure(risk)}": float(risk.values(returns).mean())}
+        scores.append(replace(score, metrics=shown) if shown else score)
     found = (replace(one, further_outside_than=outside[one.controller].further_than(outside)) for one in scores)
     return Comparison(tuple(found), limits_in_words(output_limits))
 

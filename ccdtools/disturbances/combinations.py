@@ -1,16 +1,17 @@
-"""Disturbances made of others: added, side by side, one of several, or held over a run."""
+"""Disturbances made of others: added, side by side, one of several at random or in turn, or held over a run."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_vector, has_method, shown
-from ccdtools.disturbances.disturbance import Disturbance, Recorded, check_draw
+from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
+from ccdtools.checks import as_floats, as_vector, has_method, shown
+from ccdtools.disturbances.disturbance import Disturbance, Recorded, Uniform, check_draw
 from ccdtools.exceptions import InputError
 
 A_DISTURBANCE = "disturbances, with a method sample(runs, steps, rng)"
@@ -134,15 +135,71 @@ class Mixture(Combination):
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
         check_draw(runs, steps, rng)
-        chosen = rng.choice(len(self.terms), runs, p=self.weights)
-        least = min(runs, 2)  # a recording replays a single run from its start, which one of several runs must not do
-        counts = np.bincount(chosen, minlength=len(self.terms)).tolist()
-        parts = {i: self.terms[i].sample(max(n, least), steps, rng) for i, n in enumerate(counts) if n}
-        _check_alike([w.shape[-1] for w in parts.values()])
-        drawn = np.empty((runs, steps, next(iter(parts.values())).shape[-1]))
-        for i, w in parts.items():
-            drawn[chosen == i] = w[: counts[i]]
-        return drawn
+        return _shared_out(self.terms, rng.choice(len(self.terms), runs, p=self.weights), steps, rng)
+
+
+@dataclass(frozen=True, eq=False)
+class Cases(Combination):
+    """One of several disturbances with the same channels, the runs taking them in turn: run i of m has term i mod m.
+
+    Every case is met by as many runs, and which run met which is known: what `WorstCase` asks for. Cases in several
+    places, side by side or in the starts, go in step: of numbers without a common divisor all pairs are met, of two and
+    two the first with the first and the second with the second.
+
+    Parameters
+    ----------
+    terms : tuple of Disturbance
+
+    Examples
+    --------
+    >>> Stacked((Gaussian([0.3]), Cases.of([-0.2, 0.0, 0.2])))  # a road, and three loads
+    ... # doctest: +SKIP
+    """
+
+    terms: tuple[Disturbance, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "terms", _checked("terms", self.terms))
+        _check_alike([width for width in _widths(self.terms) if width is not None])
+
+    @classmethod
+    def of(cls, values: ArrayLike) -> Cases:
+        """The cases of an uncertain parameter: each of the values (m,) or (m, nw), held over its runs."""
+        given = as_floats("values", values)
+        rows = given[:, None] if given.ndim == 1 else given
+        if rows.ndim != 2 or rows.size == 0:
+            raise InputError("values", f"shape {given.shape}", "(m,) numbers, or (m, nw)")
+        return cls(tuple(Uniform(row, row) for row in rows))
+
+    @property
+    def nw(self) -> int | None:
+        """Number of channels, if a term knows it."""
+        return next((width for width in _widths(self.terms) if width is not None), None)
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
+        """Sequences (runs, steps, nw)."""
+        check_draw(runs, steps, rng)
+        return _shared_out(self.terms, np.arange(runs) % len(self.terms), steps, rng)
+
+
+def cases_in(disturbance: Any) -> int:
+    """After how many runs the cases of a disturbance, or of a term of one, come again; 1 where there are none."""
+    if not isinstance(disturbance, Combination) or isinstance(disturbance, Mixture):  # which draws, and counts no runs
+        return 1
+    own = len(disturbance.terms) if isinstance(disturbance, Cases) else 1
+    return own * math.lcm(*map(cases_in, disturbance.terms))
+
+
+def _shared_out(terms: tuple[Disturbance, ...], chosen: Indices, steps: int, rng: np.random.Generator) -> Array:
+    """Sequences (runs, steps, nw), those of each run from the chosen term."""
+    least = min(len(chosen), 2)  # a recording replays a single run from its start: one of several runs must not do so
+    counts = np.bincount(chosen, minlength=len(terms)).tolist()
+    parts = {i: terms[i].sample(max(n, least), steps, rng) for i, n in enumerate(counts) if n}
+    _check_alike([w.shape[-1] for w in parts.values()])
+    drawn = np.empty((len(chosen), steps, next(iter(parts.values())).shape[-1]))
+    for i, w in parts.items():
+        drawn[chosen == i] = w[: counts[i]]
+    return drawn
 
 
 def is_recorded(disturbance: Any) -> bool:

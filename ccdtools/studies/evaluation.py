@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ccdtools.arrays import Array
 from ccdtools.co_design.admissible import admissible_inputs
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.risk import Risk, WorstCase, has_cases
 from ccdtools.comparison.baselines import baselines, saturated_lqr
 from ccdtools.comparison.comparison import Score, compare
 from ccdtools.controllers.controllers import Controller
@@ -258,13 +259,21 @@ class Evaluation:
             scores = compare(
                 everyone, scenario, design=design, objective=self.study.objective, X=self.problem.state_limits(design),
                 limit=self.problem.limit, few={"MPC": self.config.mpc_runs}, metrics=self.study.metrics,
-                output_limits=self.problem.output_limits,
+                output_limits=self.problem.output_limits, risk=self._shown_risk(plant, judged_on),
             )  # fmt: skip
             place = {"plant": plant, "model": name, "generation": generation}
             rows += [place | self.row(design, score) for score in scores]
             bands = self._bands(scenario, design, {"LQR": controllers["LQR"], "learned": in_service})
             arrays |= {f"{plant}_{key}": band for key, band in bands.items()}
         return Stage({"rows": rows}, arrays)
+
+    def _shown_risk(self, plant: str, judged_on: Sequence[Residuals]) -> Risk | None:
+        """The worst case, where a study asks for it and the runs of a comparison have cases; else None."""
+        asked = self.study.risk
+        if not isinstance(asked, WorstCase) or (plant == "model" and judged_on):
+            return None
+        scenarios = self.problem.scenarios if plant == "model" else self.study.real.disturbance
+        return asked.over(scenarios) if has_cases(scenarios) else None
 
     def admissible(self, design: Array) -> AdmissibleInputs | None:
         """The filter behind the policy in service at a design; None where the study asks for none."""

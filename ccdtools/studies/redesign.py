@@ -184,7 +184,7 @@ def judge_redesign(
         status = RedesignStatus.CONTRADICTED if updated.ci95[1] < 0 else status
     return RedesignDecision(
         gain, updated, needed, size, nominal_before, nominal_after, moved, status, str(price),
-        measure(evaluation.study.risk), "" if broken is None else str(broken),
+        measure(evaluation.study.judged_in), "" if broken is None else str(broken),
     )  # fmt: skip
 
 
@@ -213,7 +213,7 @@ def _gain_on_logs(
             return _run(evaluation, candidate, scenario), _run(evaluation, current, scenario)
 
         rng = evaluation.rng("recombined runs")
-        return recombined_gain(replay, drive, objective, count, rng, evaluation.study.risk)
+        return recombined_gain(replay, drive, objective, count, rng, evaluation.study.judged_in)
     scenario, labels = evaluation.on_logs(logs)
     before, after = (_run(evaluation, choice, scenario) for choice in (current, candidate))
     own = before.returns(objective)[~(before.diverged | after.diverged)]
@@ -294,7 +294,7 @@ def _clustered(
     objective = evaluation.study.objective
     made, met = (run.rewards(objective)[kept] for run in (after, before))
     study = evaluation.study
-    return paired_in_risk(study.risk, made, met, labels[kept], runs=study.real.runs, stretch=evaluation.window)
+    return paired_in_risk(study.judged_in, made, met, labels[kept], runs=study.real.runs, stretch=evaluation.window)
 
 
 def _run(evaluation: Evaluation, choice: InService, scenario: Scenario) -> Trajectory:

@@ -219,7 +219,7 @@ class LoopStages:
         redesigned = redesign is not None and redesign["accepted"]
         delivery = judge_deployment(
             log, None if former is None else former.log, evaluation.study.objective,
-            promise_of(found.values["promised"]), redesigned=redesigned, risk=evaluation.study.risk,
+            promise_of(found.values["promised"]), redesigned=redesigned, risk=evaluation.study.judged_in,
             stretch=evaluation.window,
         )  # fmt: skip
         updates = [asdict(update) for update in deployment.updates]

@@ -23,7 +23,7 @@ from ccdtools.checks import (
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
-from ccdtools.co_design.risk import MEAN, Risk
+from ccdtools.co_design.risk import MEAN, Risk, of_logged_runs
 from ccdtools.comparison.metrics import Metrics, as_metrics, try_metrics
 from ccdtools.design_limits import Limits, as_limits_over, widest
 from ccdtools.disturbances.disturbance import Disturbance
@@ -91,8 +91,9 @@ class Study(Immutable):
     sampling_guard : {"warn", "ignore"}
         Whether a sampling time that does not resolve the plant is warned of, see `discretise`, and steps of the real
         plant that may be wrong by a tenth of X.
-    risk : Mean, MeanSpread or CVaR
-        What of the returns a co-design optimises, and by which redesigns, updates and deployments are judged.
+    risk : Mean, MeanSpread, CVaR or WorstCase
+        What of the returns a co-design optimises, and by which redesigns, updates and deployments are judged: of a worst
+        case, whose cases a log does not tell, by the mean.
     accuracy : float
         Of the model of a plant that is not linear: largest error of a sample, relative to half the range of each state
         in X, see `discretise`.
@@ -272,6 +273,11 @@ class Study(Immutable):
     def weights(self) -> Weights:
         """The weights of LQR and MPC at the first design."""
         return self.objective.weights(self.p0, self.plant.nx, self.plant.nu)
+
+    @property
+    def judged_in(self) -> Risk:
+        """The risk that redesigns, updates and deployments are judged by: what logged runs tell of the study's."""
+        return of_logged_runs(self.risk)
 
     def problem(self) -> CoDesignProblem:
         """The co-design problem on the nominal model, from the evaluation's start."""

@@ -10,6 +10,7 @@ import numpy as np
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_count, as_generator, as_instance, shown
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.exceptions import InputError
 from ccdtools.twin.recombination import Indices, dealt, drawn, shuffled
 from ccdtools.twin.residuals import Residuals
@@ -165,7 +166,7 @@ def replay_problem(
     split = ErrorSplit(problem.model, problem.state_scale)
     return replace(
         problem, model=split.replayed_model, scenarios=Replay(errors, split), steps=steps, warm_up=warm_up,
-        discrepancy=None,
+        discrepancy=None, risk=of_logged_runs(problem.risk),
     )  # fmt: skip
 
 

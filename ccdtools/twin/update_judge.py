@@ -10,6 +10,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.learned import LearnedPolicy
@@ -128,7 +129,7 @@ class UpdateJudge:
             return PairedDifference(np.nan, (np.nan, np.nan))
         rewards = [run.rewards(self.problem.objective)[kept] for run in (after, before)]
         return paired_in_risk(
-            self.problem.risk, rewards[0], rewards[1], groups(replay.logs)[chosen][kept], runs=len(x0),
+            of_logged_runs(self.problem.risk), rewards[0], rewards[1], groups(replay.logs)[chosen][kept], runs=len(x0),
             stretch=self.config.window,
         )  # fmt: skip
 
@@ -146,7 +147,7 @@ class UpdateJudge:
     def _recombined_gain(self, candidate: ActorCritic, agent: ActorCritic, replay: Replay) -> LoggedGain:
         """Candidate minus policy in service on recombined runs."""
         drive = self._drive(candidate, agent)
-        return recombined_gain(replay, drive, self.problem.objective, self.config.judged, self.rng, self.problem.risk)
+        return recombined_gain(replay, drive, self.problem.objective, self.config.judged, self.rng, of_logged_runs(self.problem.risk))
 
     def _counted(self, steps: int) -> int:
         """The held-out last steps of a stretch of a single run."""
@@ -166,7 +167,7 @@ class UpdateJudge:
         if not several:
             rewards = [own[:, -self._counted(w.shape[1]) :] for own in rewards]
         gain = paired_in_risk(
-            self.problem.risk, rewards[0], rewards[1], labels, runs=self.runs, stretch=self.config.window
+            of_logged_runs(self.problem.risk), rewards[0], rewards[1], labels, runs=self.runs, stretch=self.config.window
         )
         return LoggedGain(gain, self._size(rewards[1]) if kept.any() else np.nan, False)
 

@@ -12,7 +12,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.risk import Mean, measure
+from ccdtools.co_design.risk import Mean, WorstCase, measure
 from ccdtools.design_limits import DesignLimits, limits_at
 from ccdtools.plants.sampling_guard import sampling_note
 from ccdtools.studies.report import style
@@ -85,8 +85,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
                "held_out": held_out_rows(results, run.study.steps), "metrics": held_out_metrics(results)},
         sampling=sampling_note(run.study.plant), no_sets=_no_sets(run),
         limits=limits_of(results), single=run.study.real.runs == 1, real_is_model=run.study.real_is_model,
-        risk="" if isinstance(run.study.risk, Mean) else repr(run.study.risk),
-        measure=measure(run.study.risk),
+        risk=_risk_text(run), measure=measure(run.study.judged_in),
         updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],
     )  # fmt: skip
 
@@ -225,6 +224,14 @@ def _kept_by_designs(run: FinishedRun) -> list[str]:
     space = run.problem.design
     kept = {"Constraints of the design, each to be ≤ 0": space.constraint_names, "Whole numbers": space.integer}
     return [f"{what}: {', '.join(names)}" for what, names in kept.items() if names]
+
+
+def _risk_text(run: FinishedRun) -> str:
+    """What of the returns a co-design optimises; empty where it is their mean."""
+    risk = run.problem.risk
+    if isinstance(risk, WorstCase):
+        return f"the mean in the {measure(risk)} (a redesign, on logged runs, the mean)"
+    return "" if isinstance(risk, Mean) else repr(risk)
 
 
 def _limits_note(run: FinishedRun) -> list[str]:

@@ -1,0 +1,44 @@
+"""A study of the worst of three masses, from the command to the page."""
+
+import json
+
+import pytest
+import small_runs
+from typer.testing import CliRunner
+
+from ccdtools import InputError
+from ccdtools.cli import app
+from ccdtools.studies import preparation
+
+SOURCE = (
+    small_runs.SPRING.replace('ca.SX.sym("w")', 'ca.SX.sym("w", 2)')
+    .replace("-p * x[0] + u + w)", "(-p * x[0] + u + w[0]) / (1 + w[1]))")
+    .replace("noise = Gaussian([0.1])", "noise = Stacked((Gaussian([0.1]), Cases.of([-0.3, 0.0, 0.5])))")
+    .replace("import DesignSpace", "import Cases, DesignSpace, Stacked, WorstCase")
+    .replace("steps=20, samples=20", "steps=20, samples=20, risk=WorstCase()")
+)
+
+
+def test_the_worst_case_is_optimised_and_shown(tmp_path, monkeypatch):
+    monkeypatch.setattr(preparation, "configuration", small_runs.tiny_configuration)
+    source = tmp_path / "masses.py"
+    source.write_text(SOURCE)
+    call = ["run", str(source), "--quick", "--generations", "2", "--output", str(tmp_path / "run")]
+    done = CliRunner().invoke(app, call)
+    assert done.exit_code == 0, done.output
+    results = json.loads((tmp_path / "run" / "results.json").read_text())
+    name = "return, worst of 3 cases"
+    shown = [row for row in results["comparison"] if (row["plant"], row["generation"]) in (("model", 0), ("real", 0))]
+    for row in shown:
+        assert row["metrics"][name] <= row["mean"]
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "A co-design optimises the mean in the worst of 3 cases" in page
+    assert name in page
+
+
+def test_a_worst_case_without_cases_is_refused():
+    names = {}
+    with pytest.raises(InputError) as caught:
+        exec(small_runs.SPRING.replace("import DesignSpace", "import DesignSpace, WorstCase").replace(
+            "steps=20, samples=20", "steps=20, samples=20, risk=WorstCase()"), names)  # fmt: skip
+    assert caught.value.argument == "risk"
