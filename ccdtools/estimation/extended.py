@@ -24,6 +24,7 @@ from ccdtools.estimation.belief import (
     updated_covariance,
 )
 from ccdtools.estimation.covariances import as_noise_covariances, as_start
+from ccdtools.estimation.detectability import Detectability, detectability
 from ccdtools.estimation.measurement import as_measurement
 from ccdtools.estimation.outputs import Output
 from ccdtools.exceptions import InputError
@@ -57,10 +58,18 @@ class ExtendedKalmanFilter(Immutable):
     design : (np,) array_like
         p, where the model has design parameters.
 
+    Attributes
+    ----------
+    detectability : Detectability
+        What the outputs see of the modes that do not decay at `x0` and, by chance, about it: SEEN, SEEN_AWAY, DRIFTING
+        or UNKNOWN, with `advice`. It is a hint, not a proof: a linearisation says little of a plant far away.
+
     Raises
     ------
     InputError
         If `model` is of another kind, sizes disagree, a covariance is indefinite or missing, or no design is given.
+    NotDetectableError
+        If nowhere about `x0` the outputs depend on the state, or see a mode that grows.
 
     References
     ----------
@@ -79,6 +88,7 @@ class ExtendedKalmanFilter(Immutable):
     P0: ArrayField = field(kw_only=True)
     x0: ArrayField = field(default=None, kw_only=True)
     design: ArrayField = field(default=None, kw_only=True)
+    detectability: Detectability = field(init=False)
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -95,6 +105,14 @@ class ExtendedKalmanFilter(Immutable):
         W, V = as_noise_covariances(self.W, self.V, self.nx, self.ny)
         set_(self, "W", W)
         set_(self, "V", V)
+        set_(self, "detectability", detectability(self._slopes, self.x0, self.P0))
+
+    def _slopes(self, x: Array) -> tuple[Array, Array]:
+        """∂x⁺/∂x (n, nx, nx) and ∂h/∂x (n, ny, nx) at states (n, nx) without an input."""
+        u = np.zeros((len(x), self.nu))
+        spread = np.tile(np.sqrt(np.maximum(np.diag(self.P0), 0.0)), (len(x), 1))
+        F, H = self._f(x, u)[1], self._h.slope(x, u, np.where(spread > 0, spread, 1.0))
+        return tuple(np.broadcast_to(part, (len(x), *part.shape[-2:])) for part in (F, H))  # type: ignore[return-value]
 
     def _checked_design(self) -> Array:
         """The design (np,), empty where the model has none."""
@@ -112,7 +130,8 @@ class ExtendedKalmanFilter(Immutable):
         return self
 
     def __repr__(self) -> str:
-        return f"ExtendedKalmanFilter({self.nx} states, {self.nu} inputs, {self.ny} outputs, {self.model!r})"
+        said = "" if self.detectability is Detectability.SEEN else f", {self.detectability.value}"
+        return f"ExtendedKalmanFilter({self.nx} states, {self.nu} inputs, {self.ny} outputs, {self.model!r}{said})"
 
     @property
     def nx(self) -> int:

@@ -28,6 +28,8 @@ from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
 
+NO_REST = 1e-6  # of a predicted standard deviation: what a sample may add at rest, and be rounding
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KalmanFilter(Immutable):
@@ -128,16 +130,22 @@ class KalmanFilter(Immutable):
         Raises
         ------
         InputError
-            Also if the dynamics or the outputs are not linear in x and u, there are no outputs, or x = 0 is no rest.
+            Also if the dynamics or the outputs are not linear in x and u, there are no outputs, or x = 0 is no rest: a
+            constant term is rounding below a millionth of the deviation that the filter predicts for its state.
         """
         as_instance("plant", plant, Plant, "a Plant")
         model = discretise(plant, sampling_guard="ignore") if plant.linear else None
-        if not isinstance(model, LinearModel) or model.affine:
-            got = "nonlinear dynamics" if model is None else "a constant term in the dynamics"
-            raise InputError("plant", got, "a linear plant that rests at 0", LINEARISED)
+        if not isinstance(model, LinearModel):
+            raise InputError("plant", "nonlinear dynamics", "a linear plant that rests at 0", LINEARISED)
         A, B, _ = model.matrices(design)
+        c = model.constant(design)
         C, D, y0 = output_matrices(plant, model.design.check_one(design) if model.design is not None else np.zeros(0))
-        return cls(A, B, C, W, V, D=D, y0=y0, steady=steady, x0=x0, P0=P0)
+        found = cls(A, B, C, W, V, D=D, y0=y0, steady=steady, x0=x0, P0=P0)
+        P = found.predicted if found.steady else predicted_covariance(found.P0, A, found.W)
+        if (np.abs(c) > NO_REST * np.sqrt(np.maximum(np.diag(P), 0.0))).any():
+            got = f"a constant term in the dynamics, up to {np.abs(c).max():.3g} a sample"
+            raise InputError("plant", got, "a linear plant that rests at 0", LINEARISED)
+        return found
 
     def __repr__(self) -> str:
         kind = "steady" if self.steady else "time-varying"

@@ -52,7 +52,7 @@ def _slow_covariance(A: Array, C: Array, W: Array, V: Array) -> Array | None:
         if abs(eigenvalue) < 1 - UNIT_CIRCLE:
             continue
         own = unit if abs(eigenvalue) > 1 + NEAR_CIRCLE else _shown_units(A, C / output_unit[:, None])
-        if _least_of(A * own / own[:, None], _rows(A * own / own[:, None], C * own), eigenvalue)[1] < REACH:
+        if seen_least(A * own / own[:, None], relative_rows(A * own / own[:, None], C * own), eigenvalue)[1] < REACH:
             return None
     identity = np.eye(len(A))
     F, H = (A * unit / unit[:, None]).T, W / unit / unit[:, None]
@@ -89,7 +89,7 @@ def _shown_units(A: Array, C: Array) -> Array:
     return np.where(shown > 0, 1 / np.where(shown > 0, shown, 1.0), 1.0)
 
 
-def _rows(A: Array, C: Array) -> Array:
+def relative_rows(A: Array, C: Array) -> Array:
     """Rows of C, each as long as A is large: how precise a sensor is, is a matter of V."""
     length = np.linalg.norm(C, axis=1)[:, None]
     return np.asarray(C * _size(A) / np.where(length > 0, length, 1.0))
@@ -105,28 +105,28 @@ def _named(A: Array, C: Array, W: Array, V: Array, eigenvalue: complex | None, *
     unit, _ = cost_units(A.T, C.T, W, V)
     A = A * unit / unit[:, None]  # in units of the noise
     if by_noise:
-        eigenvalue, _, mode = _least_of(A.T, W / unit / unit[:, None], eigenvalue)
+        eigenvalue, _, mode = seen_least(A.T, W / unit / unit[:, None], eigenvalue)
         return NotDetectableError(
-            f"W: got no noise on {_mode(eigenvalue, mode)} on the unit circle, so the steady filter would never "
+            f"W: got no noise on {mode_text(eigenvalue, mode)} on the unit circle, so the steady filter would never "
             "correct it; expected W to reach it. Give it noise, however small, or use steady=False with P0.",
-            eigenvalue, _states(mode),
+            eigenvalue, states_of(mode),
         )  # fmt: skip
-    eigenvalue, strength, mode = _least_of(A, _rows(A, C * unit), eigenvalue)
+    eigenvalue, strength, mode = seen_least(A, relative_rows(A, C * unit), eigenvalue)
     if strength < REACH:
         return NotDetectableError(
-            f"(A, C): got a pair that is not detectable, the outputs see {_mode(eigenvalue, mode)} with relative "
+            f"(A, C): got a pair that is not detectable, the outputs see {mode_text(eigenvalue, mode)} with relative "
             f"strength {strength:.1e}, expected >= {REACH:.0e}. Measure it, or use steady=False with P0.",
-            eigenvalue, _states(mode),
+            eigenvalue, states_of(mode),
         )  # fmt: skip
     return NotDetectableError(
         "(A, C): got a Riccati equation without a solution that can be relied on, expected one. Of the modes that do "
-        f"not decay the outputs see {_mode(eigenvalue, mode)} least, with relative strength {strength:.1e}: measure "
-        "it, check that V is not far too small, or use steady=False with P0.",
-        eigenvalue, _states(mode),
+        f"not decay the outputs see {mode_text(eigenvalue, mode)} least, with relative strength {strength:.1e}: "
+        "measure it, check that V is not far too small, or use steady=False with P0.",
+        eigenvalue, states_of(mode),
     )  # fmt: skip
 
 
-def _least_of(A: Array, rows: Array, eigenvalue: complex | None) -> tuple[complex, float, Array]:
+def seen_least(A: Array, rows: Array, eigenvalue: complex | None) -> tuple[complex, float, Array]:
     """The eigenvalue whose mode the rows see least, how strongly, and its parts |v| (nx,); of one, if it is given."""
     found = []
     for one in np.linalg.eigvals(A) if eigenvalue is None else [eigenvalue]:
@@ -140,13 +140,13 @@ def _least_of(A: Array, rows: Array, eigenvalue: complex | None) -> tuple[comple
     return one, strength, mode
 
 
-def _mode(eigenvalue: complex, mode: Array) -> str:
+def mode_text(eigenvalue: complex, mode: Array) -> str:
     """A mode in words."""
     value = f"{eigenvalue.real:.4g}" if abs(eigenvalue.imag) < UNSEEN else f"{eigenvalue:.4g}"
-    names = ", ".join(f"x{i + 1}" for i in _states(mode))
+    names = ", ".join(f"x{i + 1}" for i in states_of(mode))
     return f"the mode at eigenvalue {value} (modulus {abs(eigenvalue):.4g}), mostly of {names},"
 
 
-def _states(mode: Array) -> tuple[int, ...]:
+def states_of(mode: Array) -> tuple[int, ...]:
     """The states that a mode is mostly made of."""
     return tuple(int(i) for i in np.flatnonzero(mode >= MAINLY * mode.max()))
