@@ -80,7 +80,7 @@ class ParametricSet:
         self._options.limits()  # raises where one of them is no proper number
 
     def __repr__(self) -> str:
-        nx, nu = (S.dim if isinstance(S, Polytope) else "any" for S in (self.X, self.U))  # type: ignore[union-attr]
+        nx, nu = (S.dim if isinstance(S, Polytope) else "any" for S in (self.X, self.U))
         return (f"ParametricSet(nx={nx}, nu={nu}, {'robust' if self.W is not None else 'nominal'}, "
                 f"{len(self._results)} designs known)")
 

@@ -106,3 +106,23 @@ def test_robust_family_uses_the_third_matrix():
     expected = maximal_control_invariant_set(*illustrative(2.0), ILLUSTRATIVE_X, ILLUSTRATIVE_U, E=[[0.0], [2.0]], W=W)
     assert family.volume([2.0]) == pytest.approx(expected.set.volume, rel=1e-12)
     assert family.volume([2.0]) < ParametricSet(illustrative, ILLUSTRATIVE_X, ILLUSTRATIVE_U).volume([2.0])
+
+
+def limits_of_slow(p):
+    """A box that shrinks with the design."""
+    return box([-4 / p[0]] * 2, [3 / p[0]] * 2)
+
+
+def test_constraints_that_depend_on_the_design_are_those_of_each_design():
+    family = ParametricSet(slow, limits_of_slow, lambda p: ([-1.0], [0.5 * p[0]]))
+    for p in (1.05, 1.3, 1.3001, 1.05001):  # neighbours may start from each other
+        own = maximal_control_invariant_set(*slow([p]), limits_of_slow([p]), box([-1.0], [0.5 * p])).set
+        assert family.at([p]).equals(own)
+    assert family.contains([0.0, 0.0], [1.3])
+    assert family.sample([1.3], 5, rng=np.random.default_rng(0)).shape == (5, 2)
+    assert "any" in repr(family)
+
+
+def test_two_numbers_from_a_function_bound_every_coordinate():
+    family = ParametricSet(slow, lambda p: (-2.0, 2.0), lambda p: (-1.0, 1.0))
+    assert family.at([1.1]).equals(ParametricSet(slow, (-2.0, 2.0), (-1.0, 1.0)).at([1.1]))

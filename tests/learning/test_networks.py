@@ -5,8 +5,8 @@ import pytest
 import torch
 from toys import agent
 
-from learning import ActorCritic, LearningError, NetworkConfig
-from learning.exceptions import InputError
+from learning import ActorCritic, LearningError, NetworkConfig, checkpoint, load, save
+from learning.exceptions import CheckpointError, InputError
 from learning.networks import FeedForward
 
 
@@ -117,3 +117,38 @@ def test_bad_shapes_and_bounds_are_refused_in_one_line(make, message):
     assert isinstance(caught.value, LearningError)
     assert isinstance(caught.value, ValueError)
     assert "\n" not in str(caught.value)
+
+
+class Widening:
+    """Two actions whose bounds grow with the last two observations."""
+
+    entries = 2
+    box = (np.array([-4.0, -1.0]), np.array([2.0, 9.0]))
+
+    def bounds(self, p):
+        return -p * p.new_tensor([2.0, 0.5]), p * p.new_tensor([1.0, 4.5])
+
+    def as_dict(self):
+        return {"kind": "widening"}
+
+
+def test_actions_fill_bounds_that_depend_on_the_observation():
+    net = ActorCritic([-1] * 3, [1] * 3, *Widening.box, action_limits=Widening())
+    seen = torch.tensor([[9.0, 2.0, 1.0], [-9.0, 0.5, 2.0]], requires_grad=True)
+    torch.testing.assert_close(net.action(torch.full((2, 2), 7.0), seen), torch.tensor([[2.0, 4.5], [0.5, 9.0]]))
+    low = net.action(torch.full((2, 2), -7.0), seen)
+    torch.testing.assert_close(low, torch.tensor([[-4.0, -0.5], [-1.0, -1.0]]))
+    (slope,) = torch.autograd.grad(low.sum(), seen)
+    torch.testing.assert_close(slope, torch.tensor([[0.0, -2.0, -0.5]] * 2))
+    with pytest.raises(InputError, match="observations"):
+        net.action(torch.zeros(2, 2))
+
+
+def test_such_a_policy_comes_back_with_its_bounds(tmp_path):
+    net = ActorCritic([-1] * 3, [1] * 3, *Widening.box, action_limits=Widening())
+    save(tmp_path / "net.safetensors", net)
+    with pytest.raises(CheckpointError, match="action limits"):
+        load(tmp_path / "net.safetensors")
+    again, _ = checkpoint.load(tmp_path / "net.safetensors", action_limits=lambda kept: Widening())
+    seen = torch.randn(4, 3)
+    torch.testing.assert_close(again.action(again.latent(seen), seen), net.action(net.latent(seen), seen))
