@@ -112,7 +112,7 @@ def test_a_co_design_ends_where_that_of_the_plant_in_parts_does(pair, method):
     )
     ends = []
     for problem, agent in pair:
-        found = codesign(problem, agent=agent, design=[0.6], rng=np.random.default_rng(0), config=config, method=method)
+        found = codesign(problem, agent=agent, design=[2.0], rng=np.random.default_rng(0), config=config, method=method)
         ends.append((found.design[0], found.history.model_return.max()))
     assert abs(ends[0][0] - ends[1][0]) < 0.02 * (SPACE.upper - SPACE.lower)[0]
     assert ends[0][1] == pytest.approx(ends[1][1], rel=5e-3)
