@@ -92,8 +92,8 @@ class Study(Immutable):
         Whether a sampling time that does not resolve the plant is warned of, see `discretise`, and steps of the real
         plant that may be wrong by a tenth of X.
     risk : Mean, MeanSpread, CVaR or WorstCase
-        What of the returns a co-design optimises, and by which redesigns, updates and deployments are judged: of a worst
-        case, whose cases a log does not tell, by the mean.
+        What of the returns a co-design optimises, and by which redesigns, updates and deployments are judged. Of a
+        worst case, whose cases a log does not tell, these are judged by the mean.
     accuracy : float
         Of the model of a plant that is not linear: largest error of a sample, relative to half the range of each state
         in X, see `discretise`.

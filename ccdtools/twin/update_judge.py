@@ -147,7 +147,8 @@ class UpdateJudge:
     def _recombined_gain(self, candidate: ActorCritic, agent: ActorCritic, replay: Replay) -> LoggedGain:
         """Candidate minus policy in service on recombined runs."""
         drive = self._drive(candidate, agent)
-        return recombined_gain(replay, drive, self.problem.objective, self.config.judged, self.rng, of_logged_runs(self.problem.risk))
+        risk = of_logged_runs(self.problem.risk)
+        return recombined_gain(replay, drive, self.problem.objective, self.config.judged, self.rng, risk)
 
     def _counted(self, steps: int) -> int:
         """The held-out last steps of a stretch of a single run."""
@@ -166,9 +167,8 @@ class UpdateJudge:
         labels = groups(replay.logs)[chosen][kept]
         if not several:
             rewards = [own[:, -self._counted(w.shape[1]) :] for own in rewards]
-        gain = paired_in_risk(
-            of_logged_runs(self.problem.risk), rewards[0], rewards[1], labels, runs=self.runs, stretch=self.config.window
-        )
+        risk = of_logged_runs(self.problem.risk)
+        gain = paired_in_risk(risk, *rewards, labels, runs=self.runs, stretch=self.config.window)
         return LoggedGain(gain, self._size(rewards[1]) if kept.any() else np.nan, False)
 
     def _size(self, rewards: Array) -> float:
