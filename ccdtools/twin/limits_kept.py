@@ -76,8 +76,9 @@ def breach(
     """
     if problem.limit_tolerance == "off":
         return None
-    limits = StateLimits(problem.X)
-    own, other = (Outside.of(run, limits, plant, problem.output_limits) for run in (after, before))
+    limits, former = (StateLimits(problem.state_limits(run.design)) for run in (after, before))
+    own = Outside.of(after, limits, plant, problem.output_limits)
+    other = Outside.of(before, former, plant, problem.output_limits)
     if max(_pair(own).values()) <= FLOOR and isinstance(problem.limit_tolerance, str):
         return None
     suspect = [name for name in MEASURES if _further(own, other, name)]

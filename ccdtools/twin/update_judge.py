@@ -168,8 +168,9 @@ class UpdateJudge:
         if not several:
             rewards = [own[:, -self._counted(w.shape[1]) :] for own in rewards]
         risk = of_logged_runs(self.problem.risk)
-        gain = paired_in_risk(risk, *rewards, labels, runs=self.runs, stretch=self.config.window)
-        return LoggedGain(gain, self._size(rewards[1]) if kept.any() else np.nan, False)
+        made, met = rewards
+        gain = paired_in_risk(risk, made, met, labels, runs=self.runs, stretch=self.config.window)
+        return LoggedGain(gain, self._size(met) if kept.any() else np.nan, False)
 
     def _size(self, rewards: Array) -> float:
         """How large the mean return of runs, or of the parts of one, is without the cost of the design."""

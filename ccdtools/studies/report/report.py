@@ -12,7 +12,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.risk import Mean, WorstCase, measure
+from ccdtools.co_design.risk import Mean, measure
 from ccdtools.design_limits import DesignLimits, limits_at
 from ccdtools.plants.sampling_guard import sampling_note
 from ccdtools.studies.report import style
@@ -229,9 +229,7 @@ def _kept_by_designs(run: FinishedRun) -> list[str]:
 def _risk_text(run: FinishedRun) -> str:
     """What of the returns a co-design optimises; empty where it is their mean."""
     risk = run.problem.risk
-    if isinstance(risk, WorstCase):
-        return f"the mean in the {measure(risk)} (a redesign, on logged runs, the mean)"
-    return "" if isinstance(risk, Mean) else repr(risk)
+    return "" if isinstance(risk, Mean) else measure(risk)
 
 
 def _limits_note(run: FinishedRun) -> list[str]:

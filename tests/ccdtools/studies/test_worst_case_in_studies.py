@@ -32,7 +32,7 @@ def test_the_worst_case_is_optimised_and_shown(tmp_path, monkeypatch):
     for row in shown:
         assert row["metrics"][name] <= row["mean"]
     page = (tmp_path / "run" / "report.html").read_text()
-    assert "A co-design optimises the mean in the worst of 3 cases" in page
+    assert "Of the returns a co-design optimises the worst of 3 cases" in page
     assert name in page
 
 
