@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 
 from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
+from ccdtools.plants.native import Native, are_few_rows
 
 
 class ExplicitStep:
@@ -44,9 +45,16 @@ class ExplicitStep:
         """One substep on batches."""
         return Vectorised(self.substep)
 
+    @cached_property
+    def native(self) -> Native:
+        """The whole step on few rows of arrays."""
+        return Native(self.function)
+
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n), whose leading shapes broadcast."""
         check_sizes(self.substep, (x, u, w, p))
+        if are_few_rows(x, u, w, p):
+            return self.native(x, u, w, p)
         for _ in range(self.substeps):
             x = self._vectorised(x, u, w, p)
         return x

@@ -22,7 +22,6 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.runge_kutta import ExplicitStep
 
 METHODS = ("rk4", "collocation")
-NATIVE_BATCH = 96  # up to this, CasADi's own machine is faster than one array operation per instruction
 
 
 class WithErrors:
@@ -142,7 +141,7 @@ class SampledModel:
             return self.advance
         return WithErrors(PathwiseStep(own), self.plant.nw) if self.errors else PathwiseStep(own)
 
-    @property
+    @cached_property
     def _own_step(self) -> ExplicitStep | ImplicitStep:
         """The step without errors."""
         f = self.plant.right_hand_side
@@ -192,9 +191,6 @@ class SampledModel:
     def stepper(self, p: ArrayLike, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,)."""
         p = self.design.check_one(p)
-        if batch <= NATIVE_BATCH and isinstance(self._own_step, ExplicitStep):
-            native = self.step
-            return lambda x, u, w: np.asarray(native(x.T, u.T, w.T, p), dtype=float).T
         return lambda x, u, w: self.advance(x, u, w, p)
 
     def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:

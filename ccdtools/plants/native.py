@@ -1,0 +1,65 @@
+"""CasADi functions on the rows of NumPy arrays by CasADi's own machine: for few rows, where array operations are slow.
+
+An array operation takes most of a microsecond however few rows there are, CasADi's machine a nanosecond or two for an
+instruction and row. Results differ by rounding.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ccdtools.arrays import Array
+
+FEW = 256  # rows up to which CasADi's machine is the faster one; they are even at about 400
+KEPT = 16  # numbers of rows that a function is held ready for
+
+
+class Native:
+    """A CasADi function of vectors on rows of arrays.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        One output; dense vectors in and out.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function
+        self._for_rows: dict[tuple[int, tuple[int, ...]], ca.Function] = {}
+
+    def __call__(self, *arguments: Array) -> Array:
+        """Values (n, n_out) at arguments (n, n_i); those of shape (n_i,) are common to all rows."""
+        rows = next(len(a) for a in arguments if a.ndim == 2)
+        out = np.empty((rows, self._function.numel_out(0)))
+        if not rows:
+            return out
+        common = tuple(i for i, a in enumerate(arguments) if a.ndim == 1)
+        buffer, evaluate = self._mapped(rows, common).buffer()
+        given = [np.ascontiguousarray(a, dtype=float) for a in arguments]  # held: the buffer has their addresses only
+        for i, a in enumerate(given):
+            buffer.set_arg(i, memoryview(a))
+        buffer.set_res(0, memoryview(out))
+        evaluate()
+        return out
+
+    def _mapped(self, rows: int, common: tuple[int, ...]) -> ca.Function:
+        """The function for so many rows, some of whose arguments are common to all."""
+        if rows == 1:
+            return self._function
+        if (rows, common) not in self._for_rows:
+            if len(self._for_rows) >= KEPT:
+                del self._for_rows[next(iter(self._for_rows))]
+            name = f"{self._function.name()}_{rows}"
+            self._for_rows[rows, common] = self._function.map(name, "serial", rows, list(common), [])
+        return self._for_rows[rows, common]
+
+
+def are_few_rows(*arguments: Any) -> bool:
+    """Whether these are arrays in double precision, (n, ·) of the same few rows or (·,), at least one with rows."""
+    if not all(isinstance(a, np.ndarray) and a.dtype == float and a.ndim in (1, 2) for a in arguments):
+        return False
+    rows = {len(a) for a in arguments if a.ndim == 2}
+    return len(rows) == 1 and rows.pop() <= FEW
