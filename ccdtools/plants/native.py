@@ -6,14 +6,12 @@ instruction and row. Results differ by rounding.
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
 
-FEW = 256  # rows up to which CasADi's machine is the faster one; they are even at about 400
+FEW = 128  # rows up to which CasADi's machine is the faster one; they are even at about 170
 KEPT = 16  # numbers of rows that a function is held ready for
 
 
@@ -40,7 +38,8 @@ class Native:
         buffer, evaluate = self._mapped(rows, common).buffer()
         given = [np.ascontiguousarray(a, dtype=float) for a in arguments]  # held: the buffer has their addresses only
         for i, a in enumerate(given):
-            buffer.set_arg(i, memoryview(a))
+            if a.size:
+                buffer.set_arg(i, memoryview(a))
         buffer.set_res(0, memoryview(out))
         evaluate()
         return out
@@ -55,11 +54,3 @@ class Native:
             name = f"{self._function.name()}_{rows}"
             self._for_rows[rows, common] = self._function.map(name, "serial", rows, list(common), [])
         return self._for_rows[rows, common]
-
-
-def are_few_rows(*arguments: Any) -> bool:
-    """Whether these are arrays in double precision, (n, ·) of the same few rows or (·,), at least one with rows."""
-    if not all(isinstance(a, np.ndarray) and a.dtype == float and a.ndim in (1, 2) for a in arguments):
-        return False
-    rows = {len(a) for a in arguments if a.ndim == 2}
-    return len(rows) == 1 and rows.pop() <= FEW

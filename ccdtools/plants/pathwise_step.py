@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.plants.casadi_arrays import Vectorised
+from ccdtools.plants.casadi_arrays import Tape
+from ccdtools.plants.in_place import InPlace, as_rows
 from ccdtools.plants.native import FEW, Native
 from ccdtools.plants.runge_kutta import ExplicitStep
 
@@ -30,55 +31,56 @@ class PathwiseStep:
 
     def __init__(self, step: ExplicitStep) -> None:
         self._step = step
-        self._edges = np.cumsum([step.substep.numel_in(i) for i in range(4)])[:-1]
+        self._sizes = [step.substep.numel_in(i) for i in range(4)]
 
     @cached_property
-    def _forward(self) -> Vectorised:
-        """A part of the sample, on many runs."""
-        return Vectorised(self._step.substep)
-
-    @cached_property
-    def _reverse(self) -> Vectorised:
-        """Slopes of a part of the sample, on many runs."""
-        return Vectorised(_slopes_of(self._step.substep))
-
-    @cached_property
-    def _whole_reverse(self) -> Native:
-        """Slopes of the whole sample, on few runs."""
+    def _of_sample(self) -> Native:
+        """Slopes of the whole sample, of few runs."""
         return Native(_slopes_of(self._step.function))
+
+    @cached_property
+    def _of_part(self) -> Tape:
+        """Slopes of a part of the sample, of many."""
+        return Tape(_slopes_of(self._step.substep))
 
     def __call__(self, x: Tensor, u: Tensor, w: Tensor, p: Tensor) -> Tensor:
         """Next states (n, nx)."""
         out: Tensor = _Taken.apply(self, x, u, w, p)
         return out
 
-    def path(self, x: Array, held: tuple[Array, ...]) -> list[Array]:
-        """States (n, nx) before each part of the sample, and at its end; of few runs, before and after the sample."""
+    def advanced(self, x: Array, held: tuple[Array, ...]) -> tuple[Array, list[Array]]:
+        """x⁺ (n, nx), and of many runs the states (nx, n) before each part of the sample, and at its end."""
         if len(x) <= FEW:
-            return [x, self._step.native(x, *held)]
-        states = [x]
-        for _ in range(self._step.substeps):
-            states.append(self._forward(states[-1], *held))
-        return states
+            return self._step.rows(x, held), []
+        states = self._step.path(x, held)
+        return states[-1].T, states
 
-    def slopes(self, states: list[Array], held: tuple[Array, ...], multiplier: Array) -> list[Array]:
+    def slopes(self, x: Array, held: tuple[Array, ...], states: list[Array], multiplier: Array) -> list[Array]:
         """Products (n, ·) of the multiplier (n, nx) with ∂x⁺/∂x, ∂x⁺/∂u, ∂x⁺/∂w and ∂x⁺/∂p."""
-        if len(multiplier) <= FEW:
-            return np.split(self._whole_reverse(states[0], *held, multiplier), self._edges, axis=1)
-        rest = 0.0
-        for x in reversed(states[:-1]):
-            found = self._reverse(x, *held, multiplier)
-            multiplier = found[:, : self._edges[0]]
-            rest = rest + found[:, self._edges[0] :]
-        return [multiplier, *np.split(rest, self._edges[1:] - self._edges[0], axis=1)]
+        found = self._back(states, held, multiplier) if states else self._of_sample(x, *held, multiplier)
+        return np.split(found, np.cumsum(self._sizes)[:-1], axis=1)
+
+    def _back(self, states: list[Array], held: tuple[Array, ...], multiplier: Array) -> Array:
+        """The same side by side, part by part from the end of the sample."""
+        state = np.empty_like(states[0])
+        factor = as_rows(multiplier)
+        part = InPlace(self._of_part, [state, *map(as_rows, held), factor])
+        total = np.zeros_like(part.out)
+        for before in reversed(states[:-1]):
+            state[:] = before
+            part.run()
+            factor[:] = part.out[: len(state)]
+            total += part.out
+        total[: len(state)] = factor
+        return total.T
 
 
 def _slopes_of(step: ca.Function) -> ca.Function:
-    """(x, u, w, p, m) → the slopes of m'x⁺ by x, u, w and p, stacked."""
+    """(x, u, w, p, m) → the slopes of m'x⁺ by x, u, w and p, one below the other."""
     arguments: list[Any] = [ca.SX.sym(name, *step.size_in(i)) for i, name in enumerate("xuwp")]
     multiplier = ca.SX.sym("m", *step.size_out(0))
     slopes = ca.gradient(ca.dot(multiplier, step(*arguments)), ca.vertcat(*arguments))
-    return ca.Function("reverse", [*arguments, multiplier], [ca.densify(slopes)])
+    return ca.Function("slopes", [*arguments, multiplier], [ca.densify(slopes)])
 
 
 class _Taken(torch.autograd.Function):
@@ -90,14 +92,15 @@ class _Taken(torch.autograd.Function):
         x, *held = (tensor.detach().double().numpy() for tensor in tensors)
         ctx.step = step
         ctx.held = tuple(held)
-        ctx.states = step.path(x, ctx.held)
+        ctx.x = x
         ctx.shapes = tuple(tensor.shape for tensor in tensors)
-        return tensors[0].new_tensor(ctx.states[-1])
+        after, ctx.states = step.advanced(x, ctx.held)
+        return tensors[0].new_tensor(after)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """Slopes by x, u, w and p; summed over what is common to all runs."""
-        found = ctx.step.slopes(ctx.states, ctx.held, gradient.double().numpy())
+        found = ctx.step.slopes(ctx.x, ctx.held, ctx.states, gradient.double().numpy())
         out = [part.sum(axis=0) if len(shape) == 1 else part for part, shape in zip(found, ctx.shapes)]
         return None, *(gradient.new_tensor(part) for part in out)

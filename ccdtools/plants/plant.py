@@ -20,8 +20,6 @@ from ccdtools.plants.jumps import Switches
 from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.symbols import as_expression, as_symbols, check_distinct, check_known, pack, unpack
 
-NATIVE_BATCH = 8  # below this, CasADi's own machine is faster than one array operation per instruction
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plant:
@@ -198,44 +196,19 @@ class Plant:
 
         The error per sample is O(dt⁵/substeps⁴).
         """
-        if not self.continuous:
-            return self.right_hand_side
-        return ExplicitStep.of(self.right_hand_side, self.dt, self.substeps).function
+        return self._sampled.function
 
     def stepper(self, p, *, batch: int) -> Callable:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,), for batches of n = `batch`."""
-        if batch == 1 and min(self.nu, self.nw, np.size(p)) > 0:
-            return self._single_step(p)
-        if batch < NATIVE_BATCH:
-            native = self.step
-            return lambda x, u, w: np.asarray(native(x.T, u.T, w.T, p), dtype=float).T
-        vectorised = self._vectorised_step
-        return lambda x, u, w: vectorised(x, u, w, p)
-
-    def _single_step(self, p: Array) -> Callable:
-        """`stepper` for one run, through a buffer: a call of CasADi costs more than what it computes here."""
-        made: Any = self.step.buffer()
-        buffer, evaluate = made
-        arguments = [*(np.zeros(size) for size in (self.nx, self.nu, self.nw)), np.array(p, dtype=float).ravel()]
-        result = np.zeros(self.nx)
-        views: list[Any] = [memoryview(array) for array in (*arguments, result)]  # type: ignore[arg-type]
-        for i, view in enumerate(views[:-1]):
-            buffer.set_arg(i, view)
-        buffer.set_res(0, views[-1])
-
-        def step(*given: Array, owner: Any = buffer) -> Array:
-            """x⁺ (1, nx) of x (1, nx), u (1, nu) and w (1, nw); it keeps the owner of the memory alive."""
-            for argument, value in zip(arguments, given):
-                argument[:] = value[0]
-            evaluate()
-            return result[None].copy()
-
-        return step
+        step = self._sampled
+        return lambda x, u, w: step(x, u, w, p)
 
     @cached_property
-    def _vectorised_step(self) -> Vectorised:
-        """`step` on batches of arrays."""
-        return Vectorised(self.step)
+    def _sampled(self) -> ExplicitStep:
+        """`step` of arrays, however many runs they have."""
+        if not self.continuous:
+            return ExplicitStep(self.right_hand_side, 1)
+        return ExplicitStep.of(self.right_hand_side, self.dt, self.substeps)
 
 
 def linear_matrices(plant: Plant) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

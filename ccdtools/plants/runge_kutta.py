@@ -6,9 +6,14 @@ from functools import cached_property
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
-from ccdtools.plants.native import Native, are_few_rows
+from ccdtools.arrays import Array
+from ccdtools.plants.casadi_arrays import Tape, Vectorised, check_sizes
+from ccdtools.plants.in_place import InPlace, as_rows
+from ccdtools.plants.native import FEW, Native
+
+AT_ONCE = 2048  # runs whose numbers fit into the processor's cache
 
 
 class ExplicitStep:
@@ -42,22 +47,55 @@ class ExplicitStep:
 
     @cached_property
     def _vectorised(self) -> Vectorised:
-        """One substep on batches."""
+        """One substep on tensors."""
         return Vectorised(self.substep)
 
     @cached_property
-    def native(self) -> Native:
+    def _native(self) -> Native:
         """The whole step on few rows of arrays."""
         return Native(self.function)
+
+    @cached_property
+    def _tape(self) -> Tape:
+        """One substep on many rows of arrays."""
+        return Tape(self.substep, "dynamics")
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n), whose leading shapes broadcast."""
         check_sizes(self.substep, (x, u, w, p))
-        if are_few_rows(x, u, w, p):
-            return self.native(x, u, w, p)
+        if all(isinstance(a, np.ndarray) for a in (x, u, w, p)):
+            return self._of_arrays(x, u, w, p)
         for _ in range(self.substeps):
             x = self._vectorised(x, u, w, p)
         return x
+
+    def _of_arrays(self, *arguments: Array) -> Array:
+        """The same of arrays; of single precision in double inside."""
+        batch = np.broadcast_shapes(*(a.shape[:-1] for a in arguments))
+        runs = int(np.prod(batch))
+        common = [a.ndim == 1 for a in arguments] if batch else [False] * 4
+        rows = [a if one else np.broadcast_to(a, (*batch, a.shape[-1])) for a, one in zip(arguments, common)]
+        x, *held = (a if one else a.reshape(runs, a.shape[-1]) for a, one in zip(rows, common))
+        after = self.rows(np.broadcast_to(x, (runs, x.shape[-1])), tuple(held))
+        return after.reshape(*batch, after.shape[-1]).astype(np.result_type(arguments[0], np.float32), copy=False)
+
+    def rows(self, x: Array, held: tuple[Array, ...]) -> Array:
+        """x⁺ (n, nx) of states (n, nx) and u, w and p, (n, ·) or (·,) of what is common to all."""
+        if len(x) <= FEW:
+            return self._native(x, *held)
+        parts = [slice(i, i + AT_ONCE) for i in range(0, len(x), AT_ONCE)]
+        return np.vstack([self.path(x[i], tuple(a if a.ndim == 1 else a[i] for a in held))[-1].T for i in parts])
+
+    def path(self, x: Array, held: tuple[Array, ...]) -> list[Array]:
+        """States (nx, n) before each part of the sample, and at its end, of many states (n, nx)."""
+        state = as_rows(x)
+        step = InPlace(self._tape, [state, *map(as_rows, held)])
+        states = [state.copy()]
+        for _ in range(self.substeps):
+            step.run()
+            state[:] = step.out
+            states.append(state.copy())
+        return states
 
 
 def runge_kutta(f: ca.Function, h: float) -> ca.Function:
