@@ -11,7 +11,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 
-FEW = 128  # rows up to which CasADi's machine is the faster one; they are even at about 170
+FEW = 192  # rows up to which CasADi's machine is the faster one; they are even at 200 to 300
 KEPT = 16  # numbers of rows that a function is held ready for
 
 
