@@ -25,7 +25,7 @@ __all__ = ["ISORoad"]
 
 @dataclass(frozen=True)
 class ISORoad:
-    """A disturbance ż₀ [m/s] under every wheel: a fresh road of a class of ISO 8608 for every run.
+    """A disturbance ż₀ [m/s], or z₀ [m], under every wheel: a fresh road of a class of ISO 8608 for every run.
 
     `ISORoad("C", speed=20.0, dt=0.01).sample(runs, steps, rng)` is ż₀ (runs, steps, nw). Each value is the mean of
     the vertical velocity of the road over its step, as `road_disturbance` says; the tyre touches the road in a point.
@@ -49,6 +49,9 @@ class ISORoad:
         Lowest and highest frequency of the road [1/m].
     spacing : float
         Distance between the samples of the road, which is linear between them [m].
+    heights : bool
+        Whether what is felt is z₀ [m], the mean of the heights at which a step begins and ends, instead of ż₀. Each
+        wheel begins at a height of 0; a band that begins above 0 keeps the heights bounded.
     """
 
     road_class: RoadClass = "C"
@@ -60,6 +63,7 @@ class ISORoad:
     obstacles: bool = False
     band: tuple[float, float] = BAND
     spacing: float = SPACING
+    heights: bool = False
 
     def __post_init__(self) -> None:
         road_roughness(self.road_class)
@@ -72,6 +76,7 @@ class ISORoad:
             if getattr(self, name) is not None:
                 as_positive(name, getattr(self, name), unit="m")
         as_flag("obstacles", self.obstacles)
+        as_flag("heights", self.heights)
         object.__setattr__(self, "band", as_band("band", self.band))
         as_spacing("spacing", self.spacing, self.band[1])
 
@@ -110,7 +115,8 @@ class ISORoad:
             for start in starts
             for track in np.atleast_2d(elevation)
         ]
-        return np.stack(felt, axis=-1)
+        speeds = np.stack(felt, axis=-1)
+        return self.dt * (np.cumsum(speeds, axis=0) - 0.5 * speeds) if self.heights else speeds
 
     def _speeds(self, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Times [s] and speeds [m/s] of one drive."""

@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.plants.casadi_arrays import Tape, numpy_operations
+from ccdtools.plants.casadi_arrays import Operations, Tape, numpy_operations
 
-IN_PLACE = {
+IN_PLACE: Operations = {
     ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply, ca.OP_DIV: np.divide, ca.OP_NEG: np.negative,
     ca.OP_SQ: np.square, ca.OP_TWICE: lambda a, out: np.add(a, a, out),
     ca.OP_INV: lambda a, out: np.divide(1.0, a, out),

@@ -6,6 +6,8 @@ instruction and row. Results differ by rounding.
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
@@ -35,12 +37,13 @@ class Native:
         if not rows:
             return out
         common = tuple(i for i, a in enumerate(arguments) if a.ndim == 1)
-        buffer, evaluate = self._mapped(rows, common).buffer()
+        made: Any = self._mapped(rows, common).buffer()
+        buffer, evaluate = made
         given = [np.ascontiguousarray(a, dtype=float) for a in arguments]  # held: the buffer has their addresses only
         for i, a in enumerate(given):
             if a.size:
-                buffer.set_arg(i, memoryview(a))
-        buffer.set_res(0, memoryview(out))
+                buffer.set_arg(i, memoryview(a))  # type: ignore[arg-type]
+        buffer.set_res(0, memoryview(out))  # type: ignore[arg-type]
         evaluate()
         return out
 

@@ -56,7 +56,7 @@ def full_car(*, real: bool = False, road: str = "speed", twist_decay: float = 0.
     w = ca.SX.sym("w", 4)
     p = ca.SX.sym("p", 4)
     wheels = x[-7:-3]
-    heights = _heights_of_corners(car)
+    heights = heights_of_corners(car)
     rates = heights @ x[-3:] - wheels
     if by_speed:
         deflections = x[:4]
@@ -78,7 +78,7 @@ def full_car(*, real: bool = False, road: str = "speed", twist_decay: float = 0.
     return Plant(x, u, w, p, dynamics, axle_design(), dt=dt, state_names=_names(by_speed), input_names=inputs)
 
 
-def _heights_of_corners(car: Car) -> ca.DM:
+def heights_of_corners(car: Car) -> ca.DM:
     """Heights of the corners per heave, pitch and roll, (4, 3)."""
     along = (car.front, car.front, -car.rear, -car.rear)
     across = (car.half_track, -car.half_track, car.half_track, -car.half_track)

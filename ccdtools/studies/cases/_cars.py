@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.comparison.metrics import Metrics
 from ccdtools.comparison.ride import Ride
 from ccdtools.disturbances.iso8608 import RoadClass
 from ccdtools.disturbances.iso_road import ISORoad
@@ -20,28 +23,38 @@ SPEED = 20.0  # m/s
 FORCE = 1000.0  # N, of each strut; below the 2500 N at which the real actuator ends
 WHEEL = {"tyre": 0.04, "travel": 0.1, "wheel speed": 2.5}  # limits: m, m (to the stops), m/s
 BODY = {"heave rate": 1.0, "pitch rate": 1.0, "roll rate": 1.0}  # limits: m/s, rad/s, rad/s
-GOOD = {"tyre": 0.01, "travel": 0.05, "wheel speed": 1.0, "heave rate": 0.2, "pitch rate": 0.2, "roll rate": 0.2}
+PLACE = {"place": 0.25}  # limit: m, rad; where the car is costs nothing
+GOOD = {"tyre": 0.01, "travel": 0.05, "wheel speed": 1.0, "heave rate": 0.2, "pitch rate": 0.2, "roll rate": 0.2,
+        "place": np.inf}  # fmt: skip
 SPREAD = [28000.0, 2500.0, 21000.0, 2000.0]  # of `Car`'s source
 
 
 def car_study(name: str, title: str, nominal: Plant, real: Plant, *, track: float | None = None) -> Study:
     """A car that drives on an average road, from a rest; each state is limited and judged by what it is."""
+    limits, good = (by_kind(nominal.state_names, values) for values in (WHEEL | BODY, GOOD))
+    X = Polytope.from_bounds(-limits, limits)
+    return study_on_roads(name, title, nominal, real, X, np.diag(good**-2), _ride(nominal), track=track)
+
+
+def study_on_roads(
+    name: str, title: str, nominal: Plant, real: Plant, X: Polytope, Q: Array, metrics: Metrics, *,
+    track: float | None = None, heights: bool = False,
+) -> Study:  # fmt: skip
+    """A car that drives on an average road, from a rest, within X and at the cost Q of its states."""
     start = np.zeros(nominal.nx)
-    limits = _by_kind(nominal, WHEEL | BODY)
 
     def road(road_class: RoadClass) -> ISORoad:
         """A road of a class of ISO 8608 under all wheels."""
-        return ISORoad(road_class, speed=SPEED, dt=nominal.dt, track=track, wheelbase=CAR.front + CAR.rear)
+        wheelbase = CAR.front + CAR.rear
+        return ISORoad(road_class, speed=SPEED, dt=nominal.dt, track=track, wheelbase=wheelbase, heights=heights)
 
     return Study(
         name=name,
         title=title,
         plant=nominal,
-        X=Polytope.from_bounds(-limits, limits),
+        X=X,
         U=Polytope.from_bounds(np.full(nominal.nu, -FORCE), np.full(nominal.nu, FORCE)),
-        objective=QuadraticObjective(
-            Q=np.diag(_by_kind(nominal, GOOD) ** -2), R=np.eye(nominal.nu) * FORCE**-2
-        ),  # Bryson's rule: what is tolerable on an average road costs one
+        objective=QuadraticObjective(Q=Q, R=np.eye(nominal.nu) * FORCE**-2),
         disturbance=road("C"),
         x0=start,
         p0=SPREAD,
@@ -50,7 +63,7 @@ def car_study(name: str, title: str, nominal: Plant, real: Plant, *, track: floa
             real, road("C"), x0=start, runs=1, steps=12000,
             held_out={"average road (C)": road("C"), "poor road (D)": road("D")},
         ),
-        metrics=_ride(nominal),
+        metrics=metrics,
     )  # fmt: skip
 
 
@@ -64,6 +77,6 @@ def _ride(plant: Plant) -> Ride:
     return Ride(body, travels, tyres, CAR.tyre, loads, WHEEL["travel"])
 
 
-def _by_kind(plant: Plant, values: dict[str, float]) -> Array:
-    """The value of each state of a plant, by the words that its name holds."""
-    return np.array([next(value for kind, value in values.items() if kind in name) for name in plant.state_names])
+def by_kind(names: Sequence[str], values: dict[str, float]) -> Array:
+    """The value of each quantity, by the words that its name holds; Bryson's rule: what is good costs one."""
+    return np.array([next(value for kind, value in values.items() if kind in name) for name in names])

@@ -1,6 +1,6 @@
 """A full car of seven degrees of freedom on roads of ISO 8608; springs and dampers of both axles are the design.
 
-Its road is given by speeds, so there are 15 states: the plant with 14 has heights, which follow the hills out of any X.
+Its road is given by speeds, so there are 15 states; `full_car_heights` has 14.
 """
 
 from ccdtools.plants.library import full_car

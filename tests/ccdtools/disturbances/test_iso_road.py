@@ -73,6 +73,22 @@ def test_under_a_driver_the_rear_wheels_roll_over_the_same_road(driver):
     np.testing.assert_allclose(rear[there], expected, rtol=0, atol=2e-3 * rear.std())
 
 
+def test_heights_are_those_of_the_road_half_way_through_each_step_since_the_start():
+    band = (0.011, 0.05)  # waves far longer than a step
+    road = ISORoad("C", SPEED, DT, wheelbase=2.6, band=band)
+    z = sample(replace(road, heights=True))
+    rates = sample(road)
+    np.testing.assert_allclose(np.diff(z, axis=1) / DT, 0.5 * (rates[:, 1:] + rates[:, :-1]), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(z[:, 0], 0.5 * DT * rates[:, 0], rtol=0, atol=1e-12)
+
+
+def test_heights_of_a_band_stay_bounded_on_a_long_road():
+    z = sample(ISORoad("C", SPEED, DT, heights=True), runs=20, steps=12000)[:, :, 0]
+    power = 256e-6 * 0.1**2 * (1 / BAND[0] - 1 / BAND[1])
+    assert np.var(z, axis=1).mean() == pytest.approx(power, rel=0.15)
+    assert np.abs(z).max() < 12 * np.sqrt(power)
+
+
 def test_left_and_right_differ_but_not_entirely():
     w = sample(CAR, runs=20)
     left, right = w[:, :, 0].ravel(), w[:, :, 1].ravel()

@@ -11,9 +11,10 @@ import pytest
 from small_runs import tiny_configuration
 from typer.testing import CliRunner
 
-from ccdtools import Study, depth_outside, expert_dataset, saturated_lqr, simulate
+from ccdtools import LinearFeedback, Study, depth_outside, expert_dataset, saturated_lqr, simulate
 from ccdtools.cli import app
 from ccdtools.plants import library
+from ccdtools.plants.library import full_car
 from ccdtools.studies import Generations, RunFolder, load_study, study_names
 from ccdtools.studies.report.report import write_report
 
@@ -40,6 +41,7 @@ def test_the_variants_of_the_library_have_studies():
     assert (lagging.nx, lagging.linear) == (5, True)
     assert not load_study("quarter_car_nonlinear").plant.linear
     assert load_study("mass_chain_10").plant.nx == 20
+    assert load_study("full_car_heights").plant.nx == 14
 
 
 @pytest.mark.parametrize("name", study_names())
@@ -76,6 +78,20 @@ def test_lqr_at_the_start_keeps_the_real_plant_within_twice_its_limits(name):
     reached = np.abs(run.states).max(axis=(0, 1)) / study.problem().state_scale
     assert not run.diverged.any()
     assert 0.05 < reached.max() < 2.0
+
+
+def test_a_car_on_heights_rides_as_the_same_car_on_the_speeds_of_its_road():
+    rides = []
+    for name, plant in (("full_car", full_car(twist_decay=0.0)), ("full_car_heights", full_car(road="height"))):
+        study = load_study(name)
+        idle = LinearFeedback(np.zeros((4, plant.nx)))
+        run = simulate(
+            plant, idle, x0=np.zeros((2, plant.nx)), steps=1000, disturbance=study.disturbance, design=study.p0,
+            rng=np.random.default_rng(0),
+        )  # fmt: skip
+        rides.append(study.metrics(run))
+    for measure, value in rides[0].items():  # heights that are held over a sample lack some of the shortest waves
+        assert rides[1][measure] == pytest.approx(value, rel=0.03 if "tyre" not in measure else 0.15), measure
 
 
 def test_the_command_line_names_every_study_where_one_looks_for_them():

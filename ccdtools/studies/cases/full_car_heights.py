@@ -1,0 +1,42 @@
+"""The full car of 14 states, whose roads of ISO 8608 are given by their heights.
+
+The states are where the car is, and follow the road: heights of a band that begins above 0 are bounded, and so is X.
+What is judged are suspension travels and speeds, of which the first are differences of states.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ccdtools.comparison.ride import Ride
+from ccdtools.plants.library import full_car
+from ccdtools.plants.library.full_car import WHEELS, heights_of_corners
+from ccdtools.studies.cases._cars import BODY, CAR, GOOD, PLACE, WHEEL, by_kind, study_on_roads
+from ccdtools.trajectory import Trajectory
+from invariant_sets import Polytope
+
+plant = full_car(road="height")
+places = np.eye(plant.nx)[:7]
+speeds = np.eye(plant.nx)[7:]
+travels = heights_of_corners(CAR).full() @ places[4:] - places[:4]
+judged = np.vstack([places, travels, speeds])
+names = [*["place"] * 7, *["travel"] * 4, *["wheel speed"] * 4, *BODY]
+limits, good = (by_kind(names, values) for values in (WHEEL | BODY | PLACE, GOOD))
+front, rear = CAR.loads
+ride = Ride(8, range(4, 8), range(4), CAR.tyre, [front, front, rear, rear], WHEEL["travel"])
+
+
+def metrics(run: Trajectory) -> Mapping[str, float]:
+    """How the car rode: the ride of its tyre deflections, travels and heave rate."""
+    under = run.disturbances[..., : len(WHEELS)]
+    road = np.concatenate([0.0 * under[:, :1], 0.5 * (under[:, 1:] + under[:, :-1]), under[:, -1:]], axis=1)
+    parts = [run.states[..., :4] - road, run.states @ travels.T, run.states[..., 11:12]]
+    return ride(replace(run, states=np.concatenate(parts, axis=-1)))
+
+
+study = study_on_roads(
+    "full_car_heights", "Full car on heights", plant, full_car(road="height", real=True),
+    Polytope(np.vstack([judged, -judged]), np.tile(limits, 2)), judged.T @ np.diag(good**-2) @ judged, metrics,
+    track=2 * CAR.half_track, heights=True,
+)  # fmt: skip
