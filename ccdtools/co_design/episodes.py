@@ -23,6 +23,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from learning.networks import ActorCritic, scaled
 
 LONGEST_SEGMENT = 100  # steps whose intermediate values are held at once
+HELD = 256 * 2 * LONGEST_SEGMENT  # samples of all runs whose intermediate values may be held, however many steps
 FEWEST = 16  # parallel episodes, however long they are
 
 Law = Callable[[Tensor], Tensor]
@@ -98,7 +99,7 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
     nothing = torch.zeros(len(x0), dtype=torch.float64)
     running = torch.ones(len(x0), dtype=torch.bool)
     progress = _Progress(x0, step.without_error(x0), running, nothing, nothing, nothing, nothing)
-    recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT
+    recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT and w.shape[0] * w.shape[1] > HELD
     length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
 
     def advanced(progress: _Progress, w: Tensor) -> _Progress:

@@ -16,6 +16,7 @@ from mpc import MPCError
 
 LANDSCAPE = {1: 21, 2: 9}  # designs per axis, by the number of design parameters
 LANDSCAPE_RUNS = 400
+QUICK_RUNS = 100  # of a quick run: of a plant that is not linear, 400 take longer than a generation
 LANDSCAPE_DIVERGED = 0.01
 
 
@@ -51,7 +52,7 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
                                         whole=bool(space.whole[shown].any()))  # fmt: skip
     caption = (
         f"Mean return of saturated LQR on the nominal model over the design box ({mean.size} designs, "
-        f"{LANDSCAPE_RUNS} runs each on common random numbers), computed apart from the co-design; the design should "
+        f"{_runs(run)} runs each on common random numbers), computed apart from the co-design; the design should "
         "walk from its square to its star towards higher return."
     )
     if space.whole[shown].any():
@@ -73,10 +74,15 @@ def _axis(space: DesignSpace, i: int, n: int, visited: Array) -> Array:
     return np.unique(np.round(np.r_[values, visited])) if space.whole[i] else values
 
 
+def _runs(run: FinishedRun) -> int:
+    """Runs of every design."""
+    return QUICK_RUNS if run.quick else LANDSCAPE_RUNS
+
+
 def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[float], list[float]]:
     """Mean return of LQR, half-width of its 95 % interval, and fraction of diverged runs, of every design."""
     rng = np.random.default_rng(np.random.SeedSequence(run.results["seed"], spawn_key=tuple(b"landscape")))
-    x0, w = run.problem.scenarios.sample(LANDSCAPE_RUNS, run.study.steps, rng)
+    x0, w = run.problem.scenarios.sample(_runs(run), run.study.steps, rng)
     columns = [_return_at(run, design, x0, w) for design in designs]
     mean, interval, diverged = (list(column) for column in zip(*columns))
     return mean, interval, diverged
