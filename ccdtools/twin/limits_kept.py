@@ -13,14 +13,14 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.limit_tolerance import BESIDE_MPC, FLOOR, HORIZON, MPC_RUNS, Pair
+from ccdtools.co_design.limit_tolerance import BESIDE_MPC, FLOOR, MPC_RUNS, Pair, limited_mpc
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.limits import StateLimits
 from ccdtools.outside import Outside
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import mean_interval, paired_difference
 from ccdtools.trajectory import Trajectory
-from mpc import LinearMPC, MPCError
+from mpc import MPCError
 
 MEASURES = ("fraction", "peak")
 
@@ -104,11 +104,7 @@ def _granted(problem: CoDesignProblem, scenario: Scenario, design: Array, limits
     """A quarter more than what MPC of a design does on a scenario; the least there is where it loses all runs."""
     least = Pair(FLOOR, FLOOR)
     try:
-        A, B, _ = problem.model.matrices(design)
-        mpc = LinearMPC(
-            A, B, **problem.weights(design).keywords(), horizon=HORIZON, X=problem.kept_by_mpc(design), U=problem.U
-        )
-        run = scenario.run(mpc, design=design, limit=problem.limit)
+        run = scenario.run(limited_mpc(problem, design), design=design, limit=problem.limit)
     except MPCError:
         return least
     if run.diverged.all():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ccdtools import CVaR, MeanSpread, QuadraticObjective
+from ccdtools.scenario import Scenario
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.redesign import InService, RedesignStatus, judge_redesign
@@ -136,3 +137,19 @@ def test_a_price_in_per_cent_is_of_what_control_makes_whatever_the_design_costs(
     assert [one.status for one in decisions] == [RedesignStatus.TAKEN, RedesignStatus.BELOW_PRICE]
     assert decisions[0].needed == pytest.approx(0.1 * cost.mean() * STEPS, rel=1e-4)
     assert decisions[0].promise().startswith("+15 %")
+
+
+def test_what_mpc_may_do_is_the_same_whichever_way_the_limits_are_stated(illustrative):
+    """Disturbed beyond what its input can hold, MPC leaves X as far with U(p) and X(p) as with the same numbers."""
+    problem = evaluation_of(illustrative).problem
+    (low, high), (least, largest) = problem.U.bounding_box(), problem.X.bounding_box()
+    of_design = replace(
+        problem, U=lambda p: (low + 0 * p[0], high * p[0] / 2.2), X=lambda p: (least + 0 * p[0], largest * p[0] / 2.2)
+    )
+    w = np.random.default_rng(0).normal(size=(RUNS, STEPS, problem.model.nw))
+    scenario = Scenario(problem.model, np.zeros((RUNS, problem.model.nx)), w)
+    limit, _ = half_width(problem.X)
+    pair = (run_of(np.full(RUNS, 0.1), design=[2.2], outside=5 * limit), run_of(np.full(RUNS, 0.1), design=[2.2]))
+    fixed, stated = (breach(one, scenario, *pair, None).granted for one in (problem, of_design))
+    assert fixed.depth > 0.1
+    assert (stated.fraction, stated.depth) == pytest.approx((fixed.fraction, fixed.depth))
