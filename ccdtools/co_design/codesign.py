@@ -18,7 +18,7 @@ from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, Valley
-from ccdtools.co_design.risk import Mean
+from ccdtools.co_design.risk import check_followed
 from ccdtools.co_design.starts import chosen_valleys, leader, race, start_designs
 from ccdtools.co_design.task import LimitPenalty, Task
 from ccdtools.exceptions import InputError
@@ -71,9 +71,7 @@ def codesign(
     config = as_instance("config", CoDesignConfig() if config is None else config, CoDesignConfig, "a CoDesignConfig")
     judge = as_instance("judge", problem if judge is None else judge, CoDesignProblem, "a CoDesignProblem or None")
     design = problem.design.check_feasible(design)
-    if not isinstance(problem.risk, Mean) and ("ppo" in method or config.design_gradient != "pathwise"):
-        got = f'"{method}" with the design gradient "{config.design_gradient}"'
-        raise InputError("method", got, '"pathwise" for both: PPO follows the mean return, and the problem has a risk')
+    check_followed(problem.risk, method, config.design_gradient)
     check_agent(problem, agent)
     as_flag("progress", progress)
     if limits is not None:

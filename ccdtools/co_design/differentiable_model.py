@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.risk import fewest_runs
 from ccdtools.design_limits import DesignLimits, widest
 from ccdtools.limits import StateLimits
 from ccdtools.plants.models import Model
@@ -188,7 +189,8 @@ def observe(x: Tensor, p: Tensor) -> Tensor:
 
 
 def scenario_tensors(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> ScenarioTensors:
-    """`runs` scenarios of a problem as float32 tensors: (n, nx) and (n, T, nw)."""
+    """`runs` scenarios of a problem as float32 tensors: (n, nx) and (n, T, nw); of a worst case one a case at least."""
+    runs = max(runs, fewest_runs(problem.risk))
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     if problem.discrepancy is not None and problem.discrepancy.noise == "quantiles":
         w = problem.driving(runs, problem.steps, rng)

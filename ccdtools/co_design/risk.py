@@ -142,8 +142,20 @@ class WorstCase:
                              "Such as Stacked((road, Cases.of([-0.2, 0.2]))).")  # fmt: skip
         return replace(self, cases=cases)
 
+    def exact(self) -> WorstCase:
+        """The least mean itself: what is shown, where no slope is asked for."""
+        return replace(self, smoothing=0.0)
+
     def means(self, returns: Any) -> Any:
-        """The mean return of every case, (..., m), of returns (..., n)."""
+        """The mean return of every case, (..., m), of returns (..., n).
+
+        There must be one run of every case at least.
+
+        Raises
+        ------
+        InputError
+            If the number of cases is not known.
+        """
         members = self._members(returns)
         return returns @ members.T / members.sum(-1)
 
@@ -168,10 +180,24 @@ class WorstCase:
 
     def _members(self, returns: Any) -> Any:
         """1 where a run is one of a case, else 0, (m, n)."""
+        if self.cases is None:
+            raise InputError("risk", "a worst case that does not know its cases", "the number of cases",
+                             "Take the risk of a problem, or say WorstCase(cases=3).")  # fmt: skip
         n = returns.shape[-1]
-        cases = min(self.cases or 1, n)
-        members = (np.arange(n) % cases == np.arange(cases)[:, None]).astype(float)
+        members = (np.arange(n) % self.cases == np.arange(self.cases)[:, None]).astype(float)
         return members if isinstance(returns, np.ndarray) else returns.new_tensor(members.tolist())
+
+
+def check_followed(risk: Risk, method: str, design_gradient: str) -> None:
+    """Raise an `InputError` if a method follows the mean where something else is asked for."""
+    if not isinstance(risk, Mean) and ("ppo" in method or design_gradient != "pathwise"):
+        got = f'"{method}" with the design gradient "{design_gradient}"'
+        raise InputError("method", got, '"pathwise" for both: PPO follows the mean return, and the problem has a risk')
+
+
+def fewest_runs(risk: Risk) -> int:
+    """How many runs a risk needs to say anything: one of every case."""
+    return (risk.cases or 1) if isinstance(risk, WorstCase) else 1
 
 
 def has_cases(scenarios: Any) -> bool:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
-from ccdtools.co_design.risk import Risk, as_risk, measure
+from ccdtools.co_design.risk import Risk, WorstCase, as_risk, fewest_runs, measure
 from ccdtools.comparison.baselines import REFERENCE
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.controllers.controllers import Controller
@@ -195,7 +195,7 @@ def compare(
         `Ride`.
     risk : Risk, optional
         Shown beside the metrics: its measure of the returns, such as ``problem.risk`` of scenarios of the problem; NaN
-        where a run diverged.
+        where a run diverged. Of a worst case it is the least mean, not rounded; NaN of fewer runs than cases.
 
     Raises
     ------
@@ -236,10 +236,17 @@ def compare(
         shown = {} if metrics is None else metrics_of(metrics, run)
         if risk is not None:
             returns = np.where(run.diverged, np.nan, run.returns(objective))
-            shown |= {f"return, {measure(risk)}": float(risk.values(returns).mean())}
+            shown |= {f"return, {measure(risk)}": _in_risk(risk, returns)}
         scores.append(replace(score, metrics=shown) if shown else score)
     found = (replace(one, further_outside_than=outside[one.controller].further_than(outside)) for one in scores)
     return Comparison(tuple(found), limits_in_words(output_limits))
+
+
+def _in_risk(risk: Risk, returns: Array) -> float:
+    """The risk of returns (n,); of a worst case the least mean itself, NaN of runs that are fewer than its cases."""
+    if len(returns) < fewest_runs(risk):
+        return float("nan")
+    return float((risk.exact() if isinstance(risk, WorstCase) else risk).values(returns).mean())
 
 
 def _score(

@@ -7,6 +7,7 @@ from typing import Any
 
 from ccdtools.checks import as_choice, as_flag, as_positive
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
+from ccdtools.co_design.risk import check_followed
 from ccdtools.studies.options import EXPERTS, PRESETS, SETS
 from ccdtools.studies.study import Study
 from ccdtools.twin.online import ONLINE_TRAINING, OnlineConfig
@@ -102,7 +103,8 @@ def configuration(
     Raises
     ------
     InputError
-        If `preset`, `expert`, `method`, `design_gradient` or `sets` is unknown, or the time limit is not above 0.
+        If `preset`, `expert`, `method`, `design_gradient` or `sets` is unknown, or the time limit is not above 0;
+        if the method follows the mean, and the study has a risk.
     """
     as_choice("preset", preset, PRESETS)
     as_choice("expert", expert, EXPERTS)
@@ -121,6 +123,7 @@ def configuration(
             codesign=replace(config.codesign, design_gradient=design_gradient),
             redesign=replace(config.redesign, design_gradient=design_gradient),
         )
+    check_followed(study.risk, config.method, config.codesign.design_gradient)
     return _quick(config) if quick else config
 
 

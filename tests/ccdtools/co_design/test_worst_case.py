@@ -29,6 +29,7 @@ from ccdtools import (
     expert_dataset,
     saturated_lqr,
 )
+from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.landscape import Landscape
 from ccdtools.disturbances.combinations import cases_in
 from learning import CloningConfig, NetworkConfig, fit_actor_critic
@@ -202,3 +203,33 @@ def test_a_co_design_reaches_the_minimax_of_linear_feedback():
     returns = Scenario(own.model, *fresh).run(found.policy, design=found.design).returns(own.objective)
     assert -means_by_hand(returns, len(MASSES)).min() < 1.02 * least
     assert abs(found.design[0] - k) < 0.2
+
+
+# --- every case counts --------------------------------------------------------------------------------------
+
+
+def test_a_worst_case_that_does_not_know_its_cases_says_so_and_is_not_the_mean():
+    with pytest.raises(InputError, match="does not know its cases"):
+        WorstCase().values(np.arange(6.0))
+
+
+def test_every_case_is_met_however_few_runs_are_asked_for():
+    """The last mass is the worst: with two runs of three cases it would not be seen."""
+    own = problem(WorstCase(smoothing=0))
+    x0, w = scenario_tensors(own, 2, np.random.default_rng(0))
+    assert len(x0) == len(w) == len(MASSES)
+    mean = replace(own, risk=Mean())
+    assert len(scenario_tensors(mean, 2, np.random.default_rng(0))[0]) == 2
+
+
+def test_a_comparison_shows_the_least_mean_itself_and_nothing_of_too_few_runs():
+    own = problem(WorstCase(smoothing=0.1))
+    x0, w = own.scenarios.sample(60, STEPS, np.random.default_rng(0))
+    law = saturated_lqr(own, [1.2])
+    scenario = Scenario(own.model, x0, w)
+    found = compare({"LQR": law, "MPC": law}, scenario, design=[1.2], objective=own.objective, X=own.X, risk=own.risk,
+                    few={"MPC": 2})  # fmt: skip
+    returns = scenario.run(law, design=[1.2]).returns(own.objective)
+    [least], [few] = (found[name].metrics.values() for name in ("LQR", "MPC"))
+    assert least == pytest.approx(means_by_hand(returns, 3).min(), rel=1e-9)
+    assert np.isnan(few)
