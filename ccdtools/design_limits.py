@@ -50,6 +50,8 @@ class DesignLimits(Immutable):
     def of(cls, argument: str, given: Callable[..., Any], size: int, of: str, space: DesignSpace) -> DesignLimits:
         """The limits that a function of p gives of `size` numbers, looked at over the whole box of designs.
 
+        Also where constraints forbid a design: the expert's data cover the box.
+
         Raises
         ------
         InputError
@@ -59,7 +61,6 @@ class DesignLimits(Immutable):
         both = SymbolicFunction(argument, _compiled(argument, given, size, of, space.dim), ("p",))
         both.function(space.dim)
         designs = space.spread()
-        designs = designs[space.violation(designs) <= FEASIBLE]
         lower, upper = np.split(np.asarray(both.vector(space.dim)(designs)), 2, axis=-1)
         wrong = {
             "finite numbers": ~(np.isfinite(lower) & np.isfinite(upper)),
@@ -71,7 +72,7 @@ class DesignLimits(Immutable):
             if len(found):
                 k, i = found[0]
                 got = f"{lower[k, i]:.6g} and {upper[k, i]:.6g} for number {i + 1} at {space.describe(designs[k])}"
-                raise InputError(argument, got, f"{expected} over the whole box of designs")
+                raise InputError(argument, got, f"{expected} over the whole box of designs", _cure(space, designs[k]))
         return cls(argument, both, tuple(space.names), frozen(lower.min(axis=0)), frozen(upper.max(axis=0)))
 
     def __repr__(self) -> str:
@@ -197,6 +198,13 @@ def bounds_at(limits: Limits, p: Any) -> tuple[Any, Any]:
 def widest(limits: Limits) -> Polytope:
     """The limits, or of those that depend on the design the box of their widest bounds."""
     return limits.widest if isinstance(limits, DesignLimits) else limits
+
+
+def _cure(space: DesignSpace, p: Array) -> str:
+    """What to do about bounds that are wrong at a design that constraints forbid."""
+    if space.violation(p[None])[0] <= FEASIBLE:
+        return ""
+    return "No such design may be built, but data are drawn over the whole box: hold the bounds apart with ca.fmax."
 
 
 def _compiled(argument: str, given: Callable[..., Any], size: int, of: str, designs: int) -> ca.Function:

@@ -230,11 +230,21 @@ class CoDesignProblem(Immutable):
             raise InputError("scenarios", f"initial states of shape {x0[1:]}", f"({self.model.nx},)")
         if isinstance(self.scenarios, FixedStart | RandomStarts):
             self.scenarios.check_within(widest(self.X))
+        self._check_start_room()
         self._check_start_outputs()
         replayed = self.discrepancy is not None and self.discrepancy.noise == "replayed"
         width = self.model.nx if replayed else self.model.nw
         if (self.discrepancy is None or replayed) and w != (1, self.steps, width):
             raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
+
+    def _check_start_room(self) -> None:
+        """Raise an `InputError` if the fixed start lies within X(p) at none of the designs that are looked at."""
+        if not isinstance(self.X, DesignLimits) or not isinstance(self.scenarios, FixedStart):
+            return
+        designs = self.design.spread()
+        if not self.X.contains(np.tile(self.scenarios.x0, (len(designs), 1)), designs).any():
+            got = f"{self.scenarios.x0.tolist()}, which is outside X at every design"
+            raise InputError("scenarios.x0", got, "a state within X at some design")
 
     def _check_start_outputs(self) -> None:
         """Raise an `InputError` if the fixed start breaks a limit of an output at every design, whatever the input."""

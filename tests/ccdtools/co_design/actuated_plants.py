@@ -50,6 +50,11 @@ def _plant(in_parts: bool) -> tuple[Plant, CustomObjective]:
     return Plant(x, u, w, p, dynamics, SPACE, dt=0.1), objective
 
 
+def native_plant() -> Plant:
+    """The plant of the problem with U(p)."""
+    return _plant(in_parts=False)[0]
+
+
 def native(X=([-3, -4], [3, 4]), **changes) -> CoDesignProblem:
     """The problem with U(p)."""
     plant, objective = _plant(in_parts=False)

@@ -2,14 +2,31 @@
 
 import copy
 import pickle
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 import torch
-from actuated_plants import SPACE, X0, full_force, in_parts, native, range_of, room, room_of
+from actuated_plants import (
+    SPACE,
+    STEPS,
+    X0,
+    bounds,
+    full_force,
+    in_parts,
+    native,
+    native_plant,
+    range_of,
+    room,
+    room_of,
+)
 
 from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
     InputError,
     LearnedPolicy,
     Scenario,
@@ -17,6 +34,7 @@ from ccdtools import (
     baselines,
     codesign,
     compare,
+    discretise,
     expert_dataset,
     feasible_sets,
     least_depth,
@@ -344,6 +362,36 @@ def test_starts_outside_every_room_are_refused():
     with pytest.raises(InputError) as caught:
         native(X=lambda p: (-p[0] / 10, p[0] / 10))
     assert caught.value.argument == "scenarios.x0"
+
+
+def test_a_start_that_each_design_has_room_for_in_one_state_alone_is_refused():
+    """Far out where it may not be fast, and fast where it may not be far out."""
+    with pytest.raises(InputError, match="outside X at every design") as caught:
+        native(X=lambda p: ([-3, -4], ca.vertcat(p[0], 3.5 - p[0])), scenarios=FixedStart([2.8, 2.8], Gaussian([0.5])))
+    assert caught.value.argument == "scenarios.x0"
+    native(X=lambda p: ([-3, -4], ca.vertcat(p[0], 3.5 - p[0])), scenarios=FixedStart([1.7, 1.7], Gaussian([0.5])))
+
+
+@pytest.mark.parametrize("argument", ["X", "U"])
+def test_limits_are_looked_at_where_constraints_forbid_a_design_too(argument):
+    """The expert's data cover the box: bounds that cross there are named at once, with what to do."""
+    plant = replace(native_plant(), design=DesignSpace(["b"], [0.5], [3.0], constraints=lambda p: 1.5 - p[0]))
+    given = {"X": ([-3, -4], [3, 4]), "U": bounds, "objective": native().objective, "steps": STEPS,
+             "scenarios": FixedStart(X0, Gaussian([0.5]))}  # fmt: skip
+    with pytest.raises(InputError, match="fmax") as caught:
+        CoDesignProblem(discretise(plant), **given | {argument: lambda p: (-4.0, 4 * (p[0] - 1.0))})
+    assert caught.value.argument == argument
+    CoDesignProblem(discretise(plant), **given | {argument: lambda p: (-4.0, 4 * ca.fmax(p[0] - 1.0, 0.1))})
+
+
+def test_limits_of_designs_that_constraints_leave_little_of_are_limits():
+    """None of the designs that are looked at may be built."""
+    narrow = DesignSpace(["b"], [0.5], [3.0], constraints=lambda p: (p[0] - 1.234) ** 2 - 1e-6)
+    plant = replace(native_plant(), design=narrow)
+    problem = CoDesignProblem(discretise(plant), X=([-3, -4], [3, 4]), U=bounds, objective=native().objective,
+                              scenarios=FixedStart(X0, Gaussian([0.5])), steps=STEPS)  # fmt: skip
+    for found, expected in zip(problem.input_limits([1.234]).bounding_box(), range_of([1.234])):
+        assert found == pytest.approx([expected])
 
 
 def test_limits_that_cross_between_the_designs_that_were_looked_at_are_named_there():
