@@ -37,9 +37,16 @@ def headline(results: Results) -> str:
 
 
 def _judged_by(results: Results) -> str:
-    """What of the returns redesigns were judged by, where it is not their mean, which the costs here are."""
+    """What of the returns was optimised and judged by, where it is not their mean, which the costs here are."""
     measure = results.get("measure", "mean")
-    return "" if measure == "mean" else f"these are mean costs, the study is judged by the {measure}"
+    if measure != "mean":
+        return f"these are mean costs, the study is judged by the {measure}"
+    optimised = results.get("optimised", "mean")
+    if optimised == "mean":
+        return ""
+    return (
+        f"these are mean costs, generation 1 was optimised for the {optimised}, and what followed is judged by the mean"
+    )
 
 
 def _idle(results: Results) -> str:

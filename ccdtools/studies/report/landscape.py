@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.risk import Mean, measure
 from ccdtools.comparison.baselines import saturated_lqr
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.simulation import simulate
@@ -52,9 +53,12 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
                                         whole=bool(space.whole[shown].any()))  # fmt: skip
     caption = (
         f"Mean return of saturated LQR on the nominal model over the design box ({mean.size} designs, "
-        f"{_runs(run)} runs each on common random numbers), computed apart from the co-design; the design should "
-        "walk from its square to its star towards higher return."
+        f"{_runs(run)} runs each on common random numbers), computed apart from the co-design; "
     )
+    if isinstance(run.problem.risk, Mean):
+        caption += "the design should walk from its square to its star towards higher return."
+    else:
+        caption += f"the co-design followed the {measure(run.problem.risk)}, whose best design may lie elsewhere."
     if space.whole[shown].any():
         caption += " Of whole numbers there is nothing between those shown."
     if fine.any():

@@ -72,7 +72,7 @@ def results(
         "design_space": {"names": space.names, "units": space.units, "lower": space.lower, "upper": space.upper,
                          "constraints": space.constraint_names, "integer": space.integer},
         "start": space.as_dict(study.p0), "limits": limits_in_words(evaluation.problem.output_limits),
-        "measure": measure(study.judged_in),
+        "measure": measure(study.judged_in), "optimised": measure(evaluation.problem.risk),
         "objective": study.objective.describe(),
         "initialisation": {key: value for key, value in initial.values.items() if key != "report"},
         "generations": list(generations),

@@ -35,6 +35,11 @@ def test_the_worst_case_is_optimised_and_shown(tmp_path, monkeypatch):
     page = (tmp_path / "run" / "report.html").read_text()
     assert "Of the returns a co-design optimises the worst of 3 cases" in page
     assert name in page
+    after = "generation 1 was optimised for the worst of 3 cases, and what followed is judged by the mean"
+    assert after in results["headline"]
+    assert "Gains and local optima are in the worst of 3 cases; from generation 2 on in the mean." in page
+    assert "All gains are in the" not in page
+    assert "the co-design followed the worst of 3 cases" in page
 
 
 def test_a_worst_case_without_cases_is_refused():
