@@ -20,7 +20,7 @@ from ccdtools.outside import Outside
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import mean_interval, paired_difference
 from ccdtools.trajectory import Trajectory
-from mpc import MPCError
+from mpc import InputError, MPCError
 
 MEASURES = ("fraction", "peak")
 
@@ -105,7 +105,9 @@ def _granted(problem: CoDesignProblem, scenario: Scenario, design: Array, limits
     least = Pair(FLOOR, FLOOR)
     try:
         run = scenario.run(limited_mpc(problem, design), design=design, limit=problem.limit)
-    except MPCError:
+    except InputError:
+        raise
+    except MPCError:  # no law at this design, such as of a plant that cannot be stabilised
         return least
     if run.diverged.all():
         return least
