@@ -51,9 +51,11 @@ class Native:
         """The function for so many rows, some of whose arguments are common to all."""
         if rows == 1:
             return self._function
-        if (rows, common) not in self._for_rows:
-            if len(self._for_rows) >= KEPT:
-                del self._for_rows[next(iter(self._for_rows))]
+        made = self._for_rows.get((rows, common))
+        if made is None:
             name = f"{self._function.name()}_{rows}"
-            self._for_rows[rows, common] = self._function.map(name, "serial", rows, list(common), [])
-        return self._for_rows[rows, common]
+            made = self._function.map(name, "serial", rows, list(common), [])
+            for oldest in list(self._for_rows)[: max(0, len(self._for_rows) - KEPT + 1)]:
+                self._for_rows.pop(oldest, None)  # another thread may have been faster
+            self._for_rows[rows, common] = made
+        return made

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.plants.casadi_arrays import Tape
+from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import Tape, check_sizes
 from ccdtools.plants.in_place import InPlace, as_rows
 from ccdtools.plants.native import FEW, Native
 from ccdtools.plants.runge_kutta import ExplicitStep
@@ -44,7 +45,19 @@ class PathwiseStep:
         return Tape(_slopes_of(self._step.substep))
 
     def __call__(self, x: Tensor, u: Tensor, w: Tensor, p: Tensor) -> Tensor:
-        """Next states (n, nx)."""
+        """Next states (n, nx).
+
+        Raises
+        ------
+        InputError
+            If a size is wrong, or the rows of one are not as many as those of x.
+        """
+        check_sizes(self._step.substep, (x, u, w, p))
+        for name, given in zip("xuwp", (x, u, w, p)):
+            if len(given.shape) != 2 and (name == "x" or len(given.shape) != 1):
+                raise InputError(name, f"shape {tuple(given.shape)}", "rows (n, ·), or one (·,) for all but x")
+            if len(given.shape) == 2 and len(given) != len(x):
+                raise InputError(name, f"{len(given)} rows", f"{len(x)}, as many as x has")
         out: Tensor = _Taken.apply(self, x, u, w, p)
         return out
 
@@ -89,18 +102,35 @@ class _Taken(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, step: PathwiseStep, *tensors: Tensor) -> Tensor:
         """x⁺ (n, nx)."""
-        x, *held = (tensor.detach().double().numpy() for tensor in tensors)
+        x, *held = _arrays(*tensors)
         ctx.step = step
-        ctx.held = tuple(held)
-        ctx.x = x
-        ctx.shapes = tuple(tensor.shape for tensor in tensors)
-        after, ctx.states = step.advanced(x, ctx.held)
+        ctx.save_for_backward(*tensors)  # torch then refuses slopes at what has been overwritten since
+        after, ctx.states = step.advanced(x, tuple(held))
         return tensors[0].new_tensor(after)
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """Slopes by x, u, w and p; summed over what is common to all runs."""
-        found = ctx.step.slopes(ctx.x, ctx.held, ctx.states, gradient.double().numpy())
-        out = [part.sum(axis=0) if len(shape) == 1 else part for part, shape in zip(found, ctx.shapes)]
-        return None, *(gradient.new_tensor(part) for part in out)
+        return None, *_Slopes.apply(ctx.step, ctx.states, gradient, *ctx.saved_tensors)
+
+
+class _Slopes(torch.autograd.Function):
+    """Slopes of a step: an operation of their own, which depends on x, u, w and p and says that it ends there."""
+
+    @staticmethod
+    def forward(ctx: Any, step: PathwiseStep, states: list[Array], *tensors: Tensor) -> tuple[Tensor, ...]:
+        """The slopes in the shapes of x, u, w and p, from the multiplier and these."""
+        multiplier, x, *held = _arrays(*tensors)
+        found = step.slopes(x, tuple(held), states, multiplier)
+        out = [part.sum(axis=0) if one.ndim == 1 else part for part, one in zip(found, tensors[1:])]
+        return tuple(tensors[0].new_tensor(part) for part in out)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, ...]:
+        """Refused, as zero would be wrong."""
+        raise RuntimeError("`pathwise` is differentiable once; `advance` of the model has second derivatives")
+
+
+def _arrays(*tensors: Tensor) -> tuple[Array, ...]:
+    """Tensors as arrays in double precision."""
+    return tuple(tensor.detach().double().numpy() for tensor in tensors)

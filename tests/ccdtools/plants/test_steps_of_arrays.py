@@ -1,12 +1,14 @@
 """Steps of few runs by CasADi's machine and of many by arrays in place: both are the step that CasADi computes."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import casadi as ca
 import numpy as np
 import pytest
 import torch
 
-from ccdtools import DesignSpace, Plant, SampledModel
-from ccdtools.plants.native import FEW
+from ccdtools import DesignSpace, InputError, Plant, SampledModel
+from ccdtools.plants.native import FEW, KEPT
 
 RUNS = [1, 2, FEW, FEW + 1, 2500]
 DESIGN = DesignSpace(["a", "b"], lower=[0.5, 1.0], upper=[2.0, 3.0])
@@ -86,3 +88,54 @@ def test_a_run_that_is_no_number_leaves_the_others_as_they_are(n, rng):
     others = np.arange(n) != 1
     np.testing.assert_array_equal(model.advance(spoilt, u, w, p)[others], model.advance(x, u, w, p)[others])
     assert np.isnan(model.advance(spoilt, u, w, p)[1, 0])
+
+
+@pytest.mark.parametrize("n", [5, 300])
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [("x", (3,)), ("x", ("n", 4)), ("u", ("n", 3)), ("u", ("2n", 2)), ("u", (1, 2)), ("w", (0,)), ("p", ("2n", 2)),
+     ("p", (3,)), ("p", (2, 1, 2))],
+)  # fmt: skip
+def test_a_pathwise_step_of_sizes_that_do_not_fit_is_refused_by_name(name, shape, n, rng):
+    model = SampledModel(winding(), 0.1)
+    given = dict(zip("xuwp", (torch.tensor(a) for a in (*drawn(model, n, rng), designs(n, True, rng)))))
+    given[name] = torch.zeros([{"n": n, "2n": 2 * n}.get(size, size) for size in shape], dtype=torch.float64)
+    with pytest.raises(InputError, match=f"^{name}: "):
+        model.pathwise(**given)
+
+
+@pytest.mark.parametrize("n", [4, 300])
+def test_slopes_at_a_state_that_was_overwritten_are_refused_as_torch_does(n, rng):
+    model = SampledModel(winding(), 0.1)
+    x, u, w = (torch.tensor(a, requires_grad=True) for a in drawn(model, n, rng))
+    p = torch.tensor([1.0, 2.0], dtype=torch.float64)
+    once = model.pathwise(x, u, w, p)
+    twice = model.pathwise(once, u, w, p)
+    with torch.no_grad():
+        once.mul_(0.5)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        twice.sum().backward()
+
+
+@pytest.mark.parametrize("power", [1, 2])
+def test_second_derivatives_of_a_pathwise_step_are_refused_not_zero(power, rng):
+    model = SampledModel(winding(), 0.1)
+    x, u, w = (torch.tensor(a, requires_grad=True) for a in drawn(model, 4, rng))
+    after = model.pathwise(x, u, w, torch.tensor([1.0, 2.0], dtype=torch.float64))
+    slopes = torch.autograd.grad((after**power).sum(), x, create_graph=True)[0]
+    with pytest.raises(RuntimeError, match="differentiable once"):
+        (slopes**2).sum().backward()
+
+
+def test_several_threads_may_step_one_model_with_many_numbers_of_runs(rng):
+    model = SampledModel(winding(), 0.1)
+    p = np.array([1.0, 2.0])
+    given = {n: drawn(model, n, rng) for n in range(2, 3 * KEPT)}
+    expected = {n: model.advance(*one, p) for n, one in given.items()}
+
+    def differs(n):
+        """Whether a step of n runs is another one here."""
+        return bool((model.advance(*given[n], p) != expected[n]).any())
+
+    with ThreadPoolExecutor(6) as pool:
+        assert not any(pool.map(differs, rng.choice(list(given), 3000)))
