@@ -91,6 +91,8 @@ class DesignSpace(Immutable):
                 raise InputError("constraint_names", shown(self.constraint_names), "none, as there are no constraints")
             object.__setattr__(self, "constraint_names", ())
             return
+        if not self.names:
+            raise InputError("constraints", shown(self.constraints), "none, as there are no parameters")
         function = compiled(self.constraints, self.names)
         object.__setattr__(self, "constraints", function)
         labels = constraint_names(self.constraint_names, function.numel_out(0))

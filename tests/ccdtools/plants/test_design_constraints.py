@@ -272,3 +272,8 @@ def test_an_edge_of_infinite_slope_is_not_near_everything():
     assert space.project([0.0])[0] == pytest.approx(0.25)
     other = DesignSpace(["a"], [0], [1], constraints=lambda p: ca.sqrt(p[0]) - 0.5)
     assert other.active_constraints([0.0]) == {}
+
+
+def test_a_constraint_on_no_parameters_is_refused():
+    with pytest.raises(InputError, match=r"constraints: .*no parameters"):
+        DesignSpace([], lower=[], upper=[], constraints=lambda p: -1.0)
