@@ -1,0 +1,128 @@
+"""Functions that a user states in CasADi: what they need is read from the names of their arguments."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+
+from mpc.exceptions import InputError
+
+Statement = Callable[..., Any]
+LONGEST = 120  # characters of a value or a message that is shown
+
+
+def compiled(argument: str, given: Any, sizes: dict[str, int], rows: int | None = None) -> ca.Function:
+    """A function of columns, from a Python function or a `casadi.Function` of some of them.
+
+    Parameters
+    ----------
+    argument : str
+        What an error calls it.
+    given : callable
+        Its arguments are named after what it gets, in any order; those of a `casadi.Function` without names
+        (i0, i1, …) are the first of `sizes`.
+    sizes : dict of str to int
+        The columns there are, and their lengths.
+    rows : int, optional
+        Of its value; any number by default.
+
+    Returns
+    -------
+    casadi.Function
+        All columns → value (rows, 1), dense. Its instructions are scalar (SX) where CasADi can make them so.
+
+    Raises
+    ------
+    InputError
+        If it asks for another name, stops, or returns no expression of these columns alone with so many rows.
+    """
+    wanted = _wanted(argument, given, tuple(sizes))
+    try:
+        return _traced(argument, given, wanted, sizes, rows, ca.SX)
+    except InputError:
+        if not isinstance(given, ca.Function):
+            raise
+        return _traced(argument, given, wanted, sizes, rows, ca.MX)  # interpolants, integrators and the like
+
+
+def _traced(argument: str, given: Any, wanted: tuple[str, ...], sizes: dict[str, int], rows: int | None,
+            kind: Any) -> ca.Function:  # fmt: skip
+    """`compiled`, with expressions of one kind: `casadi.SX` or `casadi.MX`."""
+    columns = {name: kind.sym(name, size) for name, size in sizes.items()}
+    expected = f"a function of {', '.join(sizes)} (any of them) that returns a CasADi expression"
+    arguments = [columns[name] for name in wanted]
+    if not isinstance(given, ca.Function):
+        arguments = [_Named(column, name) if column.is_empty() else column for name, column in zip(wanted, arguments)]
+    try:
+        value = given(*arguments)
+    except InputError:
+        raise
+    except Exception as error:  # the function is the user's: whatever it raises is told with what is expected
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(argument, f"one that stops with {brief(reason)}", expected) from error
+    expression = _as_column(argument, value, kind, expected)
+    if rows is not None and expression.numel() != rows:
+        raise InputError(argument, f"{expression.numel()} rows", f"{rows}, a column ({rows}, 1)")
+    known = {symbol.name() for column in columns.values() for symbol in ca.symvar(column)} if kind is ca.MX else None
+    strangers = [s for s in ca.symvar(expression) if not _is_of(s, columns, known)]
+    if strangers:
+        got = f"an expression of {', '.join(str(s) for s in strangers[:5])} besides"
+        raise InputError(argument, got, f"an expression of {', '.join(sizes)} alone")
+    return ca.Function(argument, list(columns.values()), [ca.densify(expression)], list(sizes), ["value"])
+
+
+class _Named:
+    """Stands for a column that the problem does not have: any use of it names what is missing."""
+
+    def __init__(self, column: Any, name: str) -> None:
+        self.column = column
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:
+        raise AttributeError(f"there is no {self._name} in this problem")
+
+    def __getitem__(self, index: Any) -> Any:
+        raise IndexError(f"there is no {self._name} in this problem")
+
+
+def _wanted(argument: str, given: Any, names: tuple[str, ...]) -> tuple[str, ...]:
+    """The columns that a function asks for, in its own order."""
+    expected = f"a function whose arguments are named after what it needs of {', '.join(names)}"
+    if isinstance(given, ca.Function):
+        if given.n_out() != 1:
+            raise InputError(argument, f"a casadi.Function with {given.n_out()} results", "one result")
+        own = tuple(given.name_in())
+        if all(name == f"i{k}" for k, name in enumerate(own)):
+            own = names[: given.n_in()]
+    elif callable(given) and not isinstance(given, type):
+        own = tuple(inspect.signature(given).parameters)
+    else:
+        raise InputError(argument, brief(repr(given)), expected)
+    strange = [name for name in own if name not in names]
+    if strange:
+        raise InputError(argument, f"an argument named {strange[0]!r}", expected)
+    return own
+
+
+def _as_column(argument: str, value: Any, kind: Any, expected: str) -> Any:
+    """A value as a column of expressions."""
+    try:
+        parts = list(value) if isinstance(value, list | tuple) else [value]
+        return ca.vertcat(*(ca.vec(kind(part)) for part in parts))
+    except Exception as error:
+        raise InputError(argument, f"one that returns {brief(repr(value))}", expected) from error
+
+
+def _is_of(symbol: Any, columns: dict[str, Any], known: set[str] | None) -> bool:
+    """Whether a symbol is one of these columns'."""
+    if known is not None:
+        return symbol.name() in known
+    return any(ca.depends_on(column, symbol) for column in columns.values() if not column.is_empty())
+
+
+def brief(text: str) -> str:
+    """Its first characters."""
+    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"

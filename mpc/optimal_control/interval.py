@@ -1,0 +1,183 @@
+"""The equations of one interval of the mesh, as one function that is mapped over all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mpc.checks import Array
+from mpc.optimal_control.problem import Phase, PhaseFunctions
+from mpc.optimal_control.schemes import Collocation, MultipleShooting, Scheme
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which unknowns an interval has: those of its first node, then its own.
+
+    Attributes
+    ----------
+    nx, nu, nw : int
+    node_inputs : int
+        Inputs at a node, shared by both its neighbours: nu or 0.
+    inner : tuple of float
+        Points of the interval, as fractions, with unknown states of their own.
+    held : tuple of float
+        Points with inputs of their own.
+    points : tuple of float
+        Where the dynamics are evaluated, and the signal is needed.
+    """
+
+    nx: int
+    nu: int
+    nw: int
+    node_inputs: int
+    inner: tuple[float, ...]
+    held: tuple[float, ...]
+    points: tuple[float, ...]
+
+    @property
+    def node(self) -> int:
+        """Unknowns of a node."""
+        return self.nx + self.node_inputs
+
+    @property
+    def own(self) -> int:
+        """Unknowns of an interval besides those of its nodes."""
+        return len(self.inner) * self.nx + len(self.held) * self.nu
+
+    @property
+    def column(self) -> int:
+        """Unknowns of an interval and its first node."""
+        return self.node + self.own
+
+
+def layout_of(phase: Phase, nw: int, scheme: Scheme) -> Layout:
+    """The unknowns of an interval of a phase under a scheme."""
+    sizes = (phase.states, phase.inputs, nw)
+    if isinstance(scheme, MultipleShooting) or phase.discrete:
+        return Layout(*sizes, 0, (), (0.0,), (0.0,))
+    inner = tuple(c for c in scheme.points if 0 < c < 1)
+    if scheme.continuous_inputs:
+        return Layout(*sizes, phase.inputs, inner, inner, scheme.points)
+    return Layout(*sizes, 0, inner, scheme.points, scheme.points)
+
+
+def interval_function(phase: Phase, functions: PhaseFunctions, scheme: Scheme, layout: Layout,
+                      parameters: int) -> ca.Function:  # fmt: skip
+    """(x, v, own, next x, next v, p, t, h, w) → defects, cost, path values.
+
+    v are the inputs of a node, w the signal (nw, points); x is what the unknowns say that comes next.
+    """
+    scalar = all(
+        function is None or function.is_a("SXFunction")
+        for function in (functions.dynamics, functions.stage_cost, functions.path)
+    ) and getattr(scheme, "integrator", "rk4") == "rk4"  # fmt: skip
+    kind = ca.SX if scalar else ca.MX
+    sizes = {
+        "x": layout.nx, "v": layout.node_inputs, "own": layout.own, "x_next": layout.nx, "v_next": layout.node_inputs,
+        "p": parameters, "t": 1, "h": 1, "w": layout.nw * len(layout.points),
+    }  # fmt: skip
+    s = {name: kind.sym(name, size) for name, size in sizes.items()}
+    w = ca.reshape(s["w"], layout.nw, len(layout.points))
+    if phase.discrete:
+        defects, cost, path = _step(functions, s, w)
+    elif isinstance(scheme, MultipleShooting):
+        defects, cost, path = _shoot(functions, scheme, s, w)
+    else:
+        defects, cost, path = _collocate(functions, scheme, layout, s, w)
+    return ca.Function("interval", list(s.values()), [ca.densify(part) for part in (defects, cost, path)],
+                       list(sizes), ["defects", "cost", "path"])  # fmt: skip
+
+
+def _step(functions: PhaseFunctions, s: dict[str, Any], w: Any) -> tuple[Any, Any, Any]:
+    """The equations of one step of discrete dynamics."""
+    at = (s["x"], s["own"], w, s["p"], s["t"])
+    cost = functions.stage_cost(*at) if functions.stage_cost else 0
+    path = functions.path(*at) if functions.path else type(w)(0, 1)
+    return functions.dynamics(*at) - s["x_next"], cost, path
+
+
+def _shoot(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any], w: Any) -> tuple[Any, Any, Any]:
+    """The equations of one interval of shooting: the state and its cost are integrated with the input held."""
+    u, p, t, h = s["own"], s["p"], s["t"], s["h"]
+
+    def rate(z: Any, time: Any) -> Any:
+        at = (z[:-1], u, w, p, time)
+        return ca.vertcat(functions.dynamics(*at), functions.stage_cost(*at) if functions.stage_cost else 0)
+
+    z = ca.vertcat(s["x"], 0)
+    if scheme.integrator == "rk4":
+        for _ in range(scheme.substeps):
+            z = runge_kutta(rate, z, t, h / scheme.substeps)
+            t = t + h / scheme.substeps
+    else:
+        z = _by_cvodes(functions, scheme, s, w)
+    path = functions.path(s["x"], u, w, p, s["t"]) if functions.path else type(w)(0, 1)
+    return z[:-1] - s["x_next"], z[-1], path
+
+
+def runge_kutta(rate: Any, z: Any, t: Any, h: Any) -> Any:
+    """One step of the classical method of order 4."""
+    k1 = rate(z, t)
+    k2 = rate(z + h / 2 * k1, t + h / 2)
+    k3 = rate(z + h / 2 * k2, t + h / 2)
+    k4 = rate(z + h * k3, t + h)
+    return z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def _by_cvodes(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any], w: Any) -> Any:
+    """State and cost after one interval, by CVODES over the time scaled to one."""
+    sizes = {name: s[name].numel() for name in ("x", "own", "p")} | {"w": w.numel(), "t": 1, "h": 1}
+    c = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+    tau = ca.MX.sym("tau")
+    at = (c["x"], c["own"], c["w"], c["p"], c["t"] + tau * c["h"])
+    cost = functions.stage_cost(*at) if functions.stage_cost else 0
+    given = ca.vertcat(c["own"], c["p"], c["w"], c["t"], c["h"])
+    dae = {"x": c["x"], "p": given, "t": tau, "ode": c["h"] * functions.dynamics(*at), "quad": c["h"] * cost}
+    options = {"abstol": scheme.tolerance, "reltol": scheme.tolerance, "quad_err_con": True, "max_num_steps": 100_000}
+    integrate = ca.integrator("interval", "cvodes", dae, 0.0, 1.0, options)
+    end = integrate(x0=s["x"], p=ca.vertcat(s["own"], s["p"], ca.vec(w), s["t"], s["h"]))
+    return ca.vertcat(end["xf"], end["qf"])
+
+
+def _collocate(functions: PhaseFunctions, scheme: Collocation, layout: Layout, s: dict[str, Any],
+               w: Any) -> tuple[Any, Any, Any]:  # fmt: skip
+    """The equations of one interval of collocation."""
+    states, inputs = at_points(layout, s["x"], s["v"], s["own"], s["x_next"], s["v_next"])
+    rates, costs, path = [], [], []
+    for i, c in enumerate(layout.points):
+        at = (states[i], inputs[i], w[:, i], s["p"], s["t"] + c * s["h"])
+        rates.append(functions.dynamics(*at))
+        costs.append(functions.stage_cost(*at) if functions.stage_cost else 0)
+        if functions.path and c > 0:
+            path.append(functions.path(*at))
+    weights = scheme.matrix
+    moved = ca.mtimes(ca.horzcat(*rates), ca.DM(weights.T)) * s["h"]
+    defects = [s["x"] + moved[:, i] - states[i] for i, c in enumerate(layout.points) if c > 0]
+    cost = s["h"] * sum(float(b) * value for b, value in zip(weights[-1], costs))
+    return ca.vertcat(*defects), cost, ca.vertcat(*path) if path else type(w)(0, 1)
+
+
+def at_points(layout: Layout, x: Any, v: Any, own: Any, x_next: Any, v_next: Any) -> tuple[list[Any], list[Any]]:
+    """States and inputs at every point of an interval, from its unknowns: columns, CasADi's or arrays (rows, N)."""
+    states, inputs, used = [], [], 0
+    for c in layout.points:
+        if c in layout.inner:
+            states.append(own[used : used + layout.nx])
+            used += layout.nx
+        else:
+            states.append(x if c == 0 else x_next)
+        if c in layout.held:
+            inputs.append(own[used : used + layout.nu])
+            used += layout.nu
+        else:
+            inputs.append(v if c == 0 else v_next)
+    return states, inputs
+
+
+def times_of_points(layout: Layout, mesh: Array) -> Array:
+    """Fractions (N, points) of a phase at which its dynamics are evaluated, of a mesh (N + 1,) of fractions."""
+    return mesh[:-1, None] + np.diff(mesh)[:, None] * np.asarray(layout.points)

@@ -1,0 +1,479 @@
+"""The nonlinear program that a transcription makes of an optimal control problem, to be looked at and solved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mpc.checks import Array, as_count, as_floats
+from mpc.exceptions import InputError
+from mpc.optimal_control.interval import Layout, interval_function, layout_of, times_of_points
+from mpc.optimal_control.problem import OptimalControlProblem, Phase, PhaseFunctions, signal_at
+from mpc.optimal_control.schemes import Collocation, MultipleShooting, Scheme
+
+LARGEST = 400_000  # instructions that are written out one by one; beyond, intervals stay calls of one function
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Constraints of one kind: their name, their place and where on the mesh they stand.
+
+    Attributes
+    ----------
+    name : str
+    phase : int
+        Which one; −1 for what all share.
+    first, last : int
+        Rows first … last − 1.
+    fractions : (last − first,) array
+        Of the phase at which each stands.
+    entries : tuple of str
+        What each row of one point is called.
+    """
+
+    name: str
+    phase: int
+    first: int
+    last: int
+    fractions: Array
+    entries: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PhasePart:
+    """Where the unknowns of a phase stand in the vector of all.
+
+    Attributes
+    ----------
+    phase, functions, layout, scheme
+    mesh : (N + 1,) array
+        Of fractions of the phase, from 0 to 1.
+    first, last : int
+        Its unknowns are first … last − 1: node, interval, node, interval, …, node.
+    duration : int
+        Index of its duration; −1 where it is given.
+    defects, path : slice
+        Its rows, interval by interval.
+    interval : casadi.Function
+    """
+
+    phase: Phase
+    functions: PhaseFunctions
+    layout: Layout
+    scheme: Scheme
+    mesh: Array
+    first: int
+    last: int
+    duration: int
+    defects: slice
+    path: slice
+    interval: ca.Function
+
+    @property
+    def intervals(self) -> int:
+        """N."""
+        return len(self.mesh) - 1
+
+    def columns(self, v: Any) -> tuple[Any, Any]:
+        """Unknowns (column, N) of intervals and their first nodes, and (node,) of the last, of the vector of all."""
+        own = v[self.first : self.last]
+        cut = self.layout.column * self.intervals
+        if isinstance(own, np.ndarray):
+            return own[:cut].reshape(self.intervals, self.layout.column).T, own[cut:]
+        return ca.reshape(own[:cut], self.layout.column, self.intervals), own[cut:]
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearProgram:
+    """min f(v) subject to lower ≤ v ≤ upper, row_lower ≤ g(v) ≤ row_upper, in the units of the problem.
+
+    Attributes
+    ----------
+    problem : OptimalControlProblem
+    v, f, g : casadi.MX
+    lower, upper, guess, scale : (n,) arrays
+        Bounds, where to start, and sizes of the unknowns.
+    cost_scale : float
+    row_lower, row_upper, row_scale : (m,) arrays
+    rows : tuple of Rows
+    parts : tuple of PhasePart
+    parameters : slice
+        Of p among the unknowns.
+    expand : bool
+        Whether f and g are written out in scalar instructions for the solver.
+    """
+
+    problem: OptimalControlProblem
+    v: ca.MX
+    f: ca.MX
+    g: ca.MX
+    lower: Array
+    upper: Array
+    guess: Array
+    scale: Array
+    row_lower: Array
+    row_upper: Array
+    row_scale: Array
+    rows: tuple[Rows, ...]
+    parts: tuple[PhasePart, ...]
+    parameters: slice
+    expand: bool
+    cost_scale: float = 1.0
+
+    def __repr__(self) -> str:
+        kinds = ", ".join(f"{part.intervals} intervals of {part.scheme.name}" for part in self.parts)
+        return f"NonlinearProgram({self.v.numel()} unknowns, {self.g.numel()} constraints, {kinds})"
+
+    def times(self, v: Array) -> list[tuple[float, float]]:
+        """Start and duration of every phase, of the unknowns (n,)."""
+        clock, found = 0.0, []
+        for k, part in enumerate(self.parts):
+            start = clock if k and self.problem.linked else part.phase.start_time
+            length = float(v[part.duration]) if part.duration >= 0 else part.phase.duration[0]
+            found.append((start, length))
+            clock = start + length
+        return found
+
+
+def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, intervals: Any = 20,
+          meshes: Any = None) -> NonlinearProgram:  # fmt: skip
+    """Transcribe a problem on a mesh.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem or Phase
+    scheme : Collocation or MultipleShooting
+        `Radau(3)` by default. Discrete dynamics are taken as they are, whatever the scheme.
+    intervals : int, or one a phase
+        Equal ones.
+    meshes : list of (N + 1,) arrays, optional
+        Rising fractions of each phase from 0 to 1, instead.
+
+    Raises
+    ------
+    InputError
+        If a mesh does not rise from 0 to 1, or something is not finite at the guess: it says what, and when.
+    """
+    if isinstance(problem, Phase):
+        problem = OptimalControlProblem(problem)
+    if not isinstance(problem, OptimalControlProblem):
+        raise InputError("problem", type(problem).__name__, "an OptimalControlProblem or a Phase")
+    from mpc.optimal_control.schemes import Radau
+
+    scheme = Radau(3) if scheme is None else scheme
+    if not isinstance(scheme, Collocation | MultipleShooting):
+        raise InputError("scheme", type(scheme).__name__, "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()")
+    return _Builder(problem, scheme, _meshes(problem, intervals, meshes)).program()
+
+
+def _meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> list[Array]:
+    """Fractions of every phase."""
+    count = len(problem.phases)
+    if meshes is None:
+        each = [intervals] * count if np.ndim(intervals) == 0 else list(intervals)
+        if len(each) != count:
+            raise InputError("intervals", f"{len(each)} numbers", f"{count}, one a phase")
+        meshes = [np.linspace(0, 1, as_count("intervals", n) + 1) for n in each]
+    if len(meshes) != count:
+        raise InputError("meshes", f"{len(meshes)} of them", f"{count}, one a phase")
+    checked = []
+    for phase, given in zip(problem.phases, meshes):
+        if phase.discrete:
+            given = np.linspace(0, 1, int(phase.duration[0]) + 1)
+        mesh = as_floats("meshes", given)
+        if mesh.ndim != 1 or len(mesh) < 2 or mesh[0] != 0 or mesh[-1] != 1 or not (np.diff(mesh) > 0).all():
+            raise InputError("meshes", mesh, "fractions of the phase that rise from 0 to 1")
+        checked.append(mesh)
+    return checked
+
+
+class _Builder:
+    """Collects unknowns and constraints, phase by phase."""
+
+    def __init__(self, problem: OptimalControlProblem, scheme: Scheme, meshes: list[Array]) -> None:
+        self.problem = problem
+        self.scheme = scheme
+        self.meshes = meshes
+        self.lower: list[Array] = []
+        self.upper: list[Array] = []
+        self.guess: list[Array] = []
+        self.scale: list[Array] = []
+        self.rows: list[Rows] = []
+        self.g: list[Any] = []
+        self.bounds: list[tuple[Array, Array, Array]] = []
+        self.height = 0
+
+    def program(self) -> NonlinearProgram:
+        """The whole."""
+        problem = self.problem
+        layouts = [
+            layout_of(phase, own.nw, self.scheme) for phase, own in zip(problem.phases, problem.functions)
+        ]  # fmt: skip
+        places, first = [], 0
+        for phase, layout, mesh in zip(problem.phases, layouts, self.meshes):
+            last = first + layout.column * (len(mesh) - 1) + layout.node
+            self._unknowns_of(phase, layout, mesh)
+            places.append((first, last))
+            first = last
+        durations = []
+        for phase in problem.phases:
+            durations.append(first if phase.free_duration else -1)
+            if phase.free_duration:
+                self._unknown(*(np.array([b]) for b in phase.duration), np.array([_first_duration(phase)]))
+                first += 1
+        parameters = slice(first, first + problem.parameters)
+        self._unknown(*problem.p_bounds, problem.p_guess)
+        worst = parameters.stop if problem.risk == "worst" and len(problem.phases) > 1 else -1
+        if worst >= 0:
+            self._unknown(np.array([-np.inf]), np.array([np.inf]), np.array([0.0]))
+        size = parameters.stop + (worst >= 0)
+        v = ca.MX.sym("v", size)
+        p = v[parameters]
+        parts, costs, ends = [], [], []
+        clock: Any = ca.MX(0)
+        for k, (phase, functions, layout, mesh) in enumerate(zip(problem.phases, problem.functions, layouts, self.meshes)):
+            start = clock if k and problem.linked else ca.MX(phase.start_time)
+            length = v[durations[k]] if durations[k] >= 0 else ca.MX(phase.duration[0])
+            part, cost, end = self._phase(k, functions, layout, mesh, places[k], durations[k], v, p, start, length)
+            parts.append(part)
+            costs.append(cost)
+            if k and problem.linked:
+                self._link(k, parts[k - 1], ends[k - 1], part.columns(v)[0][: layout.nx, 0], p)
+            ends.append(end)
+            clock = start + length
+        cost_of_p, constraints_of_p = problem.of_parameters
+        if worst >= 0:
+            self._row("cost of a scenario", -1, ca.vertcat(*costs) - v[worst], -np.inf, 0.0, 1.0, [0.0], ())
+            f = v[worst]
+        else:
+            f = sum(float(weight) * cost for weight, cost in zip(problem.weights, costs))
+        if cost_of_p is not None:
+            f = f + cost_of_p(p)
+        if constraints_of_p is not None:
+            self._row("p_constraints", -1, constraints_of_p(p), -np.inf, 0.0, 1.0, [0.0], ())
+        program = self._assembled(v, f, tuple(parts), parameters)
+        check_at_guess(program)
+        return program
+
+    def _assembled(self, v: ca.MX, f: Any, parts: tuple[PhasePart, ...], parameters: slice) -> NonlinearProgram:
+        """The program of what was collected."""
+        low, high, scale = (np.concatenate([b[i] for b in self.bounds] or [np.zeros(0)]) for i in range(3))
+        scalar = all(part.interval.is_a("SXFunction") for part in parts)
+        work = sum(part.interval.n_instructions() * part.intervals for part in parts) if scalar else LARGEST
+        return NonlinearProgram(
+            self.problem, v, ca.MX(f), ca.vertcat(*self.g) if self.g else ca.MX(0, 1),
+            *(np.concatenate(each) for each in (self.lower, self.upper, self.guess, self.scale)),
+            low, high, scale, tuple(self.rows), parts, parameters, work < LARGEST,
+        )  # fmt: skip
+
+    def _unknown(self, lower: Array, upper: Array, guess: Array, scale: Array | None = None) -> None:
+        """Append unknowns."""
+        self.lower.append(lower)
+        self.upper.append(upper)
+        self.guess.append(guess)
+        self.scale.append(size_of(lower, upper, guess) if scale is None else scale)
+
+    def _unknowns_of(self, phase: Phase, layout: Layout, mesh: Array) -> None:
+        """Append the unknowns of a phase, with where they start from."""
+        trajectory = first_guess(phase)
+        on_mesh = [of(mesh) for of in trajectory]
+        known = [np.where(np.isfinite(side), side, 0.0) for side in phase.start + phase.end]
+        x_size = size_of(*phase.x_bounds, np.vstack([on_mesh[0], *known]))
+        u_size = size_of(*phase.u_bounds, on_mesh[1])
+        lower, upper, size = (
+            placed(layout, mesh, lambda at, x=x, u=u: (np.tile(x, (len(at), 1)), np.tile(u, (len(at), 1))))
+            for x, u in zip((*phase.x_bounds, x_size), (*phase.u_bounds, u_size))
+        )
+        first, last = slice(layout.nx), slice(len(lower) - layout.node, len(lower) - layout.node_inputs)
+        for place, (low, high) in ((first, phase.start), (last, phase.end)):
+            lower[place] = np.maximum(lower[place], low)
+            upper[place] = np.minimum(upper[place], high)
+        guess = placed(layout, mesh, lambda at: tuple(of(at) for of in trajectory))
+        self._unknown(lower, upper, np.clip(guess, lower, upper), size)
+
+    def _phase(self, k: int, functions: PhaseFunctions, layout: Layout, mesh: Array, place: tuple[int, int], duration: int,
+               v: ca.MX, p: Any, start: Any, length: Any) -> tuple[PhasePart, Any, Any]:  # fmt: skip
+        """Append the equations of a phase; its part, its cost and the state at its end."""
+        phase, N = self.problem.phases[k], len(mesh) - 1
+        interval = interval_function(phase, functions, self.scheme, layout, self.problem.parameters)
+        part = PhasePart(phase, functions, layout, self.scheme, mesh, *place, duration, slice(0), slice(0), interval)
+        columns, last = part.columns(v)
+        nodes = ca.horzcat(columns[: layout.node, :], last)
+        x, node_inputs = nodes[: layout.nx, :], nodes[layout.nx :, :]
+        own = columns[layout.node :, :]
+        unit = 1.0 if phase.discrete else length
+        times = start + length * ca.DM(mesh).T
+        steps = unit * ca.DM(np.diff(mesh)).T if not phase.discrete else ca.DM.ones(1, N)
+        fractions = times_of_points(layout, mesh)
+        given = signal_at(phase, phase.start_time + phase.duration[0] * fractions.ravel())
+        w = given.reshape(N, -1).T
+        arguments = (x[:, :N], node_inputs[:, :N], own, x[:, 1:], node_inputs[:, 1:], ca.repmat(p, 1, N), times[:, :N], steps, w)
+        defects, costs, path = interval.map(N)(*arguments) if N > 1 else interval(*arguments)
+        size = np.asarray(self.scale[k])[: layout.nx]
+        many = defects.numel() // N
+        first = self.height
+        after = [c for c in layout.points if c > 0] or [1.0]
+        places = (mesh[:-1, None] + np.diff(mesh)[:, None] * np.asarray(after)).repeat(layout.nx, axis=1)
+        self._row("dynamics", k, ca.vec(defects), 0.0, 0.0, np.tile(size, N * many // layout.nx), places.ravel(), phase.state_names)
+        part_defects = slice(first, self.height)
+        first = self.height
+        cost = ca.sum2(costs)
+        x_end = x[:, N]
+        if functions.path is not None:
+            self._path_rows(k, functions, layout, path, fractions, x, node_inputs, own, p, start, length, w, N)
+        part_path = slice(first, self.height)
+        end_time = start + length
+        if functions.terminal_cost is not None:
+            cost = cost + functions.terminal_cost(x_end, p, end_time)
+        if functions.boundary is not None:
+            value = functions.boundary(x[:, 0], x_end, start, end_time, p)
+            self._row("boundary", k, value, *functions.boundary_bounds, 1.0, np.ones(value.numel()), ())
+        part = PhasePart(phase, functions, layout, self.scheme, mesh, *place, duration, part_defects, part_path, interval)
+        return part, cost, x_end
+
+    def _path_rows(self, k: int, functions: PhaseFunctions, layout: Layout, path: Any, fractions: Array, x: Any,
+                   node_inputs: Any, own: Any, p: Any, start: Any, length: Any, w: Array, N: int) -> None:  # fmt: skip
+        """Append what is kept along a phase: at the points of every interval, and at the end that these leave out."""
+        assert functions.path is not None
+        count = functions.path.numel_out(0)
+        low, high = functions.path_bounds
+        held = isinstance(self.scheme, MultipleShooting) or self.problem.phases[k].discrete
+        inside = fractions if held else fractions[:, np.asarray(layout.points) > 0]
+        places = inside.ravel().repeat(count)
+        times = len(places) // count
+        self._row("path", k, ca.vec(path), np.tile(low, times), np.tile(high, times), 1.0, places, ())
+        if held:
+            at = (x[:, N], own[:, N - 1], w[:, N - 1], p, start + length)
+        elif layout.points[0] == 0:
+            at = (x[:, 0], node_inputs[:, 0], w[: layout.nw, 0], p, start)
+        else:
+            return
+        self._row("path", k, functions.path(*at), low, high, 1.0, np.full(count, 1.0 if held else 0.0), ())
+
+    def _link(self, k: int, before: PhasePart, end: Any, begin: Any, p: Any) -> None:
+        """Append that a phase begins where the one before it ends."""
+        value = end if self.problem.link is None else self.problem.link_function(k - 1)(end, p)
+        size = np.asarray(self.scale[k])[: begin.numel()]
+        self._row("link", k, value - begin, 0.0, 0.0, size, np.zeros(begin.numel()), self.problem.phases[k].state_names)
+
+    def _row(self, name: str, phase: int, value: Any, low: Any, high: Any, scale: Any, fractions: Any,
+             entries: tuple[str, ...]) -> None:  # fmt: skip
+        """Append constraints."""
+        count = value.numel()
+        self.g.append(value)
+        full = tuple(np.array(np.broadcast_to(np.asarray(b, dtype=float), (count,))) for b in (low, high, scale))
+        self.bounds.append(full)  # type: ignore[arg-type]
+        places = np.array(np.broadcast_to(np.asarray(fractions, dtype=float), (count,)))
+        self.rows.append(Rows(name, phase, self.height, self.height + count, places, tuple(entries)))
+        self.height += count
+
+
+def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
+    """The program with sizes of unknowns, dynamics and cost as they are at unknowns (n,)."""
+    scale, row_scale = program.scale.copy(), program.row_scale.copy()
+    for part in program.parts:
+        layout, sizes = part.layout, {}
+        of = placed(layout, part.mesh, lambda at, n=layout: (np.tile(np.arange(n.nx), (len(at), 1)), np.tile(np.arange(n.nu) + n.nx, (len(at), 1))))
+        own = v[part.first : part.last]
+        bounds = [np.concatenate(pair) for pair in zip(part.phase.x_bounds, part.phase.u_bounds)]
+        for i in range(layout.nx + layout.nu):
+            place = of == i
+            found = size_of(bounds[0][[i]], bounds[1][[i]], own[place][:, None])[0]
+            scale[part.first : part.last][place] = found
+            sizes[i] = found
+        many = part.defects.stop - part.defects.start
+        row_scale[part.defects] = np.tile([sizes[i] for i in range(layout.nx)], many // layout.nx)
+    slope = ca.Function("slope", [program.v], [ca.gradient(program.f, program.v)])(v)
+    size = float(np.abs(np.asarray(slope, dtype=float).ravel() * scale).max(initial=0.0))
+    usable = np.isfinite(size) and size > 0
+    return replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=size if usable else 1.0)
+
+
+def placed(layout: Layout, mesh: Array, trajectory: Any) -> Array:
+    """Unknowns (n,) of a phase, of a trajectory: fractions (k,) → states (k, nx) and inputs (k, nu)."""
+    x, u = trajectory(mesh)
+    nodes = np.hstack([x, u[:, : layout.node_inputs]])
+    own = [np.zeros((len(mesh) - 1, 0))]
+    for c in sorted({*layout.inner, *layout.held}):
+        x, u = trajectory(mesh[:-1] + c * np.diff(mesh))
+        own += [x] * (c in layout.inner) + [u] * (c in layout.held)
+    return np.concatenate([np.hstack([nodes[:-1], *own]).ravel(), nodes[-1]])
+
+
+def size_of(lower: Array, upper: Array, guess: Array) -> Array:
+    """Sizes of unknowns: of their bounds, else of the guess, else 1."""
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    of_bounds = np.where(bounded, np.maximum(np.abs(lower), np.abs(upper)), 0.0)
+    of_guess = np.abs(guess) if np.ndim(guess) <= 1 else np.abs(guess).max(axis=0)
+    size = np.where(bounded, np.maximum(of_bounds, 0.0), of_guess)
+    return np.asarray(np.where(size > 0, size, 1.0))
+
+
+def _first_duration(phase: Phase) -> float:
+    """The duration to begin with."""
+    low, high = phase.duration
+    if phase.duration_guess is not None:
+        return float(np.clip(phase.duration_guess, low, high))
+    return float(np.sqrt(low * high)) if np.isfinite(high) else max(1.0, 2 * low)
+
+
+def first_guess(phase: Phase) -> tuple[Any, Any]:
+    """States and inputs as functions of fractions (n,): the user's, else straight from the start to the end."""
+    if phase.guess is not None:
+        given = [as_floats("guess", part) for part in phase.guess]
+        times, x, u = given
+        shapes = ((len(times),), (len(times), phase.states), (len(times), phase.inputs))
+        if tuple(part.shape for part in given) != shapes or not all(np.isfinite(part).all() for part in given):
+            got = f"shapes {', '.join(str(part.shape) for part in given)}"
+            raise InputError("guess", got, f"(n,) fractions, (n, {phase.states}) and (n, {phase.inputs}), finite")
+        if (np.diff(times) < 0).any():
+            raise InputError("guess", "times that fall", "rising fractions of the duration")
+        return _between(times, x), _between(times, u)
+    ends = []
+    for low, high in (phase.start, phase.end):
+        known = low == high
+        both = np.isfinite(low) & np.isfinite(high)
+        ends.append((np.where(known, low, np.where(both, 0.5 * (np.where(both, low, 0) + np.where(both, high, 0)), np.nan))))
+    first, last = ends
+    first, last = np.where(np.isnan(first), last, first), np.where(np.isnan(last), first, last)
+    middle = np.clip(0.0, *phase.x_bounds)
+    first, last = np.where(np.isnan(first), middle, first), np.where(np.isnan(last), middle, last)
+    u = np.clip(0.0, *phase.u_bounds) if phase.inputs else np.zeros(0)
+    return _between(np.array([0.0, 1.0]), np.vstack([first, last])), _between(np.array([0.0, 1.0]), np.vstack([u, u]))
+
+
+def _between(times: Array, values: Array) -> Any:
+    """Linear interpolation of values (n, k)."""
+    return lambda at: np.stack([np.interp(at, times, column) for column in values.T], axis=-1) if values.shape[1] else np.zeros((len(at), 0))
+
+
+def check_at_guess(program: NonlinearProgram) -> None:
+    """Raise an `InputError` unless cost and constraints are finite at the guess: it says which, and when."""
+    values = ca.Function("values", [program.v], [program.f, program.g])(program.guess)
+    f, g = (np.asarray(value, dtype=float).ravel() for value in values)
+    wrong = np.flatnonzero(~np.isfinite(g))
+    if len(wrong):
+        got = f"{g[wrong[0]]:g} in {describe_row(program, int(wrong[0]), program.guess)}"
+        raise InputError("guess", got, "finite values where the solution starts from", "Give a `guess` away from the singular point.")
+    if not np.isfinite(f[0]):
+        raise InputError("guess", f"a cost of {f[0]:g}", "a finite one where the solution starts from")
+
+
+def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
+    """What a constraint is, and when: "path 2 at t = 0.31"."""
+    found = next(rows for rows in program.rows if rows.first <= row < rows.last)
+    index = row - found.first
+    if found.phase < 0:
+        return f"{found.name} {index + 1}"
+    start, length = program.times(v)[found.phase]
+    functions = program.parts[found.phase].functions if program.parts else None
+    if found.entries:
+        entry = f" of {found.entries[index % len(found.entries)]}"
+    else:
+        function = {"path": functions and functions.path}.get(found.name)
+        entry = f" {index % function.numel_out(0) + 1}" if function else f" {index + 1}"
+    phase = f" of phase {found.phase + 1}" if len(program.parts) > 1 else ""
+    return f"{found.name}{entry}{phase} at t = {start + length * found.fractions[index]:.6g}"

@@ -1,0 +1,121 @@
+"""How a trajectory is cut into numbers: the points, unknowns and equations of one interval of the mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from mpc.checks import Array, as_count
+from mpc.exceptions import InputError
+
+
+@dataclass(frozen=True)
+class Collocation:
+    """States are polynomials that meet the dynamics at given points of every interval; so are inputs.
+
+    An implicit Runge–Kutta method: x(τ) = x_k + h Σ a_j(τ) f_j, where a_j is the integral of the j-th Lagrange polynomial of the
+    points. With the points 0 and 1 among them inputs are continuous; else every interval has its own.
+
+    Attributes
+    ----------
+    points : tuple of float
+        In (0, 1] or [0, 1], rising, 1 the last.
+    name : str
+    order : int
+        Of the state at the nodes, for smooth solutions.
+    """
+
+    points: tuple[float, ...]
+    name: str = "collocation"
+    order: int = 1
+
+    def __post_init__(self) -> None:
+        c = np.asarray(self.points, dtype=float)
+        if c.ndim != 1 or not len(c) or c[-1] != 1 or (np.diff(c) <= 0).any() or c[0] < 0:
+            raise InputError("points", list(self.points), "rising numbers in [0, 1], the last of which is 1")
+
+    @property
+    def continuous_inputs(self) -> bool:
+        """Whether inputs are shared by neighbouring intervals."""
+        return self.points[0] == 0
+
+    @property
+    def stages(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+    @cached_property
+    def _lagrange(self) -> list[Polynomial]:
+        """The Lagrange polynomials of the points."""
+        c = self.points
+        basis = []
+        for j in range(len(c)):
+            roots = [c[i] for i in range(len(c)) if i != j]
+            basis.append(Polynomial.fromroots(roots) / np.prod([c[j] - r for r in roots]) if roots else Polynomial([1.0]))
+        return basis
+
+    def basis(self, tau: Any) -> Array:
+        """Lagrange polynomials (n, stages) at fractions (n,) of the interval."""
+        return np.stack([polynomial(np.asarray(tau, dtype=float)) for polynomial in self._lagrange], axis=-1)
+
+    def integrals(self, tau: Any) -> Array:
+        """Their integrals (n, stages) from 0 to fractions (n,) of the interval."""
+        return np.stack([polynomial.integ()(np.asarray(tau, dtype=float)) for polynomial in self._lagrange], axis=-1)
+
+    @cached_property
+    def matrix(self) -> Array:
+        """The Runge–Kutta matrix (stages, stages); its last row is the quadrature."""
+        return self.integrals(np.asarray(self.points))
+
+
+def Trapezoidal() -> Collocation:  # noqa: N802 — reads as the scheme that it makes
+    """Points 0 and 1: order 2."""
+    return Collocation((0.0, 1.0), "trapezoidal", 2)
+
+
+def HermiteSimpson() -> Collocation:  # noqa: N802
+    """Points 0, 1/2 and 1: order 4."""
+    return Collocation((0.0, 0.5, 1.0), "Hermite-Simpson", 4)
+
+
+def Radau(degree: int = 3) -> Collocation:  # noqa: N802
+    """Legendre–Gauss–Radau points, the end of the interval among them: order 2·degree − 1."""
+    d = as_count("degree", degree)
+    points = [*map(float, ca.collocation_points(d, "radau")[:-1]), 1.0]
+    return Collocation(tuple(points), f"Radau of degree {d}", 2 * d - 1)
+
+
+@dataclass(frozen=True)
+class MultipleShooting:
+    """Inputs constant over every interval; states at its ends, joined by an integrator.
+
+    Attributes
+    ----------
+    substeps : int
+        Runge–Kutta steps of order 4 an interval.
+    integrator : "rk4" or "cvodes"
+        With CVODES the error is its own tolerance, `tolerance`, and steps are as many as that takes.
+    tolerance : float
+    """
+
+    substeps: int = 1
+    integrator: str = "rk4"
+    tolerance: float = 1e-9
+    name: str = field(default="multiple shooting", init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "substeps", as_count("substeps", self.substeps))
+        if self.integrator not in ("rk4", "cvodes"):
+            raise InputError("integrator", repr(self.integrator), '"rk4" or "cvodes"')
+
+    order = 4
+    stages = 1
+    continuous_inputs = False
+
+
+Scheme = Collocation | MultipleShooting

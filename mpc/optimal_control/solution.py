@@ -1,0 +1,260 @@
+"""What a solve returns: trajectories as functions of time, multipliers, and how far it can be believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mpc.checks import Array, as_floats
+from mpc.optimal_control.interval import at_points, times_of_points
+from mpc.optimal_control.nlp import NonlinearProgram, PhasePart
+from mpc.optimal_control.problem import signal_at
+from mpc.optimal_control.schemes import Collocation
+from mpc.plan import Residuals
+
+
+class OptimalControlStatus(Enum):
+    """Outcome of a solve; the value is the advice."""
+
+    SOLVED = "Solved: the optimality conditions hold to the tolerance, checked apart from the solver."
+    INFEASIBLE = "No feasible trajectory was found: `conflicts` names what is violated most. Relax it, or give a guess near to feasible."
+    STOPPED = "Stopped before the optimum: the best iterate is returned. Raise the limit, or start from this solution."
+    INACCURATE = "The solver ended, but the optimality conditions do not hold to the tolerance. Rescale, or refine the mesh."
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return self.value
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSolution:
+    """One phase of a solution.
+
+    Attributes
+    ----------
+    times : (N + 1,) array
+        Of the mesh [s].
+    states : (N + 1, nx) array
+    costates : (N + 1, nx) array
+        How the optimal cost from there on changes with the state.
+    """
+
+    times: Array
+    states: Array
+    costates: Array
+    _stages: tuple[Array, Array, Array]  # times (N, d), states (N, d, nx), inputs (N, d, nu)
+    _rates: Array  # (N, d, nx)
+    _scheme: Any
+    discrete: bool = False
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self.times[-1] - self.times[0])
+
+    @property
+    def inputs(self) -> Array:
+        """Inputs (n, nu) at `input_times`."""
+        return self._stages[2].reshape(-1, self._stages[2].shape[-1])
+
+    @property
+    def input_times(self) -> Array:
+        """(n,): the points at which inputs are unknowns."""
+        return self._stages[0].ravel()
+
+    def x(self, t: ArrayLike) -> Array:
+        """States (..., nx) at times (...), by the polynomials of the scheme; held beyond both ends."""
+        k, tau, shape = self._located(t)
+        h = np.diff(self.times)[k][:, None]
+        if self.discrete:
+            value = self.states[np.minimum(np.round(k + tau).astype(int), len(self.states) - 1)]
+        elif isinstance(self._scheme, Collocation):
+            weights = self._scheme.integrals(tau)
+            value = self.states[k] + h * np.einsum("nj,nji->ni", weights, self._rates[k])
+        else:
+            value = _hermite(tau[:, None], h, self.states[k], self.states[k + 1], self._rates[k, 0], self._rates[k, 1])
+        return np.asarray(value.reshape(*shape, -1))
+
+    def u(self, t: ArrayLike) -> Array:
+        """Inputs (..., nu) at times (...)."""
+        k, tau, shape = self._located(t)
+        inputs = self._stages[2][k]
+        if isinstance(self._scheme, Collocation) and not self.discrete:
+            value = np.einsum("nj,nji->ni", self._scheme.basis(tau), inputs)
+        else:
+            value = inputs[:, 0]
+        return np.asarray(value.reshape(*shape, -1))
+
+    def costate(self, t: ArrayLike) -> Array:
+        """Costates (..., nx) at times (...), linear between the mesh points."""
+        t = as_floats("t", t)
+        return np.stack([np.interp(t, self.times, column) for column in self.costates.T], axis=-1)
+
+    def _located(self, t: ArrayLike) -> tuple[Any, Array, tuple[int, ...]]:
+        """Intervals and fractions of them of times, and their shape."""
+        given = as_floats("t", t)
+        inside = np.clip(given.ravel(), self.times[0], self.times[-1])
+        k = np.clip(np.searchsorted(self.times, inside, side="right") - 1, 0, len(self.times) - 2)
+        return k, (inside - self.times[k]) / np.diff(self.times)[k], given.shape
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """An optimal control problem's solution on a mesh.
+
+    Attributes
+    ----------
+    cost : float
+    p : (np,) array
+        The shared parameters.
+    phases : tuple of PhaseSolution
+    status : OptimalControlStatus
+    residuals : Residuals
+        Optimality residuals, computed from the program alone in scaled unknowns.
+    conflicts : tuple of str
+        The constraints that are violated most, where some are.
+    multipliers : dict of str to array
+        Of "rows" (m,) and "bounds" (n,) of the program; positive at upper bounds.
+    iterations : int
+    solve_time : float
+        [s].
+    solver : str
+    message : str
+        What the solver said.
+    """
+
+    program: NonlinearProgram
+    unknowns: Array
+    cost: float
+    p: Array
+    phases: tuple[PhaseSolution, ...]
+    status: OptimalControlStatus
+    residuals: Residuals
+    conflicts: tuple[str, ...]
+    multipliers: dict[str, Array]
+    iterations: int
+    solve_time: float
+    solver: str
+    message: str
+
+    def __repr__(self) -> str:
+        return (
+            f"Solution(cost={self.cost:.8g}, status={self.status.name}, kkt={self.residuals.worst:.1e}, "
+            f"{self.iterations} iterations, {1e3 * self.solve_time:.1f} ms, {self.solver})"
+        )
+
+    @property
+    def solved(self) -> bool:
+        """Whether it is an optimum."""
+        return self.status is OptimalControlStatus.SOLVED
+
+    @property
+    def times(self) -> Array:
+        """Mesh of the first phase [s]."""
+        return self.phases[0].times
+
+    @property
+    def duration(self) -> float:
+        """Of all phases [s]."""
+        return self.phases[-1].times[-1] - self.phases[0].times[0]
+
+    def x(self, t: ArrayLike) -> Array:
+        """States (..., nx) at times (...), of the phase that they fall in."""
+        return self._of_phases("x", t)
+
+    def u(self, t: ArrayLike) -> Array:
+        """Inputs (..., nu) at times (...), of the phase that they fall in."""
+        return self._of_phases("u", t)
+
+    def costate(self, t: ArrayLike) -> Array:
+        """Costates (..., nx) at times (...), of the phase that they fall in."""
+        return self._of_phases("costate", t)
+
+    def _of_phases(self, name: str, t: ArrayLike) -> Array:
+        """Values of phases at times."""
+        if len(self.phases) == 1:
+            return np.asarray(getattr(self.phases[0], name)(t))
+        given = as_floats("t", t)
+        ends = np.array([phase.times[-1] for phase in self.phases[:-1]])
+        which = np.searchsorted(ends, given.ravel(), side="right")
+        values = [getattr(self.phases[k], name)(one) for k, one in zip(which, given.ravel())]
+        return np.asarray(values).reshape(*given.shape, -1)
+
+    @cached_property
+    def errors(self) -> tuple[Array, ...]:
+        """What the dynamics miss between the points, (N,) a phase: see `mesh_errors`."""
+        from mpc.optimal_control.refinement import mesh_errors
+
+        return mesh_errors(self)
+
+
+def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, float], multipliers: Array,
+                   weight: float) -> PhaseSolution:  # fmt: skip
+    """A phase of the unknowns (n,) of a program; `weight` is that of its cost."""
+    layout, N = part.layout, part.intervals
+    start, length = clock
+    columns, last = part.columns(v)
+    nodes = np.column_stack([columns[: layout.node], last])
+    x, shared, own = nodes[: layout.nx], nodes[layout.nx :], columns[layout.node :]
+    states, inputs = at_points(layout, x[:, :-1], shared[:, :-1], own, x[:, 1:], shared[:, 1:])
+    fractions = times_of_points(layout, part.mesh)
+    times = start + length * fractions
+    if part.phase.discrete:
+        mesh_times = start + np.arange(N + 1.0)
+        times = mesh_times[:-1, None]
+        h = np.ones(N)
+    else:
+        mesh_times = start + length * part.mesh
+        h = length * np.diff(part.mesh)
+    w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * fractions.ravel()).reshape(N, -1)
+    stage_states = np.stack(states, axis=0).transpose(2, 0, 1)
+    stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
+    rates = stage_rates(part, stage_states, stage_inputs, w, p, times, x.T)
+    costates = _costates(part, nodes, own, p, mesh_times[:-1], h, w, multipliers, weight)
+    stages = (times, stage_states, stage_inputs)
+    return PhaseSolution(mesh_times, x.T, costates, stages, rates, part.scheme, part.phase.discrete)
+
+
+def stage_rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Array, times: Array, nodes: Array) -> Array:
+    """dx/dt (N, d, nx) at the points of every interval; of shooting at both its ends."""
+    N, d, nx = states.shape
+    if isinstance(part.scheme, Collocation) or part.phase.discrete:
+        x, u, t, signal = states, inputs, times, w.reshape(N, d, -1)
+    else:
+        x = np.stack([nodes[:-1], nodes[1:]], axis=1)
+        u = np.repeat(inputs, 2, axis=1)
+        t = np.stack([times[:, 0], np.append(times[1:, 0], times[-1, 0])], axis=1)
+        signal = np.repeat(w.reshape(N, 1, -1), 2, axis=1)
+    count = x.shape[1] * N
+    flat = (x.reshape(count, -1).T, u.reshape(count, -1).T, signal.reshape(count, -1).T,
+            np.tile(p[:, None], (1, count)), t.reshape(1, count))  # fmt: skip
+    return np.asarray(part.functions.dynamics.map(count)(*flat), dtype=float).T.reshape(N, -1, nx)
+
+
+def _costates(part: PhasePart, nodes: Array, own: Array, p: Array, times: Array, h: Array, w: Array, multipliers: Array,
+              weight: float) -> Array:  # fmt: skip
+    """How cost, equations and limits of each interval change with the state that it begins with, and at the end."""
+    layout, N = part.layout, part.intervals
+    interval = part.interval
+    arguments = [nodes[: layout.nx, :-1], nodes[layout.nx :, :-1], own, nodes[: layout.nx, 1:], nodes[layout.nx :, 1:],
+                 np.tile(p[:, None], (1, N)), times[None], h[None], w.T]  # fmt: skip
+    of_defects = multipliers[part.defects].reshape(N, -1).T
+    rows = interval.numel_out(2)
+    of_path = multipliers[part.path][: rows * N].reshape(N, rows).T
+    backward = interval.reverse(1)
+    values = [np.zeros((interval.numel_out(i), N)) for i in range(3)]
+    seeds = [of_defects, np.full((1, N), weight), of_path]
+    found = backward.map(N)(*arguments, *values, *seeds)
+    return np.vstack([np.asarray(found[0], dtype=float).T, -np.asarray(found[3], dtype=float).T[-1:]])
+
+
+def _hermite(tau: Array, h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:
+    """The cubic that meets states and rates at both ends."""
+    a, b = tau, tau - 1
+    return x0 * (1 + 2 * a) * b**2 + x1 * a**2 * (3 - 2 * a) + h * (f0 * a * b**2 + f1 * a**2 * b)
