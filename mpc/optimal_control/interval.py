@@ -80,7 +80,7 @@ def interval_function(phase: Phase, functions: PhaseFunctions, scheme: Scheme, l
         "x": layout.nx, "v": layout.node_inputs, "own": layout.own, "x_next": layout.nx, "v_next": layout.node_inputs,
         "p": parameters, "t": 1, "h": 1, "w": layout.nw * len(layout.points),
     }  # fmt: skip
-    s = {name: kind.sym(name, size) for name, size in sizes.items()}
+    s: dict[str, Any] = {name: kind.sym(name, size) for name, size in sizes.items()}
     w = ca.reshape(s["w"], layout.nw, len(layout.points))
     if phase.discrete:
         defects, cost, path = _step(functions, s, w)

@@ -74,7 +74,7 @@ class Phase:
     terminal_cost: Statement | None = None
     start: Bounds = None
     end: Bounds = None
-    duration: float | tuple[float, float] = 1.0
+    duration: Any = 1.0
     start_time: float = 0.0
     x_bounds: Bounds = (-INF, INF)
     u_bounds: Bounds = (-INF, INF)
@@ -83,7 +83,7 @@ class Phase:
     boundary: Statement | None = None
     boundary_bounds: Bounds = (0.0, 0.0)
     signal: Callable[[Array], ArrayLike] | ArrayLike | None = None
-    guess: tuple[ArrayLike, ArrayLike, ArrayLike] | None = None
+    guess: Any = None
     duration_guess: float | None = None
     discrete: bool = False
     state_names: Sequence[str] = ()
@@ -114,8 +114,8 @@ class Phase:
                 raise InputError("signal", f"shape {signal.shape}", "(n, nw), finite, n ≥ 2, or a function of time")
             set_(self, "signal", signal)
         if self.signal is not None and self.duration[0] != self.duration[1]:
-            raise InputError("signal", "a duration that is free", "a given duration",
-                             "State what is known as a function of time in the dynamics, as an expression of t.")  # fmt: skip
+            cure = "State what is known over time as an expression of t in the dynamics."
+            raise InputError("signal", "a duration that is free", "a given duration", cure)
 
     def _at_an_end(self, name: str, value: Any) -> tuple[Array, Array]:
         """Bounds of the states at an end, within those of the phase."""
@@ -130,7 +130,9 @@ class Phase:
             except TypeError:
                 given = as_floats(name, value)
             if given.shape != (self.states,):
-                raise InputError(name, f"shape {given.shape}", f"({self.states},), one number a state, or bounds as a tuple")
+                raise InputError(
+                    name, f"shape {given.shape}", f"({self.states},), one number a state, or bounds as a tuple"
+                )
             if np.isinf(given).any():
                 raise InputError(name, given, "finite numbers; None where a state is free")
             own = np.where(np.isnan(given), -INF, given), np.where(np.isnan(given), INF, given)
@@ -195,7 +197,7 @@ class OptimalControlProblem:
     p_constraints: Statement | None = None
     linked: bool = True
     link: Statement | None = None
-    weights: Sequence[float] | None = None
+    weights: Any = None
     risk: str = "sum"
 
     def __post_init__(self) -> None:
@@ -218,7 +220,9 @@ class OptimalControlProblem:
             raise InputError("risk", '"worst" of phases that are linked', '"sum", or linked=False')
         sizes = [phase.states for phase in self.phases]
         if self.linked and self.link is None and len(set(sizes)) > 1:
-            raise InputError("link", f"phases of {sizes} states", "a link function from one phase's end to the next start")
+            raise InputError(
+                "link", f"phases of {sizes} states", "a link function from one phase's end to the next start"
+            )
         _ = self.functions
 
     def _as_guess(self) -> Array:
@@ -298,7 +302,9 @@ def as_bounds(name: str, value: Any, size: int) -> tuple[Array, Array]:
     wrong = np.flatnonzero((low > high) | (low == INF) | (high == -INF))
     if len(wrong):
         i = int(wrong[0])
-        raise InputError(name, f"[{low[i]:g}, {high[i]:g}] for entry {i + 1}", "lower ≤ upper, with a number between them")
+        raise InputError(
+            name, f"[{low[i]:g}, {high[i]:g}] for entry {i + 1}", "lower ≤ upper, with a number between them"
+        )
     return low, high
 
 
@@ -336,7 +342,9 @@ def signal_at(phase: Phase, times: Array) -> Array:
     if callable(phase.signal):
         values = as_floats("signal", phase.signal(times))
         if values.ndim != 2 or len(values) != len(times) or not np.isfinite(values).all():
-            raise InputError("signal", f"values of shape {values.shape} at {len(times)} times", f"({len(times)}, nw), finite")
+            raise InputError(
+                "signal", f"values of shape {values.shape} at {len(times)} times", f"({len(times)}, nw), finite"
+            )
         return values
     table = np.asarray(phase.signal)
     grid = phase.start_time + phase.duration[0] * np.linspace(0, 1, len(table))

@@ -11,11 +11,12 @@ import numpy as np
 from mpc.checks import Array, as_count
 from mpc.exceptions import InputError
 from mpc.optimal_control.interval import runge_kutta
-from mpc.optimal_control.nlp import PhasePart, build
 from mpc.optimal_control.problem import OptimalControlProblem, Phase, signal_at
+from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation, Scheme
 from mpc.optimal_control.solution import OptimalControlStatus, PhaseSolution, Solution
 from mpc.optimal_control.solving import solve
+from mpc.optimal_control.transcription import build
 
 QUADRATURE = 8  # Gauss points an interval at which the dynamics are compared
 MOST_PARTS = 4  # that an interval is cut into at once
@@ -46,19 +47,22 @@ def _errors_of(part: PhasePart, phase: PhaseSolution, p: Array) -> Array:
     extent = np.abs(phase.states).max(axis=0)
     rates = np.abs(phase._rates).max(axis=(0, 1)) * phase.duration
     size = np.maximum(np.maximum(extent, 1e-12), np.minimum(rates, 1.0) * 1e-6)
-    missed = _by_residual(part, phase, p) if isinstance(part.scheme, Collocation) else _by_half_steps(part, phase, p)
+    if isinstance(part.scheme, Collocation):
+        missed = _by_residual(part, part.scheme, phase, p)
+    else:
+        missed = _by_half_steps(part, part.scheme.substeps, phase, p)
     return np.asarray((missed / size).max(axis=1))
 
 
-def _by_residual(part: PhasePart, phase: PhaseSolution, p: Array) -> Array:
+def _by_residual(part: PhasePart, scheme: Collocation, phase: PhaseSolution, p: Array) -> Array:
     """∫ |dx/dt − f| over every interval, (N, nx)."""
     N = part.intervals
-    tau, weights = np.polynomial.legendre.leggauss(max(QUADRATURE, 2 * part.scheme.stages))
+    tau, weights = np.polynomial.legendre.leggauss(max(QUADRATURE, 2 * scheme.stages))
     tau, weights = 0.5 * (tau + 1), 0.5 * weights
     h = np.diff(phase.times)
-    basis = part.scheme.basis(tau)
+    basis = scheme.basis(tau)
     given = np.einsum("tj,kji->kti", basis, phase._rates)
-    x = phase.states[:-1, None] + h[:, None, None] * np.einsum("tj,kji->kti", part.scheme.integrals(tau), phase._rates)
+    x = phase.states[:-1, None] + h[:, None, None] * np.einsum("tj,kji->kti", scheme.integrals(tau), phase._rates)
     u = np.clip(np.einsum("tj,kji->kti", basis, phase._stages[2]), *part.phase.u_bounds)
     times = phase.times[:-1, None] + h[:, None] * tau
     rates = evaluated(part, x.reshape(N * len(tau), -1), u.reshape(N * len(tau), -1), times.ravel(), p)
@@ -66,9 +70,9 @@ def _by_residual(part: PhasePart, phase: PhaseSolution, p: Array) -> Array:
     return np.asarray(h[:, None] * np.einsum("t,kti->ki", weights, missed))
 
 
-def _by_half_steps(part: PhasePart, phase: PhaseSolution, p: Array) -> Array:
+def _by_half_steps(part: PhasePart, substeps: int, phase: PhaseSolution, p: Array) -> Array:
     """The difference (N, nx) that twice the Runge–Kutta steps make at the end of every interval."""
-    steps = 2 * part.scheme.substeps
+    steps = 2 * substeps
     h = np.diff(phase.times) / steps
     u = phase._stages[2][:, 0]
     z, t = phase.states[:-1].T, phase.times[:-1].copy()
@@ -128,7 +132,9 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     met = all(error.max(initial=0.0) <= tolerance for error in solution.errors)
     status = solution.status if met or not solution.solved else OptimalControlStatus.STOPPED
     message = solution.message if met else f"{solution.message}; the mesh misses the dynamics by {_worst(solution):.1e}"
-    return replace(solution, status=status, message=message, iterations=iterations, solve_time=time.perf_counter() - began)
+    return replace(
+        solution, status=status, message=message, iterations=iterations, solve_time=time.perf_counter() - began
+    )
 
 
 def _worst(solution: Solution) -> float:

@@ -18,8 +18,8 @@ from mpc.exceptions import InputError
 class Collocation:
     """States are polynomials that meet the dynamics at given points of every interval; so are inputs.
 
-    An implicit Runge–Kutta method: x(τ) = x_k + h Σ a_j(τ) f_j, where a_j is the integral of the j-th Lagrange polynomial of the
-    points. With the points 0 and 1 among them inputs are continuous; else every interval has its own.
+    An implicit Runge–Kutta method: x(τ) = x_k + h Σ a_j(τ) f_j, where a_j is the integral of the j-th Lagrange
+    polynomial of the points. With the points 0 and 1 among them inputs are continuous; else every interval has its own.
 
     Attributes
     ----------
@@ -56,7 +56,9 @@ class Collocation:
         basis = []
         for j in range(len(c)):
             roots = [c[i] for i in range(len(c)) if i != j]
-            basis.append(Polynomial.fromroots(roots) / np.prod([c[j] - r for r in roots]) if roots else Polynomial([1.0]))
+            basis.append(
+                Polynomial.fromroots(roots) / np.prod([c[j] - r for r in roots]) if roots else Polynomial([1.0])
+            )
         return basis
 
     def basis(self, tau: Any) -> Array:
@@ -73,17 +75,17 @@ class Collocation:
         return self.integrals(np.asarray(self.points))
 
 
-def Trapezoidal() -> Collocation:  # noqa: N802 — reads as the scheme that it makes
+def Trapezoidal() -> Collocation:
     """Points 0 and 1: order 2."""
     return Collocation((0.0, 1.0), "trapezoidal", 2)
 
 
-def HermiteSimpson() -> Collocation:  # noqa: N802
+def HermiteSimpson() -> Collocation:
     """Points 0, 1/2 and 1: order 4."""
     return Collocation((0.0, 0.5, 1.0), "Hermite-Simpson", 4)
 
 
-def Radau(degree: int = 3) -> Collocation:  # noqa: N802
+def Radau(degree: int = 3) -> Collocation:
     """Legendre–Gauss–Radau points, the end of the interval among them: order 2·degree − 1."""
     d = as_count("degree", degree)
     points = [*map(float, ca.collocation_points(d, "radau")[:-1]), 1.0]

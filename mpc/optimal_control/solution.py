@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.optimal_control.interval import at_points, times_of_points
-from mpc.optimal_control.nlp import NonlinearProgram, PhasePart
 from mpc.optimal_control.problem import signal_at
+from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.optimal_control.schemes import Collocation
 from mpc.plan import Residuals
 
@@ -22,9 +22,11 @@ class OptimalControlStatus(Enum):
     """Outcome of a solve; the value is the advice."""
 
     SOLVED = "Solved: the optimality conditions hold to the tolerance, checked apart from the solver."
-    INFEASIBLE = "No feasible trajectory was found: `conflicts` names what is violated most. Relax it, or give a guess near to feasible."
+    INFEASIBLE = "No feasible trajectory was found. Relax what `conflicts` names, or give a guess nearer to feasible."
     STOPPED = "Stopped before the optimum: the best iterate is returned. Raise the limit, or start from this solution."
-    INACCURATE = "The solver ended, but the optimality conditions do not hold to the tolerance. Rescale, or refine the mesh."
+    INACCURATE = (
+        "The solver ended, but the optimality conditions do not hold to the tolerance. Rescale, or refine the mesh."
+    )
 
     @property
     def advice(self) -> str:
@@ -90,6 +92,11 @@ class PhaseSolution:
         else:
             value = inputs[:, 0]
         return np.asarray(value.reshape(*shape, -1))
+
+    def at_fractions(self, at: Array) -> tuple[Array, Array]:
+        """States and inputs at fractions (n,) of the phase."""
+        times = self.times[0] + at * self.duration
+        return self.x(times), self.u(times)
 
     def costate(self, t: ArrayLike) -> Array:
         """Costates (..., nx) at times (...), linear between the mesh points."""

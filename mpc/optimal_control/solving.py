@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.nlp import NonlinearProgram, build, describe_row, placed, rescaled
 from mpc.optimal_control.problem import OptimalControlProblem, Phase
+from mpc.optimal_control.program import NonlinearProgram, describe_row, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus, Solution, phase_solution
+from mpc.optimal_control.transcription import build
+from mpc.optimal_control.unknowns import placed
 from mpc.plan import Residuals
 
 FEASIBLE = 1e-6  # violation, in scaled rows, of what passes for feasible
@@ -64,7 +66,11 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
         _hold(program, p, lower, upper)
     began = time.perf_counter()
     guess = np.clip(program.guess if start is None else unknowns_from(program, start), lower, upper)
-    same = start is not None and len(start.multipliers["rows"]) == len(program.row_lower) and len(start.unknowns) == len(guess)
+    same = (
+        start is not None
+        and len(start.multipliers["rows"]) == len(program.row_lower)
+        and len(start.unknowns) == len(guess)
+    )
     first = start.multipliers if same and start is not None else None
     iterations = 0
     if first is not None:
@@ -107,7 +113,10 @@ def _once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array]
     given: dict[str, Any] = {"x0": guess / size, "lbx": lower / size, "ubx": upper / size,
              "lbg": program.row_lower / program.row_scale, "ubg": program.row_upper / program.row_scale}  # fmt: skip
     if multipliers is not None:
-        given |= {"lam_g0": multipliers["rows"] * program.row_scale / of_cost, "lam_x0": multipliers["bounds"] * size / of_cost}
+        given |= {
+            "lam_g0": multipliers["rows"] * program.row_scale / of_cost,
+            "lam_x0": multipliers["bounds"] * size / of_cost,
+        }
     result = solver(**given)
     stats = solver.stats()
     z, on_rows, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
@@ -146,7 +155,9 @@ def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -
     lower[program.parameters] = upper[program.parameters] = value
 
 
-def _solver(program: NonlinearProgram, tolerance: float, iterations: int, seconds: float, own: dict[str, Any]) -> tuple[Any, Any]:
+def _solver(
+    program: NonlinearProgram, tolerance: float, iterations: int, seconds: float, own: dict[str, Any]
+) -> tuple[Any, Any]:
     """Ipopt on scaled unknowns and rows, and those as CasADi expressions (z, f, g)."""
     z = ca.MX.sym("z", program.v.numel())
     whole = ca.Function("program", [program.v], [program.f, program.g], {"always_inline": True})
@@ -155,8 +166,9 @@ def _solver(program: NonlinearProgram, tolerance: float, iterations: int, second
     ipopt = {"tol": tolerance, "max_iter": iterations, "print_level": 0, "sb": "yes"} | own
     if np.isfinite(seconds):
         ipopt["max_wall_time"] = seconds
-    options = {"ipopt": ipopt, "print_time": False, "expand": program.expand, "show_eval_warnings": False}
-    return ca.nlpsol("solver", "ipopt", {"x": z, "f": f, "g": g}, options), (z, f, g)
+    options: Any = {"ipopt": ipopt, "print_time": False, "expand": program.expand, "show_eval_warnings": False}
+    statement: Any = {"x": z, "f": f, "g": g}
+    return ca.nlpsol("solver", "ipopt", statement, options), (z, f, g)
 
 
 def _checked(scaled: Any, z: Array, on_rows: Array, on_bounds: Array,
@@ -182,7 +194,7 @@ def _checked(scaled: Any, z: Array, on_rows: Array, on_bounds: Array,
 
 
 def _complementarity(value: Array, multiplier: Array, low: Array, high: Array) -> float:
-    """The largest product of a multiplier and the distance from the bound of its sign; far from both it counts whole."""
+    """The largest product of a multiplier and the distance from the bound of its sign, which counts as 1 at most."""
     room = np.where(multiplier > 0, high - value, value - low)
     free = low < high
     product = np.abs(multiplier) * np.minimum(np.maximum(room, 0.0), 1.0)
@@ -205,16 +217,14 @@ def unknowns_from(program: NonlinearProgram, start: Solution) -> Array:
     fits = len(start.phases) == len(program.parts) and len(start.p) == program.problem.parameters
     if not fits or any(a.states.shape[1] != b.layout.nx for a, b in zip(start.phases, program.parts)):
         raise InputError("start", repr(start.program), f"a solution of the same phases: {program!r}")
+    if len(start.unknowns) == len(program.lower) and _alike(start.program, program):
+        return start.unknowns
     v = program.guess.copy()
     v[program.parameters] = start.p
     for part, found in zip(program.parts, start.phases):
-        v[part.first : part.last] = placed(
-            part.layout, part.mesh, lambda at, one=found: (one.x(one.times[0] + at * one.duration), one.u(one.times[0] + at * one.duration)),
-        )  # fmt: skip
+        v[part.first : part.last] = placed(part.layout, part.mesh, found.at_fractions)
         if part.duration >= 0:
             v[part.duration] = found.duration
-    if start.program.v.numel() == program.v.numel() and len(start.unknowns) == len(v) and _alike(start.program, program):
-        return start.unknowns
     return v
 
 

@@ -1,8 +1,7 @@
-"""The nonlinear program that a transcription makes of an optimal control problem, to be looked at and solved."""
+"""From an optimal control problem and a mesh to a nonlinear program."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -12,130 +11,11 @@ from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.interval import Layout, interval_function, layout_of, times_of_points
 from mpc.optimal_control.problem import OptimalControlProblem, Phase, PhaseFunctions, signal_at
-from mpc.optimal_control.schemes import Collocation, MultipleShooting, Scheme
+from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, describe_row
+from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
+from mpc.optimal_control.unknowns import between, first_duration, first_guess, placed, size_of
 
 LARGEST = 400_000  # instructions that are written out one by one; beyond, intervals stay calls of one function
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Constraints of one kind: their name, their place and where on the mesh they stand.
-
-    Attributes
-    ----------
-    name : str
-    phase : int
-        Which one; −1 for what all share.
-    first, last : int
-        Rows first … last − 1.
-    fractions : (last − first,) array
-        Of the phase at which each stands.
-    entries : tuple of str
-        What each row of one point is called.
-    """
-
-    name: str
-    phase: int
-    first: int
-    last: int
-    fractions: Array
-    entries: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class PhasePart:
-    """Where the unknowns of a phase stand in the vector of all.
-
-    Attributes
-    ----------
-    phase, functions, layout, scheme
-    mesh : (N + 1,) array
-        Of fractions of the phase, from 0 to 1.
-    first, last : int
-        Its unknowns are first … last − 1: node, interval, node, interval, …, node.
-    duration : int
-        Index of its duration; −1 where it is given.
-    defects, path : slice
-        Its rows, interval by interval.
-    interval : casadi.Function
-    """
-
-    phase: Phase
-    functions: PhaseFunctions
-    layout: Layout
-    scheme: Scheme
-    mesh: Array
-    first: int
-    last: int
-    duration: int
-    defects: slice
-    path: slice
-    interval: ca.Function
-
-    @property
-    def intervals(self) -> int:
-        """N."""
-        return len(self.mesh) - 1
-
-    def columns(self, v: Any) -> tuple[Any, Any]:
-        """Unknowns (column, N) of intervals and their first nodes, and (node,) of the last, of the vector of all."""
-        own = v[self.first : self.last]
-        cut = self.layout.column * self.intervals
-        if isinstance(own, np.ndarray):
-            return own[:cut].reshape(self.intervals, self.layout.column).T, own[cut:]
-        return ca.reshape(own[:cut], self.layout.column, self.intervals), own[cut:]
-
-
-@dataclass(frozen=True, eq=False)
-class NonlinearProgram:
-    """min f(v) subject to lower ≤ v ≤ upper, row_lower ≤ g(v) ≤ row_upper, in the units of the problem.
-
-    Attributes
-    ----------
-    problem : OptimalControlProblem
-    v, f, g : casadi.MX
-    lower, upper, guess, scale : (n,) arrays
-        Bounds, where to start, and sizes of the unknowns.
-    cost_scale : float
-    row_lower, row_upper, row_scale : (m,) arrays
-    rows : tuple of Rows
-    parts : tuple of PhasePart
-    parameters : slice
-        Of p among the unknowns.
-    expand : bool
-        Whether f and g are written out in scalar instructions for the solver.
-    """
-
-    problem: OptimalControlProblem
-    v: ca.MX
-    f: ca.MX
-    g: ca.MX
-    lower: Array
-    upper: Array
-    guess: Array
-    scale: Array
-    row_lower: Array
-    row_upper: Array
-    row_scale: Array
-    rows: tuple[Rows, ...]
-    parts: tuple[PhasePart, ...]
-    parameters: slice
-    expand: bool
-    cost_scale: float = 1.0
-
-    def __repr__(self) -> str:
-        kinds = ", ".join(f"{part.intervals} intervals of {part.scheme.name}" for part in self.parts)
-        return f"NonlinearProgram({self.v.numel()} unknowns, {self.g.numel()} constraints, {kinds})"
-
-    def times(self, v: Array) -> list[tuple[float, float]]:
-        """Start and duration of every phase, of the unknowns (n,)."""
-        clock, found = 0.0, []
-        for k, part in enumerate(self.parts):
-            start = clock if k and self.problem.linked else part.phase.start_time
-            length = float(v[part.duration]) if part.duration >= 0 else part.phase.duration[0]
-            found.append((start, length))
-            clock = start + length
-        return found
 
 
 def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, intervals: Any = 20,
@@ -161,11 +41,11 @@ def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, 
         problem = OptimalControlProblem(problem)
     if not isinstance(problem, OptimalControlProblem):
         raise InputError("problem", type(problem).__name__, "an OptimalControlProblem or a Phase")
-    from mpc.optimal_control.schemes import Radau
-
     scheme = Radau(3) if scheme is None else scheme
     if not isinstance(scheme, Collocation | MultipleShooting):
-        raise InputError("scheme", type(scheme).__name__, "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()")
+        raise InputError(
+            "scheme", type(scheme).__name__, "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()"
+        )
     return _Builder(problem, scheme, _meshes(problem, intervals, meshes)).program()
 
 
@@ -222,19 +102,25 @@ class _Builder:
         for phase in problem.phases:
             durations.append(first if phase.free_duration else -1)
             if phase.free_duration:
-                self._unknown(*(np.array([b]) for b in phase.duration), np.array([_first_duration(phase)]))
+                low, high = phase.duration
+                self._unknown(np.array([low]), np.array([high]), np.array([first_duration(phase)]))
                 first += 1
         parameters = slice(first, first + problem.parameters)
-        self._unknown(*problem.p_bounds, problem.p_guess)
+        low, high = problem.p_bounds
+        self._unknown(low, high, problem.p_guess)
         worst = parameters.stop if problem.risk == "worst" and len(problem.phases) > 1 else -1
         if worst >= 0:
             self._unknown(np.array([-np.inf]), np.array([np.inf]), np.array([0.0]))
         size = parameters.stop + (worst >= 0)
         v = ca.MX.sym("v", size)
         p = v[parameters]
-        parts, costs, ends = [], [], []
+        parts: list[PhasePart] = []
+        costs: list[Any] = []
+        ends: list[Any] = []
         clock: Any = ca.MX(0)
-        for k, (phase, functions, layout, mesh) in enumerate(zip(problem.phases, problem.functions, layouts, self.meshes)):
+        for k, (phase, functions, layout, mesh) in enumerate(
+            zip(problem.phases, problem.functions, layouts, self.meshes)
+        ):
             start = clock if k and problem.linked else ca.MX(phase.start_time)
             length = v[durations[k]] if durations[k] >= 0 else ca.MX(phase.duration[0])
             part, cost, end = self._phase(k, functions, layout, mesh, places[k], durations[k], v, p, start, length)
@@ -260,14 +146,27 @@ class _Builder:
 
     def _assembled(self, v: ca.MX, f: Any, parts: tuple[PhasePart, ...], parameters: slice) -> NonlinearProgram:
         """The program of what was collected."""
-        low, high, scale = (np.concatenate([b[i] for b in self.bounds] or [np.zeros(0)]) for i in range(3))
+        none = [np.zeros(0)]
+        low, high, scale = (np.concatenate([sides[i] for sides in self.bounds] + none) for i in range(3))
         scalar = all(part.interval.is_a("SXFunction") for part in parts)
         work = sum(part.interval.n_instructions() * part.intervals for part in parts) if scalar else LARGEST
         return NonlinearProgram(
-            self.problem, v, ca.MX(f), ca.vertcat(*self.g) if self.g else ca.MX(0, 1),
-            *(np.concatenate(each) for each in (self.lower, self.upper, self.guess, self.scale)),
-            low, high, scale, tuple(self.rows), parts, parameters, work < LARGEST,
-        )  # fmt: skip
+            problem=self.problem,
+            v=v,
+            f=ca.MX(f),
+            g=ca.vertcat(*self.g),
+            lower=np.concatenate(self.lower),
+            upper=np.concatenate(self.upper),
+            guess=np.concatenate(self.guess),
+            scale=np.concatenate(self.scale),
+            row_lower=low,
+            row_upper=high,
+            row_scale=scale,
+            rows=tuple(self.rows),
+            parts=parts,
+            parameters=parameters,
+            expand=work < LARGEST,
+        )
 
     def _unknown(self, lower: Array, upper: Array, guess: Array, scale: Array | None = None) -> None:
         """Append unknowns."""
@@ -279,23 +178,22 @@ class _Builder:
     def _unknowns_of(self, phase: Phase, layout: Layout, mesh: Array) -> None:
         """Append the unknowns of a phase, with where they start from."""
         trajectory = first_guess(phase)
-        on_mesh = [of(mesh) for of in trajectory]
-        known = [np.where(np.isfinite(side), side, 0.0) for side in phase.start + phase.end]
-        x_size = size_of(*phase.x_bounds, np.vstack([on_mesh[0], *known]))
-        u_size = size_of(*phase.u_bounds, on_mesh[1])
+        x, u = trajectory(mesh)
+        known = [np.where(np.isfinite(side), side, 0.0) for side in (*phase.start, *phase.end)]
+        (x_low, x_high), (u_low, u_high) = phase.x_bounds, phase.u_bounds
+        sizes = size_of(x_low, x_high, np.vstack([x, *known])), size_of(u_low, u_high, u)
         lower, upper, size = (
-            placed(layout, mesh, lambda at, x=x, u=u: (np.tile(x, (len(at), 1)), np.tile(u, (len(at), 1))))
-            for x, u in zip((*phase.x_bounds, x_size), (*phase.u_bounds, u_size))
+            placed(layout, mesh, between(np.zeros(1), side[0][None], side[1][None]))
+            for side in (*zip(phase.x_bounds, phase.u_bounds), sizes)
         )
         first, last = slice(layout.nx), slice(len(lower) - layout.node, len(lower) - layout.node_inputs)
         for place, (low, high) in ((first, phase.start), (last, phase.end)):
             lower[place] = np.maximum(lower[place], low)
             upper[place] = np.minimum(upper[place], high)
-        guess = placed(layout, mesh, lambda at: tuple(of(at) for of in trajectory))
-        self._unknown(lower, upper, np.clip(guess, lower, upper), size)
+        self._unknown(lower, upper, np.clip(placed(layout, mesh, trajectory), lower, upper), size)
 
-    def _phase(self, k: int, functions: PhaseFunctions, layout: Layout, mesh: Array, place: tuple[int, int], duration: int,
-               v: ca.MX, p: Any, start: Any, length: Any) -> tuple[PhasePart, Any, Any]:  # fmt: skip
+    def _phase(self, k: int, functions: PhaseFunctions, layout: Layout, mesh: Array, place: tuple[int, int],
+               duration: int, v: ca.MX, p: Any, start: Any, length: Any) -> tuple[PhasePart, Any, Any]:  # fmt: skip
         """Append the equations of a phase; its part, its cost and the state at its end."""
         phase, N = self.problem.phases[k], len(mesh) - 1
         interval = interval_function(phase, functions, self.scheme, layout, self.problem.parameters)
@@ -310,14 +208,33 @@ class _Builder:
         fractions = times_of_points(layout, mesh)
         given = signal_at(phase, phase.start_time + phase.duration[0] * fractions.ravel())
         w = given.reshape(N, -1).T
-        arguments = (x[:, :N], node_inputs[:, :N], own, x[:, 1:], node_inputs[:, 1:], ca.repmat(p, 1, N), times[:, :N], steps, w)
+        arguments = (
+            x[:, :N],
+            node_inputs[:, :N],
+            own,
+            x[:, 1:],
+            node_inputs[:, 1:],
+            ca.repmat(p, 1, N),
+            times[:, :N],
+            steps,
+            w,
+        )
         defects, costs, path = interval.map(N)(*arguments) if N > 1 else interval(*arguments)
         size = np.asarray(self.scale[k])[: layout.nx]
         many = defects.numel() // N
         first = self.height
         after = [c for c in layout.points if c > 0] or [1.0]
         places = (mesh[:-1, None] + np.diff(mesh)[:, None] * np.asarray(after)).repeat(layout.nx, axis=1)
-        self._row("dynamics", k, ca.vec(defects), 0.0, 0.0, np.tile(size, N * many // layout.nx), places.ravel(), phase.state_names)
+        self._row(
+            "dynamics",
+            k,
+            ca.vec(defects),
+            0.0,
+            0.0,
+            np.tile(size, N * many // layout.nx),
+            places.ravel(),
+            phase.state_names,
+        )
         part_defects = slice(first, self.height)
         first = self.height
         cost = ca.sum2(costs)
@@ -331,7 +248,9 @@ class _Builder:
         if functions.boundary is not None:
             value = functions.boundary(x[:, 0], x_end, start, end_time, p)
             self._row("boundary", k, value, *functions.boundary_bounds, 1.0, np.ones(value.numel()), ())
-        part = PhasePart(phase, functions, layout, self.scheme, mesh, *place, duration, part_defects, part_path, interval)
+        part = PhasePart(
+            phase, functions, layout, self.scheme, mesh, *place, duration, part_defects, part_path, interval
+        )
         return part, cost, x_end
 
     def _path_rows(self, k: int, functions: PhaseFunctions, layout: Layout, path: Any, fractions: Array, x: Any,
@@ -371,85 +290,6 @@ class _Builder:
         self.height += count
 
 
-def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
-    """The program with sizes of unknowns, dynamics and cost as they are at unknowns (n,)."""
-    scale, row_scale = program.scale.copy(), program.row_scale.copy()
-    for part in program.parts:
-        layout, sizes = part.layout, {}
-        of = placed(layout, part.mesh, lambda at, n=layout: (np.tile(np.arange(n.nx), (len(at), 1)), np.tile(np.arange(n.nu) + n.nx, (len(at), 1))))
-        own = v[part.first : part.last]
-        bounds = [np.concatenate(pair) for pair in zip(part.phase.x_bounds, part.phase.u_bounds)]
-        for i in range(layout.nx + layout.nu):
-            place = of == i
-            found = size_of(bounds[0][[i]], bounds[1][[i]], own[place][:, None])[0]
-            scale[part.first : part.last][place] = found
-            sizes[i] = found
-        many = part.defects.stop - part.defects.start
-        row_scale[part.defects] = np.tile([sizes[i] for i in range(layout.nx)], many // layout.nx)
-    slope = ca.Function("slope", [program.v], [ca.gradient(program.f, program.v)])(v)
-    size = float(np.abs(np.asarray(slope, dtype=float).ravel() * scale).max(initial=0.0))
-    usable = np.isfinite(size) and size > 0
-    return replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=size if usable else 1.0)
-
-
-def placed(layout: Layout, mesh: Array, trajectory: Any) -> Array:
-    """Unknowns (n,) of a phase, of a trajectory: fractions (k,) → states (k, nx) and inputs (k, nu)."""
-    x, u = trajectory(mesh)
-    nodes = np.hstack([x, u[:, : layout.node_inputs]])
-    own = [np.zeros((len(mesh) - 1, 0))]
-    for c in sorted({*layout.inner, *layout.held}):
-        x, u = trajectory(mesh[:-1] + c * np.diff(mesh))
-        own += [x] * (c in layout.inner) + [u] * (c in layout.held)
-    return np.concatenate([np.hstack([nodes[:-1], *own]).ravel(), nodes[-1]])
-
-
-def size_of(lower: Array, upper: Array, guess: Array) -> Array:
-    """Sizes of unknowns: of their bounds, else of the guess, else 1."""
-    bounded = np.isfinite(lower) & np.isfinite(upper)
-    of_bounds = np.where(bounded, np.maximum(np.abs(lower), np.abs(upper)), 0.0)
-    of_guess = np.abs(guess) if np.ndim(guess) <= 1 else np.abs(guess).max(axis=0)
-    size = np.where(bounded, np.maximum(of_bounds, 0.0), of_guess)
-    return np.asarray(np.where(size > 0, size, 1.0))
-
-
-def _first_duration(phase: Phase) -> float:
-    """The duration to begin with."""
-    low, high = phase.duration
-    if phase.duration_guess is not None:
-        return float(np.clip(phase.duration_guess, low, high))
-    return float(np.sqrt(low * high)) if np.isfinite(high) else max(1.0, 2 * low)
-
-
-def first_guess(phase: Phase) -> tuple[Any, Any]:
-    """States and inputs as functions of fractions (n,): the user's, else straight from the start to the end."""
-    if phase.guess is not None:
-        given = [as_floats("guess", part) for part in phase.guess]
-        times, x, u = given
-        shapes = ((len(times),), (len(times), phase.states), (len(times), phase.inputs))
-        if tuple(part.shape for part in given) != shapes or not all(np.isfinite(part).all() for part in given):
-            got = f"shapes {', '.join(str(part.shape) for part in given)}"
-            raise InputError("guess", got, f"(n,) fractions, (n, {phase.states}) and (n, {phase.inputs}), finite")
-        if (np.diff(times) < 0).any():
-            raise InputError("guess", "times that fall", "rising fractions of the duration")
-        return _between(times, x), _between(times, u)
-    ends = []
-    for low, high in (phase.start, phase.end):
-        known = low == high
-        both = np.isfinite(low) & np.isfinite(high)
-        ends.append((np.where(known, low, np.where(both, 0.5 * (np.where(both, low, 0) + np.where(both, high, 0)), np.nan))))
-    first, last = ends
-    first, last = np.where(np.isnan(first), last, first), np.where(np.isnan(last), first, last)
-    middle = np.clip(0.0, *phase.x_bounds)
-    first, last = np.where(np.isnan(first), middle, first), np.where(np.isnan(last), middle, last)
-    u = np.clip(0.0, *phase.u_bounds) if phase.inputs else np.zeros(0)
-    return _between(np.array([0.0, 1.0]), np.vstack([first, last])), _between(np.array([0.0, 1.0]), np.vstack([u, u]))
-
-
-def _between(times: Array, values: Array) -> Any:
-    """Linear interpolation of values (n, k)."""
-    return lambda at: np.stack([np.interp(at, times, column) for column in values.T], axis=-1) if values.shape[1] else np.zeros((len(at), 0))
-
-
 def check_at_guess(program: NonlinearProgram) -> None:
     """Raise an `InputError` unless cost and constraints are finite at the guess: it says which, and when."""
     values = ca.Function("values", [program.v], [program.f, program.g])(program.guess)
@@ -457,23 +297,8 @@ def check_at_guess(program: NonlinearProgram) -> None:
     wrong = np.flatnonzero(~np.isfinite(g))
     if len(wrong):
         got = f"{g[wrong[0]]:g} in {describe_row(program, int(wrong[0]), program.guess)}"
-        raise InputError("guess", got, "finite values where the solution starts from", "Give a `guess` away from the singular point.")
+        raise InputError(
+            "guess", got, "finite values where the solution starts from", "Give a `guess` away from the singular point."
+        )
     if not np.isfinite(f[0]):
         raise InputError("guess", f"a cost of {f[0]:g}", "a finite one where the solution starts from")
-
-
-def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
-    """What a constraint is, and when: "path 2 at t = 0.31"."""
-    found = next(rows for rows in program.rows if rows.first <= row < rows.last)
-    index = row - found.first
-    if found.phase < 0:
-        return f"{found.name} {index + 1}"
-    start, length = program.times(v)[found.phase]
-    functions = program.parts[found.phase].functions if program.parts else None
-    if found.entries:
-        entry = f" of {found.entries[index % len(found.entries)]}"
-    else:
-        function = {"path": functions and functions.path}.get(found.name)
-        entry = f" {index % function.numel_out(0) + 1}" if function else f" {index + 1}"
-    phase = f" of phase {found.phase + 1}" if len(program.parts) > 1 else ""
-    return f"{found.name}{entry}{phase} at t = {start + length * found.fractions[index]:.6g}"
