@@ -119,22 +119,35 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     program = build(problem, scheme, intervals)
     solution = solve(program, **options)
     iterations = solution.iterations
+    if not solution.solved:
+        return solution
     for _ in range(as_count("rounds", rounds) - 1):
         if all(error.max(initial=0.0) <= tolerance for error in solution.errors):
             break
         meshes = [_finer(part, error, tolerance) for part, error in zip(program.parts, solution.errors)]
         program = build(program.problem, program.parts[0].scheme, meshes=meshes)
         finer = solve(program, start=solution, **options)
+        iterations += finer.iterations
         if not finer.solved:
-            finer = min(finer, solve(program, **options), key=lambda found: found.residuals.worst)
+            fresh = solve(program, **options)
+            iterations += fresh.iterations
+            finer = min(finer, fresh, key=lambda found: found.residuals.worst)
+        if not finer.solved:
+            return _ended(solution, "a finer mesh was not solved", iterations, began)
         solution = finer
-        iterations += solution.iterations
     met = all(error.max(initial=0.0) <= tolerance for error in solution.errors)
-    status = solution.status if met or not solution.solved else OptimalControlStatus.STOPPED
-    message = solution.message if met else f"{solution.message}; the mesh misses the dynamics by {_worst(solution):.1e}"
+    return _ended(solution, "" if met else "these were all the rounds", iterations, began)
+
+
+def _ended(solution: Solution, reason: str, iterations: int, began: float) -> Solution:
+    """The last solution, STOPPED for a reason, if there is one."""
+    stopped = bool(reason) and solution.solved
+    missed = f"; {reason}: the mesh misses the dynamics by {_worst(solution):.1e}"
     return replace(
-        solution, status=status, message=message, iterations=iterations, solve_time=time.perf_counter() - began
-    )
+        solution, iterations=iterations, solve_time=time.perf_counter() - began,
+        status=OptimalControlStatus.STOPPED if stopped else solution.status,
+        message=solution.message + missed * stopped,
+    )  # fmt: skip
 
 
 def _worst(solution: Solution) -> float:

@@ -24,6 +24,7 @@ OPTIMAL = 1e-5  # residual of the optimality conditions, scaled by the size of m
 ACTIVE = 1e-7  # distance from a bound, in scaled unknowns, at which it may have a multiplier
 RESCALINGS = 3  # solves at most, each with sizes as the one before found them
 WELL_SIZED = 10.0  # ratio of sizes that is good enough
+WARM = {"mu_init": 1e-5, "bound_push": 1e-6, "bound_frac": 1e-6, "slack_bound_push": 1e-6, "slack_bound_frac": 1e-6}
 SHOWN = 5  # conflicts that are named
 LIMITS = ("Maximum_Iterations_Exceeded", "Maximum_WallTime_Exceeded", "Maximum_CpuTime_Exceeded", "User_Requested_Stop")
 IMPOSSIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")
@@ -66,6 +67,7 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
         _hold(program, p, lower, upper)
     began = time.perf_counter()
     guess = np.clip(program.guess if start is None else unknowns_from(program, start), lower, upper)
+    own = (WARM if start is not None else {}) | dict(options or {})
     same = (
         start is not None
         and len(start.multipliers["rows"]) == len(program.row_lower)
@@ -76,14 +78,14 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     if first is not None:
         program = rescaled(program, guess)
     for _ in range(RESCALINGS):
-        found = _once(program, guess, first, lower, upper, (tolerance, max_iterations, seconds, options or {}))
+        found = _once(program, guess, first, lower, upper, (tolerance, max_iterations, seconds, own))
         iterations += found.iterations
         sized = rescaled(program, found.v)
         ratio = np.concatenate([sized.scale / program.scale, [sized.cost_scale / program.cost_scale]])
         off = float(np.abs(np.log(ratio)).max(initial=0.0))
         if off < np.log(WELL_SIZED) or not found.ended:
             break
-        program, guess, first = sized, found.v, found.multipliers
+        program, guess, first, own = sized, found.v, found.multipliers, WARM | dict(options or {})
     seconds = time.perf_counter() - began
     return _solution(program, replace(found, iterations=iterations), seconds)
 
