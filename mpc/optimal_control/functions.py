@@ -98,7 +98,8 @@ def _wanted(argument: str, given: Any, names: tuple[str, ...]) -> tuple[str, ...
         if all(name == f"i{k}" for k, name in enumerate(own)):
             own = names[: given.n_in()]
     elif callable(given) and not isinstance(given, type):
-        own = tuple(inspect.signature(given).parameters)
+        taken = inspect.signature(given).parameters.values()
+        own = tuple(one.name for one in taken if one.name in names or one.default is one.empty)
     else:
         raise InputError(argument, brief(repr(given)), expected)
     strange = [name for name in own if name not in names]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +28,9 @@ class Layout:
     held : tuple of float
         Points with inputs of their own.
     points : tuple of float
-        Where the dynamics are evaluated, and the signal is needed.
+        Where states and inputs are known, and limits along the path are kept.
+    signals : tuple of float
+        Where the signal is needed.
     """
 
     nx: int
@@ -37,6 +40,7 @@ class Layout:
     inner: tuple[float, ...]
     held: tuple[float, ...]
     points: tuple[float, ...]
+    signals: tuple[float, ...]
 
     @property
     def node(self) -> int:
@@ -57,19 +61,21 @@ class Layout:
 def layout_of(phase: Phase, nw: int, scheme: Scheme) -> Layout:
     """The unknowns of an interval of a phase under a scheme."""
     sizes = (phase.states, phase.inputs, nw)
-    if isinstance(scheme, MultipleShooting) or phase.discrete:
-        return Layout(*sizes, 0, (), (0.0,), (0.0,))
+    if phase.discrete:
+        return Layout(*sizes, 0, (), (0.0,), (0.0,), (0.0,))
+    if isinstance(scheme, MultipleShooting):
+        halves = 2 * scheme.substeps if scheme.integrator == "rk4" else 2
+        return Layout(*sizes, 0, (), (0.0,), (0.0,), tuple(i / halves for i in range(halves + 1)))
     inner = tuple(c for c in scheme.points if 0 < c < 1)
-    if scheme.continuous_inputs:
-        return Layout(*sizes, phase.inputs, inner, inner, scheme.points)
-    return Layout(*sizes, 0, inner, scheme.points, scheme.points)
+    shared = phase.inputs if scheme.continuous_inputs else 0
+    return Layout(*sizes, shared, inner, inner if shared else scheme.points, scheme.points, scheme.points)
 
 
 def interval_function(phase: Phase, functions: PhaseFunctions, scheme: Scheme, layout: Layout,
                       parameters: int) -> ca.Function:  # fmt: skip
     """(x, v, own, next x, next v, p, t, h, w) → defects, cost, path values.
 
-    v are the inputs of a node, w the signal (nw, points); x is what the unknowns say that comes next.
+    v are the inputs of a node, w the signal (nw, its points).
     """
     scalar = all(
         function is None or function.is_a("SXFunction")
@@ -78,10 +84,10 @@ def interval_function(phase: Phase, functions: PhaseFunctions, scheme: Scheme, l
     kind = ca.SX if scalar else ca.MX
     sizes = {
         "x": layout.nx, "v": layout.node_inputs, "own": layout.own, "x_next": layout.nx, "v_next": layout.node_inputs,
-        "p": parameters, "t": 1, "h": 1, "w": layout.nw * len(layout.points),
+        "p": parameters, "t": 1, "h": 1, "w": layout.nw * len(layout.signals),
     }  # fmt: skip
     s: dict[str, Any] = {name: kind.sym(name, size) for name, size in sizes.items()}
-    w = ca.reshape(s["w"], layout.nw, len(layout.points))
+    w = ca.reshape(s["w"], layout.nw, len(layout.signals))
     if phase.discrete:
         defects, cost, path = _step(functions, s, w)
     elif isinstance(scheme, MultipleShooting):
@@ -104,27 +110,27 @@ def _shoot(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any
     """The equations of one interval of shooting: the state and its cost are integrated with the input held."""
     u, p, t, h = s["own"], s["p"], s["t"], s["h"]
 
-    def rate(z: Any, time: Any) -> Any:
-        at = (z[:-1], u, w, p, time)
+    def rate(z: Any, time: Any, signal: Any) -> Any:
+        at = (z[:-1], u, signal, p, time)
         return ca.vertcat(functions.dynamics(*at), functions.stage_cost(*at) if functions.stage_cost else 0)
 
     z = ca.vertcat(s["x"], 0)
     if scheme.integrator == "rk4":
-        for _ in range(scheme.substeps):
-            z = runge_kutta(rate, z, t, h / scheme.substeps)
-            t = t + h / scheme.substeps
+        step = h / scheme.substeps
+        for i in range(scheme.substeps):
+            z = runge_kutta(rate, z, t + i * step, step, [w[:, 2 * i + k] for k in range(3)])
     else:
         z = _by_cvodes(functions, scheme, s, w)
-    path = functions.path(s["x"], u, w, p, s["t"]) if functions.path else type(w)(0, 1)
+    path = functions.path(s["x"], u, w[:, 0], p, s["t"]) if functions.path else type(w)(0, 1)
     return z[:-1] - s["x_next"], z[-1], path
 
 
-def runge_kutta(rate: Any, z: Any, t: Any, h: Any) -> Any:
-    """One step of the classical method of order 4."""
-    k1 = rate(z, t)
-    k2 = rate(z + h / 2 * k1, t + h / 2)
-    k3 = rate(z + h / 2 * k2, t + h / 2)
-    k4 = rate(z + h * k3, t + h)
+def runge_kutta(rate: Any, z: Any, t: Any, h: Any, w: Sequence[Any]) -> Any:
+    """One step of the classical method of order 4, of rate(z, t, w) with the signal at its begin, middle and end."""
+    k1 = rate(z, t, w[0])
+    k2 = rate(z + h / 2 * k1, t + h / 2, w[1])
+    k3 = rate(z + h / 2 * k2, t + h / 2, w[1])
+    k4 = rate(z + h * k3, t + h, w[2])
     return z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
@@ -133,7 +139,9 @@ def _by_cvodes(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str,
     sizes = {name: s[name].numel() for name in ("x", "own", "p")} | {"w": w.numel(), "t": 1, "h": 1}
     c = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     tau = ca.MX.sym("tau")
-    at = (c["x"], c["own"], c["w"], c["p"], c["t"] + tau * c["h"])
+    begin, middle, end_ = ca.horzsplit(ca.reshape(c["w"], -1, 3)) if w.numel() else [ca.MX(0, 1)] * 3
+    signal = begin * (2 * tau - 1) * (tau - 1) + middle * 4 * tau * (1 - tau) + end_ * tau * (2 * tau - 1)
+    at = (c["x"], c["own"], signal, c["p"], c["t"] + tau * c["h"])
     cost = functions.stage_cost(*at) if functions.stage_cost else 0
     given = ca.vertcat(c["own"], c["p"], c["w"], c["t"], c["h"])
     dae = {"x": c["x"], "p": given, "t": tau, "ode": c["h"] * functions.dynamics(*at), "quad": c["h"] * cost}
@@ -178,6 +186,6 @@ def at_points(layout: Layout, x: Any, v: Any, own: Any, x_next: Any, v_next: Any
     return states, inputs
 
 
-def times_of_points(layout: Layout, mesh: Array) -> Array:
-    """Fractions (N, points) of a phase at which its dynamics are evaluated, of a mesh (N + 1,) of fractions."""
-    return mesh[:-1, None] + np.diff(mesh)[:, None] * np.asarray(layout.points)
+def times_of(points: Sequence[float], mesh: Array) -> Array:
+    """Fractions (N, points) of a phase, of the points of every interval of a mesh (N + 1,)."""
+    return mesh[:-1, None] + np.diff(mesh)[:, None] * np.asarray(points)

@@ -65,7 +65,14 @@ def _by_residual(part: PhasePart, scheme: Collocation, phase: PhaseSolution, p: 
     x = phase.states[:-1, None] + h[:, None, None] * np.einsum("tj,kji->kti", scheme.integrals(tau), phase._rates)
     u = np.clip(np.einsum("tj,kji->kti", basis, phase._stages[2]), *part.phase.u_bounds)
     times = phase.times[:-1, None] + h[:, None] * tau
-    rates = evaluated(part, x.reshape(N * len(tau), -1), u.reshape(N * len(tau), -1), times.ravel(), p)
+    rates = evaluated(
+        part,
+        x.reshape(N * len(tau), -1),
+        u.reshape(N * len(tau), -1),
+        times.ravel(),
+        p,
+        signal_at(part.phase, times.ravel()),
+    )
     missed = np.abs(given - rates.reshape(N, len(tau), -1))
     return np.asarray(h[:, None] * np.einsum("t,kti->ki", weights, missed))
 
@@ -76,17 +83,20 @@ def _by_half_steps(part: PhasePart, substeps: int, phase: PhaseSolution, p: Arra
     h = np.diff(phase.times) / steps
     u = phase._stages[2][:, 0]
     z, t = phase.states[:-1].T, phase.times[:-1].copy()
+
+    def rate(x: Array, at: Array, signal: Array) -> Array:
+        return evaluated(part, x.T, u, at, p, signal).T
+
     for _ in range(steps):
-        z = runge_kutta(lambda x, at: evaluated(part, x.T, u, at, p).T, z, t, h)
+        z = runge_kutta(rate, z, t, h, [signal_at(part.phase, at) for at in (t, t + h / 2, t + h)])
         t = t + h
     return np.abs(z.T - phase.states[1:])
 
 
-def evaluated(part: PhasePart, x: Array, u: Array, t: Array, p: Array) -> Array:
-    """dx/dt (n, nx) at states (n, nx), inputs (n, nu) and times (n,)."""
+def evaluated(part: PhasePart, x: Array, u: Array, t: Array, p: Array, w: Array) -> Array:
+    """dx/dt (n, nx) at states (n, nx), inputs (n, nu), times (n,) and signals (n, nw)."""
     n = len(x)
-    w = signal_at(part.phase, t).T if part.layout.nw else np.zeros((0, n))
-    found = part.functions.dynamics.map(n)(x.T, u.T, w, np.tile(p[:, None], (1, n)), t[None])
+    found = part.functions.dynamics.map(n)(x.T, u.T, w.T, np.tile(p[:, None], (1, n)), t[None])
     return np.asarray(found, dtype=float).reshape(part.layout.nx, n).T
 
 

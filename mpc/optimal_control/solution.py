@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
-from mpc.optimal_control.interval import at_points, times_of_points
+from mpc.optimal_control.interval import at_points, times_of
 from mpc.optimal_control.problem import signal_at
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.optimal_control.schemes import Collocation
@@ -210,7 +210,8 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     nodes = np.column_stack([columns[: layout.node], last])
     x, shared, own = nodes[: layout.nx], nodes[layout.nx :], columns[layout.node :]
     states, inputs = at_points(layout, x[:, :-1], shared[:, :-1], own, x[:, 1:], shared[:, 1:])
-    fractions = times_of_points(layout, part.mesh)
+    fractions = times_of(layout.points, part.mesh)
+    at_signals = times_of(layout.signals, part.mesh)
     times = start + length * fractions
     if part.phase.discrete:
         mesh_times = start + np.arange(N + 1.0)
@@ -219,7 +220,7 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     else:
         mesh_times = start + length * part.mesh
         h = length * np.diff(part.mesh)
-    w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * fractions.ravel()).reshape(N, -1)
+    w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * at_signals.ravel()).reshape(N, -1)
     stage_states = np.stack(states, axis=0).transpose(2, 0, 1)
     stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
     rates = stage_rates(part, stage_states, stage_inputs, w, p, times, x.T)
@@ -237,7 +238,7 @@ def stage_rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Arra
         x = np.stack([nodes[:-1], nodes[1:]], axis=1)
         u = np.repeat(inputs, 2, axis=1)
         t = np.stack([times[:, 0], np.append(times[1:, 0], times[-1, 0])], axis=1)
-        signal = np.repeat(w.reshape(N, 1, -1), 2, axis=1)
+        signal = w.reshape(N, len(part.layout.signals), -1)[:, [0, -1]]
     count = x.shape[1] * N
     flat = (x.reshape(count, -1).T, u.reshape(count, -1).T, signal.reshape(count, -1).T,
             np.tile(p[:, None], (1, count)), t.reshape(1, count))  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.interval import Layout, interval_function, layout_of, times_of_points
+from mpc.optimal_control.interval import Layout, interval_function, layout_of, times_of
 from mpc.optimal_control.problem import OptimalControlProblem, Phase, PhaseFunctions, signal_at
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, describe_row
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
@@ -205,8 +205,8 @@ class _Builder:
         unit = 1.0 if phase.discrete else length
         times = start + length * ca.DM(mesh).T
         steps = unit * ca.DM(np.diff(mesh)).T if not phase.discrete else ca.DM.ones(1, N)
-        fractions = times_of_points(layout, mesh)
-        given = signal_at(phase, phase.start_time + phase.duration[0] * fractions.ravel())
+        fractions = times_of(layout.points, mesh)
+        given = signal_at(phase, phase.start_time + phase.duration[0] * times_of(layout.signals, mesh).ravel())
         w = given.reshape(N, -1).T
         arguments = (
             x[:, :N],
@@ -265,12 +265,14 @@ class _Builder:
         times = len(places) // count
         self._row("path", k, ca.vec(path), np.tile(low, times), np.tile(high, times), 1.0, places, ())
         if held:
-            at = (x[:, N], own[:, N - 1], w[:, N - 1], p, start + length)
-        elif layout.points[0] == 0:
-            at = (x[:, 0], node_inputs[:, 0], w[: layout.nw, 0], p, start)
-        else:
+            end = (x[:, N], own[:, N - 1], w[-layout.nw :, N - 1] if layout.nw else w[:, 0], p, start + length)
+            self._row("path", k, functions.path(*end), low, high, 1.0, np.ones(count), ())
             return
-        self._row("path", k, functions.path(*at), low, high, 1.0, np.full(count, 1.0 if held else 0.0), ())
+        u = node_inputs[:, 0] if layout.node_inputs else ca.DM.zeros(layout.nu)
+        begin = functions.path(x[:, 0], u, w[: layout.nw, 0], p, start)
+        kept = np.arange(count) if layout.node_inputs else np.flatnonzero(~_depends_on_input(functions.path))
+        if len(kept):
+            self._row("path", k, begin[kept.tolist()], low[kept], high[kept], 1.0, np.zeros(len(kept)), ())
 
     def _link(self, k: int, before: PhasePart, end: Any, begin: Any, p: Any) -> None:
         """Append that a phase begins where the one before it ends."""
@@ -288,6 +290,14 @@ class _Builder:
         places = np.array(np.broadcast_to(np.asarray(fractions, dtype=float), (count,)))
         self.rows.append(Rows(name, phase, self.height, self.height + count, places, tuple(entries)))
         self.height += count
+
+
+def _depends_on_input(path: ca.Function) -> Array:
+    """Which values of a path function depend on the input: with points that leave out 0 there is none at the start."""
+    pattern = path.jac_sparsity(0, 1)
+    depends = np.zeros(path.numel_out(0), dtype=bool)
+    depends[list(pattern.row())] = True
+    return depends
 
 
 def check_at_guess(program: NonlinearProgram) -> None:

@@ -1,0 +1,111 @@
+"""What cannot be meant is refused where it is stated; what cannot be solved says so."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mpc import InputError
+from mpc.optimal_control import Collocation, OptimalControlProblem, OptimalControlStatus, Phase, Radau, build, solve
+
+GOOD = {"dynamics": lambda x, u: ca.vertcat(x[1], u), "states": 2, "inputs": 1, "start": [0, 0], "end": [1, 0],
+        "stage_cost": lambda u: u**2}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "argument", "got"),
+    [
+        ({"dynamics": lambda x, v: x}, "dynamics", "argument named 'v'"),
+        ({"dynamics": lambda x, u: x[1]}, "dynamics", "1 rows"),
+        ({"dynamics": lambda x, u: ca.vertcat(x[5], u)}, "dynamics", "stops with"),
+        ({"dynamics": lambda x, u: ca.vertcat(ca.SX.sym("stranger"), u)}, "dynamics", "stranger"),
+        ({"dynamics": lambda x, u, p: ca.vertcat(x[1], u * p[0])}, "dynamics", "no p"),
+        ({"dynamics": 3}, "dynamics", "3"),
+        ({"stage_cost": lambda x: x}, "stage_cost", "2 rows"),
+        ({"terminal_cost": lambda u: u}, "terminal_cost", "argument named 'u'"),
+        ({"states": 0}, "states", "0"),
+        ({"start": [0, 0, 0]}, "start", "shape (3,)"),
+        ({"end": [np.inf, 0]}, "end", "inf"),
+        ({"x_bounds": ([0, 0], [1, -1])}, "x_bounds", "entry 2"),
+        ({"x_bounds": ([-1, -1], [0.5, 1])}, "end", "state 1"),
+        ({"u_bounds": (np.nan, 1)}, "u_bounds, lower", "nan"),
+        ({"duration": 0}, "duration", "0"),
+        ({"duration": (0, 3)}, "duration", "(0, 3)"),
+        ({"duration": 2.5, "discrete": True}, "duration", "2.5"),
+        ({"signal": [[1.0], [2.0]], "duration": (1, 2)}, "signal", "free"),
+        ({"state_names": ["a"]}, "state_names", "1 names"),
+    ],
+)
+def test_a_bad_phase_is_refused_where_it_is_stated(change, argument, got):
+    with pytest.raises(InputError) as caught:
+        build(Phase(**(GOOD | change)))
+    assert caught.value.argument == argument
+    assert got in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "argument"),
+    [
+        ({"phases": []}, "phases"),
+        ({"p_bounds": 3}, "p_bounds"),
+        ({"p_bounds": ([1], [0])}, "p_bounds"),
+        ({"weights": [1, 2]}, "weights"),
+        ({"risk": "best"}, "risk"),
+        ({"p_constraints": lambda x: x, "p_bounds": (0, 1)}, "p_constraints"),
+    ],
+)
+def test_a_bad_problem_is_refused(change, argument):
+    with pytest.raises(InputError) as caught:
+        build(OptimalControlProblem(**({"phases": Phase(**GOOD)} | change)))
+    assert caught.value.argument == argument
+
+
+def test_a_mesh_must_rise_and_a_scheme_end_at_one():
+    with pytest.raises(InputError, match="rise from 0 to 1"):
+        build(Phase(**GOOD), meshes=[[0, 0.6, 0.4, 1]])
+    with pytest.raises(InputError, match="points"):
+        Collocation((0.2, 0.8))
+
+
+def test_dynamics_that_are_not_finite_at_the_guess_say_which_and_when():
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[1], u / (x[0] - 0.5)), 2, 1, start=[0.5, 0], end=[0.5, 0], stage_cost=lambda u: u**2
+    )
+    with pytest.raises(InputError, match=r"dynamics of x2 at t = ") as caught:
+        build(phase, Radau(3), 4)
+    assert caught.value.argument == "guess"
+
+
+def test_limits_that_contradict_are_named():
+    phase = Phase(**(GOOD | {"u_bounds": (-1, 1), "duration": 1.0}))  # 1 m in 1 s needs 4 m/s²
+    solution = solve(build(phase, Radau(3), 10))
+    assert solution.status is OptimalControlStatus.INFEASIBLE
+    assert solution.conflicts
+    assert all("x" in conflict for conflict in solution.conflicts)
+    path = Phase(**(GOOD | {"path": lambda x: ca.vertcat(x[0] - 3, 0.5 - x[0])}))
+    named = solve(build(path, Radau(3), 10))
+    assert named.status is OptimalControlStatus.INFEASIBLE
+    assert any("path 2" in conflict for conflict in named.conflicts)
+
+
+def test_a_solver_that_is_stopped_does_not_pass_for_optimal():
+    from classical_problems import CLASSICAL
+
+    stopped = solve(build(CLASSICAL["robot arm"].phase, Radau(3), 20), max_iterations=5)
+    assert stopped.status is OptimalControlStatus.STOPPED
+    assert "Raise the limit" in stopped.status.advice
+
+
+def test_a_casadi_function_states_a_phase_as_well():
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    named = ca.Function("f", [u, x], [ca.vertcat(x[1], u)], ["u", "x"], ["dx"])
+    plain = ca.Function("f", [x, u], [ca.vertcat(x[1], u)])
+    table = ca.interpolant("drag", "bspline", [np.linspace(-2, 4, 13)], 0.1 * np.linspace(-2, 4, 13) ** 2)
+    costs = [solve(build(Phase(**(GOOD | {"dynamics": f})))).cost for f in (named, plain, GOOD["dynamics"])]
+    assert costs == pytest.approx([12.0] * 3, rel=1e-7)
+    v = ca.MX.sym("x", 2)
+    f = ca.MX.sym("u")
+    opaque = ca.Function("f", [v, f], [ca.vertcat(v[1], f - table(v[1]))])
+    written = Phase(**(GOOD | {"dynamics": lambda x, u: ca.vertcat(x[1], u - 0.1 * x[1] ** 2)}))
+    assert solve(build(Phase(**(GOOD | {"dynamics": opaque})))).cost == pytest.approx(
+        solve(build(written)).cost, rel=1e-5
+    )
