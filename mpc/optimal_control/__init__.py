@@ -1,10 +1,11 @@
 """Optimal control with CasADi: state a problem once, transcribe it, solve it, and check what was found."""
 
+from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem, Phase
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.refinement import refine
 from mpc.optimal_control.schemes import Collocation, HermiteSimpson, MultipleShooting, Radau, Trapezoidal
-from mpc.optimal_control.solution import OptimalControlStatus, PhaseSolution, Solution
+from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.solving import solve
 from mpc.optimal_control.transcription import build
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -205,7 +205,7 @@ class OptimalControlProblem:
         given = [self.phases] if isinstance(self.phases, Phase) else self.phases
         if not isinstance(given, list | tuple) or not given or not all(isinstance(phase, Phase) for phase in given):
             raise InputError("phases", brief(repr(self.phases)), "a Phase, or a list of them")
-        set_(self, "phases", tuple(given))
+        set_(self, "phases", _on_one_clock(given) if self.linked else tuple(given))
         set_(self, "p_bounds", (np.zeros(0), np.zeros(0)) if self.p_bounds is None else _parameters(self.p_bounds))
         set_(self, "p_guess", self._as_guess())
         count = len(self.phases)
@@ -257,6 +257,20 @@ class OptimalControlProblem:
         """(x, p) → the state that phase k + 1 begins with."""
         before, after = self.phases[k].states, self.phases[k + 1].states
         return compiled("link", self.link, {"x": before, "p": self.parameters}, after)
+
+
+def _on_one_clock(phases: Sequence[Phase]) -> tuple[Phase, ...]:
+    """Linked phases, each with its own start time where that is known."""
+    found = list(phases)
+    for k in range(1, len(found)):
+        before = found[k - 1]
+        if not (before.free_duration or np.isnan(before.start_time)):
+            found[k] = replace(found[k], start_time=before.start_time + before.duration[0])
+        elif found[k].signal is not None:
+            raise InputError(
+                "signal", f"one of phase {k + 1}, whose start is free", "one of a phase whose start is known"
+            )
+    return tuple(found)
 
 
 class PhaseFunctions:

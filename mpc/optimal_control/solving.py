@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
+from mpc.optimal_control.phase_solution import phase_solution
 from mpc.optimal_control.problem import OptimalControlProblem, Phase
 from mpc.optimal_control.program import NonlinearProgram, describe_row, rescaled
-from mpc.optimal_control.solution import OptimalControlStatus, Solution, phase_solution
+from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
 from mpc.optimal_control.unknowns import placed
 from mpc.plan import Residuals
@@ -144,8 +145,11 @@ def _solution(program: NonlinearProgram, found: _Found, elapsed: float) -> Solut
     worst = np.argsort(-found.violations)[:SHOWN]
     conflicts = tuple(describe_row(program, int(i), v) for i in worst if found.violations[i] > FEASIBLE)
     status = _status(found.said, found.residuals)
-    return Solution(program, v, cost, p, phases, status, found.residuals, conflicts, multipliers, found.iterations, elapsed,
-                    "ipopt", found.said)  # fmt: skip
+    return Solution(
+        program=program, unknowns=v, cost=cost, p=p, phases=phases, status=status, residuals=found.residuals,
+        conflicts=conflicts, multipliers=multipliers, iterations=found.iterations, solve_time=elapsed, solver="ipopt",
+        message=found.said,
+    )  # fmt: skip
 
 
 def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -> None:
@@ -184,14 +188,13 @@ def _checked(scaled: Any, z: Array, on_rows: Array, on_bounds: Array,
     size = max(1.0, float(np.abs(of_cost).max(initial=0.0)), float(np.abs(on_rows).max(initial=0.0)))
     violations = np.maximum.reduce([given["lbg"] - rows, rows - given["ubg"], np.zeros(len(rows))])
     outside = np.maximum.reduce([given["lbx"] - z, z - given["ubx"], np.zeros(len(z))])
-    complementary = max(
-        _complementarity(z, on_bounds, given["lbx"], given["ubx"]), _complementarity(rows, on_rows, given["lbg"], given["ubg"]),
-    )  # fmt: skip
+    of_bounds = _complementarity(z, on_bounds, given["lbx"], given["ubx"])
+    of_rows = _complementarity(rows, on_rows, given["lbg"], given["ubg"])
     return Residuals(
         float(np.abs(gradient + on_bounds).max(initial=0.0)) / size,
         float(max(violations.max(initial=0.0), outside.max(initial=0.0))),
         0.0,
-        complementary / size,
+        max(of_bounds, of_rows) / size,
     ), violations
 
 

@@ -107,7 +107,7 @@ class _Builder:
                 first += 1
         parameters = slice(first, first + problem.parameters)
         low, high = problem.p_bounds
-        self._unknown(low, high, problem.p_guess)
+        self._unknown(low, high, np.asarray(problem.p_guess))
         worst = parameters.stop if problem.risk == "worst" and len(problem.phases) > 1 else -1
         if worst >= 0:
             self._unknown(np.array([-np.inf]), np.array([np.inf]), np.array([0.0]))
@@ -270,7 +270,11 @@ class _Builder:
             return
         u = node_inputs[:, 0] if layout.node_inputs else ca.DM.zeros(layout.nu)
         begin = functions.path(x[:, 0], u, w[: layout.nw, 0], p, start)
-        kept = np.arange(count) if layout.node_inputs else np.flatnonzero(~_depends_on_input(functions.path))
+        kept = (
+            np.arange(count)
+            if layout.node_inputs
+            else np.flatnonzero(np.logical_not(_depends_on_input(functions.path)))
+        )
         if len(kept):
             self._row("path", k, begin[kept.tolist()], low[kept], high[kept], 1.0, np.zeros(len(kept)), ())
 

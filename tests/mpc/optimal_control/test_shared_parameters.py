@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq, minimize_scalar
 
 from mpc.optimal_control import MultipleShooting, OptimalControlProblem, Phase, Radau, build, refine, solve
 
@@ -35,14 +35,26 @@ def test_solar_array_has_its_published_stiffness_simultaneous_and_nested(inertia
     assert -simultaneous.cost == pytest.approx(reach, rel=1e-4)
     program = simultaneous.program
 
-    def inner(p):
-        return solve(program, p=[p]).cost
+    def slope(p):
+        return solve(program, p=[p], tolerance=1e-10).p_gradient[0]
 
-    nested = minimize_scalar(
-        inner, bounds=(0.5 * stiffness, 2 * stiffness), method="bounded", options={"xatol": 1e-6 * stiffness}
-    )
-    assert nested.x == pytest.approx(stiffness, rel=2e-4)
-    assert -nested.fun == pytest.approx(reach, rel=1e-4)
+    nested = brentq(slope, 0.5 * stiffness, 1.5 * stiffness, rtol=1e-7)
+    assert nested == pytest.approx(stiffness, rel=1e-4)
+    assert -solve(program, p=[nested]).cost == pytest.approx(reach, rel=1e-4)
+
+
+def test_gradient_of_held_parameters_is_that_of_the_optimal_cost():
+    phase = Phase(
+        dynamics=lambda x, u, p: ca.vertcat(x[1], -p[0] * ca.sin(x[0]) - p[1] * x[1] + u), states=2, inputs=1,
+        stage_cost=lambda x, u: ca.sumsqr(x) + 0.1 * u**2, start=[1.0, 0.0], duration=2.0, u_bounds=(-0.8, 0.8),
+    )  # fmt: skip
+    program = build(OptimalControlProblem(phase, p_bounds=([0, 0], [5, 5])), Radau(3), 30)
+    p = np.array([2.0, 0.3])
+    found = solve(program, p=p, tolerance=1e-11).p_gradient
+    for i in range(2):
+        step = 1e-4 * np.eye(2)[i]
+        ahead, behind = (solve(program, p=p + sign * step, tolerance=1e-11).cost for sign in (1, -1))
+        assert found[i] == pytest.approx((ahead - behind) / 2e-4, rel=1e-5)
 
 
 def pushed(mass, **rest):

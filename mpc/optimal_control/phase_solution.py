@@ -1,0 +1,181 @@
+"""One phase of a solution: states and inputs as functions of time, and costates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mpc.checks import Array, as_floats
+from mpc.optimal_control.interval import at_points, times_of
+from mpc.optimal_control.problem import signal_at
+from mpc.optimal_control.program import PhasePart
+from mpc.optimal_control.schemes import Collocation
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """What is known at the d points of every interval.
+
+    Attributes
+    ----------
+    times : (N, d) array
+    states : (N, d, nx) array
+    inputs : (N, d, nu) array
+    rates : (N, d, nx) array
+        dx/dt there; of shooting at both ends of an interval.
+    """
+
+    times: Array
+    states: Array
+    inputs: Array
+    rates: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSolution:
+    """One phase of a solution.
+
+    Attributes
+    ----------
+    times : (N + 1,) array
+        Of the mesh [s].
+    states : (N + 1, nx) array
+    costates : (N + 1, nx) array
+        How the optimal cost from there on changes with the state.
+    stages : Stages
+        What is known at the points of every interval.
+    part : PhasePart
+        The phase of the program that it solves.
+    """
+
+    times: Array
+    states: Array
+    costates: Array
+    stages: Stages
+    part: PhasePart
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self.times[-1] - self.times[0])
+
+    @property
+    def inputs(self) -> Array:
+        """Inputs (n, nu) at `input_times`."""
+        return self.stages.inputs.reshape(-1, self.part.layout.nu)
+
+    @property
+    def input_times(self) -> Array:
+        """(n,): the points at which inputs are unknowns."""
+        return self.stages.times.ravel()
+
+    def x(self, t: ArrayLike) -> Array:
+        """States (..., nx) at times (...), by the polynomials of the scheme; held beyond both ends."""
+        k, tau, shape = self._located(t)
+        h = np.diff(self.times)[k][:, None]
+        if self.part.phase.discrete:
+            value = self.states[np.minimum(np.round(k + tau).astype(int), len(self.states) - 1)]
+        elif isinstance(self.part.scheme, Collocation):
+            weights = self.part.scheme.integrals(tau)
+            value = self.states[k] + h * np.einsum("nj,nji->ni", weights, self.stages.rates[k])
+        else:
+            value = _hermite(
+                tau[:, None], h, self.states[k], self.states[k + 1], self.stages.rates[k, 0], self.stages.rates[k, 1]
+            )
+        return np.asarray(value.reshape(*shape, -1))
+
+    def u(self, t: ArrayLike) -> Array:
+        """Inputs (..., nu) at times (...)."""
+        k, tau, shape = self._located(t)
+        inputs = self.stages.inputs[k]
+        if isinstance(self.part.scheme, Collocation) and not self.part.phase.discrete:
+            value = np.einsum("nj,nji->ni", self.part.scheme.basis(tau), inputs)
+        else:
+            value = inputs[:, 0]
+        return np.asarray(value.reshape(*shape, -1))
+
+    def at_fractions(self, at: Array) -> tuple[Array, Array]:
+        """States and inputs at fractions (n,) of the phase."""
+        times = self.times[0] + at * self.duration
+        return self.x(times), self.u(times)
+
+    def costate(self, t: ArrayLike) -> Array:
+        """Costates (..., nx) at times (...), linear between the mesh points."""
+        t = as_floats("t", t)
+        return np.stack([np.interp(t, self.times, column) for column in self.costates.T], axis=-1)
+
+    def _located(self, t: ArrayLike) -> tuple[Any, Array, tuple[int, ...]]:
+        """Intervals and fractions of them of times, and their shape."""
+        given = as_floats("t", t)
+        inside = np.clip(given.ravel(), self.times[0], self.times[-1])
+        k = np.clip(np.searchsorted(self.times, inside, side="right") - 1, 0, len(self.times) - 2)
+        return k, (inside - self.times[k]) / np.diff(self.times)[k], given.shape
+
+
+def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, float], multipliers: Array,
+                   weight: float) -> PhaseSolution:  # fmt: skip
+    """A phase of the unknowns (n,) of a program; `weight` is that of its cost."""
+    layout, N = part.layout, part.intervals
+    start, length = clock
+    columns, last = part.columns(v)
+    nodes = np.column_stack([columns[: layout.node], last])
+    x, shared, own = nodes[: layout.nx], nodes[layout.nx :], columns[layout.node :]
+    states, inputs = at_points(layout, x[:, :-1], shared[:, :-1], own, x[:, 1:], shared[:, 1:])
+    fractions = times_of(layout.points, part.mesh)
+    at_signals = times_of(layout.signals, part.mesh)
+    times = start + length * fractions
+    if part.phase.discrete:
+        mesh_times = start + np.arange(N + 1.0)
+        times = mesh_times[:-1, None]
+        h = np.ones(N)
+    else:
+        mesh_times = start + length * part.mesh
+        h = length * np.diff(part.mesh)
+    w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * at_signals.ravel()).reshape(N, -1)
+    stage_states = np.stack(states, axis=0).transpose(2, 0, 1)
+    stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
+    rates = stage_rates(part, stage_states, stage_inputs, w, p, times, x.T)
+    costates = _costates(part, nodes, own, p, mesh_times[:-1], h, w, multipliers, weight)
+    return PhaseSolution(mesh_times, x.T, costates, Stages(times, stage_states, stage_inputs, rates), part)
+
+
+def stage_rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Array, times: Array, nodes: Array) -> Array:
+    """dx/dt (N, d, nx) at the points of every interval; of shooting at both its ends."""
+    N, d, nx = states.shape
+    if isinstance(part.scheme, Collocation) or part.phase.discrete:
+        x, u, t, signal = states, inputs, times, w.reshape(N, d, -1)
+    else:
+        x = np.stack([nodes[:-1], nodes[1:]], axis=1)
+        u = np.repeat(inputs, 2, axis=1)
+        t = np.stack([times[:, 0], np.append(times[1:, 0], times[-1, 0])], axis=1)
+        signal = w.reshape(N, len(part.layout.signals), -1)[:, [0, -1]]
+    count = x.shape[1] * N
+    flat = (x.reshape(count, -1).T, u.reshape(count, -1).T, signal.reshape(count, -1).T,
+            np.tile(p[:, None], (1, count)), t.reshape(1, count))  # fmt: skip
+    return np.asarray(part.functions.dynamics.map(count)(*flat), dtype=float).T.reshape(N, -1, nx)
+
+
+def _costates(part: PhasePart, nodes: Array, own: Array, p: Array, times: Array, h: Array, w: Array, multipliers: Array,
+              weight: float) -> Array:  # fmt: skip
+    """How cost, equations and limits of each interval change with the state that it begins with, and at the end."""
+    layout, N = part.layout, part.intervals
+    interval = part.interval
+    arguments = [nodes[: layout.nx, :-1], nodes[layout.nx :, :-1], own, nodes[: layout.nx, 1:], nodes[layout.nx :, 1:],
+                 np.tile(p[:, None], (1, N)), times[None], h[None], w.T]  # fmt: skip
+    of_defects = multipliers[part.defects].reshape(N, -1).T
+    rows = interval.numel_out(2)
+    of_path = multipliers[part.path][: rows * N].reshape(N, rows).T
+    backward = interval.reverse(1)
+    values = [np.zeros((interval.numel_out(i), N)) for i in range(3)]
+    seeds = [of_defects, np.full((1, N), weight), of_path]
+    found = backward.map(N)(*arguments, *values, *seeds)
+    return np.vstack([np.asarray(found[0], dtype=float).T, -np.asarray(found[3], dtype=float).T[-1:]])
+
+
+def _hermite(tau: Array, h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:
+    """The cubic that meets states and rates at both ends."""
+    a, b = tau, tau - 1
+    return x0 * (1 + 2 * a) * b**2 + x1 * a**2 * (3 - 2 * a) + h * (f0 * a * b**2 + f1 * a**2 * b)
