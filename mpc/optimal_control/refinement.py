@@ -17,7 +17,8 @@ from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.solving import solve
 from mpc.optimal_control.transcription import build
 
-MOST_PARTS = 4  # that an interval is cut into at once
+SAFETY = 0.05  # part of the tolerance that new intervals aim at
+MOST_PARTS = 6  # that an interval is cut into at once
 JUMP = 0.5  # of an input's range, crossed within one interval
 LEAST_INTERVAL = 1e-9  # of the phase
 
@@ -93,7 +94,7 @@ def _finer(phase: PhaseSolution, errors: Array, tolerance: float) -> Array:
     """A mesh whose intervals are cut into as many parts as their errors ask for, and where an input jumps."""
     part = phase.part
     order = part.scheme.stages + 1 if isinstance(part.scheme, Collocation) else 5
-    asked = np.ceil((np.maximum(errors, tolerance) / (0.5 * tolerance)) ** (1 / order)).astype(int)
+    asked = np.ceil((np.maximum(errors, tolerance) / (SAFETY * tolerance)) ** (1 / order)).astype(int)
     steps = np.diff(part.mesh)
     parts = np.where(errors > tolerance, np.clip(asked, 2, MOST_PARTS), 1)
     parts[_jumps(phase) & (steps > np.sqrt(tolerance))] = MOST_PARTS

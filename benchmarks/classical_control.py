@@ -1,0 +1,32 @@
+"""Classical optimal control problems: cost beside the published optimum, size of the mesh, iterations and time."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "mpc" / "optimal_control"))
+
+from classical_problems import CLASSICAL
+
+from mpc.optimal_control import refine
+
+
+def main() -> None:
+    """Print the table."""
+    print("| problem | cost | published | apart | intervals | iterations | s | status |")
+    print("|---|---|---|---|---|---|---|---|")
+    for name, case in CLASSICAL.items():
+        began = time.perf_counter()
+        found = refine(case.phase)
+        seconds = time.perf_counter() - began
+        apart = abs(found.cost - case.cost) / abs(case.cost)
+        print(
+            f"| {name} | {found.cost:.7g} | {case.cost:.7g} | {apart:.0e} | {len(found.times) - 1} "
+            f"| {found.iterations} | {seconds:.2f} | {found.status.name} |"
+        )
+
+
+if __name__ == "__main__":
+    main()
