@@ -1,5 +1,6 @@
 """Optimal control with CasADi: state a problem once, transcribe it, solve it, and check what was found."""
 
+from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem, Phase
 from mpc.optimal_control.program import NonlinearProgram
@@ -13,6 +14,7 @@ __all__ = [
     "Collocation",
     "HermiteSimpson",
     "MultipleShooting",
+    "NonlinearMPC",
     "NonlinearProgram",
     "OptimalControlProblem",
     "OptimalControlStatus",

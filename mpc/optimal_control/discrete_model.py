@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
@@ -20,7 +22,7 @@ class DiscreteModel:
     """
 
     def __init__(self, step: ca.Function, horizon: int) -> None:
-        kind = ca.SX if step.is_a("SXFunction") else ca.MX
+        kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
         columns = [kind.sym(name, step.numel_in(i)) for i, name in enumerate("xuwp")]
         value = step(*columns)
         derivatives = [ca.densify(ca.jacobian(value, column)) for column in columns[:2]]

@@ -19,14 +19,16 @@ from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.sqp import Sequential, Step
 from mpc.plan import Plan, Residuals, Status
-from mpc.rollout import Given, cost_of, violation_of
+from mpc.rollout import Given, admissible, cost_of, violation_of
 from mpc.solve_arguments import for_each_state, spread_signals
 
 CONVERGED = 1e-7  # gaps in sizes of the states, and stationarity relative to the gradients that balance
 REPORTED = 1e-5  # of the same, above which a plan is called inaccurate
 FEASIBLE = 1e-6  # violation of a limit, in its unit, that is rounding
-AT_REST = 1e-6  # how far a step may leave the rest, in sizes of the states
+AT_REST = 1e-9  # how far a step may leave the rest
 SHORTEST = 2.0**-10  # part of a step that is tried
+DEAR = 100.0  # price of violating a hard limit by one unit where it must be, in costs of the first plan
+ROUNDING = 1e-12  # of the merit
 ENOUGH = 1e-4  # part of the promised decrease that is asked for
 
 
@@ -107,18 +109,20 @@ class NonlinearMPC:
         for what, value in (("a next state", f), ("derivatives by x", A), ("derivatives by u", B)):
             if not np.isfinite(value).all():
                 raise InputError("step", f"{what} that are not finite at rest", "finite ones at x = 0, u = 0, w = 0")
+        if self.states and np.abs(f).max() > AT_REST:
+            got, cure = f"a model that moves from rest to {f}", "State it in deviations from an equilibrium."
+            raise InputError("step", got, "one that stays at x = 0 under u = 0, w = 0", cure)
         E = None
         if self.disturbances:
             E = np.zeros((self.states, self.disturbances))
             for i, unit in enumerate(np.eye(self.disturbances)):
-                E[:, i] = 0.5 * (self._model.linearised_at(x, u, unit, self.p)[0] - self._model.linearised_at(x, u, -unit, self.p)[0])
+                E[:, i] = 0.5 * (
+                    self._model.linearised_at(x, u, unit, self.p)[0] - self._model.linearised_at(x, u, -unit, self.p)[0]
+                )
         law = LinearMPC(
             A, B, Q=self.Q, R=self.R, S=self.S, horizon=self.horizon, P=self.P, X=self.X, U=self.U, E=E,
             terminal_set=self.terminal_set, rate_limit=self.rate_limit, soft=self.soft, uses=self.uses,
         )  # fmt: skip
-        if (np.abs(f) > AT_REST * law.state_extent).any():
-            raise InputError("step", f"a model that moves from rest to {f}", "one that stays at x = 0 under u = 0, w = 0",
-                             "State it in deviations from an equilibrium.")  # fmt: skip
         return law
 
     @cached_property
@@ -184,11 +188,13 @@ class NonlinearMPC:
         N = self.horizon
         w = given["w"].reshape(N, -1) if "w" in given else np.zeros((N, self.disturbances))
         states, inputs = self._first(x, w) if start is None else (start.states.copy(), start.inputs.copy())
+        inputs = admissible(self.linear, inputs, given)
         sequence = self._sequence
         last: Step | None = None
-        price = 0.0
+        gap_price = limit_price = 0.0
+        dear = DEAR * max(cost_of(self.linear, inputs, states, given), float(np.finfo(float).tiny))
         for _ in range(self.iterations or self.most_iterations):
-            last = sequence.step(x, states, inputs, w, self.p, given)
+            last = sequence.step(x, states, inputs, w, self.p, given, dear)
             if not (last.solved and np.isfinite(last.inputs).all() and np.isfinite(last.states).all()):
                 last = None
                 break
@@ -197,8 +203,8 @@ class NonlinearMPC:
                 continue
             if last.defects <= CONVERGED and last.stationarity <= CONVERGED:
                 break
-            price = max(price, last.price)
-            part = self._length(last, x, states, inputs, w, given, price)
+            gap_price, limit_price = max(gap_price, last.gap_price), max(limit_price, last.limit_price)
+            part = self._length(last, x, states, inputs, w, given, (gap_price, limit_price))
             if part is None:
                 break
             states, inputs = states + part * last.states, inputs + part * last.inputs
@@ -215,23 +221,16 @@ class NonlinearMPC:
             states[k + 1] = after if np.isfinite(after).all() else states[k]
         return states, inputs
 
-    def _merit(self, x: Array, states: Array, inputs: Array, w: Array, given: Given, price: float) -> float:
-        """Cost of a plan, its gaps and violations at their price."""
-        size = self._sequence.size
-        after = np.asarray(self._model.along(states[:-1], inputs, w, self.p))
-        gaps = np.abs((after - states[1:]) / size).sum() + np.abs((x - states[0]) / size).sum()
-        outside = 0.0 if self.linear.soft is not None else self._sequence.violation(states)
-        return cost_of(self.linear, inputs, states, given) + price * float(gaps + outside)
-
     def _length(self, step: Step, x: Array, states: Array, inputs: Array, w: Array, given: Given,
-                price: float) -> float | None:  # fmt: skip
+                prices: tuple[float, float]) -> float | None:  # fmt: skip
         """The part of a step that brings the merit down; None if none does."""
-        now = self._merit(x, states, inputs, w, given, price)
+        merit = self._sequence.merit
+        now = merit(x, states, inputs, w, self.p, given, prices)
         promised = ENOUGH * max(step.decrease, 0.0)
         part = 1.0
         while part >= SHORTEST:
-            then = self._merit(x, states + part * step.states, inputs + part * step.inputs, w, given, price)
-            if np.isfinite(then) and then <= now - part * promised + 1e-12 * abs(now):
+            then = merit(x, states + part * step.states, inputs + part * step.inputs, w, self.p, given, prices)
+            if np.isfinite(then) and then <= now - part * promised + ROUNDING * abs(now):
                 return part
             part *= 0.5
         return None
@@ -240,7 +239,7 @@ class NonlinearMPC:
                 began: float) -> Plan:  # fmt: skip
         """The plan, with the states that its inputs lead to on the model."""
         solver = "SQP" if self.iterations is None else "real-time iteration"
-        inputs = nearest_points(inputs, *self.linear.input_rows)
+        inputs = admissible(self.linear, inputs, given)
         rolled = self._model.rolled(x, inputs, w, self.p)
         states = rolled if np.isfinite(rolled).all() else states
         violation = violation_of(self.linear, states)

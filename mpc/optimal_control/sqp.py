@@ -11,9 +11,8 @@ from mpc.checks import Array
 from mpc.dense_qp import DenseQP
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, relative_violations
+from mpc.rollout import Given, cost_of, relative_violations
 
-DEAR = 1e3  # price of a violation that cannot be avoided, beside what the cost asks of the inputs
 TINY = float(np.finfo(float).tiny)
 
 
@@ -32,8 +31,8 @@ class Step:
         would still move, in parts of their limits, where that is less.
     decrease : float
         Of the cost and the price of the gaps, as the program promises it.
-    price : float
-        What a merit must charge for a gap of one size.
+    gap_price, limit_price : float
+        What a merit must charge for a gap of one size, and for a limit violated by one unit.
     relaxed : bool
         Whether limits of states had to be relaxed.
     solved : bool
@@ -45,7 +44,8 @@ class Step:
     defects: float
     stationarity: float
     decrease: float
-    price: float
+    gap_price: float
+    limit_price: float
     relaxed: bool
     solved: bool
 
@@ -68,14 +68,19 @@ class Sequential:
         units, prices = problem.row_units, problem.price_units
         self._state_units = np.concatenate([np.tile(units["state"], N), units["terminal"]])
         self._prices = np.concatenate([np.tile(prices["state"], N), prices["terminal"]])
-        self._step_of = np.concatenate([np.repeat(np.arange(N), len(units["state"])), np.full(len(units["terminal"]), N - 1)])
+        self._step_of = np.concatenate(
+            [np.repeat(np.arange(N), len(units["state"])), np.full(len(units["terminal"]), N - 1)]
+        )
         parts = [np.tile(units["input"], N), self._state_units]
         if problem.rate_limit is not None:
             parts.insert(1, np.tile(problem.rate_limit, 2 * N))
         self._units = np.concatenate(parts)
 
-    def step(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given) -> Step:
-        """The quadratic program at a plan of states (N + 1, nx) and inputs (N, nu), from the state x (nx,)."""
+    def step(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float) -> Step:
+        """The quadratic program at a plan of states (N + 1, nx) and inputs (N, nu), from the state x (nx,).
+
+        `dear` is the price of a violation that cannot be avoided.
+        """
         problem, N = self.problem, self.problem.horizon
         next_states, A, B = self.model.linearised(states[:-1], inputs, w, p)
         gaps = next_states - states[1:]
@@ -91,8 +96,7 @@ class Sequential:
             H = H + 2 * (cross + cross.T)
             gradient = gradient + 2 * (error[:-1] @ problem.S).ravel() + 2 * cross @ effort.ravel()
         rows, bounds = self._limits(states + drift, inputs, G, given)
-        own = self._solve(H, gradient, rows, bounds)
-        z, multipliers, relaxed, solved = own
+        z, limit_price, relaxed, solved = self._solve(H, gradient, rows, bounds, dear)
         moved = drift + (G @ z)
         curvature = H @ z
         balance = max(*(float(np.abs(pull).max()) for pull in pulls), float(np.abs(gradient + curvature).max()), TINY)
@@ -105,7 +109,8 @@ class Sequential:
             states=moved, inputs=z.reshape(N, -1), defects=max(distance, first),
             stationarity=min(float(np.abs(curvature).max()) / balance, still),
             decrease=float(-(gradient @ z + 0.5 * z @ curvature)),
-            price=2.0 * float(costates * self.size.max() * N), relaxed=relaxed, solved=solved and bool(multipliers is not None),
+            gap_price=2.0 * float(costates * self.size.max() * N), limit_price=limit_price, relaxed=relaxed,
+            solved=solved,
         )  # fmt: skip
 
     def _responses(self, A: Array, B: Array, gaps: Array, first: Array) -> tuple[Array, Array]:
@@ -142,22 +147,24 @@ class Sequential:
         bounds += [(h - states[1:] @ H.T).ravel(), at_end - end @ states[-1]]
         return np.vstack(rows), np.concatenate(bounds)
 
-    def _solve(self, H: Array, gradient: Array, rows: Array, bounds: Array) -> tuple[Array, Array, bool, bool]:
-        """Moves, multipliers, whether limits of states were relaxed, and whether it was solved."""
+    def _solve(
+        self, H: Array, gradient: Array, rows: Array, bounds: Array, dear: float
+    ) -> tuple[Array, float, bool, bool]:
+        """Moves, what a violated limit must cost, whether limits of states were relaxed, and whether it was solved."""
         if self.problem.soft is not None:
-            z, y, solved = self._priced(H, gradient, rows, bounds, *self.problem.soft)
-            return z, y, False, solved
+            z, solved = self._priced(H, gradient, rows, bounds, *self.problem.soft)
+            return z, 0.0, False, solved
         result = DenseQP(H, rows, self._units).solve(gradient, bounds)
-        if not result.infeasible or not len(self._state_units):
-            return result.z, result.multipliers, False, not result.infeasible
-        scale = np.sqrt(np.diag(H))
-        worth = float(np.square(gradient / np.where(scale > 0, scale, 1.0)).sum()) + TINY
-        z, y, solved = self._priced(H, gradient, rows, bounds, DEAR * worth, DEAR * worth)
-        return z, y, True, solved
+        if not result.infeasible or not len(self._prices):
+            own = result.multipliers[len(rows) - len(self._prices) :] * self._prices
+            price = np.bincount(self._step_of, own, minlength=1).max(initial=0.0)
+            return result.z, 2.0 * float(price), False, not result.infeasible
+        z, solved = self._priced(H, gradient, rows, bounds, dear, dear)
+        return z, dear, True, solved
 
     def _priced(self, H: Array, gradient: Array, rows: Array, bounds: Array, linear: float,
-                quadratic: float) -> tuple[Array, Array, bool]:  # fmt: skip
-        """The same with the largest violation of every step at a price."""
+                quadratic: float) -> tuple[Array, bool]:  # fmt: skip
+        """The moves where the largest violation of every step has a price, and whether they were found."""
         N, n = self.problem.horizon, self.n
         columns = np.zeros((len(rows), N))
         first = len(rows) - len(self._prices)
@@ -168,8 +175,16 @@ class Sequential:
             np.concatenate([self._units, np.ones(N)]),
         )  # fmt: skip
         result = qp.solve(np.concatenate([gradient, np.full(N, linear)]), np.concatenate([bounds, np.zeros(N)]))
-        return result.z[:n], result.multipliers[: len(rows)], not result.infeasible
+        return result.z[:n], not result.infeasible
 
-    def violation(self, states: Array) -> float:
-        """Sum over the steps of the largest violation of a limit, in its unit."""
-        return float(relative_violations(self.problem, states).sum())
+    def merit(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given,
+              prices: tuple[float, float]) -> float:  # fmt: skip
+        """Cost of a plan, with its gaps and, where limits are hard, its violations at their prices."""
+        gaps = (self.model.along(states[:-1], inputs, w, p) - states[1:]) / self.size
+        first = (x - states[0]) / self.size
+        cost = cost_of(self.problem, inputs, states, given) + prices[0] * float(
+            np.abs(gaps).sum() + np.abs(first).sum()
+        )
+        if self.problem.soft is not None:
+            return cost
+        return cost + prices[1] * float(relative_violations(self.problem, states, self.problem.price_units).sum())
