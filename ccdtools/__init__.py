@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.random_starts import RandomStarts
     from ccdtools.co_design.result import CoDesignResult
     from ccdtools.co_design.risk import CVaR, Mean, MeanSpread, WorstCase
-    from ccdtools.comparison.baselines import baselines, saturated_lqr
+    from ccdtools.comparison.baselines import baselines, nonlinear_mpc, saturated_lqr
     from ccdtools.comparison.comparison import compare
     from ccdtools.comparison.ride import Ride
     from ccdtools.comparison.ride_comfort import comfort, weighted_acceleration
@@ -144,6 +144,7 @@ __all__ = [
     "load_study",
     "mean_interval",
     "noise_covariance",
+    "nonlinear_mpc",
     "output_objective",
     "plant_from_matrices",
     "plant_from_state_space",
@@ -240,6 +241,7 @@ _HOMES = {
     "load_study": "studies.loading",
     "mean_interval": "statistics",
     "noise_covariance": "plants.noise_covariance",
+    "nonlinear_mpc": "comparison.baselines",
     "output_objective": "co_design.custom_objective",
     "plant_from_matrices": "plants.linear_plants",
     "plant_from_state_space": "plants.linear_plants",

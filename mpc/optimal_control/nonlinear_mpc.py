@@ -149,9 +149,14 @@ class NonlinearMPC:
         _ = other.linear
         return other
 
-    def reset(self) -> None:
-        """Forget the plans of the last sample: what comes next is another run."""
+    def reset(self, n: int | None = None) -> None:
+        """Forget the plans of the last sample: what comes next are other runs, `n` of them."""
         self._last.clear()
+
+    def __deepcopy__(self, memo: Any) -> NonlinearMPC:
+        other = copy.copy(self)
+        object.__setattr__(other, "_last", [])
+        return other
 
     def solve(
         self, x: ArrayLike, *, start: Plan | None = None, u_prev: ArrayLike | None = None,
