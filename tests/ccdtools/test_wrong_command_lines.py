@@ -42,7 +42,7 @@ FILES = {
 WRONG = [
     # What is run
     (["run"], "study: got nothing, expected the name of a study"),
-    (["run", "unheard-of"], "study: got 'unheard-of', expected one of dc_servo, full_car, half_car, illustrative, "),
+    (["run", "unheard-of"], "study: got 'unheard-of', expected one of dc_servo, full_car, full_car_heights, "),
     (["run", ""], "study: got ''"),
     (["run", "Suspension"], "study: got 'Suspension'"),
     (["run", "a"], "A file needs its ending: a.py."),

@@ -189,11 +189,12 @@ def test_sets_are_drawn_for_designs_that_can_be_built():
         return SimpleNamespace(set=Polytope.from_bounds([-size] * 2, [size] * 2), status=Status.CONVERGED)
 
     first = np.array([2.0, 3, 2])
+    X = Polytope.from_bounds([-3, -3], [3, 3])
+    plant = SimpleNamespace(nx=2, linear=True, state_names=["a", "b"])
     run = SimpleNamespace(
-        problem=SimpleNamespace(design=space), designs=[first, first], last=1, describe=space.describe, quick=True,
-        results={"configuration": {"sets": "auto"}}, sets=SimpleNamespace(result=result),
-        study=SimpleNamespace(plant=SimpleNamespace(nx=2, linear=True, state_names=["a", "b"]),
-                              X=Polytope.from_bounds([-3, -3], [3, 3])),
+        problem=SimpleNamespace(design=space, state_limits=lambda p: X), designs=[first, first], last=1,
+        describe=space.describe, quick=True, results={"configuration": {"sets": "auto"}},
+        sets=SimpleNamespace(result=result), study=SimpleNamespace(plant=plant, X=X),
     )  # fmt: skip
     [figure] = feasible_set_figure(run)
     assert space.feasible(np.array(asked)).all()

@@ -369,7 +369,8 @@ def test_the_page_states_cross_weight_risk_and_limits_of_outputs(masses):
     S[1, 0] = -0.01234
     other = replace(study, plant=limited, objective=QuadraticObjective(np.eye(4), 0.1 * np.eye(2), S), risk=CVaR(0.35))
     page = {one: render(FinishedRun(one, folder, results), []) for one in (study, other)}
-    told = ["S: [0, 0; −0.01234, 0; 0, 0; 0, 0]", "uᵀRu + 2zᵀSu", "CVaR(share=0.35) of the returns",
+    told = ["S: [0, 0; −0.01234, 0; 0, 0; 0, 0]", "uᵀRu + 2zᵀSu",
+            "Of the returns a co-design optimises the mean of the worst 35 %",
             "<td>slip [m/s]</td><td>n/a</td><td>1.234</td>", "<td>travel [m]</td><td>−0.7654</td><td>0.9000</td>"]
     for text in told:
         assert text in page[other]
