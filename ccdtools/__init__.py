@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.expert import expert_dataset, feasible_sets
     from ccdtools.co_design.learned_result import LearnedCoDesign
     from ccdtools.co_design.least_depth import least_depth
+    from ccdtools.co_design.method_comparison import MethodComparison, compare_methods
     from ccdtools.co_design.methods.learned import Learned
     from ccdtools.co_design.methods.nested import Nested
     from ccdtools.co_design.methods.search import Search
@@ -108,6 +109,7 @@ __all__ = [
     "Mean",
     "MeanSpread",
     "Measurement",
+    "MethodComparison",
     "Mixture",
     "Nested",
     "NotDetectableError",
@@ -142,6 +144,7 @@ __all__ = [
     "codesign",
     "comfort",
     "compare",
+    "compare_methods",
     "deploy",
     "deploy_and_update",
     "depth_outside",
@@ -212,6 +215,7 @@ _HOMES = {
     "Mean": "co_design.risk",
     "MeanSpread": "co_design.risk",
     "Measurement": "estimation.measurement",
+    "MethodComparison": "co_design.method_comparison",
     "Mixture": "disturbances.combinations",
     "Nested": "co_design.methods.nested",
     "NotDetectableError": "exceptions",
@@ -247,6 +251,7 @@ _HOMES = {
     "codesign": "co_design.codesign",
     "comfort": "comparison.ride_comfort",
     "compare": "comparison.comparison",
+    "compare_methods": "co_design.method_comparison",
     "deploy": "twin.deployment",
     "deploy_and_update": "twin.deployment",
     "depth_outside": "limits",

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import load_policy
-from ccdtools.studies.report import plotting, return_plots, style
+from ccdtools.studies.report import plotting, return_plots
 from ccdtools.studies.report.finished_run import FinishedRun
 from ccdtools.studies.report.formatting import generation_name, place, share
 from ccdtools.studies.report.landscape import landscape

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ccdtools import figure_style as look
 from ccdtools.arrays import Array
-from ccdtools.studies.report import style as look
-from ccdtools.studies.report.style import BOUND, COLOURS, LINES, controller_colours, without_grid
+from ccdtools.figure_style import BOUND, COLOURS, LINES, controller_colours, without_grid
 from invariant_sets import Polytope, plot_polytope
 
 

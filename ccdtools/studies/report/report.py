@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
+from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.co_design.risk import Mean, measure
 from ccdtools.design_limits import DesignLimits, limits_at
 from ccdtools.plants.sampling_guard import sampling_note
-from ccdtools.studies.report import style
 from ccdtools.studies.report.figures import figures
 from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun
 from ccdtools.studies.report.formatting import (

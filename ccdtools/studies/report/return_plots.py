@@ -5,30 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.result import History
-from ccdtools.plants.design_space import DesignSpace
-from ccdtools.studies.report.formatting import axis_label, generation_name, place, share, signed_percent
-from ccdtools.studies.report.style import (
+from ccdtools.figure_style import (
     BOUND,
     CHOSEN,
     COLOURS,
     NOT_WORSE_STRIP,
     controller_colours,
     generation_colour,
-    without_grid,
 )
+from ccdtools.landscape_map import draw_map
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.studies.report.formatting import axis_label, generation_name, place, share, signed_percent
 from ccdtools.studies.report.verdicts import NOT_WORSE, percent_of_reference
-
-BEST_LEVELS = 0.9  # share of the designs that the colours tell apart; the worst tenth has one colour
 
 
 def plot_history(
@@ -207,38 +203,12 @@ def plot_landscape_map(
     whole : bool
         Whether a parameter is a whole number: every design of the grid then is a cell, with nothing between them.
     """
-    shown = np.ma.masked_where(~fine, mean)
-    without_grid(ax)
-    artists: list[Any] = []
-    if shown.count() > 3 and np.ptp(shown.compressed()) > 0:
-        levels = _even_levels(shown.compressed())
-        filled: Any
-        if whole:
-            colours = BoundaryNorm(levels, matplotlib.colormaps["Blues_r"].N, extend="min")
-            filled = ax.pcolormesh(x, y, shown, cmap="Blues_r", norm=colours, shading="nearest", ec="white", lw=0.5)
-        else:
-            filled = ax.contourf(x, y, shown, levels=levels, cmap="Blues_r", extend="min")
-            ax.contour(x, y, shown, levels=filled.levels, colors="white", linewidths=0.5, linestyles="solid")
-        without_grid(ax.figure.colorbar(filled, ax=ax, label="return of LQR, nominal model").ax)
-        artists.append(filled)
-        top = np.unravel_index(shown.argmax(), shown.shape)
-        artists += ax.plot(
-            x[top[1]], y[top[0]], "o", mfc="none", mec="k", mew=1.8, ms=21, label="best of the grid", clip_on=False
-        )
+    artists = draw_map(ax, x, y, mean, fine, label="return of LQR, nominal model", whole=whole)
     for g, path in enumerate(paths):
         artists += _path(ax, path[:, 0], path[:, 1], g)
     ax.set(xlabel=labels[0], ylabel=labels[1])
-    for set_limits, axis in ((ax.set_xlim, x), (ax.set_ylim, y)):
-        gaps = np.diff(axis)[[0, -1]] / 2 if whole else np.full(2, 0.03 * np.ptp(axis))
-        set_limits(axis[0] - gaps[0], axis[-1] + gaps[1])
     ax.legend(loc="best", markerscale=0.5)
     return artists
-
-
-def _even_levels(values: Array) -> Array:
-    """About a dozen levels at equal steps from the worst of the better designs to the best."""
-    low, high = np.quantile(values, [1 - BEST_LEVELS, 1.0])
-    return np.asarray(MaxNLocator(12).tick_values(float(low), float(high)))
 
 
 def _path(ax: Axes, x: Array, y: Array, g: int, *, line: str = "-") -> list[Any]:

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.studies.report import plotting, style
+from ccdtools.studies.report import plotting
 from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun
 from ccdtools.studies.report.formatting import generation_name
 from ccdtools.studies.report.report_figure import ReportFigure

@@ -13,6 +13,7 @@ from markupsafe import escape
 from matplotlib.figure import Figure
 from small_runs import tiny
 
+from ccdtools import figure_style as style
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.risk import CVaR
 from ccdtools.disturbances.disturbance import Gaussian
@@ -20,7 +21,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
 from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
-from ccdtools.studies.report import return_plots, set_figure, style
+from ccdtools.studies.report import return_plots, set_figure
 from ccdtools.studies.report.finished_run import FinishedRun
 from ccdtools.studies.report.formatting import number
 from ccdtools.studies.report.gains import gain_text

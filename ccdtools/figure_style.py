@@ -1,4 +1,4 @@
-"""How every figure of the report looks: colours, lines, sizes."""
+"""How every figure looks: colours, lines, sizes."""
 
 from __future__ import annotations
 

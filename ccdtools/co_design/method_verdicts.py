@@ -1,0 +1,153 @@
+"""What a comparison of methods says, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.controllers.learned import LearnedPolicy
+
+if TYPE_CHECKING:
+    from ccdtools.co_design.method_comparison import MethodComparison, MethodRow
+
+SAME = 0.5  # per cent of the reference's return that two methods may differ by and be equal
+APART = 5.0  # per cent between a method's own objective and the closed loop that are worth a word
+NEAR = 0.02  # of the unit box: designs this close are one
+OUTSIDE = 1e-3  # of the states outside the limits, beyond twice the reference's: worth a word
+
+
+def method_verdicts(comparison: MethodComparison) -> list[str]:
+    """Which methods are equal, which one wins and why, which ones lose and why, which ones refused."""
+    rows = [row for row in comparison.rows if row.result is not None]
+    refused = [f"{row.name} refused: {row.refused}" for row in comparison.rows if row.result is None]
+    if not rows:
+        return ["No method could treat this problem.", *refused]
+    lines = [_equal(comparison, rows), _winner(comparison)]
+    for row in rows:
+        if row.name == comparison.reference or row is comparison.best or not _differs(comparison, row):
+            continue
+        lines.append(f"{row.name}: {_difference(comparison, row)}; {_why(comparison, row)}.")
+    lines += _unsound(comparison, rows)
+    return [line for line in lines if line] + refused
+
+
+def _percent(comparison: MethodComparison, row: MethodRow) -> tuple[float, float, float]:
+    """Difference to the reference and its interval, in per cent; NaN where there are no pairs."""
+    if row.difference is None:
+        return (np.nan, np.nan, np.nan)
+    low, high = row.difference.ci95
+    return comparison.percent(row.difference.mean), comparison.percent(low), comparison.percent(high)
+
+
+def _differs(comparison: MethodComparison, row: MethodRow) -> bool:
+    """Whether a method differs from the reference by more than counts as equal."""
+    return not abs(_percent(comparison, row)[0]) <= SAME
+
+
+def _equal(comparison: MethodComparison, rows: list[MethodRow]) -> str:
+    """The methods that are as good as the reference."""
+    same = [row for row in rows if not _differs(comparison, row)]
+    names = ", ".join(row.name for row in same)
+    if len(same) < 2:
+        return f"No other method is within {SAME:g} % of {comparison.reference}."
+    space = comparison.problem.design
+    points = space.to_unit(np.array([row.result.design for row in same if row.result is not None]))
+    spread = float(np.ptp(points, axis=0).max())
+    first = comparison[comparison.reference].result
+    assert first is not None
+    if spread <= NEAR:
+        where = f"at one design, {space.describe(first.design)}"
+    else:
+        where = f"at designs up to {spread:.0%} of the box apart: the return is flat there"
+    return f"Equal within {SAME:g} % of the return of {comparison.reference}: {names}; {where}."
+
+
+def _winner(comparison: MethodComparison) -> str:
+    """The best method, and why, if it is better than the reference."""
+    best = comparison.best
+    mean, low, _ = _percent(comparison, best)
+    if best.name == comparison.reference or not mean > SAME:
+        return f"No method is better than {comparison.reference} by more than {SAME:g} %."
+    certain = "" if low > 0 else " (the interval holds 0)"
+    return f"{best.name} wins: {_difference(comparison, best)}{certain}; {_why(comparison, best)}."
+
+
+def _difference(comparison: MethodComparison, row: MethodRow) -> str:
+    """The difference in words."""
+    mean, low, high = _percent(comparison, row)
+    if np.isnan(mean):
+        return f"no run in common with {comparison.reference} that is not lost"
+    better = "better" if mean > 0 else "worse"
+    ends = sorted((abs(low), abs(high))) if low * high > 0 else (np.sign(mean) * low, np.sign(mean) * high)
+    first, last = sorted(ends)
+    return f"{abs(mean):.2f} % [{first:.2f}, {last:.2f}] {better} than {comparison.reference}"
+
+
+def _why(comparison: MethodComparison, row: MethodRow) -> str:
+    """Where a difference comes from: the design, the controller or both, and the criterion behind them."""
+    result = row.result
+    assert result is not None
+    if row.from_design is None or row.from_control is None:
+        return f"its criterion is the {result.criterion}" if result.criterion else "nobody knows why"
+    by_design, by_control = (comparison.percent(part.mean) for part in (row.from_design, row.from_control))
+    parts = [f"{by_design:+.2f} % by its design, {by_control:+.2f} % by its controller"]
+    if abs(by_design) > SAME / 2:
+        parts.append(_of_design(comparison, row, by_design))
+    if abs(by_control) > SAME / 2:
+        parts.append(_of_control(result.controller, by_control))
+    return "; ".join(part for part in parts if part)
+
+
+def _of_design(comparison: MethodComparison, row: MethodRow, by_design: float) -> str:
+    """Why a design is another."""
+    result: Any = row.result
+    space = comparison.problem.design
+    text = f"{space.describe(result.design)} is its best {result.criterion}"
+    if by_design > 0:
+        text += f", and {comparison.reference} did not get there"
+    if result.status in (CoDesignStatus.BUDGET_SPENT, CoDesignStatus.STILL_IMPROVING):
+        text += ", as far as its budget went"
+    loop = row.closed_loop.summary.mean
+    if abs(comparison.percent(result.objective - loop)) > APART:
+        text += f", which is not the closed loop's: {result.objective:.5g} there, {loop:.5g} here"
+    return text
+
+
+def _of_control(controller: Any, by_control: float) -> str:
+    """Why a controller makes more or less of a plant than its saturated LQR."""
+    better = by_control > 0
+    if hasattr(controller, "horizon"):
+        if better:
+            return "its controller plans with the limits, which saturated LQR knows nothing of"
+        return "its controller keeps limits on states, or ends its plans before they pay"
+    if isinstance(controller, LearnedPolicy):
+        if better:
+            return "its policy was trained in these scenarios, limits included"
+        return "its policy falls short of LQR, and would need more iterations"
+    if isinstance(controller, LinearFeedback):
+        if better:
+            return "its gain was fitted to these scenarios and to the limits of the inputs"
+        return "its gain was fitted to few scenarios"
+    return ""
+
+
+def _unsound(comparison: MethodComparison, rows: list[MethodRow]) -> list[str]:
+    """Methods that lose runs, leave the limits or break constraints."""
+    lines = []
+    allowed = 2 * comparison[comparison.reference].closed_loop.outside + OUTSIDE
+    for row in rows:
+        assert row.result is not None
+        loop = row.closed_loop
+        said = [f"{loop.lost_share:.2%} of its runs are lost"] if loop.lost.any() else []
+        if loop.outside > allowed:
+            said.append(f"{loop.outside:.2%} of its states are outside the limits")
+        if not row.sound:
+            said.append(row.result.status.value)
+        if row.violation > 1e-6:
+            said.append(f"its design breaks a constraint by {row.violation:.2g} of the box")
+        if said:
+            lines.append(f"{row.name}: {', '.join(said)}.")
+    return lines
