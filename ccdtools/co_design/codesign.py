@@ -22,6 +22,7 @@ from ccdtools.co_design.methods.sequential import Sequential
 from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.task import LimitPenalty
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
@@ -114,7 +115,9 @@ def codesign(
     seconds = time.perf_counter() - began
     judged = problem if judge is None else judge
     loop = closed_loop_returns(judged, result.controller, result.design, scenarios)
-    return replace(result, closed_loop=loop, seconds=seconds)
+    lost = loop.lost.any() and not isinstance(result, LearnedCoDesign)  # learning has judged that itself
+    status = CoDesignStatus.DIVERGING if lost else result.status
+    return replace(result, status=status, closed_loop=loop, seconds=seconds)
 
 
 def as_method(method: str | Method, **learning: Any) -> Method:

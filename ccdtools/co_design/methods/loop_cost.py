@@ -11,10 +11,12 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design
 from ccdtools.co_design.episodes import Episode, simulated
+from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.laws import DesignLaw
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
 from ccdtools.co_design.task import LimitPenalty
+from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from mpc import MPCError
 
@@ -100,6 +102,14 @@ class LoopCost:
             cost = cost + self.penalty.cost(seen, point)
         return cost
 
+    def updated(self, penalty: StateLimitPenalty, v: Array) -> tuple[Episode, StateLimitPenalty]:
+        """Episodes at a point, and the penalty after them."""
+        seen = self.seen(v)
+        if bool(seen.diverged.any()):
+            return seen, penalty
+        x0, w = self.scenarios
+        return seen, penalty.updated(seen, torch.tensor(v, dtype=torch.float32), (x0.float(), w.float()))
+
     @torch.no_grad()
     def seen(self, v: Array) -> Episode:
         """Its episodes at a point, with what leaves the limits."""
@@ -121,6 +131,10 @@ class LoopCost:
         samples = self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
         design = self.problem.design.from_unit(v)
         self.rows.append((count, count * samples, design, mean, std, lost.double().mean().item()))
+
+    def controller(self, p: Array) -> Controller:
+        """The law at a design, for use."""
+        return self.law.controller(self.problem, p)
 
     def history(self) -> History:
         """All evaluations so far."""

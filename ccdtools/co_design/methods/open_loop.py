@@ -10,12 +10,16 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
+from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import Mean, WorstCase
+from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
+from mpc import MPCError
 from mpc.optimal_control import OptimalControlProblem, Phase
 
 SOFT = 1e-3  # of the range of an input: how far from a bound its saturation is rounded off
@@ -241,3 +245,27 @@ def _outputs(limits: Any, sizes: tuple[int, int, int]) -> Any:
         return ca.vertcat(y[above] - ca.DM(high[above]), ca.DM(low[below]) - y[below])
 
     return beyond
+
+
+def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Scenarios as arrays (n, nx) and (n, T, nw)."""
+    x0, w = scenario_tensors(problem, runs, rng)
+    return x0.double().numpy(), w.double().numpy()
+
+
+def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> list[Any]:
+    """Trajectories of saturated LQR (times, x, u) to start a program from, held where they run away."""
+    x0, w = scenarios
+    try:
+        law: Any = saturated_lqr(problem, design)
+    except MPCError:
+        law = LinearFeedback(np.zeros((problem.model.nu, problem.model.nx)))
+    step = problem.model.stepper(design, batch=len(x0))
+    states, inputs = [x0], []
+    for k in range(w.shape[1]):
+        u = law(states[-1])
+        after = np.clip(np.nan_to_num(step(states[-1], u, w[:, k])), -2 * problem.state_scale, 2 * problem.state_scale)
+        states.append(after)
+        inputs.append(u)
+    x, u = np.stack(states, axis=1), np.stack([*inputs, inputs[-1]], axis=1)
+    return [(np.linspace(0.0, 1.0, x.shape[1]), x[i], u[i]) for i in range(len(x0))]

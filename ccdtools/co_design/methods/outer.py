@@ -172,8 +172,8 @@ def _steepness(space: DesignSpace, v: Array) -> Array:
     return np.asarray(np.linalg.norm(slopes[:, space.allowed.free], axis=1))
 
 
-def confirmed(cost: Cost, space: DesignSpace, v: Array, slope: Array, *, size: float) -> bool:
-    """Whether central differences of the cost show the slope, in one random direction of the free entries."""
+def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
+    """Whether central differences of the cost show its slope, in one random direction of the free entries."""
     free = space.allowed.free
     if not free.any():
         return True

@@ -15,7 +15,6 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-import torch
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
@@ -148,15 +147,14 @@ class _ClosedLoop:
     def __call__(self, v: Array) -> tuple[float, float]:
         """At a point of the unit box."""
         try:
-            seen = self.cost.seen(v)
+            if self.penalty is None:
+                seen = self.cost.seen(v)
+            else:
+                seen, self.penalty = self.cost.updated(self.penalty, v)
         except (MPCError, InputError):
             return np.inf, 0.0
         value = float(-self.cost.problem.risk.values(seen.total).mean())
-        if self.penalty is None:
-            return value, 0.0
-        if not bool(seen.diverged.any()):
-            self.penalty = self.penalty.updated(seen, torch.tensor(v, dtype=torch.float32), self.cost.scenarios)
-        return value, self.penalty.violation(seen)
+        return value, 0.0 if self.penalty is None else self.penalty.violation(seen)
 
     def outcome(self, v: Array) -> Any:
         """How the limits are kept at a point."""
@@ -227,7 +225,8 @@ def _bayesian(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: 
     import optuna
 
     n = int(box.free.sum())
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    verbosity = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         sampler = optuna.samplers.GPSampler(seed=int(rng.integers(1, 2**31)))
@@ -240,5 +239,8 @@ def _bayesian(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: 
         shown_bar.update()
         return box(np.array([trial.suggest_float(name, 0.0, 1.0) for name in names]))
 
-    study.optimize(value, n_trials=budget)
+    try:
+        study.optimize(value, n_trials=budget)
+    finally:
+        optuna.logging.set_verbosity(verbosity)
     return False

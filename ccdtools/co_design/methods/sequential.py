@@ -9,7 +9,6 @@ Fathy, Reyer, Papalambros and Ulsoy, "On the coupling between the plant and cont
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.laws import PassiveLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
-from ccdtools.co_design.methods.nested import searched
+from ccdtools.co_design.methods.searched import Plan, searched
 from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
@@ -72,7 +71,9 @@ class Sequential:
         if criterion == "open_loop":
             plant = Simultaneous("trajectory", starts=self.starts).run(problem, design, rng, progress=progress)
         else:
-            unlimited: Any = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
-            plant = searched(self, unlimited, PassiveLaw(), scenarios, design, rng, progress=progress)
+            unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
+            cost = LoopCost(unlimited, PassiveLaw(), scenarios)
+            plan = Plan(self.name, self.starts, self.evaluations)
+            plant = searched(plan, unlimited, lambda v: cost, design, rng, progress=progress)
         controller = controller_of(self.control, problem, plant.design)
         return replace(plant, method=self.name, controller=controller)

@@ -16,9 +16,8 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of, saturated_lqr
-from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.methods.open_loop import Feedback, check_open_loop, open_loop_problem
+from ccdtools.co_design.methods.open_loop import Feedback, check_open_loop, drawn, followed, open_loop_problem
 from ccdtools.co_design.methods.outer import held_by
 from ccdtools.co_design.methods.starting import start_points
 from ccdtools.co_design.problem import CoDesignProblem
@@ -149,30 +148,6 @@ class _End:
     def iterations(self) -> int:
         """Of Ipopt."""
         return int(self.solution.iterations)
-
-
-def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Scenarios as arrays (n, nx) and (n, T, nw)."""
-    x0, w = scenario_tensors(problem, runs, rng)
-    return x0.double().numpy(), w.double().numpy()
-
-
-def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> list[Any]:
-    """Trajectories of saturated LQR (times, x, u) to start a program from, held where they run away."""
-    x0, w = scenarios
-    try:
-        law: Any = saturated_lqr(problem, design)
-    except MPCError:
-        law = LinearFeedback(np.zeros((problem.model.nu, problem.model.nx)))
-    step = problem.model.stepper(design, batch=len(x0))
-    states, inputs = [x0], []
-    for k in range(w.shape[1]):
-        u = law(states[-1])
-        after = np.clip(np.nan_to_num(step(states[-1], u, w[:, k])), -2 * problem.state_scale, 2 * problem.state_scale)
-        states.append(after)
-        inputs.append(u)
-    x, u = np.stack(states, axis=1), np.stack([*inputs, inputs[-1]], axis=1)
-    return [(np.linspace(0.0, 1.0, x.shape[1]), x[i], u[i]) for i in range(len(x0))]
 
 
 def _first_gain(problem: CoDesignProblem, design: Array) -> Array:
