@@ -22,12 +22,12 @@ import torch
 
 from ccdtools import CoDesignProblem, DesignSpace, compare_methods, load_study
 
-FAST = ("sequential", "nested LQR", "simultaneous", "CMA-ES")
+FAST = ("sequential", "nested Riccati", "nested LQR", "nested trajectory", "simultaneous", "CMA-ES")
 ALL = (*FAST, "nested MPC", "simultaneous gain", "Bayesian search", "pathwise")
 EQUAL_IN_THEORY = ("nested LQR", "CMA-ES", "Bayesian search")  # one closed loop, searched in three ways
 SAME = 0.5  # per cent
 FLYWHEEL = 2e4  # price per kg·m² of flywheel, in units of the return
-WATER = 0.15  # price per cm² of tank
+WATER = 1.5  # price per cm² of tank
 
 Start = tuple[CoDesignProblem, np.ndarray]
 

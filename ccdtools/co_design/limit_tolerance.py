@@ -95,7 +95,7 @@ def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, T
     x0, w = scenarios
     runs = fewer_runs(MPC_RUNS, w.shape[1])
     with torch.no_grad():
-        step = Stepper.at(problem, to_design(problem, v.detach()))
+        step = Stepper.at(problem, to_design(problem, v.detach().to(x0.dtype)))
         return simulated(step, lambda x: x.new_tensor(mpc(x.double().numpy())), (x0[:runs], w[:runs]), depths=True)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,8 @@ from ccdtools.co_design.configuration import METHODS as LEARNING
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.method_verdicts import SAME, method_verdicts
 from ccdtools.co_design.methods.learned import Learned
-from ccdtools.co_design.methods.nested import INNER, Nested
+from ccdtools.co_design.methods.nested import NAMES as INNER
+from ccdtools.co_design.methods.nested import Nested
 from ccdtools.co_design.methods.search import LIBRARIES, Search
 from ccdtools.co_design.methods.sequential import Sequential
 from ccdtools.co_design.methods.simultaneous import UNKNOWNS, Simultaneous
@@ -36,8 +37,8 @@ from learning.networks import ActorCritic
 from mpc import MPCError
 
 ALL = (
-    "sequential", "nested LQR", "nested MPC", "simultaneous", "simultaneous gain", "CMA-ES", "Bayesian search",
-    "pathwise",
+    "sequential", "nested Riccati", "nested LQR", "nested MPC", "nested trajectory", "simultaneous", "simultaneous gain",
+    "CMA-ES", "Bayesian search", "pathwise",
 )  # fmt: skip
 REFERENCE = "nested LQR"
 REFUSALS = (CCDError, MPCError, LearningError, InvariantSetsError, np.linalg.LinAlgError, ArithmeticError)
@@ -209,7 +210,7 @@ class MethodComparison(Immutable):
 
     def __str__(self) -> str:
         """The table in aligned columns, and below it what it says."""
-        head = HEAD[:5] + (f"to {self.reference}",) + HEAD[6:]
+        head = (*HEAD[:5], f"to {self.reference}", *HEAD[6:])
         lines = [head, *(self._texts(row) for row in self.rows)]
         widths = [max(len(line[i]) for line in lines if len(line) > 2) for i in range(len(head))]
         right = {2, 4, 6, 7, 8}
@@ -225,7 +226,7 @@ class MethodComparison(Immutable):
 
     def markdown(self) -> str:
         """The table for a page: the cells of the printed one."""
-        lines = [HEAD[:5] + (f"to {self.reference}",) + HEAD[6:], ("---",) * len(HEAD)]
+        lines = [(*HEAD[:5], f"to {self.reference}", *HEAD[6:]), ("---",) * len(HEAD)]
         for row in self.rows:
             cells = self._texts(row)
             lines.append(cells if len(cells) == len(HEAD) else cells + ("",) * (len(HEAD) - 2))
@@ -273,8 +274,8 @@ def compare_methods(
     problem : CoDesignProblem
     methods : "all", sequence of str, or mapping of str to str or Method
         Names of methods ("nested LQR", "simultaneous gain", "CMA-ES", "ppo", …); or methods with settings of their own
-        by names of yours. "all": sequential, nested LQR and MPC, simultaneous, simultaneous gain, CMA-ES, Bayesian
-        search and pathwise.
+        by names of yours. "all": sequential; nested Riccati, LQR, MPC and trajectory; simultaneous and simultaneous
+        gain; CMA-ES and Bayesian search; pathwise.
     seed : int
         Of every method: each has a generator of its own with this seed.
     design : (np,) array_like, optional
@@ -362,7 +363,8 @@ def _named(name: str, agent: ActorCritic | None) -> Method:
     known = {_key(one): method for one, method in known_methods().items()}
     if _key(name) in known:
         found = known[_key(name)]
-        return Learned(by=found.by, agent=agent) if isinstance(found, Learned) else found
+        learns = isinstance(found, Learned) or (isinstance(found, Nested) and found.inner == "rl")
+        return replace(found, agent=agent) if learns else found  # type: ignore[type-var]
     if name in METHODS:
         return as_method(name)
     raise InputError("methods", shown(name), f"one of {', '.join(known_methods())}")
