@@ -1,8 +1,8 @@
 """Every way to co-design on six problems: closed-loop returns on common scenarios, evaluations and time.
 
-``python benchmarks/bench_codesign.py [PROBLEM ...] [--methods NAME,NAME] [--seeds 0,1,2] [--out FOLDER]`` prints a table
-for each problem with what it says below, and keeps each as a CSV file as soon as it is finished. All methods run with
-the first seed, the fast ones with the others too.
+``python benchmarks/bench_codesign.py [PROBLEM ...] [--methods NAME,NAME] [--seeds 0,1,2] [--out FOLDER]`` prints a
+table for each problem with what it says below, and keeps each as a CSV file as soon as it is finished. All methods run
+with the first seed, the fast ones with the others too.
 
 Required: methods whose optimum is the same in theory (nested LQR, and the searches of the same closed loop) within
 0.5 %; what is learned never below nested LQR by more than 0.5 %; a problem whose best design is known

@@ -24,12 +24,15 @@ if TYPE_CHECKING:
     from ccdtools.co_design.methods.search import Search
     from ccdtools.co_design.methods.sequential import Sequential
     from ccdtools.co_design.methods.simultaneous import Simultaneous
+    from ccdtools.co_design.multi_start import MultiStart, multi_start
     from ccdtools.co_design.objective import QuadraticObjective
+    from ccdtools.co_design.optimum_sensitivity import OptimumSensitivity, optimum_sensitivity
     from ccdtools.co_design.preview import previewed_limits, previewed_objective, previewed_problem
     from ccdtools.co_design.problem import CoDesignProblem, FixedStart
     from ccdtools.co_design.random_starts import RandomStarts
     from ccdtools.co_design.result import CoDesignResult
     from ccdtools.co_design.risk import CVaR, Mean, MeanSpread, WorstCase
+    from ccdtools.co_design.trade_off import TradeOff, trade_off
     from ccdtools.comparison.baselines import baselines
     from ccdtools.comparison.comparison import compare
     from ccdtools.comparison.ride import Ride
@@ -111,10 +114,12 @@ __all__ = [
     "Measurement",
     "MethodComparison",
     "Mixture",
+    "MultiStart",
     "Nested",
     "NotDetectableError",
     "Observed",
     "OnlineConfig",
+    "OptimumSensitivity",
     "OutputLimits",
     "Passive",
     "Plant",
@@ -135,6 +140,7 @@ __all__ = [
     "Study",
     "Sum",
     "SuspensionMetrics",
+    "TradeOff",
     "Trajectory",
     "Uniform",
     "WorstCase",
@@ -162,8 +168,10 @@ __all__ = [
     "load_policy",
     "load_study",
     "mean_interval",
+    "multi_start",
     "noise_covariance",
     "nonlinear_mpc",
+    "optimum_sensitivity",
     "output_objective",
     "plant_from_matrices",
     "plant_from_state_space",
@@ -179,6 +187,7 @@ __all__ = [
     "simulate",
     "suspension_metrics",
     "to_torch",
+    "trade_off",
     "updated_problem",
     "weighted_acceleration",
     "with_preview",
@@ -217,10 +226,12 @@ _HOMES = {
     "Measurement": "estimation.measurement",
     "MethodComparison": "co_design.method_comparison",
     "Mixture": "disturbances.combinations",
+    "MultiStart": "co_design.multi_start",
     "Nested": "co_design.methods.nested",
     "NotDetectableError": "exceptions",
     "Observed": "controllers.observed",
     "OnlineConfig": "twin.online",
+    "OptimumSensitivity": "co_design.optimum_sensitivity",
     "OutputLimits": "output_limits",
     "PID": "controllers.controllers",
     "Passive": "controllers.controllers",
@@ -242,6 +253,7 @@ _HOMES = {
     "Study": "studies.study",
     "Sum": "disturbances.combinations",
     "SuspensionMetrics": "comparison.suspension",
+    "TradeOff": "co_design.trade_off",
     "Trajectory": "trajectory",
     "Uniform": "disturbances.disturbance",
     "WorstCase": "co_design.risk",
@@ -269,8 +281,10 @@ _HOMES = {
     "load_policy": "controllers.learned",
     "load_study": "studies.loading",
     "mean_interval": "statistics",
+    "multi_start": "co_design.multi_start",
     "noise_covariance": "plants.noise_covariance",
     "nonlinear_mpc": "co_design.design_controllers",
+    "optimum_sensitivity": "co_design.optimum_sensitivity",
     "output_objective": "co_design.custom_objective",
     "plant_from_matrices": "plants.linear_plants",
     "plant_from_state_space": "plants.linear_plants",
@@ -286,6 +300,7 @@ _HOMES = {
     "simulate": "simulation",
     "suspension_metrics": "comparison.suspension",
     "to_torch": "plants.torch_function",
+    "trade_off": "co_design.trade_off",
     "updated_problem": "twin.replay",
     "weighted_acceleration": "comparison.ride_comfort",
     "with_preview": "plants.preview",

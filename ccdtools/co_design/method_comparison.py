@@ -37,8 +37,8 @@ from learning.networks import ActorCritic
 from mpc import MPCError
 
 ALL = (
-    "sequential", "nested Riccati", "nested LQR", "nested MPC", "nested trajectory", "simultaneous", "simultaneous gain",
-    "CMA-ES", "Bayesian search", "pathwise",
+    "sequential", "nested Riccati", "nested LQR", "nested MPC", "nested trajectory", "simultaneous",
+    "simultaneous gain", "CMA-ES", "Bayesian search", "pathwise",
 )  # fmt: skip
 REFERENCE = "nested LQR"
 REFUSALS = (CCDError, MPCError, LearningError, InvariantSetsError, np.linalg.LinAlgError, ArithmeticError)
@@ -83,7 +83,7 @@ class MethodRow(Immutable):
     violation: float = 0.0
 
     def __repr__(self) -> str:
-        return f"MethodRow({self.name}: {self.refused and f'refused: {self.refused}' or repr(self.result)})"
+        return f"MethodRow({self.name}: {f'refused: {self.refused}' if self.refused else repr(self.result)})"
 
     @property
     def closed_loop(self) -> ClosedLoopReturns:
@@ -204,7 +204,8 @@ class MethodComparison(Immutable):
             "criterion": "" if found is None else found.criterion,
             "evaluations": 0 if found is None else found.evaluations,
             "seconds": np.nan if found is None else found.seconds,
-            "status": "refused" if found is None else found.status.name, "held_by": "" if found is None else held(found),
+            "status": "refused" if found is None else found.status.name,
+            "held_by": "" if found is None else held(found),
             "violation": np.nan if found is None else row.violation, "refused": row.refused,
         }  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -10,17 +10,14 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 
-if TYPE_CHECKING:
-    from ccdtools.co_design.method_comparison import MethodComparison, MethodRow
-
 SAME = 0.5  # per cent of the reference's return that two methods may differ by and be equal
 APART = 5.0  # per cent between a method's own objective and the closed loop that are worth a word
 NEAR = 0.02  # of the unit box: designs this close are one
 OUTSIDE = 1e-3  # of the states outside the limits, beyond twice the reference's: worth a word
 
 
-def method_verdicts(comparison: MethodComparison) -> list[str]:
-    """Which methods are equal, which one wins and why, which ones lose and why, which ones refused."""
+def method_verdicts(comparison: Any) -> list[str]:
+    """Of a `MethodComparison`: which methods are equal, which one wins, which lose, and why; which refused."""
     rows = [row for row in comparison.rows if row.result is not None]
     refused = [f"{row.name} refused: {row.refused}" for row in comparison.rows if row.result is None]
     if not rows:
@@ -34,7 +31,7 @@ def method_verdicts(comparison: MethodComparison) -> list[str]:
     return [line for line in lines if line] + refused
 
 
-def _percent(comparison: MethodComparison, row: MethodRow) -> tuple[float, float, float]:
+def _percent(comparison: Any, row: Any) -> tuple[float, float, float]:
     """Difference to the reference and its interval, in per cent; NaN where there are no pairs."""
     if row.difference is None:
         return (np.nan, np.nan, np.nan)
@@ -42,22 +39,21 @@ def _percent(comparison: MethodComparison, row: MethodRow) -> tuple[float, float
     return comparison.percent(row.difference.mean), comparison.percent(low), comparison.percent(high)
 
 
-def _differs(comparison: MethodComparison, row: MethodRow) -> bool:
+def _differs(comparison: Any, row: Any) -> bool:
     """Whether a method differs from the reference by more than counts as equal."""
     return not abs(_percent(comparison, row)[0]) <= SAME
 
 
-def _equal(comparison: MethodComparison, rows: list[MethodRow]) -> str:
+def _equal(comparison: Any, rows: list[Any]) -> str:
     """The methods that are as good as the reference."""
     same = [row for row in rows if not _differs(comparison, row)]
     names = ", ".join(row.name for row in same)
     if len(same) < 2:
         return f"No other method is within {SAME:g} % of {comparison.reference}."
     space = comparison.problem.design
-    points = space.to_unit(np.array([row.result.design for row in same if row.result is not None]))
+    points = space.to_unit(np.array([row.result.design for row in same]))
     spread = float(np.ptp(points, axis=0).max())
     first = comparison[comparison.reference].result
-    assert first is not None
     if spread <= NEAR:
         where = f"at one design, {space.describe(first.design)}"
     else:
@@ -65,7 +61,7 @@ def _equal(comparison: MethodComparison, rows: list[MethodRow]) -> str:
     return f"Equal within {SAME:g} % of the return of {comparison.reference}: {names}; {where}."
 
 
-def _winner(comparison: MethodComparison) -> str:
+def _winner(comparison: Any) -> str:
     """The best method, and why, if it is better than the reference."""
     best = comparison.best
     mean, low, _ = _percent(comparison, best)
@@ -75,7 +71,7 @@ def _winner(comparison: MethodComparison) -> str:
     return f"{best.name} wins: {_difference(comparison, best)}{certain}; {_why(comparison, best)}."
 
 
-def _difference(comparison: MethodComparison, row: MethodRow) -> str:
+def _difference(comparison: Any, row: Any) -> str:
     """The difference in words."""
     mean, low, high = _percent(comparison, row)
     if np.isnan(mean):
@@ -86,10 +82,9 @@ def _difference(comparison: MethodComparison, row: MethodRow) -> str:
     return f"{abs(mean):.2f} % [{first:.2f}, {last:.2f}] {better} than {comparison.reference}"
 
 
-def _why(comparison: MethodComparison, row: MethodRow) -> str:
+def _why(comparison: Any, row: Any) -> str:
     """Where a difference comes from: the design, the controller or both, and the criterion behind them."""
     result = row.result
-    assert result is not None
     if row.from_design is None or row.from_control is None:
         return f"its criterion is the {result.criterion}" if result.criterion else "nobody knows why"
     by_design, by_control = (comparison.percent(part.mean) for part in (row.from_design, row.from_control))
@@ -101,9 +96,9 @@ def _why(comparison: MethodComparison, row: MethodRow) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def _of_design(comparison: MethodComparison, row: MethodRow, by_design: float) -> str:
+def _of_design(comparison: Any, row: Any, by_design: float) -> str:
     """Why a design is another."""
-    result: Any = row.result
+    result = row.result
     space = comparison.problem.design
     text = f"{space.describe(result.design)} is its best {result.criterion}"
     if by_design > 0:
@@ -134,12 +129,11 @@ def _of_control(controller: Any, by_control: float) -> str:
     return ""
 
 
-def _unsound(comparison: MethodComparison, rows: list[MethodRow]) -> list[str]:
+def _unsound(comparison: Any, rows: list[Any]) -> list[str]:
     """Methods that lose runs, leave the limits or break constraints."""
     lines = []
     allowed = 2 * comparison[comparison.reference].closed_loop.outside + OUTSIDE
     for row in rows:
-        assert row.result is not None
         loop = row.closed_loop
         said = [f"{loop.lost_share:.2%} of its runs are lost"] if loop.lost.any() else []
         if loop.outside > allowed:

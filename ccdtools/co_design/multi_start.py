@@ -1,0 +1,149 @@
+"""A co-design from many first designs, side by side: whether they agree, and on what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, Immutable
+from ccdtools.checks import as_choice, as_count, as_flag, as_floats, as_instance
+from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import CoDesignResult
+from ccdtools.exceptions import InputError
+from ccdtools.jobs import as_jobs, in_processes
+from ccdtools.plants.design_space import DesignSpace
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class MultiStart(Immutable):
+    """What a method found from each of several first designs, all with the same seed.
+
+    Attributes
+    ----------
+    starts : (n, np) array
+    results : tuple of CoDesignResult
+        In the order of the starts.
+    space : DesignSpace
+    """
+
+    starts: Array
+    results: tuple[CoDesignResult, ...]
+    space: DesignSpace
+
+    def __iter__(self) -> Iterator[CoDesignResult]:
+        return iter(self.results)
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    def __repr__(self) -> str:
+        return f"MultiStart({len(self)} starts, best {self.best!r}, spread {self.spread:.2g} of the box)"
+
+    @property
+    def best(self) -> CoDesignResult:
+        """The one of the highest return in closed loop on the common scenarios, of those that lose fewest runs."""
+        return min(self.results, key=_rank)
+
+    @property
+    def designs(self) -> Array:
+        """What each found, (n, np)."""
+        return np.array([result.design for result in self.results])
+
+    @property
+    def spread(self) -> float:
+        """The largest distance of a design found from the best one, in parts of the ranges."""
+        return float(np.abs(self.space.to_unit(self.designs) - self.space.to_unit(self.best.design)).max())
+
+    def table(self) -> list[dict[str, Any]]:
+        """One dictionary of plain values per start."""
+        return [
+            {
+                **{f"{name} at first": value for name, value in self.space.as_dict(start).items()},
+                **self.space.as_dict(result.design), "return": _value(result), "seconds": result.seconds,
+                "evaluations": result.evaluations, "status": result.status.name,
+            }
+            for start, result in zip(self.starts, self.results)
+        ]  # fmt: skip
+
+    def __str__(self) -> str:
+        """The table in aligned columns."""
+        lines = [("first design", "design", "return", "time", "status")]
+        lines += [
+            (self.space.describe(start), self.space.describe(result.design), f"{_value(result):.5g}",
+             f"{result.seconds:.3g} s", result.status.name.lower().replace("_", " "))
+            for start, result in zip(self.starts, self.results)
+        ]  # fmt: skip
+        widths = [max(len(line[i]) for line in lines) for i in range(5)]
+        return "\n".join("  ".join(f"{cell:<{wide}}" for cell, wide in zip(line, widths)).rstrip() for line in lines)
+
+
+def multi_start(
+    problem: CoDesignProblem, starts: int | ArrayLike = 10, *, method: str | Method = "nested", seed: int = 0,
+    jobs: int = 1, progress: bool = False,
+) -> MultiStart:  # fmt: skip
+    """The same co-design from several first designs.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    starts : int or (n, np) array_like
+        So many feasible designs of a Latin hypercube; or these.
+    method
+        As `codesign` takes it.
+    seed : int
+        Of the starts and of every run of the method: scenarios are common.
+    jobs : int
+        Processes; −1 for all cores.
+    progress : bool
+
+    Returns
+    -------
+    MultiStart
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind, a start is not feasible, or the method refuses.
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_count("seed", seed, least=0)
+    as_flag("progress", progress)
+    if isinstance(method, str):
+        as_choice("method", method, METHODS)
+    chosen = as_method(method)
+    space = problem.design
+    if np.ndim(starts) == 0:
+        drawn = space.latin_hypercube(as_count("starts", starts), np.random.default_rng(seed))
+        points = [space.project(p) for p in drawn]
+    else:
+        rows = as_floats("starts", starts)
+        if rows.ndim != 2 or not len(rows):
+            raise InputError("starts", f"shape {rows.shape}", f"a number, or designs (n, {space.dim})")
+        points = [space.check_feasible(row, argument=f"starts[{i}]") for i, row in enumerate(rows)]
+    results = in_processes(
+        partial(_from, problem, chosen, seed), points, jobs=as_jobs(jobs), label="starts", progress=progress
+    )
+    return MultiStart(starts=np.array(points), results=tuple(results), space=space)
+
+
+def _from(problem: CoDesignProblem, method: Method, seed: int, design: Array) -> CoDesignResult:
+    """What one start leads to."""
+    return codesign(problem, method=method, rng=np.random.default_rng(seed), design=design)
+
+
+def _value(result: CoDesignResult) -> float:
+    """The return in closed loop of the runs that are not lost."""
+    assert result.closed_loop is not None
+    return result.closed_loop.summary.mean
+
+
+def _rank(result: CoDesignResult) -> tuple[float, float]:
+    """What the best one is the least of."""
+    assert result.closed_loop is not None
+    return result.closed_loop.lost_share, -_value(result)
