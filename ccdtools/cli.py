@@ -1,4 +1,4 @@
-"""The command line: ``ccdtools run STUDY``, ``resume FOLDER``, ``new NAME``, ``studies``."""
+"""The command line: ``ccdtools run STUDY``, ``resume FOLDER``, ``codesign STUDY``, ``new NAME``, ``studies``."""
 
 from __future__ import annotations
 
@@ -139,6 +139,42 @@ def resume(folder: Annotated[str, typer.Argument(help="Folder of an interrupted 
                 _complete(kept, prepared)
     except KeyboardInterrupt:
         _stop(kept)
+
+
+@app.command()
+def codesign(
+    study: Annotated[str, typer.Argument(help=f"Which study: {known_studies()} with one.")],
+    methods: Annotated[str, typer.Option(help='all, or names with commas: "nested LQR,simultaneous,CMA-ES".')] = "all",
+    seed: Annotated[str, typer.Option(metavar="INTEGER", help="Seed of every method.")] = "0",
+    jobs: Annotated[str, typer.Option(metavar="INTEGER", help="Processes; -1 for all cores.")] = "1",
+    out: Annotated[str | None, typer.Option(help="Folder for table and picture. Default: none is written.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is in the folder.")] = False,
+) -> None:
+    """Co-design the model of a study by every method, on common scenarios: one table, and what it says.
+
+    With --out it is kept: methods.csv, methods.png, and methods.html with both.
+    """
+    options = Options(located(study), seed=whole_number("--seed", seed))
+    processes = whole_number("--jobs", jobs)
+    folder = None if out is None else _output(out)
+    if folder is not None:
+        folder.check_new(overwrite=overwrite, argument="--out")
+    with _held_back():
+        from ccdtools.co_design.method_comparison import compare_methods, named_methods
+        from ccdtools.studies.loading import blamed_on_source, load_study
+        from ccdtools.studies.report.method_page import write_methods
+    _single_thread()
+    asked = "all" if methods == "all" else [name.strip() for name in methods.split(",")]
+    named_methods(asked)
+    own = load_study(options.study)
+    with blamed_on_source(options.study), _insisting():
+        found = compare_methods(
+            own.problem(), asked, seed=options.seed, design=own.p0, jobs=processes, progress=sys.stderr.isatty()
+        )
+        typer.echo(f"{own.title}, seed {options.seed}\n\n{found}")
+        if out is not None:
+            kept = RunFolder.create(_output(out).path, overwrite=overwrite, argument="--out")
+            typer.echo(f"\nTable and picture: {write_methods(own.title, found, kept)}")
 
 
 @app.command()

@@ -211,7 +211,7 @@ class MethodComparison(Immutable):
 
     def __str__(self) -> str:
         """The table in aligned columns, and below it what it says."""
-        head = (*HEAD[:5], f"to {self.reference}", *HEAD[6:])
+        head = self._head
         lines = [head, *(self._texts(row) for row in self.rows)]
         widths = [max(len(line[i]) for line in lines if len(line) > 2) for i in range(len(head))]
         right = {2, 4, 6, 7, 8}
@@ -226,12 +226,20 @@ class MethodComparison(Immutable):
         return "\n".join([*text, "", *self.verdict])
 
     def markdown(self) -> str:
-        """The table for a page: the cells of the printed one."""
-        lines = [(*HEAD[:5], f"to {self.reference}", *HEAD[6:]), ("---",) * len(HEAD)]
-        for row in self.rows:
-            cells = self._texts(row)
-            lines.append(cells if len(cells) == len(HEAD) else cells + ("",) * (len(HEAD) - 2))
-        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        """The printed table for a page in Markdown."""
+        head, *rows = self.cells()
+        return "\n".join(f"| {' | '.join(line)} |" for line in [head, ("---",) * len(head), *rows])
+
+    def cells(self) -> list[tuple[str, ...]]:
+        """The cells of the printed table as text, its head first."""
+        texts = [self._texts(row) for row in self.rows]
+        blank = ("",) * (len(HEAD) - 2)
+        return [self._head, *(line if len(line) == len(HEAD) else (*line, *blank) for line in texts)]
+
+    @property
+    def _head(self) -> tuple[str, ...]:
+        """The head of the printed table."""
+        return (*HEAD[:5], f"to {self.reference}", *HEAD[6:])
 
     def _texts(self, row: MethodRow) -> tuple[str, ...]:
         """The cells of a printed row; two of a method that refused."""

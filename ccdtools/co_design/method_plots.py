@@ -206,8 +206,8 @@ def plot_trade_off(found: Any) -> Figure:
         order = np.argsort(found.design_costs)
         left.plot(found.design_costs[order], found.control_returns[order], "-", color="#9FB8CC", lw=1.5, zorder=1)
         ends = found.intervals
-        left.errorbar(found.design_costs, found.control_returns, yerr=np.abs(ends.T - found.control_returns), fmt="none",
-                      ecolor="#9FB8CC", capsize=2, lw=1, zorder=2)  # fmt: skip
+        left.errorbar(found.design_costs, found.control_returns, yerr=np.abs(ends.T - found.control_returns),
+                      fmt="none", ecolor="#9FB8CC", capsize=2, lw=1, zorder=2)  # fmt: skip
         points = left.scatter(found.design_costs, found.control_returns, c=np.arange(len(found.values)), cmap="viridis",
                               s=52, edgecolors="white", linewidths=0.7, zorder=3)  # fmt: skip
         off = ~found.efficient

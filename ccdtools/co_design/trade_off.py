@@ -150,7 +150,7 @@ def trade_off(
         _check_prices(problem, points)
     elif not callable(problem):
         raise InputError("problem", shown(problem), "a CoDesignProblem, or a function that gives one")
-    of: Any = partial(_at_price if priced else stated, problem)
+    of: Any = partial(_priced_or_stated, problem)
     ends = in_processes(
         partial(_best, of, chosen, seed, design), points.tolist(), jobs=as_jobs(jobs), label="trade-off",
         progress=progress,
@@ -180,6 +180,11 @@ def stated(problem_of: ProblemOf, value: float, *, argument: str = "problem") ->
     if not isinstance(problem, CoDesignProblem):
         raise InputError(argument, f"{shown(problem)} at {value:g}", "a CoDesignProblem at every value")
     return problem
+
+
+def _priced_or_stated(problem: CoDesignProblem | ProblemOf, value: float) -> CoDesignProblem:
+    """The problem at a price, or the one stated at a value."""
+    return _at_price(problem, value) if isinstance(problem, CoDesignProblem) else stated(problem, value)
 
 
 def _at_price(problem: CoDesignProblem, price: float) -> CoDesignProblem:

@@ -1,0 +1,149 @@
+"""The table of methods: rows, pairs, refusals, verdicts, files."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ccdtools import InputError, Nested, QuadraticObjective, Search, Sequential, compare_methods, simulate
+from ccdtools.co_design.method_comparison import known_methods, named_methods
+from ccdtools.figure_style import png
+from small_plants import best_design, exact_return, mass, two_valleys
+
+QUICK = {
+    "plant first": Sequential(starts=1), "nested": Nested(starts=1, runs=100),
+    "search": Search(evaluations=25, runs=64),
+}  # fmt: skip
+
+
+class Refusing:
+    """A method that treats nothing."""
+
+    name = "none"
+
+    def run(self, problem, design, rng, *, progress=False):
+        raise InputError("problem", "this one", "another")
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return mass()
+
+
+@pytest.fixture(scope="module")
+def found(problem):
+    return compare_methods(problem, {**QUICK, "refusing": Refusing()}, seed=3, reference="nested")
+
+
+def test_every_method_is_a_row_and_a_refusal_says_why(found):
+    assert [row.name for row in found] == ["plant first", "nested", "search", "refusing"]
+    assert found["refusing"].result is None
+    assert "another" in found["refusing"].refused
+    assert any(line.startswith("refusing refused:") for line in found.verdict)
+    assert "refused: " in str(found)
+
+
+def test_nested_and_search_reach_the_exact_optimum(found, problem):
+    best, _ = best_design(problem)
+    for name in ("nested", "search"):
+        assert found[name].result.design == pytest.approx(best, abs=0.02)
+
+
+def test_the_paired_difference_is_that_of_the_same_runs(found, problem):
+    # the loops once more, by `simulate`, which shares no code with the differentiable model
+    scenarios = np.random.default_rng(3).spawn(1)[0]
+    runs = len(found["nested"].closed_loop.values)
+    x0, w = (part.astype(np.float32).astype(float) for part in problem.scenarios.sample(runs, problem.steps, scenarios))
+    values = {}
+    for name in ("plant first", "nested"):
+        result = found[name].result
+        loop = simulate(
+            problem.model, result.controller, x0=x0, steps=problem.steps, disturbance=w, design=result.design
+        )
+        values[name] = loop.returns(problem.objective)
+    gap = values["plant first"] - values["nested"]
+    assert found["plant first"].difference.mean == pytest.approx(gap.mean(), rel=1e-6)
+
+
+def test_the_plant_that_is_designed_first_loses_by_its_design_alone(found, problem):
+    row = found["plant first"]
+    exact = exact_return(problem, row.result.design) - exact_return(problem, found["nested"].result.design)
+    assert exact < -0.01 * found.size
+    low, high = row.from_design.ci95
+    assert low - 0.02 * abs(exact) < exact < high + 0.02 * abs(exact)
+    assert row.from_control.mean == pytest.approx(0.0, abs=1e-9 * found.size)
+    assert row.difference.mean == pytest.approx(row.from_design.mean + row.from_control.mean)
+    assert found.best.name in ("nested", "search")
+    said = next(line for line in found.verdict if line.startswith("plant first:"))
+    assert "by its design" in said
+    assert "passive plant" in said
+
+
+def test_equal_methods_are_said_to_be_equal(found):
+    assert found.verdict[0].startswith("Equal within 0.5 %")
+    assert "nested, search" in found.verdict[0]
+
+
+def test_the_table_is_written_and_read_back(found, tmp_path):
+    with found.to_csv(tmp_path / "methods.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["method"] for row in rows] == [row.name for row in found]
+    assert float(rows[1]["m"]) == found["nested"].result.design[0]
+    assert rows[3]["status"] == "refused"
+    assert float(rows[0]["difference_percent"]) == pytest.approx(100 * found["plant first"].difference.mean / found.size)
+
+
+def test_the_picture_is_drawn_for_any_number_of_parameters(found):
+    assert png(found.plot()).startswith(b"\x89PNG")
+
+
+def test_processes_change_nothing(problem, found):
+    names = {name: QUICK[name] for name in ("nested", "plant first")}
+    beside = compare_methods(problem, names, seed=3, jobs=2)
+    for name in names:
+        np.testing.assert_array_equal(beside[name].result.design, found[name].result.design)
+        np.testing.assert_array_equal(beside[name].closed_loop.values, found[name].closed_loop.values)
+
+
+def test_other_units_change_neither_order_nor_per_cent(problem, found):
+    # costs in cents instead of euros: all that is relative stays
+    priced = replace(problem, objective=QuadraticObjective(100 * problem.objective.Q, 100 * problem.objective.R))
+    cents = compare_methods(priced, {"nested": QUICK["nested"], "plant first": QUICK["plant first"]}, seed=3)
+    own = found.percent(found["plant first"].difference.mean)
+    assert cents["nested"].closed_loop.summary.mean == pytest.approx(100 * found["nested"].closed_loop.summary.mean)
+    assert cents.percent(cents["plant first"].difference.mean) == pytest.approx(own, rel=0.02)
+
+
+def test_the_reference_is_nested_lqr_or_the_first():
+    pair = compare_methods(two_valleys(), {"b": Nested(starts=1, runs=32), "a": Nested(starts=1, runs=32)})
+    assert pair.reference == "b"
+    assert pair["b"].difference.mean == 0.0
+    assert pair["a"].difference.mean == 0.0
+
+
+def test_names_are_found_whatever_their_capitals():
+    assert list(named_methods("all"))[0] == "sequential"
+    assert list(named_methods(["nested-lqr", "cma-es", "PPO"])) == ["nested LQR", "CMA-ES", "ppo"]
+    assert set(named_methods("all")) <= set(known_methods())
+
+
+@pytest.mark.parametrize(
+    ("methods", "word"),
+    [(["magic"], "magic"), ([], "none"), (["nested LQR", "nested-lqr"], "every method once"), (3, "names"),
+     ({1: "ppo"}, "names")],
+)  # fmt: skip
+def test_wrong_methods_are_refused_by_name(problem, methods, word):
+    with pytest.raises(InputError, match=word) as error:
+        compare_methods(problem, methods)
+    assert error.value.argument == "methods"
+
+
+@pytest.mark.parametrize(
+    ("change", "argument"),
+    [({"seed": -1}, "seed"), ({"jobs": 0}, "jobs"), ({"reference": "x"}, "reference"), ({"design": [99.0]}, "design")],
+)
+def test_wrong_arguments_are_refused_before_anything_runs(problem, change, argument):
+    with pytest.raises(InputError) as error:
+        compare_methods(problem, {"refusing": Refusing()}, **change)
+    assert error.value.argument == argument
