@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_plants import best_design, exact_return, mass, two_valleys
 
 from ccdtools import InputError, Nested, QuadraticObjective, Search, Sequential, compare_methods, simulate
 from ccdtools.co_design.method_comparison import known_methods, named_methods
 from ccdtools.figure_style import png
-from small_plants import best_design, exact_return, mass, two_valleys
 
 QUICK = {
     "plant first": Sequential(starts=1), "nested": Nested(starts=1, runs=100),

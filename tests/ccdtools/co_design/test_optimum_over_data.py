@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
+from small_plants import best_design, exact_return, mass, two_valleys
 
 from ccdtools import InputError, Nested, QuadraticObjective, multi_start, optimum_sensitivity, trade_off
 from ccdtools.figure_style import png
-from small_plants import best_design, exact_return, mass, two_valleys
 
 NESTED = Nested(starts=1, runs=200)
 
@@ -104,8 +104,8 @@ def test_all_starts_lead_to_the_exact_optimum_and_processes_change_nothing():
 
 def test_starts_that_end_apart_are_told_apart_and_the_better_one_is_the_best():
     own = two_valleys()
-    found = multi_start(own, [[0.2], [0.85]], method=Nested(starts=1, runs=200, evaluations=1))  # each stays where it is
-    np.testing.assert_allclose(found.designs, found.starts)
+    found = multi_start(own, [[0.2], [0.85]], method=Nested(starts=1, runs=200, evaluations=1))
+    np.testing.assert_allclose(found.designs, found.starts)  # of one evaluation each
     assert found.spread == pytest.approx(0.65)
     assert exact_return(own, [0.85]) > exact_return(own, [0.2])
     assert found.best.design == pytest.approx([0.85])
