@@ -18,7 +18,7 @@ from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
 from ccdtools.co_design.configuration import METHODS as LEARNING
 from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.method_verdicts import SAME, method_verdicts
+from ccdtools.co_design.method_verdicts import method_verdicts
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.methods.nested import NAMES as INNER
 from ccdtools.co_design.methods.nested import Nested
@@ -94,7 +94,7 @@ class MethodRow(Immutable):
 
     @property
     def sound(self) -> bool:
-        """Whether it found something, runs are not lost at it and limits are kept."""
+        """Whether it found something, and its own account is not of lost runs, or of limits that are not kept."""
         return self.result is not None and self.result.status not in UNSOUND
 
 
@@ -468,6 +468,3 @@ class _Pairs:
 def _difference(a: Array, b: Array) -> PairedDifference | None:
     """The paired difference; None of no pairs."""
     return paired_difference(a, b) if len(a) else None
-
-
-__all__ = ["ALL", "SAME", "MethodComparison", "MethodRow", "compare_methods", "known_methods", "named_methods"]

@@ -91,7 +91,8 @@ def test_the_table_is_written_and_read_back(found, tmp_path):
     assert [row["method"] for row in rows] == [row.name for row in found]
     assert float(rows[1]["m"]) == found["nested"].result.design[0]
     assert rows[3]["status"] == "refused"
-    assert float(rows[0]["difference_percent"]) == pytest.approx(100 * found["plant first"].difference.mean / found.size)
+    percent = 100 * found["plant first"].difference.mean / found.size
+    assert float(rows[0]["difference_percent"]) == pytest.approx(percent)
 
 
 def test_the_picture_is_drawn_for_any_number_of_parameters(found):
@@ -123,7 +124,7 @@ def test_the_reference_is_nested_lqr_or_the_first():
 
 
 def test_names_are_found_whatever_their_capitals():
-    assert list(named_methods("all"))[0] == "sequential"
+    assert next(iter(named_methods("all"))) == "sequential"
     assert list(named_methods(["nested-lqr", "cma-es", "PPO"])) == ["nested LQR", "CMA-ES", "ppo"]
     assert set(named_methods("all")) <= set(known_methods())
 
