@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from small_plants import best_design, exact_return, mass, two_valleys
 
-from ccdtools import InputError, Nested, QuadraticObjective, Search, Sequential, compare_methods, simulate
+from ccdtools import (
+    InputError,
+    LinearFeedback,
+    Nested,
+    QuadraticObjective,
+    Search,
+    Sequential,
+    compare_methods,
+    simulate,
+)
 from ccdtools.co_design.method_comparison import known_methods, named_methods
 from ccdtools.figure_style import png
 
@@ -148,3 +157,23 @@ def test_wrong_arguments_are_refused_before_anything_runs(problem, change, argum
     with pytest.raises(InputError) as error:
         compare_methods(problem, {"refusing": Refusing()}, **change)
     assert error.value.argument == argument
+
+
+class HalfGain:
+    """LQR of the given design with half of its gain."""
+
+    name = "half"
+
+    def run(self, problem, design, rng, *, progress=False):
+        found = Nested(starts=1, runs=32, evaluations=1).run(problem, design, rng)
+        return replace(found, controller=LinearFeedback(found.controller.K / 2))
+
+
+def test_a_method_that_wins_is_said_to_win_and_by_what(problem):
+    design = best_design(problem)[0]
+    pair = compare_methods(problem, {"half": HalfGain(), "nested": QUICK["nested"]}, design=design, reference="half")
+    assert pair.best.name == "nested"
+    assert pair["nested"].from_control.ci95[0] > 0
+    assert abs(pair["nested"].from_design.mean) < 0.01 * pair["nested"].from_control.mean
+    said = next(line for line in pair.verdict if line.startswith("nested wins: "))
+    assert "better than half" in said
