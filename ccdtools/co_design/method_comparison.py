@@ -18,7 +18,7 @@ from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
 from ccdtools.co_design.configuration import METHODS as LEARNING
 from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.method_verdicts import method_verdicts
+from ccdtools.co_design.method_verdicts import method_verdicts, signed
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.methods.nested import NAMES as INNER
 from ccdtools.co_design.methods.nested import Nested
@@ -262,7 +262,7 @@ class MethodComparison(Immutable):
         if row.difference is None:
             return "no pairs"
         mean, *ends = (self.percent(value) for value in (row.difference.mean, *row.difference.ci95))
-        return f"{mean:+.2f} % [{ends[0]:+.2f}, {ends[1]:+.2f}]"
+        return f"{signed(mean)} % [{signed(ends[0])}, {signed(ends[1])}]"
 
 
 def compare_methods(

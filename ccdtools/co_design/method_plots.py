@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import Landscape
@@ -79,10 +79,12 @@ def _returns(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, An
         ax.errorbar(row.result.seconds, value, yerr=[[value - low], [high - value]], color=colour, marker=marker,
                     ms=8, mec="white", mew=0.6, capsize=3, lw=1.4)  # fmt: skip
     ax.set_xscale("log")
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.set_ylim(lowest - room, level + gaps.max(initial=0.0) + room)
     low, high = ax.get_xlim()
     ax.set_xlim(low / 1.2, high * 1.4)
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 50 * low else (1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set(xlabel="time [s]", ylabel="return in closed loop", title="What a method finds, and how long it takes")
 
 

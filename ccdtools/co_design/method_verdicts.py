@@ -31,6 +31,11 @@ def method_verdicts(comparison: Any) -> list[str]:
     return [line for line in lines if line] + refused
 
 
+def signed(percent: float) -> str:
+    """With its sign and two decimals; what rounds to nothing is 0."""
+    return f"{percent:+.2f}" if abs(percent) >= 0.005 else "0"
+
+
 def _percent(comparison: Any, row: Any) -> tuple[float, float, float]:
     """Difference to the reference and its interval, in per cent; NaN where there are no pairs."""
     if row.difference is None:
@@ -88,7 +93,7 @@ def _why(comparison: Any, row: Any) -> str:
     if row.from_design is None or row.from_control is None:
         return f"its criterion is the {result.criterion}" if result.criterion else "nobody knows why"
     by_design, by_control = (comparison.percent(part.mean) for part in (row.from_design, row.from_control))
-    parts = [f"{by_design:+.2f} % by its design, {by_control:+.2f} % by its controller"]
+    parts = [f"{signed(by_design)} % by its design, {signed(by_control)} % by its controller"]
     if abs(by_design) > SAME / 2:
         parts.append(_of_design(comparison, row, by_design))
     if abs(by_control) > SAME / 2:
