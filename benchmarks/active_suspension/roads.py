@@ -15,7 +15,7 @@ from ccdtools.disturbances.iso8608 import road_roughness
 NAME = "IRI_737b.mat"
 SOURCE = "github.com/danielrherber/dt-qp-project, examples/ACC2021/detailed-suspension-acc/assets"
 SPEED = 10.0  # m/s
-WAVES = np.arange(0.05, 2.0, 0.05)  # 1/m
+WAVES = np.arange(0.05, 1.0, 0.05)  # 1/m
 SEED = 8608
 
 Road = Callable[[np.ndarray], np.ndarray]
