@@ -26,6 +26,7 @@ from active_suspension.strategies import Found, Inner, nested, simultaneous
 from ccdtools.plants.library.detailed_suspension import detailed_active_suspension
 
 RANDOM_STARTS = 2
+PRICED = 1e-4  # of J: what is cheaper does not hold the optimum
 SEARCHED, CHECKED = (200, 0.02), (500, 0.005)  # meshes: `meshes`
 
 
@@ -101,6 +102,25 @@ def refined(plant, road, found: Found, published: bool) -> str:
     return f"J {solution.cost:.6f}, simulated {cost:.6f}, {along}"
 
 
+def prices(plant, found: Found) -> str:
+    """Rules that hold a simultaneous optimum, and how much J would fall if each gave way, in J for the whole of it."""
+    program, paid = found.solution.program, found.solution.multipliers["rows"]
+    total: dict[str, float] = {}
+    for rows in program.rows:
+        values = paid[rows.first : rows.last]
+        if rows.name == "p_constraints":
+            names = list(plant.design.constraint_names)
+        elif rows.name == "path":
+            wanted, case = ((OF_ROUGH, "rough road"), (OF_RAMP, "ramp"))[rows.phase]
+            names = [f"{name}, {case}" for name in plant.output_names if name.startswith(wanted)]
+        else:
+            continue
+        for i, name in enumerate(names):
+            total[name] = total.get(name, 0.0) + float(values[i :: len(names)].sum())
+    held = sorted((-price, name) for name, price in total.items() if price > PRICED * found.solution.cost)
+    return "; ".join(f"{name} {-price:.3f}" for price, name in held)
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -127,6 +147,7 @@ def main() -> None:
         kept = min(cost for name, cost in costs.items() if "allowed" in name)
         print(f"\nSpread of J over strategies and starts: {np.ptp(found) / found.min():.1e}")
         print(f"Best published design, allowed: {kept:.6f}; worst found: {found.max():.6f}")
+        print(f"What holds it, and its price: {prices(plant, every[0])}")
         print(f"The first design on a fine mesh: {refined(plant, road, every[0], published)}")
 
 

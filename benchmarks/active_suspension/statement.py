@@ -42,10 +42,9 @@ def problem(plant: Plant, road: Road, start, *, rules: bool = True) -> OptimalCo
     rules : bool
         Whether the rules of the dimensions are constraints of the problem; a search that keeps them itself needs none.
     """
-    names = list(plant.output_names)
 
     def kept(wanted: tuple[str, ...]) -> ca.Function:
-        chosen = [i for i, name in enumerate(names) if name.startswith(wanted)]
+        chosen = [i for i, name in enumerate(plant.output_names) if name.startswith(wanted)]
         return ca.Function("kept", [plant.x, plant.p], [plant.outputs[chosen]], ["x", "p"], ["rules"])
 
     acceleration = plant.dynamics[3]
