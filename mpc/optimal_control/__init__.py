@@ -1,8 +1,9 @@
 """Optimal control with CasADi: state a problem once, transcribe it, solve it, and check what was found."""
 
 from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
+from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import PhaseSolution
-from mpc.optimal_control.problem import OptimalControlProblem, Phase
+from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.refinement import refine
 from mpc.optimal_control.schemes import Collocation, HermiteSimpson, MultipleShooting, Radau, Trapezoidal

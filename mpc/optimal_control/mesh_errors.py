@@ -6,8 +6,8 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.interval import runge_kutta
+from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.phase_solution import PhaseSolution
-from mpc.optimal_control.problem import signal_at
 from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.interval import Layout
-from mpc.optimal_control.problem import OptimalControlProblem, Phase, PhaseFunctions
+from mpc.optimal_control.phase import Phase, PhaseFunctions
+from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
 from mpc.optimal_control.unknowns import Trajectory, placed
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from mpc.checks import Array, as_count
 from mpc.exceptions import InputError
+from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import PhaseSolution
-from mpc.optimal_control.problem import OptimalControlProblem, Phase
+from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Collocation, Scheme
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.solving import solve

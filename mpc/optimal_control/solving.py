@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
+from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
-from mpc.optimal_control.problem import OptimalControlProblem, Phase
+from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, describe_row, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build

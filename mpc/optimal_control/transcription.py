@@ -10,7 +10,8 @@ import numpy as np
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.interval import Layout, interval_function, layout_of, times_of
-from mpc.optimal_control.problem import OptimalControlProblem, Phase, PhaseFunctions, signal_at
+from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_at
+from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, describe_row
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
 from mpc.optimal_control.unknowns import between, first_duration, first_guess, placed, size_of

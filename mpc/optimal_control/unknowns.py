@@ -9,7 +9,7 @@ import numpy as np
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.interval import Layout
-from mpc.optimal_control.problem import Phase
+from mpc.optimal_control.phase import Phase
 
 Trajectory = Callable[[Array], tuple[Array, Array]]
 
