@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from mpc.checks import Array
+from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.problem import OptimalControlProblem
@@ -103,8 +104,10 @@ class NonlinearProgram:
     parts : tuple of PhasePart
     parameters : slice
         Of p among the unknowns.
-    expand : bool
-        Whether f and g are written out in scalar instructions for the solver.
+    worst : int
+        Index of the largest cost of a scenario among the unknowns; −1 where costs are summed.
+    derivatives : Derivatives
+        Values and derivatives of f and g as functions of v.
     """
 
     problem: OptimalControlProblem
@@ -121,7 +124,8 @@ class NonlinearProgram:
     rows: tuple[Rows, ...]
     parts: tuple[PhasePart, ...]
     parameters: slice
-    expand: bool
+    worst: int
+    derivatives: Derivatives
     cost_scale: float = 1.0
 
     def __repr__(self) -> str:
@@ -151,10 +155,52 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
             sizes[coordinate == i] = largest if largest > VANISHING * sizes[coordinate == i].max() else 1.0
         rows = part.defects.stop - part.defects.start
         row_scale[part.defects] = np.tile(sizes[: layout.nx], rows // layout.nx)
-    slope = ca.Function("slope", [program.v], [ca.gradient(program.f, program.v)])(v)
-    size = float(np.abs(np.asarray(slope, dtype=float).ravel() * scale).max(initial=0.0))
+    loose = np.setdiff1d(np.arange(len(v)), np.concatenate([np.arange(p.first, p.last) for p in program.parts]))
+    loose = loose[~(np.isfinite(program.lower) & np.isfinite(program.upper))[loose]]
+    large = np.abs(v[loose])
+    scale[loose] = np.where(large > VANISHING * scale[loose], large, 1.0)
+    slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
+    size = float(np.abs(slope * scale).max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
-    return replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=cost_scale)
+    return with_sizes_of_rows(replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=cost_scale))
+
+
+def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
+    """The program with sizes of constraints other than dynamics: by how much they change with an unknown's size.
+
+    One size for all points of an entry, that of the point where it changes most.
+    """
+    row_scale = program.row_scale.copy()
+    chosen = [rows for rows in program.rows if rows.name not in ("dynamics", "link")]
+    if not chosen:
+        return program
+    slope = program.derivatives.jacobian[1](program.guess)[1].sparse()
+    steepest = abs(slope.multiply(program.scale[None])).max(axis=1).toarray().ravel()
+    for rows in chosen:
+        repeats = program.problem.functions[rows.phase].path if rows.name == "path" else None
+        own = steepest[rows.first : rows.last]
+        width = repeats.numel_out(0) if repeats is not None and len(own) % repeats.numel_out(0) == 0 else len(own)
+        size = own.reshape(-1, width).max(axis=0)
+        size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+        row_scale[rows.first : rows.last] = np.tile(size, len(own) // width)
+    return replace(program, row_scale=row_scale)
+
+
+def with_largest_cost(program: NonlinearProgram) -> NonlinearProgram:
+    """The program whose unknown largest cost starts from what it is at the guess, and is sized by that."""
+    if program.worst < 0:
+        return program
+    guess, scale = program.guess.copy(), program.scale.copy()
+    guess[program.worst] = largest_cost(program, guess)
+    scale[program.worst] = abs(guess[program.worst]) or 1.0
+    return replace(program, guess=guess, scale=scale)
+
+
+def largest_cost(program: NonlinearProgram, v: Array) -> float:
+    """The largest cost of a scenario at unknowns (n,)."""
+    count = len(program.parts)
+    g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()
+    return float(g[:count].max() + v[program.worst])
 
 
 def _numbered(layout: Layout) -> Trajectory:

@@ -26,7 +26,10 @@ OPTIMAL = 1e-5  # residual of the optimality conditions, scaled by the size of m
 ACTIVE = 1e-7  # distance from a bound, in scaled unknowns, at which it may have a multiplier
 RESCALINGS = 3  # solves at most, each with sizes as the one before found them
 WELL_SIZED = 10.0  # ratio of sizes that is good enough
-WARM = {"mu_init": 1e-5, "bound_push": 1e-6, "bound_frac": 1e-6, "slack_bound_push": 1e-6, "slack_bound_frac": 1e-6}
+WARM = {
+    "mu_init": 1e-5, "bound_mult_init_method": "mu-based", "bound_push": 1e-6, "bound_frac": 1e-6,
+    "slack_bound_push": 1e-6, "slack_bound_frac": 1e-6,
+}  # fmt: skip
 SHOWN = 5  # conflicts that are named
 LIMITS = ("Maximum_Iterations_Exceeded", "Maximum_WallTime_Exceeded", "Maximum_CpuTime_Exceeded", "User_Requested_Stop")
 IMPOSSIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")
@@ -77,7 +80,7 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     )
     first = start.multipliers if same and start is not None else None
     iterations = 0
-    if first is not None:
+    if start is not None:
         program = rescaled(program, guess)
     for _ in range(RESCALINGS):
         found = _once(program, guess, first, lower, upper, (tolerance, max_iterations, seconds, own))
@@ -112,10 +115,13 @@ class _Found:
 def _once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] | None, lower: Array, upper: Array,
           settings: tuple[float, int, float, dict[str, Any]]) -> _Found:  # fmt: skip
     """Solve with the sizes that the program has now."""
-    solver, scaled = _solver(program, *settings)
+    tolerance, most, seconds, own = settings
+    limits = {"tol": tolerance, "max_iter": most} | ({"max_wall_time": seconds} if np.isfinite(seconds) else {})
+    solver = _solver(program, limits | own)
     size, of_cost = program.scale, program.cost_scale
     given: dict[str, Any] = {"x0": guess / size, "lbx": lower / size, "ubx": upper / size,
-             "lbg": program.row_lower / program.row_scale, "ubg": program.row_upper / program.row_scale}  # fmt: skip
+             "lbg": program.row_lower / program.row_scale, "ubg": program.row_upper / program.row_scale,
+             "p": np.concatenate([size, [of_cost], program.row_scale])}  # fmt: skip
     if multipliers is not None:
         given |= {
             "lam_g0": multipliers["rows"] * program.row_scale / of_cost,
@@ -124,7 +130,7 @@ def _once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array]
     result = solver(**given)
     stats = solver.stats()
     z, on_rows, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
-    residuals, violations = _checked(scaled, z, on_rows, on_bounds, given)
+    residuals, violations = _checked(program, z, on_rows, on_bounds, given)
     back = {"rows": on_rows / program.row_scale * of_cost, "bounds": on_bounds / size * of_cost}
     v = np.clip(z * size, lower, upper)
     return _Found(v, back, residuals, violations, int(stats["iter_count"]), str(stats["return_status"]))
@@ -133,7 +139,7 @@ def _once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array]
 def _solution(program: NonlinearProgram, found: _Found, elapsed: float) -> Solution:
     """The solution that the solver's answer stands for."""
     v, multipliers = found.v, found.multipliers
-    cost = float(ca.Function("cost", [program.v], [program.f])(v))
+    cost = float(program.derivatives.values(v)[0])
     p = v[program.parameters]
     weights = program.problem.weights
     if program.problem.risk == "worst" and len(program.parts) > 1:
@@ -162,30 +168,26 @@ def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -
     lower[program.parameters] = upper[program.parameters] = value
 
 
-def _solver(
-    program: NonlinearProgram, tolerance: float, iterations: int, seconds: float, own: dict[str, Any]
-) -> tuple[Any, Any]:
-    """Ipopt on scaled unknowns and rows, and those as CasADi expressions (z, f, g)."""
-    z = ca.MX.sym("z", program.v.numel())
-    whole = ca.Function("program", [program.v], [program.f, program.g], {"always_inline": True})
-    f, g = whole(z * ca.DM(program.scale))
-    f, g = f / program.cost_scale, g / ca.DM(program.row_scale)
-    ipopt = {"tol": tolerance, "max_iter": iterations, "print_level": 0, "sb": "yes"} | own
-    if np.isfinite(seconds):
-        ipopt["max_wall_time"] = seconds
-    options: Any = {"ipopt": ipopt, "print_time": False, "expand": program.expand, "show_eval_warnings": False}
-    statement: Any = {"x": z, "f": f, "g": g}
-    return ca.nlpsol("solver", "ipopt", statement, options), (z, f, g)
+def _solver(program: NonlinearProgram, options: dict[str, Any]) -> Any:
+    """Ipopt on scaled unknowns and rows; made once for each choice of options, whatever the sizes."""
+    made = program.derivatives.solvers
+    key = repr(sorted(options.items()))
+    if key not in made:
+        statement, functions = program.derivatives.scaled
+        ipopt = {"print_level": 0, "sb": "yes"} | options
+        quiet = {"print_time": False, "show_eval_warnings": False}
+        settings: dict[str, Any] = {"ipopt": ipopt, "calc_lam_p": False} | quiet
+        made[key] = ca.nlpsol("solver", "ipopt", statement, settings | functions)
+    return made[key]
 
 
-def _checked(scaled: Any, z: Array, on_rows: Array, on_bounds: Array,
+def _checked(program: NonlinearProgram, z: Array, on_rows: Array, on_bounds: Array,
              given: dict[str, Any]) -> tuple[Residuals, Array]:  # fmt: skip
     """Residuals of the optimality conditions, and violations of the rows (m,), in scaled unknowns and rows."""
-    x, f, g = scaled
-    multipliers = ca.MX.sym("multipliers", g.numel())
-    slope = ca.gradient(f + ca.dot(multipliers, g), x)
-    values = ca.Function("check", [x, multipliers], [g, slope, ca.gradient(f, x)])(z, on_rows)
+    values = program.derivatives.stationarity(z * program.scale, on_rows / program.row_scale * program.cost_scale)
     rows, gradient, of_cost = (np.asarray(value, dtype=float).ravel() for value in values)
+    rows = rows / program.row_scale
+    gradient, of_cost = (value * program.scale / program.cost_scale for value in (gradient, of_cost))
     size = max(1.0, float(np.abs(of_cost).max(initial=0.0)), float(np.abs(on_rows).max(initial=0.0)))
     violations = np.maximum.reduce([given["lbg"] - rows, rows - given["ubg"], np.zeros(len(rows))])
     outside = np.maximum.reduce([given["lbx"] - z, z - given["ubx"], np.zeros(len(z))])
