@@ -101,10 +101,16 @@ class Phase:
             raise InputError("start_time", brief(repr(self.start_time)), "a finite number")
         set_(self, "start_time", float(time))
         for name, letter, size in (("state_names", "x", self.states), ("input_names", "u", self.inputs)):
+            if isinstance(getattr(self, name), str):
+                raise InputError(name, brief(repr(getattr(self, name))), f"a list of {size} names")
             names = tuple(getattr(self, name)) or tuple(f"{letter}{i + 1}" for i in range(size))
             if len(names) != size or not all(isinstance(entry, str) for entry in names):
                 raise InputError(name, f"{len(names)} names", f"{size}, one each")
             set_(self, name, names)
+        if self.duration_guess is not None:
+            number = as_floats("duration_guess", self.duration_guess)
+            if number.ndim or not np.isfinite(number) or not number > 0:
+                raise InputError("duration_guess", brief(repr(self.duration_guess)), "a number > 0")
         if self.signal is not None and not callable(self.signal):
             signal = as_floats("signal", self.signal)
             if signal.ndim != 2 or len(signal) < 2 or not np.isfinite(signal).all():
@@ -207,7 +213,12 @@ def signal_at(phase: Phase, times: Array) -> Array:
     if phase.signal is None:
         return np.zeros((len(times), 0))
     if callable(phase.signal):
-        values = as_floats("signal", phase.signal(times))
+        try:
+            given = phase.signal(times)
+        except Exception as error:  # the function is the user's: whatever it raises is told with what is expected
+            reason = brief(" ".join(f"{type(error).__name__}: {error}".split()))
+            raise InputError("signal", f"one that stops with {reason}", "a function of times (n,)") from error
+        values = as_floats("signal", given)
         if values.ndim != 2 or len(values) != len(times) or not np.isfinite(values).all():
             raise InputError(
                 "signal", f"values of shape {values.shape} at {len(times)} times", f"({len(times)}, nw), finite"

@@ -14,7 +14,7 @@ from mpc.optimal_control.interval import Layout
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-from mpc.optimal_control.unknowns import Trajectory, placed
+from mpc.optimal_control.unknowns import coordinates
 
 VANISHING = 1e-9  # size of an unknown, beside the one it was given, that tells nothing
 
@@ -149,7 +149,7 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
     for part in program.parts:
         layout = part.layout
         own, sizes = v[part.first : part.last], scale[part.first : part.last]
-        coordinate = placed(layout, part.mesh, _numbered(layout))
+        coordinate, _ = coordinates(layout, part.mesh)
         for i in range(layout.nx + layout.nu):
             largest = np.abs(own[coordinate == i]).max()
             sizes[coordinate == i] = largest if largest > VANISHING * sizes[coordinate == i].max() else 1.0
@@ -201,16 +201,6 @@ def largest_cost(program: NonlinearProgram, v: Array) -> float:
     count = len(program.parts)
     g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()
     return float(g[:count].max() + v[program.worst])
-
-
-def _numbered(layout: Layout) -> Trajectory:
-    """A trajectory whose values are the numbers of the coordinates: states first, then inputs."""
-
-    def numbers(at: Array) -> tuple[Array, Array]:
-        every = np.tile(np.arange(layout.nx + layout.nu, dtype=float), (len(at), 1))
-        return every[:, : layout.nx], every[:, layout.nx :]
-
-    return numbers
 
 
 def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:

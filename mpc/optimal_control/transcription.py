@@ -107,9 +107,9 @@ class _Builder:
         problem = self.problem
         layouts = [layout_of(phase, own.nw, self.scheme) for phase, own in zip(problem.phases, problem.functions)]
         firsts = []
-        for phase, layout, mesh in zip(problem.phases, layouts, self.meshes):
+        for k, (phase, layout, mesh) in enumerate(zip(problem.phases, layouts, self.meshes)):
             firsts.append(self.width)
-            self._unknowns_of(phase, layout, mesh)
+            self._unknowns_of(k, phase, layout, mesh)
         durations = [self._duration(phase) for phase in problem.phases]
         parameters = slice(self.width, self.width + problem.parameters)
         self.p = np.arange(parameters.start, parameters.stop)
@@ -176,13 +176,18 @@ class _Builder:
         self.guess.append(guess)
         self.scale.append(size_of(lower, upper, guess) if scale is None else scale)
 
-    def _unknowns_of(self, phase: Phase, layout: Layout, mesh: Array) -> None:
+    def _unknowns_of(self, k: int, phase: Phase, layout: Layout, mesh: Array) -> None:
         """Append the unknowns of a phase, with where they start from."""
         trajectory = first_guess(phase)
         x, u = trajectory(mesh)
         known = [np.where(np.isfinite(side), side, 0.0) for side in (*phase.start, *phase.end)]
         (x_low, x_high), (u_low, u_high) = phase.x_bounds, phase.u_bounds
-        sizes = size_of(x_low, x_high, np.vstack([x, *known])), size_of(u_low, u_high, u)
+        inputs = size_of(u_low, u_high, u)
+        states = size_of(x_low, x_high, np.vstack([x, *known]))
+        telling = (np.isfinite(x_low) & np.isfinite(x_high)) | (np.abs(np.vstack([x, *known])).max(axis=0) > 0)
+        if not telling.all():
+            states = np.where(telling, states, self._moved(k, phase, mesh, x, np.maximum(np.abs(u), inputs)))
+        sizes = states, inputs
         lower, upper, size = (
             placed(layout, mesh, between(np.zeros(1), side[0][None], side[1][None]))
             for side in (*zip(phase.x_bounds, phase.u_bounds), sizes)
@@ -192,6 +197,18 @@ class _Builder:
             lower[place] = np.maximum(lower[place], low)
             upper[place] = np.minimum(upper[place], high)
         self._unknown(lower, upper, np.clip(placed(layout, mesh, trajectory), lower, upper), size)
+
+    def _moved(self, k: int, phase: Phase, mesh: Array, x: Array, u: Array) -> Array:
+        """How far states (nx,) move over a phase at the rates that inputs (n, nu) of full size make at the guess."""
+        functions = self.problem.functions[k]
+        length = first_duration(phase)
+        times = phase.start_time + length * mesh
+        p = np.tile(np.asarray(self.problem.p_guess)[:, None], (1, len(mesh)))
+        w = signal_at(phase, phase.start_time + phase.duration[0] * mesh)
+        found = functions.dynamics.map(len(mesh))(x.T, u.T, w.T, p, times[None])
+        rates = np.abs(np.asarray(found, dtype=float).reshape(phase.states, -1)).max(axis=1)
+        size = rates if phase.discrete else rates * length
+        return np.where(np.isfinite(size) & (size > 0), size, 1.0)
 
     def _duration(self, phase: Phase) -> int:
         """Append a duration that is free; its place, or −1."""
