@@ -187,12 +187,15 @@ def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
 
 
 def with_largest_cost(program: NonlinearProgram) -> NonlinearProgram:
-    """The program whose unknown largest cost starts from what it is at the guess, and is sized by that."""
+    """The program whose unknown largest cost starts from what it is at the guess."""
     if program.worst < 0:
         return program
     guess, scale = program.guess.copy(), program.scale.copy()
     guess[program.worst] = largest_cost(program, guess)
-    scale[program.worst] = abs(guess[program.worst]) or 1.0
+    there = np.clip(scale, program.lower, program.upper)
+    there[program.worst] = 0.0
+    large = [abs(guess[program.worst]), abs(largest_cost(program, there))]
+    scale[program.worst] = max([size for size in large if np.isfinite(size)]) or 1.0
     return replace(program, guess=guess, scale=scale)
 
 

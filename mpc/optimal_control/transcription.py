@@ -182,11 +182,14 @@ class _Builder:
         x, u = trajectory(mesh)
         known = [np.where(np.isfinite(side), side, 0.0) for side in (*phase.start, *phase.end)]
         (x_low, x_high), (u_low, u_high) = phase.x_bounds, phase.u_bounds
-        inputs = size_of(u_low, u_high, u)
-        states = size_of(x_low, x_high, np.vstack([x, *known]))
-        telling = (np.isfinite(x_low) & np.isfinite(x_high)) | (np.abs(np.vstack([x, *known])).max(axis=0) > 0)
-        if not telling.all():
-            states = np.where(telling, states, self._moved(k, phase, mesh, x, np.maximum(np.abs(u), inputs)))
+        inputs, states = size_of(u_low, u_high, u), size_of(x_low, x_high, np.vstack([x, *known]))
+        told = [
+            (np.isfinite(low) & np.isfinite(high)) | (np.abs(values).max(axis=0, initial=0.0) > 0)
+            for low, high, values in ((x_low, x_high, np.vstack([x, *known])), (u_low, u_high, u))
+        ]
+        if not (told[0].all() and told[1].all()):
+            guess = np.concatenate([states, inputs]), np.concatenate(told)
+            states, inputs = np.split(self._sizes(k, phase, mesh, x, u, *guess), [phase.states])
         sizes = states, inputs
         lower, upper, size = (
             placed(layout, mesh, between(np.zeros(1), side[0][None], side[1][None]))
@@ -198,17 +201,32 @@ class _Builder:
             upper[place] = np.minimum(upper[place], high)
         self._unknown(lower, upper, np.clip(placed(layout, mesh, trajectory), lower, upper), size)
 
-    def _moved(self, k: int, phase: Phase, mesh: Array, x: Array, u: Array) -> Array:
-        """How far states (nx,) move over a phase at the rates that inputs (n, nu) of full size make at the guess."""
-        functions = self.problem.functions[k]
-        length = first_duration(phase)
-        times = phase.start_time + length * mesh
-        p = np.tile(np.asarray(self.problem.p_guess)[:, None], (1, len(mesh)))
+    def _sizes(self, k: int, phase: Phase, mesh: Array, x: Array, u: Array, sizes: Array, told: Array) -> Array:
+        """Sizes (nx + nu,) of states and inputs, some of them told: the others by how the dynamics join them.
+
+        An unknown is as large as a state of known size needs it to move by that over the phase; failing that, a state
+        is as large as it moves over the phase.
+        """
+        functions, n = self.problem.functions[k], len(mesh)
+        times = phase.start_time + first_duration(phase) * mesh
+        p = np.tile(np.asarray(self.problem.p_guess)[:, None], (1, n))
         w = signal_at(phase, phase.start_time + phase.duration[0] * mesh)
-        found = functions.dynamics.map(len(mesh))(x.T, u.T, w.T, p, times[None])
-        rates = np.abs(np.asarray(found, dtype=float).reshape(phase.states, -1)).max(axis=1)
-        size = rates if phase.discrete else rates * length
-        return np.where(np.isfinite(size) & (size > 0), size, 1.0)
+        columns = [ca.MX.sym(name, functions.dynamics.numel_in(i)) for i, name in enumerate("xuwpt")]
+        both = ca.jacobian(functions.dynamics(*columns), ca.vertcat(*columns[:2]))
+        slopes = ca.Function("slopes", columns, [ca.vec(ca.densify(both))]).map(n)(x.T, u.T, w.T, p, times[None])
+        steep = np.abs(np.asarray(slopes, dtype=float)).max(axis=1).reshape(-1, phase.states).T
+        steep = np.where(np.isfinite(steep), steep, 0.0) * (1.0 if phase.discrete else first_duration(phase))
+        sizes, told = np.where(told, sizes, 1.0), told.copy()
+        for _ in range(len(sizes)):
+            with np.errstate(divide="ignore"):
+                needed = np.where(told[: phase.states, None], sizes[: phase.states, None] / steep, np.inf).min(axis=0)
+            found = np.logical_not(told) & np.isfinite(needed)
+            if not found.any():
+                needed = np.zeros(len(sizes))
+                needed[: phase.states] = (steep * (sizes * told)).max(axis=1)
+                found = np.logical_not(told) & (needed > 0)
+            sizes, told = np.where(found, needed, sizes), told | found
+        return sizes
 
     def _duration(self, phase: Phase) -> int:
         """Append a duration that is free; its place, or −1."""
