@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -127,6 +128,27 @@ class Solution:
     def costate(self, t: ArrayLike) -> Array:
         """Costates (..., nx) at times (...), of the phase that they fall in."""
         return self._of_phases("costate", t)
+
+    def plot(self, *, costates: bool = False, mesh: bool = True, figure: Any = None) -> Any:
+        """Draw states, inputs with their bounds, and the mesh; phases or scenarios side by side.
+
+        Parameters
+        ----------
+        costates : bool
+            Whether they are drawn too.
+        mesh : bool
+            Whether the points of the mesh are marked.
+        figure : matplotlib Figure, optional
+            Where to draw; a new one by default.
+
+        Returns
+        -------
+        matplotlib Figure
+        """
+        from mpc.optimal_control.plotting import plot_phases
+
+        title = f"cost {self.cost:.6g}, {self.status.name}"
+        return plot_phases(self.phases, costates=costates, mesh=mesh, title=title, figure=figure)
 
     def _of_phases(self, name: str, t: ArrayLike) -> Array:
         """Values of phases at times."""

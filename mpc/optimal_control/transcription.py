@@ -204,8 +204,8 @@ class _Builder:
     def _sizes(self, k: int, phase: Phase, mesh: Array, x: Array, u: Array, sizes: Array, told: Array) -> Array:
         """Sizes (nx + nu,) of states and inputs, some of them told: the others by how the dynamics join them.
 
-        An unknown is as large as a state of known size needs it to move by that over the phase; failing that, a state
-        is as large as it moves over the phase.
+        An unknown is as large as a state of known size needs it, to move by that over the phase or as fast as the rest
+        of its dynamics makes it; failing that, a state is as large as it moves over the phase.
         """
         functions, n = self.problem.functions[k], len(mesh)
         times = phase.start_time + first_duration(phase) * mesh
@@ -219,7 +219,8 @@ class _Builder:
         sizes, told = np.where(told, sizes, 1.0), told.copy()
         for _ in range(len(sizes)):
             with np.errstate(divide="ignore"):
-                needed = np.where(told[: phase.states, None], sizes[: phase.states, None] / steep, np.inf).min(axis=0)
+                moves = np.maximum(sizes[: phase.states], (steep * (sizes * told)).max(axis=1))
+                needed = np.where(told[: phase.states, None], moves[:, None] / steep, np.inf).min(axis=0)
             found = np.logical_not(told) & np.isfinite(needed)
             if not found.any():
                 needed = np.zeros(len(sizes))
