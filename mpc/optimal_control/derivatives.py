@@ -50,6 +50,14 @@ class Piece:
         """Which values (k,) are added to the cost."""
         return np.asarray(self.rows[:, 0] == 0)
 
+    @cached_property
+    def parts(self) -> dict[bool, ca.Function]:
+        """Functions of the values that are added to the cost, and of the others."""
+        z, data = self.symbols
+        value = self.function(z, data)
+        found = {of_cost: value[_listed(self.of_cost == of_cost)] for of_cost in (True, False)}
+        return {key: ca.Function("part", [z, data], [part], {"cse": True}) for key, part in found.items()}
+
     @property
     def symbols(self) -> tuple[Any, Any]:
         """z and data, of the kind of the function."""
@@ -94,9 +102,7 @@ class Derivatives:
             chosen = piece.of_cost == of_cost
             if not chosen.any():
                 continue
-            z, data = piece.symbols
-            function = ca.Function("part", [z, data], [piece.function(z, data)[_listed(chosen)]], {"cse": True})
-            (found,) = piece.mapped(function, piece.gathered(v), piece.data)
+            (found,) = piece.mapped(piece.parts[of_cost], piece.gathered(v), piece.data)
             values.append(ca.vec(found))
             rows.append(piece.rows[chosen].ravel(order="F"))
             factors.append(np.tile(piece.factors[chosen], piece.places))
