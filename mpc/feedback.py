@@ -20,16 +20,30 @@ def stabilising_feedback(problem: MPCProblem) -> Array | None:
     radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
     if problem.horizon * np.log(max(radius, 1.0)) <= np.log(GROWTH):
         return None
+    gains, _ = _chosen(problem)
+    return gains
+
+
+def stabilising_weights(problem: MPCProblem) -> tuple[Array, Array, Array, Array]:
+    """Weights (Q, R, S, P) whose regulator keeps predictions bounded: the problem's, or those in units of its sets."""
+    _, weights = _chosen(problem)
+    return weights
+
+
+def _chosen(problem: MPCProblem) -> tuple[Array, tuple[Array, Array, Array, Array]]:
+    """Gains over the horizon, and the weights that they are of."""
     sx, su = cost_units(problem.A, problem.B, problem.Q, problem.R)
-    gains = _riccati_gains(problem, problem.Q, problem.R, problem.S, problem.P)
+    none = np.zeros((problem.nx, problem.nu))
+    own = (problem.Q, problem.R, none if problem.S is None else problem.S, problem.P)
+    gains = _riccati_gains(problem, *own)
     growth = _closed_loop_growth(problem, gains, sx)
     if growth > GROWTH:
         Q = np.diag(1 / problem.state_extent**2)
         R = np.diag(1 / np.where(problem.input_extent > 0, problem.input_extent, 1 / su) ** 2)
-        others = _riccati_gains(problem, Q, R, None, Q)
+        others = _riccati_gains(problem, Q, R, none, Q)
         if _closed_loop_growth(problem, others, sx) < growth:
-            gains = others
-    return gains
+            return others, (Q, R, none, Q)
+    return gains, own
 
 
 def block_lengths(problem: MPCProblem) -> tuple[int, ...]:
@@ -37,7 +51,7 @@ def block_lengths(problem: MPCProblem) -> tuple[int, ...]:
     return problem.blocks if problem.blocks is not None else (1,) * problem.horizon
 
 
-def _riccati_gains(problem: MPCProblem, Q: Array, R: Array, S: Array | None, P: Array) -> Array:
+def _riccati_gains(problem: MPCProblem, Q: Array, R: Array, S: Array, P: Array) -> Array:
     """Optimal gains block by block, backwards from the terminal weight."""
     A = problem.A
     B = problem.B
@@ -52,9 +66,8 @@ def _riccati_gains(problem: MPCProblem, Q: Array, R: Array, S: Array | None, P: 
             M = step.T @ M @ step
             M[: problem.nx, : problem.nx] += Q
             M[problem.nx :, problem.nx :] += R
-            if S is not None:
-                M[: problem.nx, problem.nx :] += S
-                M[problem.nx :, : problem.nx] += S.T
+            M[: problem.nx, problem.nx :] += S
+            M[problem.nx :, : problem.nx] += S.T
         Mxu = M[: problem.nx, problem.nx :]
         Muu = M[problem.nx :, problem.nx :]
         K = _solve_scaled(Muu, Mxu.T)
