@@ -14,6 +14,7 @@ from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.sqp import Sequential, Step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, admissible, cost_of, finite, relative_violations, violation_of
+from mpc.tolerances import FEASIBLE
 
 CONVERGED = 1e-7  # gaps in sizes of the states, and stationarity relative to the gradients that balance
 REPORTED = 1e-5  # of the same, above which a plan is called inaccurate
@@ -78,6 +79,9 @@ class Planner:
                 first = _Path(before.states, before.inputs, self._gains, SHIFTED)
             found, last, status = self._iterated(x, first, w, given, began, follow=before is not None)
             found = self._followed(x, found, w, given)
+            if last is not None and last.relaxed and status in (Status.SOLVED, Status.FOLLOWED):
+                over = relative_violations(self.law, found.states).max()
+                status = Status.SOFTENED if over > FEASIBLE else status
             if time.perf_counter() - began > self.effort.time_limit:
                 status = Status.LATE
             if found.name == REAL_TIME or status not in (Status.SOLVED, Status.SOFTENED):
@@ -110,21 +114,24 @@ class Planner:
         dear = DEAR * max(cost_of(self.law, at.inputs, at.states, given), TINY)
         last: Step | None = None
         status = Status.FOLLOWED if real_time else Status.INACCURATE
-        prices = (0.0, 0.0)
+        relaxed = False
+        gap_price = limit_price = 0.0
         longest, now = 0.0, time.perf_counter()
         for _ in range(self.effort.iterations or 1 if real_time else self.effort.most):
             if last is not None and now - began + longest > self.effort.time_limit:
                 return at, last, Status.LATE
-            step = self.programs.step(x, at.states, at.inputs, w, self.p, given, dear)
+            step = self.programs.step(x, at.states, at.inputs, w, self.p, given, dear, relaxed=relaxed)
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
                 return at, last, Status.REPLACED if last is None else Status.INACCURATE
             last = step
             if not real_time:
                 if max(step.defects, step.stationarity) <= CONVERGED:
                     break
-                asked = self.programs.prices(step, at.states, at.inputs, given, dear)
-                prices = max(prices[0], asked[0]), max(prices[1], asked[1])
-                part = self._length(step, x, at, w, given, prices)
+                relaxed = step.relaxed  # from now on all violations have their price: one problem to converge on
+                asked = self.programs.prices(step, at.states, at.inputs, given)
+                gap_price, limit_price = max(gap_price, asked[0]), max(limit_price, asked[1])
+                charged = (dear, dear) if relaxed else (limit_price, 0.0)
+                part = self._length(step, x, at, w, given, gap_price, charged)
                 if part is None:
                     break
                 at = at.moved(step, part)
@@ -134,17 +141,19 @@ class Planner:
         assert last is not None
         if max(last.defects, last.stationarity) <= REPORTED:
             status = Status.SOLVED
-        return at, last, Status.SOFTENED if last.relaxed and status is not Status.INACCURATE else status
+        return at, last, status
 
-    def _length(self, step: Step, x: Array, at: _Path, w: Array, given: Given,
-                prices: tuple[float, float]) -> float | None:  # fmt: skip
+    def _length(self, step: Step, x: Array, at: _Path, w: Array, given: Given, gap_price: float,
+                charged: tuple[float, float]) -> float | None:  # fmt: skip
         """The part of a step that brings the merit down; None if none does."""
         merit = self.programs.merit
-        now = merit(x, at.states, at.inputs, w, self.p, given, prices)
-        promised = now - self.programs.priced_cost(at.states + step.states, at.inputs + step.inputs, given, prices[1])
+        now = merit(x, at.states, at.inputs, w, self.p, given, gap_price, charged)
+        promised = now - self.programs.priced_cost(at.states + step.states, at.inputs + step.inputs, given, charged)
         part = 1.0
         while part >= SHORTEST:
-            then = merit(x, at.states + part * step.states, at.inputs + part * step.inputs, w, self.p, given, prices)
+            then = merit(
+                x, at.states + part * step.states, at.inputs + part * step.inputs, w, self.p, given, gap_price, charged
+            )
             if np.isfinite(then) and then <= now - ENOUGH * part * max(promised, 0.0) + ROUNDING * abs(now):
                 return part
             part *= 0.5

@@ -98,10 +98,13 @@ class Sequential:
         self._units = np.concatenate(parts)
         compile_kernels()
 
-    def step(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float) -> Step:
+    def step(
+        self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float, *,
+        relaxed: bool = False,
+    ) -> Step:  # fmt: skip
         """The quadratic program at a plan of states (N + 1, nx) and inputs (N, nu), from the state x (nx,).
 
-        `dear` is the price of a violation that cannot be avoided.
+        `dear` is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear and quadratic.
         """
         after, A, B = self.model.linearised(states[:-1], inputs, w, p)
         gaps = after - states[1:]
@@ -112,7 +115,7 @@ class Sequential:
         gains = gains_along(A, B, *self._regulated)
         G, F, drift, lead = responses(A, B, gains, gaps, x - states[0])
         program = self._program(states + drift, inputs + lead, G, F, given)
-        z, multipliers, relaxed, solved = self._solve(program, dear)
+        z, multipliers, relaxed, solved = self._solve(program, dear, relaxed)
         moved, change = drift + G @ z, lead + F @ z
         curvature = program.H @ z
         unit = 1 / np.sqrt(np.diag(program.H))  # so that inputs of any units count alike
@@ -125,13 +128,12 @@ class Sequential:
             multipliers=multipliers, slopes=(A, B), relaxed=relaxed, solved=solved,
         )  # fmt: skip
 
-    def prices(self, step: Step, states: Array, inputs: Array, given: Given, dear: float) -> tuple[float, float]:
+    def prices(self, step: Step, states: Array, inputs: Array, given: Given) -> tuple[float, float]:
         """What a merit must charge for a gap of one size, and for a limit violated by one unit, after a step."""
         forces = self._forces(states + step.states, inputs + step.inputs, step.multipliers, given)
         found = costates(*step.slopes, step.gains, *forces)
         own = step.multipliers[len(step.multipliers) - len(self._prices) :] * self._prices
-        along = np.bincount(self._step_of, own, minlength=1)
-        return 2.0 * _largest(found * self.size), dear if step.relaxed else 2.0 * _largest(along)
+        return 2.0 * _largest(found * self.size), 2.0 * _largest(np.bincount(self._step_of, own, minlength=1) * 1.0)
 
     def _program(self, states: Array, inputs: Array, G: Array, F: Array, given: Given) -> _Program:
         """The program in v, of a plan that v = 0 leads to; states answer by G, inputs by F."""
@@ -194,10 +196,12 @@ class Sequential:
         by_state[-1] += rest[along:] @ problem.terminal_rows[0]
         return by_state, by_input
 
-    def _solve(self, program: _Program, dear: float) -> tuple[Array, Array, bool, bool]:
+    def _solve(self, program: _Program, dear: float, relaxed: bool) -> tuple[Array, Array, bool, bool]:
         """Variables, multipliers of the rows, whether limits of states were relaxed, and whether it was solved."""
         if self.problem.soft is not None:
             return self._priced(program, *self.problem.soft, False)
+        if relaxed:
+            return self._priced(program, dear, dear, True)
         result = DenseQP(program.H, program.rows, self._units).solve(program.gradient, program.bounds)
         if not result.infeasible or not len(self._prices):
             return result.z, result.multipliers, False, not result.infeasible
@@ -220,20 +224,21 @@ class Sequential:
         )
         return result.z[:n], result.multipliers[:m], relaxed, not result.infeasible
 
-    def merit(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given,
-              prices: tuple[float, float]) -> float:  # fmt: skip
+    def merit(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, gap_price: float,
+              limit_prices: tuple[float, float]) -> float:  # fmt: skip
         """Cost of a plan, with its gaps and, where limits are hard, its violations at their prices."""
         gaps = (self.model.along(states[:-1], inputs, w, p) - states[1:]) / self.size
         first = (x - states[0]) / self.size
-        of_gaps = prices[0] * float(np.abs(gaps).sum() + np.abs(first).sum())
-        return of_gaps + self.priced_cost(states, inputs, given, prices[1])
+        of_gaps = gap_price * float(np.abs(gaps).sum() + np.abs(first).sum())
+        return of_gaps + self.priced_cost(states, inputs, given, limit_prices)
 
-    def priced_cost(self, states: Array, inputs: Array, given: Given, price: float) -> float:
-        """Cost of a plan and, where limits are hard, its violations at a price."""
+    def priced_cost(self, states: Array, inputs: Array, given: Given, limit_prices: tuple[float, float]) -> float:
+        """Cost of a plan and, where limits are hard, its violations at prices, linear and quadratic."""
         cost = cost_of(self.problem, inputs, states, given)
-        if self.problem.soft is not None:
+        if self.problem.soft is not None or not any(limit_prices):
             return cost
-        return cost + price * float(relative_violations(self.problem, states, self.problem.price_units).sum())
+        over = relative_violations(self.problem, states, self.problem.price_units)
+        return cost + limit_prices[0] * float(over.sum()) + limit_prices[1] * float(over @ over)
 
 
 def _largest(values: Array) -> float:
