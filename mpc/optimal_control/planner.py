@@ -64,6 +64,7 @@ class Planner:
         self._gains = np.tile(law.gain, (law.horizon, 1, 1))
         box = box_of(*law.input_rows)
         self._in_box = box is not None
+        self._hard = law.soft is None and len(law.state_rows[1]) + len(law.terminal_rows[1]) > 0
         low, high = (np.full(law.nu, -np.inf), np.full(law.nu, np.inf)) if box is None else box
         rate = np.full(law.nu, np.inf) if law.rate_limit is None else law.rate_limit
         self._limits = (low, high, rate)
@@ -85,14 +86,16 @@ class Planner:
             if time.perf_counter() - began > self.effort.time_limit:
                 status = Status.LATE
             if found.name == REAL_TIME or status not in (Status.SOLVED, Status.SOFTENED):
-                best = self._best(x, found, first, w, given)
+                best, cost = self._best(x, found, first, w, given)
                 if best is not found and status is not Status.LATE:
                     status = Status.REPLACED
                 found = best
+            else:
+                cost = cost_of(self.law, found.inputs, found.states, given)
             residuals = Residuals(np.inf, np.inf, np.inf, np.inf)
             if last is not None and found.name in (REAL_TIME, CONVERGING):
                 residuals = Residuals(last.stationarity, last.defects, 0.0, 0.0)
-            cost, violation = cost_of(self.law, found.inputs, found.states, given), violation_of(self.law, found.states)
+            violation = violation_of(self.law, found.states)
         duration = time.perf_counter() - began
         return Plan(found.inputs, found.states, cost, status, residuals, violation, duration, found.name)
 
@@ -100,9 +103,9 @@ class Planner:
         """A plan one sample later; its last input is the linear law's, held in U."""
         error, effort = self.programs.deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
         end = plan.states[-1]
-        u = admissible(self.law, (-effort[-1] - self.law.gain @ (end + error[-1]))[None], {"u_prev": plan.inputs[-1]})
+        u = self._admissible(-effort[-1] - self.law.gain @ (end + error[-1]), plan.inputs[-1])
         w = given["w"].reshape(self.law.horizon, -1)[-1] if "w" in given else np.zeros(self.law.nw)
-        after = finite(self.model.next(end, u[0], w, self.p))
+        after = finite(self.model.next(end, u, w, self.p))
         return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))
 
     def _iterated(
@@ -111,7 +114,7 @@ class Planner:
         """Where quadratic programs lead from a path, the last of them, and what that is."""
         real_time = follow and self.effort.iterations is not None
         at = replace(at, name=CONVERGING if self.effort.iterations is None else REAL_TIME)
-        dear = DEAR * max(cost_of(self.law, at.inputs, at.states, given), TINY)
+        dear = DEAR * max(cost_of(self.law, at.inputs, at.states, given), TINY) if self._hard else 0.0
         last: Step | None = None
         status = Status.FOLLOWED if real_time else Status.INACCURATE
         relaxed = False
@@ -176,12 +179,19 @@ class Planner:
             states[0] = x
             for k in range(N):
                 wanted = path.inputs[k] - path.gains[k] @ (states[k] - path.states[k])
-                inputs[k] = admissible(self.law, wanted[None], {"u_prev": inputs[k - 1] if k else last})[0]
+                inputs[k] = self._admissible(wanted, inputs[k - 1] if k else last)
                 states[k + 1] = finite(self.model.next(states[k], inputs[k], w[k], self.p))
         return replace(path, states=finite(states), inputs=finite(inputs))
 
-    def _best(self, x: Array, found: _Path, first: _Path, w: Array, given: Given) -> _Path:
-        """The path of least cost and price of violations among what was found, what that began at, and the linear law.
+    def _admissible(self, wanted: Array, last: Array) -> Array:
+        """The input nearest to one that is wanted, after the last one."""
+        if not self._in_box:
+            return admissible(self.law, wanted[None], {"u_prev": last})[0]
+        low, high, rate = self._limits
+        return np.clip(np.clip(wanted, low, high), last - rate, last + rate)
+
+    def _best(self, x: Array, found: _Path, first: _Path, w: Array, given: Given) -> tuple[_Path, float]:
+        """The path, with its cost, that is cheapest with violations at a price: what was found, its start, the linear law.
 
         A real-time iteration is replaced only by one that costs far less: it may pay now for what comes.
         """
@@ -193,7 +203,8 @@ class Planner:
         price = DEAR * max((cost for cost, _ in worth[1:] if np.isfinite(cost)), default=1.0)
         total = [cost + price * over if np.isfinite([cost, over]).all() else np.inf for cost, over in worth]
         total[0] /= WORSE if found.name == REAL_TIME else 1.0
-        return paths[int(np.argmin(total))]
+        best = int(np.argmin(total))
+        return paths[best], worth[best][0]
 
     def _worth(self, path: _Path, given: Given) -> tuple[float, float]:
         """Cost of a path and, where limits are hard, the sum of its violations."""
