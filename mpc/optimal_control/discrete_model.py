@@ -47,13 +47,14 @@ class Buffered:
         f = self.function
         arguments = [np.zeros((f.size2_in(i), f.size1_in(i))) for i in range(f.n_in())]
         results = [np.zeros((f.size2_out(i), f.size1_out(i))) for i in range(f.n_out())]
-        buffer, evaluate = f.buffer()
+        made: Any = f.buffer()
+        buffer, evaluate = made
         for i, array in enumerate(arguments):
             if array.size:
-                buffer.set_arg(i, memoryview(array.ravel()))
+                buffer.set_arg(i, memoryview(array.ravel()))  # type: ignore[arg-type]
         for i, array in enumerate(results):
             if array.size:
-                buffer.set_res(i, memoryview(array.ravel()))
+                buffer.set_res(i, memoryview(array.ravel()))  # type: ignore[arg-type]
         return {"buffer": buffer, "evaluate": evaluate, "arguments": arguments, "results": results}
 
 

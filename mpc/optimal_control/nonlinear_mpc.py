@@ -131,6 +131,11 @@ class NonlinearMPC:
         """What a closed loop hands over at every step besides the state, see `LinearMPC.needs`."""
         return self.linear.needs
 
+    @property
+    def last_plans(self) -> tuple[Plan, ...]:
+        """The plans of the last call, one for each row: their statuses say which of them stand in for an optimum."""
+        return tuple(self._last)
+
     def with_parameters(self, p: ArrayLike) -> NonlinearMPC:
         """The same controller for other parameters p (np,), without building the model anew."""
         value = as_array("p", p, (len(self.p),))

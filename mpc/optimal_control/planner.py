@@ -109,11 +109,11 @@ class Planner:
         return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))
 
     def _iterated(
-        self, x: Array, at: _Path, w: Array, given: Given, began: float, *, follow: bool
+        self, x: Array, first: _Path, w: Array, given: Given, began: float, *, follow: bool
     ) -> tuple[_Path, Step | None, Status]:
         """Where quadratic programs lead from a path, the last of them, and what that is."""
         real_time = follow and self.effort.iterations is not None
-        at = replace(at, name=CONVERGING if self.effort.iterations is None else REAL_TIME)
+        at = replace(first, name=CONVERGING if self.effort.iterations is None else REAL_TIME)
         dear = DEAR * max(cost_of(self.law, at.inputs, at.states, given), TINY) if self._hard else 0.0
         last: Step | None = None
         status = Status.FOLLOWED if real_time else Status.INACCURATE
@@ -125,7 +125,7 @@ class Planner:
                 return at, last, Status.LATE
             step = self.programs.step(x, at.states, at.inputs, w, self.p, given, dear, relaxed=relaxed)
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
-                return at, last, Status.REPLACED if last is None else Status.INACCURATE
+                return (first, None, Status.REPLACED) if last is None else (at, last, Status.INACCURATE)
             last = step
             if not real_time:
                 if max(step.defects, step.stationarity) <= CONVERGED:
@@ -191,11 +191,13 @@ class Planner:
         return np.clip(np.clip(wanted, low, high), last - rate, last + rate)
 
     def _best(self, x: Array, found: _Path, first: _Path, w: Array, given: Given) -> tuple[_Path, float]:
-        """The path, with its cost, that is cheapest with violations at a price: what was found, its start, the linear law.
+        """The cheapest path and its cost: what was found, what that began at, or the linear law; violations at a price.
 
         A real-time iteration is replaced only by one that costs far less: it may pay now for what comes.
         """
         paths = [found, first if first.name == LINEAR_LAW else self._followed(x, first, w, given)]
+        if found.name != REAL_TIME:  # far from rest the gains at rest may do harm
+            paths.append(self._followed(x, replace(first, gains=np.zeros_like(first.gains)), w, given))
         worth = [self._worth(path, given) for path in paths]
         if first.name != LINEAR_LAW and not np.isfinite(worth[1]).all():
             paths.append(self._linear_law(x, w, given))

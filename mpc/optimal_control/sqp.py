@@ -133,7 +133,9 @@ class Sequential:
         forces = self._forces(states + step.states, inputs + step.inputs, step.multipliers, given)
         found = costates(*step.slopes, step.gains, *forces)
         own = step.multipliers[len(step.multipliers) - len(self._prices) :] * self._prices
-        return 2.0 * _largest(found * self.size), 2.0 * _largest(np.bincount(self._step_of, own, minlength=1) * 1.0)
+        return 2.0 * _largest(found * self.size), 2.0 * _largest(
+            np.bincount(self._step_of, own, minlength=1).astype(float)
+        )
 
     def _program(self, states: Array, inputs: Array, G: Array, F: Array, given: Given) -> _Program:
         """The program in v, of a plan that v = 0 leads to; states answer by G, inputs by F."""

@@ -1,6 +1,7 @@
 """Nonlinear MPC is linear MPC on linear models, the optimum of the nonlinear program on others, and always an input."""
 
 import copy
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -168,3 +169,64 @@ def test_a_bad_statement_is_refused(arguments, argument):
     with pytest.raises(InputError) as caught:
         NonlinearMPC(step, 2, 2, **settings)
     assert caught.value.argument == argument
+
+
+def test_out_of_time_the_best_there_is_stands_in_and_says_so():
+    x = [0.1, 1.2, 0.0, 0.0]
+    late = pole(time_limit=1e-9)
+    first = late.solve(x)
+    optimum = pole().solve(x)
+    assert first.status is Status.LATE
+    assert not first.feasible
+    assert np.abs(first.inputs).max() <= 10
+    assert first.cost > optimum.cost
+    from_optimum = late.solve(x, start=optimum)  # a plan that is there already is not given up
+    assert from_optimum.status is Status.LATE
+    assert from_optimum.cost == pytest.approx(optimum.cost, rel=1e-6)
+    assert pole(time_limit=60.0).solve(x).status is Status.SOLVED
+
+
+def test_out_of_time_in_every_sample_it_still_gets_there():
+    cost, end = closed_loop(pole(time_limit=1e-9), np.array([0.0, 0.3, 0.0, 0.0]), 60)
+    converged, _ = closed_loop(pole(), np.array([0.0, 0.3, 0.0, 0.0]), 60)
+    assert cost == pytest.approx(converged, rel=0.05)
+    assert np.abs(end).max() < 0.1
+
+
+def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
+    controller = pole()
+    x = np.array([0.0, 0.3, 0.0, 0.0])
+    controller(x)
+    before = controller.last_plans[0]
+    monkeypatch.setattr(
+        "mpc.optimal_control.planner.Sequential.step", lambda *a, **k: SimpleNamespace(solved=False)
+    )  # fmt: skip
+    u = controller(before.states[1])
+    plan = controller.last_plans[0]
+    assert u == pytest.approx(before.inputs[1], abs=1e-6)
+    assert (plan.status, plan.solver) == (Status.REPLACED, "shifted plan")
+    assert "sample before" in plan.status.advice
+    controller.reset()
+    controller(x)
+    assert (controller.last_plans[0].status, controller.last_plans[0].solver) == (Status.REPLACED, "linear law")
+    assert controller.last_plans[0].inputs[0] == pytest.approx(np.clip(-controller.linear.gain @ x, -10, 10))
+
+
+def test_a_model_that_ends_within_the_limits_gets_the_linear_law():
+    def step(x, u):
+        return 0.9 * x + u * ca.sqrt(1 - x**2)  # no number beyond |x| = 1
+
+    plan = NonlinearMPC(step, 1, 1, Q=1.0, R=1.0, horizon=5, U=(-1, 1)).solve([2.0])
+    assert plan.status is Status.REPLACED
+    assert plan.solver == "linear law"
+    assert np.isfinite(plan.inputs).all()
+    assert np.isfinite(plan.states).all()
+
+
+def test_a_real_time_iteration_is_not_called_solved_away_from_the_optimum():
+    controller = pole(iterations=1)
+    controller([0.0, 0.3, 0.0, 0.0])
+    assert controller.last_plans[0].status is Status.SOLVED  # the first sample goes to the optimum
+    controller([0.0, 0.6, 0.0, 0.0])  # far from where the plan led
+    assert controller.last_plans[0].status is Status.FOLLOWED
+    assert controller.last_plans[0].residuals.worst > 1e-3
