@@ -1,6 +1,7 @@
 """Optimal control with CasADi: state a problem once, transcribe it, solve it, and check what was found."""
 
 from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
+from mpc.optimal_control.offset_free import OffsetFreeNonlinearMPC
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem, Phase
 from mpc.optimal_control.program import NonlinearProgram
@@ -16,6 +17,7 @@ __all__ = [
     "MultipleShooting",
     "NonlinearMPC",
     "NonlinearProgram",
+    "OffsetFreeNonlinearMPC",
     "OptimalControlProblem",
     "OptimalControlStatus",
     "Phase",

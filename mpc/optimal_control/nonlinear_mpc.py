@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,7 @@ from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.planner import Effort, Planner
+from mpc.optimal_control.terminal import INVARIANT, invariant_set
 from mpc.plan import Plan
 from mpc.solve_arguments import for_each_state, spread_signals
 
@@ -36,8 +37,11 @@ class NonlinearMPC:
         The next state; its arguments are named after what they get: x, u, w, p.
     states, inputs : int
         nx and nu.
-    Q, R, S, horizon, P, X, U, terminal_set, rate_limit, soft, uses
+    Q, R, S, horizon, P, X, U, rate_limit, soft, uses
         See `LinearMPC`; P by default is the Riccati solution of the linearisation at rest.
+    terminal_set : "invariant", Polytope or (lower, upper), optional
+        "invariant": the largest set in which the regulator of the linearisation keeps X and U for ever, without regard
+        to rate limits; near rest it is so of the model, too, as far as that is linear.
     disturbances : int
         nw, of a disturbance w that `solve` is given over the horizon; 0 where it is not.
     p : (np,) array
@@ -54,6 +58,15 @@ class NonlinearMPC:
     ------
     InputError
         Besides those of `LinearMPC`: if the model does not rest at x = 0, u = 0, w = 0.
+
+    Attributes
+    ----------
+    model : DiscreteModel
+        The model along plans, with its derivatives.
+    linear : LinearMPC
+        Linear MPC of the linearisation at rest.
+    last_plans : tuple of Plan
+        Of the last call.
 
     References
     ----------
@@ -80,7 +93,7 @@ class NonlinearMPC:
     most_iterations: int = field(default=100, kw_only=True)
     time_limit: float | None = field(default=None, kw_only=True)
     uses: tuple[str, ...] = field(default=(), kw_only=True)
-    _model: DiscreteModel = field(init=False)
+    model: DiscreteModel = field(init=False)
     _last: list[Plan] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
@@ -93,14 +106,14 @@ class NonlinearMPC:
         set_(self, "disturbances", nw)
         set_(self, "p", as_array("p", self.p, (None,)))
         sizes = {"x": self.states, "u": self.inputs, "w": nw, "p": len(self.p)}
-        set_(self, "_model", DiscreteModel(compiled("step", self.step, sizes, self.states), self.horizon))
+        set_(self, "model", DiscreteModel(compiled("step", self.step, sizes, self.states), self.horizon))
         _ = self._planner
 
     @cached_property
     def linear(self) -> LinearMPC:
         """Linear MPC of the linearisation at rest, with the same weights and limits."""
         x, u, w = np.zeros(self.states), np.zeros(self.inputs), np.zeros(self.disturbances)
-        f, A, B = self._model.linearised_at(x, u, w, self.p)
+        f, A, B = self.model.linearised_at(x, u, w, self.p)
         for what, value in (("a next state", f), ("derivatives by x", A), ("derivatives by u", B)):
             if not np.isfinite(value).all():
                 raise InputError("step", f"{what} that are not finite at rest", "finite ones at x = 0, u = 0, w = 0")
@@ -109,18 +122,24 @@ class NonlinearMPC:
             raise InputError("step", got, "one that stays at x = 0 under u = 0, w = 0", cure)
         E = None
         if self.disturbances:
-            E = self._model.by_disturbance(x, u, w, self.p)
+            E = self.model.by_disturbance(x, u, w, self.p)
         law = LinearMPC(
             A, B, Q=self.Q, R=self.R, S=self.S, horizon=self.horizon, P=self.P, X=self.X, U=self.U, E=E,
-            terminal_set=self.terminal_set, rate_limit=self.rate_limit, soft=self.soft, uses=self.uses,
+            terminal_set=None if self._invariant else self.terminal_set, rate_limit=self.rate_limit, soft=self.soft,
+            uses=self.uses,
         )  # fmt: skip
-        return law
+        return replace(law, P=law.given_P, terminal_set=invariant_set(law)) if self._invariant else law
+
+    @property
+    def _invariant(self) -> bool:
+        """Whether the terminal set is that of the linearisation."""
+        return isinstance(self.terminal_set, str) and self.terminal_set == INVARIANT
 
     @cached_property
     def _planner(self) -> Planner:
         """Plans for these parameters."""
         effort = Effort(self.iterations, self.most_iterations, as_seconds("time_limit", self.time_limit))
-        return Planner(self.linear, self._model, self.p, effort)
+        return Planner(self.linear, self.model, self.p, effort)
 
     def __repr__(self) -> str:
         how = "converged" if self.iterations is None else f"{self.iterations} a sample"

@@ -144,7 +144,7 @@ def test_rows_have_plans_of_their_own():
 def test_parameters_change_without_building_anew():
     controller = pole()
     other = controller.with_parameters([0.8])
-    assert other._model is controller._model
+    assert other.model is controller.model
     x = [0.1, 0.3, 0.0, 0.0]
     assert other.solve(x).inputs == pytest.approx(pole(p=[0.8]).solve(x).inputs, abs=1e-9)
     assert controller.solve(x).inputs == pytest.approx(pole().solve(x).inputs, abs=1e-9)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from nonlinear_programs import optimum
 
+from mpc import InputError
 from mpc.optimal_control import NonlinearMPC
 from mpc.plan import Status
 
@@ -54,6 +55,9 @@ def law_in(sx, su, cost, horizon, limits):
     """The controller in these units."""
     stated = {}
     for name, value in limits.items():
+        if name == "terminal_set":
+            stated[name] = value
+            continue
         sized = {"U": su, "X": sx, "rate_limit": su, "soft": cost}[name] * np.array(value)
         stated[name] = (-sized, sized) if name in "UX" else sized
     return NonlinearMPC(
@@ -98,3 +102,35 @@ def test_a_long_horizon_of_an_unstable_model_keeps_its_digits(sx, su, cost):
     assert inputs == pytest.approx(reference_inputs, abs=2e-4)
     after = [np.asarray(pendulum(x, u, 0)).ravel() for x, u in zip(states, inputs)]
     assert np.abs(after - states[1:]).max() < 1e-9
+
+
+@pytest.mark.parametrize(("sx", "su", "cost"), UNITS)
+def test_the_invariant_terminal_set_is_the_largest_one_and_is_reached(sx, su, cost):
+    law = law_in(sx, su, cost, N, {"U": [5.0], "X": [1.5, 1.8], "terminal_set": "invariant"})
+    linear, end = law.linear, law.linear.terminal_set
+    closed = linear.A - linear.B @ linear.gain
+    outside = 0
+    for corner in end.vertices:
+        for scale, stays in ((0.999, True), (1.01, False)):
+            x, kept = scale * corner, True
+            for _ in range(400):
+                kept &= bool((np.abs(x / sx) <= [1.5, 1.8]).all() and np.abs(linear.gain @ x / su) <= 5.0)
+                x = closed @ x
+            assert kept or not stays
+            outside += not kept
+    assert outside == len(end.vertices)  # a hundredth beyond any corner the regulator leaves the limits
+    plan = law.solve(sx * X0)
+    rows = np.array(linear.terminal_rows[0]) * sx, linear.terminal_rows[1]
+    guess = plan.states / sx * 0.9, plan.inputs / su * 0.9
+    best, inputs, _ = reference(N, {"U": [5.0], "X": [1.5, 1.8]}, {"terminal": rows}, guess)
+    assert plan.status is Status.SOLVED
+    assert plan.cost / cost == pytest.approx(best, rel=1e-6)
+    assert plan.inputs / su == pytest.approx(inputs, abs=2e-4)
+
+
+def test_an_invariant_terminal_set_needs_limits():
+    with pytest.raises(InputError, match="terminal_set") as caught:
+        law_in(np.ones(2), 1.0, 1.0, N, {"terminal_set": "invariant"})
+    assert caught.value.argument == "terminal_set"
+    with pytest.raises(InputError, match="terminal_set"):
+        law_in(np.ones(2), 1.0, 1.0, N, {"U": [5.0], "terminal_set": "largest"})
