@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -184,9 +185,16 @@ class NonlinearMPC:
         Parameters
         ----------
         start : Plan, optional
-            The plan to begin from, such as that of the sample before, `shifted`; by default the linear law's.
+            The plan to begin from, of the same time; by default the linear law's.
         """
         x = as_array("x", x, (self.states,))
+        if start is not None and not isinstance(start, Plan):
+            raise InputError("start", type(start).__name__, "a Plan of this controller")
+        if start is not None and (start.states.shape, start.inputs.shape) != (
+            (self.horizon + 1, self.states), (self.horizon, self.inputs)
+        ):  # fmt: skip
+            got = f"a plan of {len(start.inputs)} steps, {start.states.shape[1]} states, {start.inputs.shape[1]} inputs"
+            raise InputError("start", got, f"{self.horizon} steps, {self.states} states, {self.inputs} inputs")
         given = spread_signals(self.linear, {"u_prev": u_prev, "x_ref": x_ref, "u_ref": u_ref, "w": w})
         return self._planner.plan(x, given, start)
 
@@ -204,3 +212,29 @@ class NonlinearMPC:
         self._last[:] = plans
         first = np.array([plan.inputs[0] for plan in plans]).reshape(len(rows), self.inputs)
         return first if value.ndim == 2 else first[0]
+
+    def to_c(self, folder: str | Path) -> Path:
+        """Write a real-time iteration as C: `nonlinear_mpc.c` and its header, which need no library.
+
+        It contains `iteration` (model, derivatives, quadratic program and the active-set solver qrqp of CasADi),
+        `step` and `derivatives`. Left to the caller: the first plan (call `iteration` some times at the first state),
+        and what stands in for a plan that is late or not finite. U is a box.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Created when missing.
+
+        Returns
+        -------
+        Path
+            The C file; `casadi.external("iteration", …)` loads what a compiler makes of it.
+
+        Raises
+        ------
+        InputError
+            A folder that cannot be written; or U is no box.
+        """
+        from mpc.optimal_control.c_code import write_c
+
+        return write_c(self, folder)

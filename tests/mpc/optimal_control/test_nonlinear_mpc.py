@@ -160,15 +160,71 @@ def test_parameters_change_without_building_anew():
         ({"Q": [1.0]}, "Q"),
         ({"iterations": 0}, "iterations"),
         ({"p": [[1.0]]}, "p"),
+        ({"step": lambda x: ca.vertcat(x, x)}, "step"),
+        ({"step": lambda x, u: 1 / 0}, "step"),
+        ({"step": lambda x, u: 0.9 * x + u + ca.SX.sym("z", 2)}, "step"),
+        ({"step": "0.9 x"}, "step"),
+        ({"step": lambda x, u: 0.9 * x + u / ca.sum1(u)}, "step"),
+        ({"states": 0}, "states"),
+        ({"horizon": 2.5}, "horizon"),
+        ({"most_iterations": -1}, "most_iterations"),
+        ({"time_limit": 0.0}, "time_limit"),
+        ({"time_limit": "1 ms"}, "time_limit"),
+        ({"disturbances": -1}, "disturbances"),
+        ({"U": ([1, 1], [-1, -1])}, "U"),
+        ({"X": (0, 1, 2)}, "X"),
+        ({"soft": (1.0,)}, "soft"),
+        ({"rate_limit": -1.0}, "rate_limit"),
+        ({"terminal_set": "big"}, "terminal_set"),
+        ({"uses": ("preview",)}, "uses"),
     ],
 )
 def test_a_bad_statement_is_refused(arguments, argument):
     good = {"step": lambda x, u: 0.9 * x + u, "Q": [1.0, 1.0], "R": [1.0, 1.0], "horizon": 3}
     settings = good | arguments
-    step = settings.pop("step")
+    step, states = settings.pop("step"), settings.pop("states", 2)
     with pytest.raises(InputError) as caught:
-        NonlinearMPC(step, 2, 2, **settings)
+        NonlinearMPC(step, states, 2, **settings)
     assert caught.value.argument == argument
+
+
+@pytest.mark.parametrize(
+    ("call", "argument"),
+    [
+        (lambda law: law.solve([0.0, 1.0]), "x"),
+        (lambda law: law.solve([0.0, np.nan, 0, 0]), "x"),
+        (lambda law: law([[0.0, np.inf, 0, 0]]), "x"),
+        (lambda law: law(np.zeros(4), w=[0.0]), "w"),
+        (lambda law: law(np.zeros(4), speed=[0.0]), "speed"),
+        (lambda law: law.solve(np.zeros(4), x_ref=np.zeros((3, 4))), "x_ref"),
+        (lambda law: law.solve(np.zeros(4), u_prev=[0.0]), "u_prev"),
+        (lambda law: law.solve(np.zeros(4), start=3), "start"),
+        (lambda law: law.solve(np.zeros(4), start=pole(horizon=5).solve(np.zeros(4))), "start"),
+        (lambda law: law.with_parameters([1.0, 2.0]), "p"),
+        (lambda law: law.with_parameters([np.nan]), "p"),
+        (lambda law: law.with_parameters([0.0]), "step"),  # a pole without length
+    ],
+)
+def test_a_bad_call_is_refused(call, argument):
+    with pytest.raises(InputError) as caught:
+        call(pole())
+    assert caught.value.argument == argument
+
+
+@pytest.mark.parametrize("units", [(1.0, 1.0), (1e6, 1e-3)], ids=["alike", "N and kN"])
+def test_two_inputs_in_a_polytope_are_those_of_linear_mpc(units):
+    from invariant_sets import Polytope
+
+    A, B = np.array([[1.0, 0.1], [0.05, 1.1]]), np.array([[0.1, 0.02], [0.01, 0.1]]) / units
+    U = Polytope(np.array([[1, 1], [-1, 0], [0, -1], [1, -2.0]]) / units, [1.0, 0.6, 0.5, 0.8])
+    stated = {"Q": [1.0, 0.1], "R": 0.1 / np.square(units), "horizon": 10, "U": U, "rate_limit": 0.3 * np.array(units)}
+    linear = LinearMPC(A, B, **stated)
+    nonlinear = NonlinearMPC(lambda x, u: ca.DM(A) @ x + ca.DM(B) @ u, 2, 2, **stated)
+    for x in ([0.5, -0.3], [-0.9, 0.4], [0.05, 0.0]):
+        plan, expected = (law.solve(x, u_prev=[0.1 * units[0], 0.0]) for law in (nonlinear, linear))
+        assert plan.status is expected.status is Status.SOLVED
+        assert plan.inputs / units == pytest.approx(expected.inputs / units, abs=1e-6)
+        assert (plan.inputs @ U.A.T <= U.b + 1e-9).all()
 
 
 def test_out_of_time_the_best_there_is_stands_in_and_says_so():
