@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,15 +11,13 @@ import numpy as np
 from mpc.exceptions import InputError
 from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
+from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.planner import DEAR, TINY
-
-if TYPE_CHECKING:
-    from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
 
 SOLVER = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False, "max_iter": 1000}
 
 
-def real_time_iteration(controller: NonlinearMPC) -> ca.Function:
+def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
     """One quadratic program from a state and the plan of the sample before, as a CasADi function that generates C.
 
     Its arguments, those of no entries left out: `state`; `states` (nx, N + 1) and `inputs` (nu, N) of the plan of the
@@ -28,12 +26,11 @@ def real_time_iteration(controller: NonlinearMPC) -> ca.Function:
     `new_states`, `new_inputs`, whose first column is to be applied, and `new_multipliers`. Limits of states always have
     a price, as they have in `NonlinearMPC` where they cannot be kept; those whose multipliers stay below it are hard.
     """
-    law, model, N = controller.linear, controller.model, controller.horizon
-    nx, nu, limited = law.nx, law.nu, law.rate_limit is not None
+    nx, nu, N, limited = law.nx, law.nu, law.horizon, law.rate_limit is not None
     arguments = {
         name: ca.MX.sym(name, *shape) for name, shape in {
             "state": (nx, 1), "states": (nx, N + 1), "inputs": (nu, N), "disturbances": (law.nw, N),
-            "parameters": (len(controller.p), 1), "state_ref": (nx, N + 1), "input_ref": (nu, N),
+            "parameters": (model.step.numel_in(3), 1), "state_ref": (nx, N + 1), "input_ref": (nu, N),
             "last_input": (nu if limited else 0, 1),
         }.items()
     }  # fmt: skip
@@ -57,16 +54,16 @@ def real_time_iteration(controller: NonlinearMPC) -> ca.Function:
     return ca.Function("iteration", list(kept.values()), results, list(kept), names)
 
 
-def write_c(controller: NonlinearMPC, folder: Any) -> Path:
+def write_c(law: LinearMPC, model: DiscreteModel, folder: Any) -> Path:
     """Write `nonlinear_mpc.c` and its header: `iteration`, `step` and `derivatives`; returns the path of the former."""
-    iteration = real_time_iteration(controller)
+    iteration = real_time_iteration(law, model)
     try:
         where = Path(folder)
         where.mkdir(parents=True, exist_ok=True)
     except (TypeError, OSError) as error:
         raise InputError("folder", repr(folder), f"a folder that can be written ({error})") from None
     made = ca.CodeGenerator("nonlinear_mpc.c", {"with_header": True})
-    for function in (iteration, _of_columns(controller.model.step), _of_columns(controller.model.derivatives)):
+    for function in (iteration, _of_columns(model.step), _of_columns(model.derivatives)):
         made.add(function)
     made.generate(str(where) + "/")
     return where / "nonlinear_mpc.c"

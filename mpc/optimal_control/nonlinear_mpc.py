@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
 from mpc.linear_mpc import LinearMPC
+from mpc.optimal_control.c_code import write_c
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.planner import Effort, Planner
@@ -235,6 +236,4 @@ class NonlinearMPC:
         InputError
             A folder that cannot be written; or U is no box.
         """
-        from mpc.optimal_control.c_code import write_c
-
-        return write_c(self, folder)
+        return write_c(self.linear, self.model, folder)

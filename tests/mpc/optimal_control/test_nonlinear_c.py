@@ -65,7 +65,7 @@ def test_its_program_is_that_of_python(limits, sx, su, cost):
     at = planner.shifted(plan, given)
     dear = 100 * ca_cost(controller, at, given)
     step = planner.programs.step(x, at.states, at.inputs, given["w"][:, None], controller.p, given, dear)
-    iteration = real_time_iteration(controller)
+    iteration = real_time_iteration(controller.linear, controller.model)
     arguments = [x, plan.states.T, plan.inputs.T, given["w"][None], controller.p, given["x_ref"].reshape(-1, 2).T,
                  given["u_ref"][None], *last.values(), 0]  # fmt: skip
     states, inputs, _ = (np.asarray(value) for value in iteration(*arguments))
@@ -89,7 +89,7 @@ def test_compiled_it_is_the_same_and_controls_like_the_optimum(tmp_path):
     x, w, p = np.array([0.6, 0.2]), np.zeros((1, N)), controller.p
     states, inputs, multipliers = np.tile(x[:, None], N + 1), np.zeros((1, N)), 0
     optimum = law({"U": 4.0, "X": [1.5, 3.0], "rate_limit": 2.0})
-    first = real_time_iteration(controller)(x, states, inputs, w, p, 0, 0, 0, 0)
+    first = real_time_iteration(controller.linear, controller.model)(x, states, inputs, w, p, 0, 0, 0, 0)
     found = c["iteration"](x, states, inputs, w, p, 0, 0, 0, 0)
     for one, other in zip(first, found):
         assert np.asarray(one) == pytest.approx(np.asarray(other), abs=1e-9)
