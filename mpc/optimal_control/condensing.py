@@ -16,7 +16,7 @@ def compile_kernels() -> None:
     one, column = np.ones((1, 1, 1)), np.ones((1, 1))
     gains = gains_along(one, one, column, column, column, column)
     responses(one, one, gains, column, np.ones(1))
-    costates(one, one, gains, np.ones((2, 1)), column)
+    costates_along(one, one, gains, np.ones((2, 1)), column)
 
 
 @njit(cache=True)
@@ -81,7 +81,7 @@ def responses(A, B, gains, gaps, first):
 
 
 @njit(cache=True)
-def costates(A, B, gains, by_state, by_input):
+def costates_along(A, B, gains, by_state, by_input):
     """Costates (N + 1, nx) from slopes of the Lagrangian by states (N + 1, nx) and by inputs (N, nu).
 
     Backwards along the closed loop: what the inputs' slopes leave, zero at an optimum, keeps the digits.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -103,6 +104,24 @@ class DiscreteModel:
     def by_disturbance(self, x: Array, u: Array, w: Array, p: Array) -> Array:
         """Derivatives (nx, nw) of the next state by w."""
         return self._by_disturbance(x, u, w, p)[0].T
+
+    def curvature(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> Array:
+        """Second derivatives (N, nx + nu, nx + nu) of λ'f by (x, u), for costates (N, nx) of the next states."""
+        n = states.shape[1] + inputs.shape[1]
+        return self._curvature(states, inputs, w, p, costates)[0].reshape(len(inputs), n, n)
+
+    @cached_property
+    def _curvature(self) -> Buffered:
+        """Built when first asked for: few plans need it."""
+        kind: Any = ca.SX if self.step.is_a("SXFunction") else ca.MX
+        columns = [kind.sym(name, self.step.numel_in(i)) for i, name in enumerate("xuwp")]
+        costate = kind.sym("costate", self.step.numel_out(0))
+        both = kind.sym("both", columns[0].numel() + columns[1].numel())
+        state, action = both[: columns[0].numel()], both[columns[0].numel() :]
+        found, _ = ca.hessian(ca.dot(costate, self.step(state, action, *columns[2:])), both)
+        found = ca.substitute(found, both, ca.vertcat(*columns[:2]))
+        function = ca.Function("curvature", [*columns, costate], [ca.densify(found)], {"cse": True})
+        return Buffered(function.map("curvature_along", "serial", self.horizon, [3], []))
 
     def along(self, states: Array, inputs: Array, w: Array, p: Array) -> Array:
         """Next states (N, nx) at states (N, nx), inputs (N, nu), signals (N, nw)."""

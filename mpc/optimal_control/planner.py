@@ -20,6 +20,7 @@ CONVERGED = 1e-7  # gaps in sizes of the states, and stationarity relative to th
 REPORTED = 1e-5  # of the same, above which a plan is called inaccurate
 SHORTEST = 2.0**-10  # part of a step that is tried
 DEAR = 100.0  # price of violating a hard limit by one unit where it must be, in costs of the first plan
+PATIENT = 6  # quadratic programs after which the curvature of the model is taken in
 ROUNDING = 1e-12  # of the merit
 ENOUGH = 1e-4  # part of the promised decrease that is asked for
 TINY = float(np.finfo(float).tiny)
@@ -120,10 +121,21 @@ class Planner:
         relaxed = False
         gap_price = limit_price = 0.0
         longest, now = 0.0, time.perf_counter()
-        for _ in range(self.effort.iterations or 1 if real_time else self.effort.most):
+        costates: Array | None = None
+        for count in range(self.effort.iterations or 1 if real_time else self.effort.most):
             if last is not None and now - began + longest > self.effort.time_limit:
                 return at, last, Status.LATE
-            step = self.programs.step(x, at.states, at.inputs, w, self.p, given, dear, relaxed=relaxed)
+            step = self.programs.step(
+                x,
+                at.states,
+                at.inputs,
+                w,
+                self.p,
+                given,
+                dear,
+                relaxed=relaxed,
+                costates=costates if count >= PATIENT else None,
+            )
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
                 return (first, None, Status.REPLACED) if last is None else (at, last, Status.INACCURATE)
             last = step
@@ -131,8 +143,8 @@ class Planner:
                 if max(step.defects, step.stationarity) <= CONVERGED:
                     break
                 relaxed = step.relaxed  # from now on all violations have their price: one problem to converge on
-                asked = self.programs.prices(step, at.states, at.inputs, given)
-                gap_price, limit_price = max(gap_price, asked[0]), max(limit_price, asked[1])
+                of_gap, of_limit, costates = self.programs.prices(step, at.states, at.inputs, given)
+                gap_price, limit_price = max(gap_price, of_gap), max(limit_price, of_limit)
                 charged = (dear, dear) if relaxed else (limit_price, 0.0)
                 part = self._length(step, x, at, w, given, gap_price, charged)
                 if part is None:

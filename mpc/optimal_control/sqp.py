@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -10,12 +10,13 @@ from scipy.linalg import block_diag
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
 from mpc.feedback import stabilising_weights
-from mpc.optimal_control.condensing import compile_kernels, costates, gains_along, responses
+from mpc.optimal_control.condensing import compile_kernels, costates_along, gains_along, responses
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, relative_violations
 
 TINY = float(np.finfo(float).tiny)
+DEFINITE = 1e-6  # least eigenvalue of a Hessian with curvature, relative to one without
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +101,12 @@ class Sequential:
 
     def step(
         self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float, *,
-        relaxed: bool = False,
+        relaxed: bool = False, costates: Array | None = None,
     ) -> Step:  # fmt: skip
         """The quadratic program at a plan of states (N + 1, nx) and inputs (N, nu), from the state x (nx,).
 
         `dear` is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear and quadratic.
+        With `costates` (N + 1, nx) the Hessian takes the curvature of the model in, where it stays definite.
         """
         after, A, B = self.model.linearised(states[:-1], inputs, w, p)
         gaps = after - states[1:]
@@ -115,6 +117,9 @@ class Sequential:
         gains = gains_along(A, B, *self._regulated)
         G, F, drift, lead = responses(A, B, gains, gaps, x - states[0])
         program = self._program(states + drift, inputs + lead, G, F, given)
+        if costates is not None:
+            bent = self.model.curvature(states[:-1], inputs, w, p, costates[1:])
+            program = _bent(program, np.concatenate([G[:-1], F], axis=1), bent, np.hstack([drift[:-1], lead]))
         z, multipliers, relaxed, solved = self._solve(program, dear, relaxed)
         moved, change = drift + G @ z, lead + F @ z
         curvature = program.H @ z
@@ -128,14 +133,13 @@ class Sequential:
             multipliers=multipliers, slopes=(A, B), relaxed=relaxed, solved=solved,
         )  # fmt: skip
 
-    def prices(self, step: Step, states: Array, inputs: Array, given: Given) -> tuple[float, float]:
-        """What a merit must charge for a gap of one size, and for a limit violated by one unit, after a step."""
+    def prices(self, step: Step, states: Array, inputs: Array, given: Given) -> tuple[float, float, Array]:
+        """What a merit must charge for a gap of one size and for a limit violated by one unit; costates (N + 1, nx)."""
         forces = self._forces(states + step.states, inputs + step.inputs, step.multipliers, given)
-        found = costates(*step.slopes, step.gains, *forces)
+        found = costates_along(*step.slopes, step.gains, *forces)
         own = step.multipliers[len(step.multipliers) - len(self._prices) :] * self._prices
-        return 2.0 * _largest(found * self.size), 2.0 * _largest(
-            np.bincount(self._step_of, own, minlength=1).astype(float)
-        )
+        along = np.bincount(self._step_of, own, minlength=1).astype(float)
+        return 2.0 * _largest(found * self.size), 2.0 * _largest(along), found
 
     def _program(self, states: Array, inputs: Array, G: Array, F: Array, given: Given) -> _Program:
         """The program in v, of a plan that v = 0 leads to; states answer by G, inputs by F."""
@@ -241,6 +245,23 @@ class Sequential:
             return cost
         over = relative_violations(self.problem, states, self.problem.price_units)
         return cost + limit_prices[0] * float(over.sum()) + limit_prices[1] * float(over @ over)
+
+
+def _bent(program: _Program, answers: Array, curvature: Array, lead: Array) -> _Program:
+    """The program with the curvature of the model, if its Hessian stays definite.
+
+    `answers` (N, nx + nu, n) of states and inputs to the variables, which lead nowhere but to `lead` (N, nx + nu) at 0.
+    """
+    n = answers.shape[2]
+    weighted = (curvature @ answers).reshape(-1, n)
+    H = program.H + answers.reshape(-1, n).T @ weighted
+    H = (H + H.T) / 2
+    unit = 1 / np.sqrt(np.diag(program.H))
+    try:
+        np.linalg.cholesky(H * unit * unit[:, None] - DEFINITE * np.eye(n))
+    except np.linalg.LinAlgError:
+        return program
+    return replace(program, H=H, by_state=program.by_state + lead.ravel() @ weighted)
 
 
 def _largest(values: Array) -> float:
