@@ -257,10 +257,9 @@ def _bent(program: _Program, answers: Array, curvature: Array, lead: Array) -> _
     H = program.H + answers.reshape(-1, n).T @ weighted
     H = (H + H.T) / 2
     unit = 1 / np.sqrt(np.diag(program.H))
-    try:
-        np.linalg.cholesky(H * unit * unit[:, None] - DEFINITE * np.eye(n))
-    except np.linalg.LinAlgError:
-        return program
+    values, vectors = np.linalg.eigh(H * unit * unit[:, None])
+    if values[0] < DEFINITE:  # bent the other way along these directions
+        H = (vectors * np.maximum(np.abs(values), DEFINITE)) @ vectors.T / unit / unit[:, None]
     return replace(program, H=H, by_state=program.by_state + lead.ravel() @ weighted)
 
 
