@@ -126,16 +126,9 @@ class Planner:
             if last is not None and now - began + longest > self.effort.time_limit:
                 return at, last, Status.LATE
             step = self.programs.step(
-                x,
-                at.states,
-                at.inputs,
-                w,
-                self.p,
-                given,
-                dear,
-                relaxed=relaxed,
+                x, at.states, at.inputs, w, self.p, given, dear, relaxed=relaxed,
                 costates=costates if count >= PATIENT else None,
-            )
+            )  # fmt: skip
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
                 return (first, None, Status.REPLACED) if last is None else (at, last, Status.INACCURATE)
             last = step
@@ -146,10 +139,10 @@ class Planner:
                 of_gap, of_limit, costates = self.programs.prices(step, at.states, at.inputs, given)
                 gap_price, limit_price = max(gap_price, of_gap), max(limit_price, of_limit)
                 charged = (dear, dear) if relaxed else (limit_price, 0.0)
-                part = self._length(step, x, at, w, given, gap_price, charged)
-                if part is None:
+                then = self._after(step, x, at, w, given, gap_price, charged)
+                if then is None:
                     break
-                at = at.moved(step, part)
+                at = then
             else:
                 at = at.moved(step)
             longest, now = max(longest, time.perf_counter() - now), time.perf_counter()
@@ -158,19 +151,24 @@ class Planner:
             status = Status.SOLVED
         return at, last, status
 
-    def _length(self, step: Step, x: Array, at: _Path, w: Array, given: Given, gap_price: float,
-                charged: tuple[float, float]) -> float | None:  # fmt: skip
-        """The part of a step that brings the merit down; None if none does."""
-        merit = self.programs.merit
-        now = merit(x, at.states, at.inputs, w, self.p, given, gap_price, charged)
+    def _after(self, step: Step, x: Array, at: _Path, w: Array, given: Given, gap_price: float,
+               charged: tuple[float, float]) -> _Path | None:  # fmt: skip
+        """The path after a part of a step that brings the merit down, as planned or on the model; None if none does."""
+
+        def merit(path: _Path) -> float:
+            return self.programs.merit(x, path.states, path.inputs, w, self.p, given, gap_price, charged)
+
+        now = merit(at)
         promised = now - self.programs.priced_cost(at.states + step.states, at.inputs + step.inputs, given, charged)
         part = 1.0
         while part >= SHORTEST:
-            then = merit(
-                x, at.states + part * step.states, at.inputs + part * step.inputs, w, self.p, given, gap_price, charged
-            )
-            if np.isfinite(then) and then <= now - ENOUGH * part * max(promised, 0.0) + ROUNDING * abs(now):
-                return part
+            enough = now - ENOUGH * part * max(promised, 0.0) + ROUNDING * abs(now)
+            planned = at.moved(step, part)
+            if merit(planned) <= enough:  # not so of what is no number
+                return planned
+            followed = self._followed(x, planned, w, given)
+            if merit(followed) <= enough:
+                return followed
             part *= 0.5
         return None
 
