@@ -32,8 +32,8 @@ class Step:
     defects : float
         Largest gap in the plan between a state and what the model makes of the one before it, in sizes of the states.
     stationarity : float
-        Of the plan with the multipliers of the program, relative to the gradients that balance; or how far inputs
-        would still move, in parts of their limits, where that is less.
+        Of the plan with the multipliers of the program, relative to the gradients that balance; or, where that is less,
+        how far inputs would still move, in parts of their limits, and what part of the cost that would save.
     multipliers : (m,) array
         Of its limits.
     slopes : two arrays
@@ -126,10 +126,15 @@ class Sequential:
         unit = 1 / np.sqrt(np.diag(program.H))  # so that inputs of any units count alike
         parts = (program.by_state, program.by_input, program.gradient + curvature)
         balance = max(*(_largest(part * unit) for part in parts), TINY)
+        stationarity = _largest(curvature * unit) / balance
         still = _largest(change / self._extent) if np.isfinite(self._extent).all() else np.inf
+        if still < stationarity:
+            gain = -float(program.gradient @ z + 0.5 * z @ curvature)
+            cost = cost_of(self.problem, inputs + lead, states + drift, given)
+            stationarity = min(stationarity, max(still, abs(gain) / max(abs(cost), TINY)))
         return Step(
             states=moved, inputs=change, gains=gains, defects=defects,
-            stationarity=min(_largest(curvature * unit) / balance, still),
+            stationarity=stationarity,
             multipliers=multipliers, slopes=(A, B), relaxed=relaxed, solved=solved,
         )  # fmt: skip
 
