@@ -44,9 +44,9 @@ for _ in range(case["repeats"]):
         controller.x0 = state
         controller.set_initial_guess()
         for _ in range(case["samples"]):
-            began = time.perf_counter()
+            began = time.perf_counter(), time.process_time()
             action = controller.make_step(state.reshape(-1, 1)).ravel()
-            times.append(time.perf_counter() - began)
+            times.append([time.perf_counter() - began[0], time.process_time() - began[1]])
             cost += state @ Q @ state + action @ R @ action
             state = np.asarray(step(state, action)).ravel()
 (folder / "found.json").write_text(json.dumps({"cost": float(cost), "times": times}))
