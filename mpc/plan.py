@@ -64,7 +64,8 @@ class Plan:
     status : Status
     residuals : Residuals
         Optimality residuals; for a softened plan those of the relaxed problem. Of a plan found stage by stage the
-        stationarity is the largest Newton step left, in units of the inputs.
+        stationarity is the largest Newton step left, in units of the inputs; of a nonlinear one they are those of the
+        last program, and the primal one is the largest gap in the states before it, in their sizes.
     violation : float
         Largest violation of a state or terminal constraint a'x <= b by these states, in units of b; rounding or 0
         when solved with hard ones.

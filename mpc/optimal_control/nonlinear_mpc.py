@@ -20,9 +20,10 @@ from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.planner import Effort, Planner
 from mpc.optimal_control.terminal import INVARIANT, invariant_set
 from mpc.plan import Plan
+from mpc.problem import MPCProblem
 from mpc.solve_arguments import for_each_state, spread_signals
 
-AT_REST = 1e-9  # how far a step may leave the rest
+AT_REST = 1e-9  # how far a step may leave the rest, in sizes of the states
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,7 +32,8 @@ class NonlinearMPC:
 
     Minimises Σ_{k<N} x_k'Qx_k + 2 x_k'Su_k + u_k'Ru_k + x_N'Px_N subject to the model, x_k in X (k = 1 … N), u_k in U
     (k = 0 … N-1) and x_N in the terminal set. Limits, soft limits, rates, references and previews are stated as for
-    `LinearMPC`, whose law of the linearisation at rest stands in where no plan is found.
+    `LinearMPC`. What is not solved is followed (`FOLLOWED`, a real-time iteration), or replaced by the best of what was
+    reached, the plan of the sample before and the law of the linearisation (`LATE`, `REPLACED`), always in U.
 
     Parameters
     ----------
@@ -119,7 +121,8 @@ class NonlinearMPC:
         for what, value in (("a next state", f), ("derivatives by x", A), ("derivatives by u", B)):
             if not np.isfinite(value).all():
                 raise InputError("step", f"{what} that are not finite at rest", "finite ones at x = 0, u = 0, w = 0")
-        if self.states and np.abs(f).max() > AT_REST:
+        sizes = MPCProblem(A, B, Q=self.Q, R=self.R, horizon=1, P=np.eye(self.states), X=self.X, U=self.U).state_extent
+        if np.abs(f / sizes).max() > AT_REST:
             got, cure = f"a model that moves from rest to {f}", "State it in deviations from an equilibrium."
             raise InputError("step", got, "one that stays at x = 0 under u = 0, w = 0", cure)
         E = None

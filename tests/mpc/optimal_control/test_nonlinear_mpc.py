@@ -188,6 +188,18 @@ def test_a_bad_statement_is_refused(arguments, argument):
     assert caught.value.argument == argument
 
 
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_whether_a_model_rests_does_not_depend_on_units(size):
+    def stated(drift):
+        return NonlinearMPC(
+            lambda x, u: 0.9 * x + u + drift * size, 1, 1, Q=1 / size**2, R=1 / size**2, horizon=3, U=(-size, size)
+        )  # fmt: skip
+
+    assert stated(1e-12).solve([0.5 * size]).status is Status.SOLVED
+    with pytest.raises(InputError, match="moves from rest"):
+        stated(1e-3)
+
+
 @pytest.mark.parametrize(
     ("call", "argument"),
     [
