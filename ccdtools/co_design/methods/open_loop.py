@@ -28,7 +28,7 @@ CURE = "Nested or learned co-design simulates the problem as it is."
 
 def open_loop_problem(
     problem: CoDesignProblem, scenarios: tuple[Array, Array], *, design: Array, guess: list[Any] | None = None,
-    feedback: Feedback | None = None,
+    feedback: Feedback | None = None, constrained: bool = True,
 ) -> OptimalControlProblem:  # fmt: skip
     """The best trajectories of the given scenarios, with a design that they share.
 
@@ -44,6 +44,8 @@ def open_loop_problem(
     guess : list of (times, x, u), optional
         Of every scenario.
     feedback : Feedback, optional
+    constrained : bool
+        Whether the constraints on the design are part of it.
 
     Raises
     ------
@@ -69,7 +71,7 @@ def open_loop_problem(
     if cost is not None:
         function, share = cost.function(sizes[2]), problem.steps / (problem.objective.episode or problem.steps)
         given["p_cost"] = lambda p: function(p[: sizes[2]]) * share
-    if space.constraints is not None:
+    if constrained and space.constraints is not None:
         limits = space.constraints
         given["p_constraints"] = lambda p: limits(p[: sizes[2]])
     return OptimalControlProblem(
