@@ -11,11 +11,12 @@ from scipy.optimize import nnls
 
 from mpc.checks import Array
 from mpc.condensing import constraints_of, row_units, soften
-from mpc.feedback import block_lengths, stabilising_feedback
+from mpc.feedback import block_lengths, feedback_along
 from mpc.parametric_qp import Constraint
 from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, relative_violations
+from mpc.sensitivities.changes import Changes
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
 from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
 
@@ -35,29 +36,6 @@ class PlanModel(Protocol):
     def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
         """Of Σ λ_i f_i with costates λ (N, nx): Hessians by (x, u) and mixed with p, (N, nx + nu, nx + nu | np)."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class Changes:
-    """How cost and limits change with parameters.
-
-    Attributes
-    ----------
-    Q, R, S, P : (·, ·, np) arrays
-    bounds : dict of str to (rows, np) array
-        Of h in {v : Hv <= h}, by kind of constraint; those that do not change may be left out.
-    """
-
-    Q: Array
-    R: Array
-    S: Array
-    P: Array
-    bounds: dict[str, Array]
-
-    @property
-    def parameters(self) -> int:
-        """np."""
-        return int(self.Q.shape[-1])
 
 
 def sensitivity_of(
@@ -121,7 +99,6 @@ class _Conditions:
         names = ("x", "p", "u_prev", "gap", "value", "z")
         self.columns = {name: slice(int(a), int(b)) for name, a, b in zip(names, ends[:-1], ends[1:])}
         self.nt = int(ends[3])
-        self.feedback = stabilising_feedback(problem)
         self.stage = np.block([[problem.Q, np.zeros((problem.nx, problem.nu))],
                                [np.zeros((problem.nu, problem.nx)), problem.R]])  # fmt: skip
         if problem.S is not None:
@@ -141,13 +118,14 @@ class _Conditions:
         N, width = problem.horizon, at["z"].stop
         U, X = np.zeros((N, problem.nu, width)), np.zeros((N + 1, problem.nx, width))
         X[0, :, at["x"]] = np.eye(problem.nx)
+        feedback = feedback_along(problem, A, B)
         first = 0
         for b, length in enumerate(block_lengths(problem)):
             column = at["z"].start + b * problem.nu
             form = np.zeros((problem.nu, width))
             form[:, column : column + problem.nu] = np.eye(problem.nu)
-            if self.feedback is not None:
-                form -= self.feedback[b] @ X[first]
+            if feedback is not None:
+                form -= feedback[b] @ X[first]
             for k in range(first, first + length):
                 U[k] = form
                 X[k + 1] = A[k] @ X[k] + B[k] @ form
