@@ -18,7 +18,7 @@ from mpc.problem import MPCProblem
 from mpc.rollout import Given, relative_violations
 from mpc.sensitivities.changes import Changes
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
-from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
+from mpc.tolerances import ACTIVE, BALANCED, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
 
 Mask = NDArray[np.bool_]
 
@@ -112,13 +112,15 @@ class _Conditions:
         """Everything about one point."""
         return _Linearised(self, point)
 
-    def forms(self, point: _Point, A: Array, B: Array, F: Array, after: Array) -> tuple[Array, Array]:
+    def forms(
+        self, point: _Point, model: tuple[Array, Array, Array], after: Array, feedback: Array | None
+    ) -> tuple[Array, Array]:
         """Inputs (N, nu, ·) and states (N + 1, nx, ·) as they move with ξ."""
+        A, B, F = model
         problem, at = self.problem, self.columns
         N, width = problem.horizon, at["z"].stop
         U, X = np.zeros((N, problem.nu, width)), np.zeros((N + 1, problem.nx, width))
         X[0, :, at["x"]] = np.eye(problem.nx)
-        feedback = feedback_along(problem, A, B)
         first = 0
         for b, length in enumerate(block_lengths(problem)):
             column = at["z"].start + b * problem.nu
@@ -183,7 +185,8 @@ class _Linearised:
         problem, at = conditions.problem, conditions.columns
         nx, N = problem.nx, problem.horizon
         after, A, B, F = conditions.model.first(point.states[:-1], point.inputs)
-        self.U, self.X = conditions.forms(point, A, B, F, after)
+        self.feedback = feedback_along(problem, A, B)
+        self.U, self.X = conditions.forms(point, (A, B, F), after, self.feedback)
         rows, self.values, self.labels = conditions.rows(point, self.U, self.X)
         self.rows = rows
         self.units = row_units(problem, self.labels)
@@ -208,8 +211,11 @@ class _Linearised:
         curvature = np.broadcast_to(2 * conditions.stage, (N, nx + problem.nu, nx + problem.nu))
         self.scale = self._hessian(forms, curvature, slacks)[:, -n:].diagonal()
         self.scale = 1 / np.sqrt(np.where(self.scale > 0, self.scale, 1.0))
+        self.balanced = False
         if point.multipliers is not None:
-            costates = self._costates(A)
+            costates = self._costates(A, B)
+            lost = self.feedback is not None and problem.blocks is not None  # the digits of the costates
+            self.balanced = lost or self._imbalance(B, costates) <= BALANCED
             of_model, mixed_of_model = conditions.model.second(point.states[:-1], point.inputs, costates)
             curvature = curvature + of_model
             mixed = mixed + mixed_of_model
@@ -249,20 +255,52 @@ class _Linearised:
         whole[len(H) :, H.shape[1] :] = 2 * problem.soft[1] * np.eye(slacks)
         return whole
 
-    def _costates(self, A: Array) -> Array:
-        """λ (N, nx): what the cost from each next state on changes by with that state."""
+    def _pushes(self) -> tuple[Array, Array]:
+        """What the multipliers of limits add to the slopes by states (N + 1, nx) and inputs (N, nu)."""
         problem = self.conditions.problem
-        pushed = np.zeros((problem.horizon + 1, problem.nx))
-        sets = {"state": problem.state_rows[0], "terminal": problem.terminal_rows[0]}
-        for label, multiplier in zip(self.labels, self.multipliers):
-            if multiplier and label.kind in sets:
-                pushed[label.step] += multiplier * sets[label.kind][label.row]
-        costates = np.empty((problem.horizon, problem.nx))
-        now = self.end_slope + pushed[-1]
+        on_states = np.zeros((problem.horizon + 1, problem.nx))
+        on_inputs = np.zeros((problem.horizon, problem.nu))
+        both = np.vstack([np.eye(problem.nu), -np.eye(problem.nu)])
+        sets = {"state": problem.state_rows[0], "terminal": problem.terminal_rows[0], "input": problem.input_rows[0]}
+        for i in np.flatnonzero(self.multipliers):
+            kind, step, row = self.labels[i]
+            if kind == "rate":
+                on_inputs[step] += self.multipliers[i] * both[row]
+                if step:
+                    on_inputs[step - 1] -= self.multipliers[i] * both[row]
+            elif kind in sets:
+                pushed = on_inputs if kind == "input" else on_states
+                pushed[step] += self.multipliers[i] * sets[kind][row]
+        return on_states, on_inputs
+
+    def _costates(self, A: Array, B: Array) -> Array:
+        """λ (N, nx): what the cost from each next state on changes by with that state.
+
+        Along the feedback, where there is one, they do not lose their digits to an unstable model: at an optimum the
+        slope by the inputs, which it adds, is zero.
+        """
+        problem = self.conditions.problem
+        nx = problem.nx
+        on_states, on_inputs = self._pushes()
+        costates = np.empty((problem.horizon, nx))
+        closing = self.feedback if problem.blocks is None else None
+        now = self.end_slope + on_states[-1]
         for k in reversed(range(problem.horizon)):
             costates[k] = now
-            now = self.slope[k, : problem.nx] + pushed[k] + A[k].T @ now
+            by_input = self.slope[k, nx:] + on_inputs[k] + B[k].T @ now
+            now = self.slope[k, :nx] + on_states[k] + A[k].T @ now
+            if closing is not None:
+                now = now - closing[k].T @ by_input
         return costates
+
+    def _imbalance(self, B: Array, costates: Array) -> float:
+        """Slope of the Lagrangian by the inputs, beside the largest of its parts [-]."""
+        nx = self.conditions.problem.nx
+        parts = (self.slope[:, nx:], self._pushes()[1], np.einsum("kxu,kx->ku", B, costates))
+        starts = np.cumsum([0, *block_lengths(self.conditions.problem)])[:-1]
+        left = np.add.reduceat(sum(parts), starts, axis=0)
+        largest = max(float(np.abs(part).max(initial=0.0)) for part in parts)
+        return float(np.abs(left).max()) / largest if largest > 0 else 0.0
 
     def with_multipliers(self, point: _Point) -> _Point:
         """The point with multipliers >= 0 of the rows that are met, which balance the gradient best."""
