@@ -16,7 +16,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finite, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace, check_finite
-from ccdtools.plants.matrices_of_design import derivative, evaluated
+from ccdtools.plants.matrices_of_design import derivative, derivatives_at, evaluated
 from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
 from ccdtools.plants.zero_order_hold import zero_order_hold
 
@@ -189,9 +189,7 @@ class LinearModel:
     def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
         """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) at a design (np,)."""
         p = self._checked(p) if self.design is None else self.design.check_one(p)
-        columns = self.nx + self.nu + self.nw
-        T = np.asarray(self.jacobian(p), dtype=float).reshape(columns, self.nx, len(p)).transpose(1, 0, 2)
-        return T[:, : self.nx], T[:, self.nx : self.nx + self.nu], T[:, self.nx + self.nu :]
+        return derivatives_at(self.jacobian, p, self.nx, self.nu)
 
     def state_space(self, p: ArrayLike = ()):
         """The model at one design as a `control.StateSpace` with inputs u, outputs x and its dt.
