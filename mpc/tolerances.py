@@ -158,9 +158,9 @@ ACTIVE = 1e-5
 """Distance from its bound, in its unit, up to which a row of a plan may act [-]: plans are no more exact than
 `KKT_REPORTED`. The Newton steps that follow decide."""
 
-WEAKLY_ACTIVE = 1e-7
-"""Distance of a row from its bound, and about how far the plan would pass it if it did not act, both in its unit, below
-which it neither acts nor leaves the plan alone [-]."""
+WEAKLY_ACTIVE = 1e-6
+"""Distance of a row from its bound, and how far the plan would pass it if it did not act, both in its unit, below which
+it neither acts nor leaves the plan alone [-]: plans are no more exact."""
 
 NEAR_OPTIMUM = 1e-2
 """First Newton step from a plan, in sizes of inputs and states, beyond which the plan is no optimum [-]."""

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import nnls
 
 from mpc.checks import Array
@@ -190,6 +191,9 @@ class _Linearised:
         rows, self.values, self.labels = conditions.rows(point, self.U, self.X)
         self.rows = rows
         self.units = row_units(problem, self.labels)
+        held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
+        own = [label.kind != "input" or not held[label.step] for label in self.labels]
+        self.own = np.array(own, dtype=bool)  # of a held input, the limits at its first step
         self.multipliers = np.zeros(len(rows)) if point.multipliers is None else point.multipliers
         given = conditions.given
         error = point.states - given["x_ref"].reshape(N + 1, -1) if "x_ref" in given else point.states
@@ -209,8 +213,9 @@ class _Linearised:
         mixed, end_mixed = self._mixed(steps, error[-1])
         self.cost_of_parameters = 0.5 * (np.einsum("ki,kip->p", steps, mixed) + error[-1] @ end_mixed)
         curvature = np.broadcast_to(2 * conditions.stage, (N, nx + problem.nu, nx + problem.nu))
-        self.scale = self._hessian(forms, curvature, slacks)[:, -n:].diagonal()
-        self.scale = 1 / np.sqrt(np.where(self.scale > 0, self.scale, 1.0))
+        self.curvature = self._hessian(forms, curvature, slacks)[:, -n:]  # of the cost alone
+        diagonal = self.curvature.diagonal()
+        self.scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
         self.balanced = False
         if point.multipliers is not None:
             costates = self._costates(A, B)
@@ -304,7 +309,7 @@ class _Linearised:
 
     def with_multipliers(self, point: _Point) -> _Point:
         """The point with multipliers >= 0 of the rows that are met, which balance the gradient best."""
-        met = np.flatnonzero(self.values >= -ACTIVE * self.units)
+        met = np.flatnonzero((self.values >= -ACTIVE * self.units) & self.own)
         multipliers = np.zeros(len(self.rows))
         scaled = self.rows[met][:, self.free] * self.scale
         length = np.linalg.norm(scaled, axis=1)
@@ -315,9 +320,21 @@ class _Linearised:
         return _Point(point.inputs, point.states, point.slacks, multipliers, self._acting(multipliers))
 
     def _worth(self, multipliers: Array) -> Array:
-        """How far (m,) each row would be passed if it did not act, about, in its unit [-]."""
-        reach = (self.rows[:, self.free] * self.scale) ** 2
-        return multipliers * reach.sum(axis=1) / self.units
+        """How far (m,) each row would be passed if it alone did not act, in its unit [-]; of linear models exactly."""
+        pushing = np.flatnonzero(multipliers > 0)
+        d = self.scale
+        G = self.rows[pushing][:, self.free] * d
+        H = self.curvature * d * d[:, None]
+        try:
+            soft = G @ cho_solve(cho_factor(H), G.T)
+        except np.linalg.LinAlgError:  # a model that is not linear may leave an input free of cost
+            soft = G @ np.linalg.lstsq(H, G.T, rcond=None)[0]
+        size = np.sqrt(np.diag(soft))
+        size[size == 0] = 1.0
+        stiffness = np.diag(np.linalg.pinv(soft / size / size[:, None], hermitian=True)) / size**2
+        worth = np.zeros(len(multipliers))
+        worth[pushing] = multipliers[pushing] / np.where(stiffness > 0, stiffness, np.inf) / self.units[pushing]
+        return worth
 
     def _acting(self, multipliers: Array) -> Mask:
         """Rows (m,) that push, and those of slacks at zero that nothing pushes, (m,) bool."""
@@ -384,7 +401,7 @@ class _Linearised:
         at = self.conditions.columns
         move = solved[0][:, -1]
         values = self.values + self.rows[:, at["gap"]].ravel() + self.rows[:, self.free] @ move
-        passed = (values > ACTIVE * self.units) & ~point.acting
+        passed = (values > ACTIVE * self.units) & ~point.acting & self.own
         acting = self._acting(multipliers) | passed
         slacks = point.slacks + move[at["z"].stop - at["z"].start :]
         return _Point(point.inputs + inputs, point.states + states, slacks, np.where(acting, multipliers, 0.0), acting)
@@ -433,7 +450,7 @@ class _Linearised:
     def _idle(self, point: _Point, rates: Array) -> tuple[Mask, Mask, Mask]:
         """Rows (m,) that are met but do not push: weak ones, dependent ones, and which of these move along anyway."""
         nt = self.conditions.nt
-        met = self._on_bound & ~point.acting
+        met = self._on_bound & self.own & ~point.acting
         acting = self.rows[point.acting][:, self.free] * self.scale
         basis = np.linalg.qr(acting.T)[0] if len(acting) else np.zeros((len(self.scale), 0))
         touched = {self.labels[i].step for i in np.flatnonzero(self._on_bound) if self.labels[i].kind in SOFTENED}
