@@ -55,7 +55,7 @@ def sensitivity_of(
             linear = conditions.at(point)
             solved = linear.solved(point)
             if solved is None:
-                return conditions.none(plan, SensitivityStatus.SADDLE)
+                return conditions.none(plan, SensitivityStatus.SINGULAR)
             size = linear.size_of(solved)
             # rounding ends it sooner where the problem is badly conditioned
             if size <= NEWTON or (last <= ACTIVE and not size <= last):
