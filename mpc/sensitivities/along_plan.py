@@ -426,9 +426,7 @@ class _Linearised:
             np.concatenate([form[:, :, np.r_[0:nt, at["z"]]], np.zeros((*form.shape[:2], len(point.slacks)))], axis=2)
             for form in (self.U, self.X)
         )
-        local = LocalProgram(
-            self.H, self.F, self.rows[point.acting][:, keep], self.rows[weak][:, keep], inputs, states
-        )
+        local = LocalProgram(self.H, self.F, self.rows[point.acting][:, keep], self.rows[weak][:, keep], inputs, states)
         return PlanSensitivity(
             plan=plan, status=status, cost_by_state=cost[at["x"]], cost_by_parameters=by_parameters,
             inputs_by_state=U[:, :, at["x"]], inputs_by_parameters=U[:, :, at["p"]],

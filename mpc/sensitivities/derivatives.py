@@ -13,7 +13,9 @@ from mpc.tolerances import ASYMMETRY
 
 
 def as_derivatives(
-    given: Mapping[str, tuple[ArrayLike | None, tuple[int, ...]]], *, symmetric: tuple[str, ...] = (),
+    given: Mapping[str, tuple[ArrayLike | None, tuple[int, ...]]],
+    *,
+    symmetric: tuple[str, ...] = (),
     count: int | None = None,
 ) -> dict[str, Array]:
     """Arrays (*shape, np) of derivatives by name, checked; zeros for what is None.
