@@ -110,9 +110,7 @@ def design_sensitivity(
     changes = _weight_changes(problem, p)
     weights = problem.weights(p).keywords()
     if controller == "lqr":
-        A, B, _ = problem.model.matrices(p)
-        dA, dB, _ = problem.model.derivatives(p)
-        found = lqr_sensitivity(A, B, **weights, dA=dA, dB=dB, **changes)
+        found = regulator_of(problem, p)
         return DesignSensitivity(
             names, p, x, found.cost(x), found.cost_by_state(x), found.cost_by_parameters(x), found.input_by_state,
             found.input_by_parameters(x), SensitivityStatus.SMOOTH, found,
@@ -122,6 +120,13 @@ def design_sensitivity(
         names, p, x, plan.plan.cost, plan.cost_by_state, plan.cost_by_parameters, plan.input_by_state,
         plan.input_by_parameters, plan.status, plan,
     )  # fmt: skip
+
+
+def regulator_of(problem: CoDesignProblem, p: Array) -> LQRSensitivity:
+    """The LQR of a design (np,), with the derivatives of its gain and its cost by the design."""
+    A, B, _ = problem.model.matrices(p)
+    dA, dB, _ = problem.model.derivatives(p)
+    return lqr_sensitivity(A, B, **problem.weights(p).keywords(), dA=dA, dB=dB, **_weight_changes(problem, p))
 
 
 def _start(problem: CoDesignProblem, x0: ArrayLike | None) -> Array:
