@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_choice, as_count, as_instance, as_vector
+from ccdtools.co_design.design_controllers import HORIZON
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.undisturbed_step import undisturbed_step
 from mpc import LinearMPC, LQRSensitivity, PlanSensitivity, SensitivityStatus, lqr_sensitivity
 
 CONTROLLERS = ("lqr", "mpc", "nmpc")
-HORIZON = 20  # steps, of MPC
 
 Detail: TypeAlias = LQRSensitivity | PlanSensitivity
 
@@ -166,7 +166,7 @@ def _of_mpc(
 
     model = problem.model
     own: dict[str, Any] = {**changes, **moved}
-    return NonlinearMPC(_step(problem), model.nx, model.nu, p=p, **weights, **limits).sensitivity(x, **own)
+    return NonlinearMPC(undisturbed_step(model), model.nx, model.nu, p=p, **weights, **limits).sensitivity(x, **own)
 
 
 def _bound_changes(limits: Any, own: DesignLimits, p: Array) -> Array:
@@ -178,16 +178,3 @@ def _bound_changes(limits: Any, own: DesignLimits, p: Array) -> Array:
     rows = np.asarray(limits.A)
     changes: Array = np.maximum(rows, 0.0) @ upper - np.maximum(-rows, 0.0) @ lower
     return changes
-
-
-def _step(problem: CoDesignProblem) -> ca.Function:
-    """(x, u, p) → x⁺ of the undisturbed model."""
-    model = problem.model
-    kind: Any = ca.SX if isinstance(model, LinearModel) or model.step.is_a("SXFunction") else ca.MX
-    x, u, p = (kind.sym(name, n) for name, n in (("x", model.nx), ("u", model.nu), ("p", problem.design.dim)))
-    if isinstance(model, LinearModel):
-        M = model.function(p)
-        after = M[:, : model.nx] @ x + M[:, model.nx : model.nx + model.nu] @ u
-    else:
-        after = model.step(x, u, ca.DM.zeros(model.nw), p)
-    return ca.Function("step", [x, u, p], [after], ["x", "u", "p"], ["value"])

@@ -170,6 +170,13 @@ class LinearModel:
         """p → ∂vec[A B E]/∂p, (nx·(nx + nu + nw), np), vec by columns."""
         return derivative(self.function)
 
+    @cached_property
+    def step(self) -> ca.Function:
+        """(x, u, w, p) → x⁺, in CasADi."""
+        x, u, w = (ca.SX.sym(name, size) for name, size in zip("xuw", (self.nx, self.nu, self.nw)))
+        after = self.A @ x + self.B @ u + self.E @ w + self._c
+        return ca.Function("step", [x, u, w, self.symbols], [ca.densify(after)], ["x", "u", "w", "p"], ["x_next"])
+
     def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
         """A (nx, nx), B (nx, nu) and E (nx, nw) at a design (np,); stacked along axis 0 for designs (n, np).
 

@@ -18,7 +18,6 @@ from ccdtools.co_design.risk import Mean, WorstCase
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel
 from mpc import MPCError
 from mpc.optimal_control import OptimalControlProblem, Phase
 
@@ -137,7 +136,7 @@ def check_open_loop(problem: CoDesignProblem) -> None:
 def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: Any) -> Phase:
     """One scenario."""
     nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
-    step = one_step(problem)
+    step = problem.model.step
     stage, terminal = costs(problem)
     limits = _limits(problem, feedback is not None)
     lower, upper = problem.input_bounds
@@ -163,17 +162,6 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
         discrete=True, u_bounds=(None, None) if feedback is not None else (lower, upper),
         path=None if limits is None else path, signal=signal, guess=guess,
     )  # fmt: skip
-
-
-def one_step(problem: CoDesignProblem) -> ca.Function:
-    """(x, u, w, p) → x⁺ of the model."""
-    model = problem.model
-    if not isinstance(model, LinearModel):
-        return model.step
-    sizes = (model.nx, model.nu, model.nw, problem.design.dim)
-    x, u, w, p = (ca.SX.sym(name, size) for name, size in zip("xuwp", sizes))
-    M = model.function(p)
-    return ca.Function("step", [x, u, w, p], [M @ ca.vertcat(x, u, w)])
 
 
 def costs(problem: CoDesignProblem) -> tuple[Any, Any]:

@@ -18,12 +18,12 @@ def codesigned(problem, method, seed=0, **given):
     return cc.codesign(problem, method=method, rng=np.random.default_rng(seed), **given)
 
 
-@pytest.mark.parametrize("name", ["a mass budget", "a forbidden disc", "two budgets"])
+@pytest.mark.parametrize("name", ["a mass budget", "a forbidden disc"])
 def test_trajectory_and_design_in_one_program_are_the_nested_ones(name):
     case = CASES[name]
     together, nested = (
         codesigned(case.problem(), method, design=case.start)
-        for method in (cc.Simultaneous(runs=2, starts=1), cc.Nested("trajectory", runs=2, starts=1))
+        for method in (cc.Simultaneous(runs=1, starts=1), cc.Nested("trajectory", runs=1, starts=1))
     )
     assert together.objective == pytest.approx(nested.objective, rel=1e-6)
     np.testing.assert_allclose(together.design, nested.design, rtol=2e-3)
@@ -42,7 +42,7 @@ def test_inputs_that_know_the_disturbance_are_better_than_any_controller():
 @pytest.mark.parametrize("unit", [1.0, 1000.0])
 def test_a_gain_found_with_the_design_is_as_good_as_nested_lqr(unit):
     problem = spring_problem(unit, U=([-2 * unit], [2 * unit]), limit_tolerance="off")
-    gain, nested = (codesigned(problem, method) for method in (cc.Simultaneous("gain", runs=8, starts=1), "nested"))
+    gain, nested = (codesigned(problem, method) for method in (cc.Simultaneous("gain", runs=4, starts=1), "nested"))
     assert isinstance(gain.controller, cc.LinearFeedback)
     worst = nested.closed_loop.summary.mean
     assert gain.closed_loop.summary.mean >= worst - 0.02 * abs(worst)
@@ -105,9 +105,9 @@ def test_trajectories_refuse_what_they_cannot_honour(illustrative):
 
 def test_limits_that_no_inputs_keep_are_told(illustrative):
     problem = illustrative.problem()
-    problem = replace(problem, X=([-10, -2.01], [5, 0.05]), steps=20)
-    found = codesigned(replace(problem, scenarios=cc.FixedStart([-3.5, -2], cc.Gaussian([0.1, 0.4]))),
-                       cc.Simultaneous(runs=4, starts=1), design=[0.5])  # fmt: skip
+    weak = replace(problem, X=([-10, -2], [5, 0.05]), U=([-0.05], [0.05]), steps=20)
+    found = codesigned(replace(weak, scenarios=cc.FixedStart([-1, -0.5], cc.Gaussian([0.1, 0.4]))),
+                       cc.Simultaneous(runs=2, starts=1), design=[0.5])  # fmt: skip
     assert found.status is CoDesignStatus.INFEASIBLE
     assert "limit" in found.status.advice
 
