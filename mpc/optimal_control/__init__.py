@@ -8,6 +8,7 @@ from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.refinement import refine
 from mpc.optimal_control.schemes import Collocation, HermiteSimpson, MultipleShooting, Radau, Trapezoidal
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
+from mpc.optimal_control.solution_sensitivity import PhaseSensitivity, SolutionSensitivity
 from mpc.optimal_control.solving import solve
 from mpc.optimal_control.transcription import build
 
@@ -21,9 +22,11 @@ __all__ = [
     "OptimalControlProblem",
     "OptimalControlStatus",
     "Phase",
+    "PhaseSensitivity",
     "PhaseSolution",
     "Radau",
     "Solution",
+    "SolutionSensitivity",
     "Trapezoidal",
     "build",
     "refine",

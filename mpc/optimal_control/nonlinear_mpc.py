@@ -17,10 +17,14 @@ from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import Statement, compiled
+from mpc.optimal_control.model_derivatives import ModelDerivatives
 from mpc.optimal_control.planner import Effort, Planner
 from mpc.optimal_control.terminal import INVARIANT, invariant_set
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
+from mpc.sensitivities.along_plan import sensitivity_of
+from mpc.sensitivities.changes import as_changes
+from mpc.sensitivities.plan_sensitivity import PlanSensitivity
 from mpc.solve_arguments import for_each_state, spread_signals
 
 AT_REST = 1e-9  # how far a step may leave the rest, in sizes of the states
@@ -192,6 +196,56 @@ class NonlinearMPC:
             The plan to begin from, of the same time; by default the linear law's.
         """
         x = as_array("x", x, (self.states,))
+        self._check_start(start)
+        given = spread_signals(self.linear, {"u_prev": u_prev, "x_ref": x_ref, "u_ref": u_ref, "w": w})
+        return self._planner.plan(x, given, start)
+
+    def sensitivity(
+        self, x: ArrayLike, *, start: Plan | None = None, dQ: ArrayLike | None = None, dR: ArrayLike | None = None,
+        dS: ArrayLike | None = None, dP: ArrayLike | None = None, dX: ArrayLike | None = None,
+        dU: ArrayLike | None = None, d_terminal_set: ArrayLike | None = None, d_rate_limit: ArrayLike | None = None,
+        **signals: ArrayLike,
+    ) -> PlanSensitivity:  # fmt: skip
+        """The optimum from x with its exact derivatives by x and the parameters p: ∂u_0/∂x, ∂u_0/∂p, ∂J*/∂p and more.
+
+        Second derivatives are those of the Lagrangian, of the model's curvature too. The optimum is iterated to its
+        end, also where `iterations` says otherwise.
+
+        Parameters
+        ----------
+        x : (nx,) array
+            State.
+        start : Plan, optional
+            See `solve`.
+        dQ, dR, dS, dP, dX, dU, d_terminal_set, d_rate_limit : (…, np) arrays, optional
+            Where weights and limits change with p, too: see `LinearMPC.sensitivity`.
+        signals : arrays
+            As in `solve`.
+
+        Returns
+        -------
+        PlanSensitivity
+            With a status: weakly active and dependent constraints are named.
+        """
+        x = as_array("x", x, (self.states,))
+        self._check_start(start)
+        given = spread_signals(self.linear, dict(signals))
+        to_the_end = Planner(self.linear, self.model, self.p, Effort(None, self.most_iterations, np.inf))
+        plan = to_the_end.plan(x, given, start)
+        w = given["w"].reshape(self.horizon, -1) if "w" in given else np.zeros((self.horizon, self.disturbances))
+        derivatives = self._model_derivatives
+        at_rest = derivatives.at_rest(self.p)
+        own = {"dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU, "d_terminal_set": d_terminal_set,
+               "d_rate_limit": d_rate_limit, "dA": at_rest[0], "dB": at_rest[1]}  # fmt: skip
+        changes = as_changes(self.linear, own, len(self.p))
+        return sensitivity_of(self.linear, derivatives.under(w, self.p), changes, plan, given)
+
+    @cached_property
+    def _model_derivatives(self) -> ModelDerivatives:
+        return ModelDerivatives(self.model.step, self.horizon)
+
+    def _check_start(self, start: Any) -> None:
+        """Raise an `InputError` unless it is None or a plan of this controller."""
         if start is not None and not isinstance(start, Plan):
             raise InputError("start", type(start).__name__, "a Plan of this controller")
         if start is not None and (start.states.shape, start.inputs.shape) != (
@@ -199,8 +253,6 @@ class NonlinearMPC:
         ):  # fmt: skip
             got = f"a plan of {len(start.inputs)} steps, {start.states.shape[1]} states, {start.inputs.shape[1]} inputs"
             raise InputError("start", got, f"{self.horizon} steps, {self.states} states, {self.inputs} inputs")
-        given = spread_signals(self.linear, {"u_prev": u_prev, "x_ref": x_ref, "u_ref": u_ref, "w": w})
-        return self._planner.plan(x, given, start)
 
     def __call__(self, x: ArrayLike, **signals: ArrayLike) -> Array:
         """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu), each row from its own plan of the sample before."""

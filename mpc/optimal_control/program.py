@@ -166,6 +166,15 @@ def _numbered(layout: Layout) -> Trajectory:
     return numbers
 
 
+def _timed(layout: Layout) -> Trajectory:
+    """A trajectory whose values are the fractions of the phase."""
+
+    def times(at: Array) -> tuple[Array, Array]:
+        return np.tile(at[:, None], (1, layout.nx)), np.tile(at[:, None], (1, layout.nu))
+
+    return times
+
+
 def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
     """What a constraint is, and when: "path 2 at t = 0.31"."""
     found = next(rows for rows in program.rows if rows.first <= row < rows.last)
@@ -180,3 +189,18 @@ def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
         entry = f" {(index % path.numel_out(0) if found.name == 'path' and path else index) + 1}"
     phase = f" of phase {found.phase + 1}" if len(program.parts) > 1 else ""
     return f"{found.name}{entry}{phase} at t = {start + length * found.fractions[index]:.6g}"
+
+
+def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
+    """What an unknown is, and when: "bound of input 1 at t = 0.31"."""
+    for k, (part, (start, length)) in enumerate(zip(program.parts, program.times(v))):
+        if not part.first <= index < part.last:
+            continue
+        own = index - part.first
+        layout = part.layout
+        coordinate = int(placed(layout, part.mesh, _numbered(layout))[own])
+        fraction = placed(layout, part.mesh, _timed(layout))
+        name = f"state {coordinate + 1}" if coordinate < layout.nx else f"input {coordinate - layout.nx + 1}"
+        phase = f" of phase {k + 1}" if len(program.parts) > 1 else ""
+        return f"bound of {name}{phase} at t = {start + length * fraction[own]:.6g}"
+    return "bound of a duration" if index < program.parameters.start else "bound of a parameter"
