@@ -220,3 +220,18 @@ def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
         entry = f" {(index % path.numel_out(0) if found.name == 'path' and path else index) + 1}"
     phase = f" of phase {found.phase + 1}" if len(program.parts) > 1 else ""
     return f"{found.name}{entry}{phase} at t = {start + length * found.fractions[index]:.6g}"
+
+
+def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
+    """What an unknown is, and when: "bound of input 1 at t = 0.31"."""
+    for k, (part, (start, length)) in enumerate(zip(program.parts, program.times(v))):
+        if not part.first <= index < part.last:
+            continue
+        own = index - part.first
+        layout = part.layout
+        numbers, fraction = coordinates(layout, part.mesh)
+        coordinate = int(numbers[own])
+        name = f"state {coordinate + 1}" if coordinate < layout.nx else f"input {coordinate - layout.nx + 1}"
+        phase = f" of phase {k + 1}" if len(program.parts) > 1 else ""
+        return f"bound of {name}{phase} at t = {start + length * fraction[own]:.6g}"
+    return "bound of a duration" if index < program.parameters.start else "bound of a parameter"

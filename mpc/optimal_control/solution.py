@@ -15,6 +15,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.mesh_errors import mesh_errors
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
+from mpc.optimal_control.solution_sensitivity import SolutionSensitivity, solution_sensitivity
 from mpc.plan import Residuals
 
 
@@ -116,6 +117,24 @@ class Solution:
     def p_gradient(self) -> Array:
         """How the optimal cost changes with parameters that are held or stand at a bound, (np,); 0 of others."""
         return -self.multipliers["bounds"][self.program.parameters]
+
+    def sensitivity(self) -> SolutionSensitivity:
+        """How optimal cost and trajectory change with the parameters, held where they are, and with a given start.
+
+        The conditions of an optimum of the program, on its mesh, are differentiated at the active constraints. Solve
+        to a small tolerance for derivatives of as many digits: `solve(…, tolerance=1e-10)`.
+
+        Returns
+        -------
+        SolutionSensitivity
+            ∂J*/∂p, ∂²J*/∂p², ∂u/∂p, ∂x/∂p, the same by the start, and a status: weakly active constraints are named.
+
+        References
+        ----------
+        Fiacco, *Introduction to Sensitivity and Stability Analysis in Nonlinear Programming*, 1983; Pirnay,
+        López-Negrete and Biegler, "Optimal sensitivity based on IPOPT", Mathematical Programming Computation 4, 2012.
+        """
+        return solution_sensitivity(self.program, self.unknowns, self.multipliers, self.solved)
 
     def x(self, t: ArrayLike) -> Array:
         """States (..., nx) at times (...), of the phase that they fall in."""
