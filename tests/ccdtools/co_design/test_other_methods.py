@@ -18,7 +18,7 @@ def codesigned(problem, method, seed=0, **given):
     return cc.codesign(problem, method=method, rng=np.random.default_rng(seed), **given)
 
 
-@pytest.mark.parametrize("name", ["a mass budget", "a forbidden disc"])
+@pytest.mark.parametrize("name", ["a mass budget", "two budgets"])
 def test_trajectory_and_design_in_one_program_are_the_nested_ones(name):
     case = CASES[name]
     together, nested = (
