@@ -19,7 +19,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from ccdtools import DesignSpace, DigitalTwin, Plant, deploy, discretise, free_running_bands
-from ccdtools.comparison.baselines import saturated_lqr
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.disturbances.roads import GeneratedRoad
 from ccdtools.plants.linear_model import LinearModel

@@ -29,7 +29,7 @@ from ccdtools import (
     load_study,
     previewed_problem,
 )
-from ccdtools.comparison.baselines import HORIZON, saturated_lqr
+from ccdtools.co_design.design_controllers import HORIZON, saturated_lqr
 from ccdtools.limits import excursions
 from ccdtools.simulation import simulate
 from ccdtools.statistics import change_of_level

@@ -10,18 +10,27 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ccdtools.co_design.admissible import admissible_inputs
+    from ccdtools.co_design.closed_loop import closed_loop_returns
     from ccdtools.co_design.codesign import codesign
     from ccdtools.co_design.configuration import CoDesignConfig
     from ccdtools.co_design.custom_objective import CustomObjective, output_objective
+    from ccdtools.co_design.design_controllers import linear_mpc, nonlinear_mpc, saturated_lqr
+    from ccdtools.co_design.design_sensitivity import DesignSensitivity, design_sensitivity
     from ccdtools.co_design.expert import expert_dataset, feasible_sets
+    from ccdtools.co_design.learned_result import LearnedCoDesign
     from ccdtools.co_design.least_depth import least_depth
+    from ccdtools.co_design.methods.learned import Learned
+    from ccdtools.co_design.methods.nested import Nested
+    from ccdtools.co_design.methods.search import Search
+    from ccdtools.co_design.methods.sequential import Sequential
+    from ccdtools.co_design.methods.simultaneous import Simultaneous
     from ccdtools.co_design.objective import QuadraticObjective
     from ccdtools.co_design.preview import previewed_limits, previewed_objective, previewed_problem
     from ccdtools.co_design.problem import CoDesignProblem, FixedStart
     from ccdtools.co_design.random_starts import RandomStarts
     from ccdtools.co_design.result import CoDesignResult
     from ccdtools.co_design.risk import CVaR, Mean, MeanSpread, WorstCase
-    from ccdtools.comparison.baselines import baselines, nonlinear_mpc, saturated_lqr
+    from ccdtools.comparison.baselines import baselines
     from ccdtools.comparison.comparison import compare
     from ccdtools.comparison.ride import Ride
     from ccdtools.comparison.ride_comfort import comfort, weighted_acceleration
@@ -78,6 +87,7 @@ __all__ = [
     "CoDesignResult",
     "Constant",
     "CustomObjective",
+    "DesignSensitivity",
     "DesignSpace",
     "DigitalTwin",
     "Equilibrium",
@@ -91,6 +101,8 @@ __all__ = [
     "InputError",
     "JumpWarning",
     "KalmanFilter",
+    "Learned",
+    "LearnedCoDesign",
     "LearnedPolicy",
     "LimitWarning",
     "LinearFeedback",
@@ -99,6 +111,7 @@ __all__ = [
     "MeanSpread",
     "Measurement",
     "Mixture",
+    "Nested",
     "NotDetectableError",
     "Observed",
     "OnlineConfig",
@@ -115,6 +128,9 @@ __all__ = [
     "SampledModel",
     "SamplingWarning",
     "Scenario",
+    "Search",
+    "Sequential",
+    "Simultaneous",
     "Stacked",
     "Study",
     "Sum",
@@ -124,12 +140,14 @@ __all__ = [
     "WorstCase",
     "admissible_inputs",
     "baselines",
+    "closed_loop_returns",
     "codesign",
     "comfort",
     "compare",
     "deploy",
     "deploy_and_update",
     "depth_outside",
+    "design_sensitivity",
     "deviations",
     "discretise",
     "equilibrium",
@@ -139,6 +157,7 @@ __all__ = [
     "first_order_hold",
     "free_running_bands",
     "least_depth",
+    "linear_mpc",
     "linearise",
     "load_policy",
     "load_study",
@@ -168,12 +187,13 @@ __all__ = [
 _HOMES = {
     "CCDError": "exceptions",
     "CVaR": "co_design.risk",
+    "Cases": "disturbances.combinations",
     "CoDesignConfig": "co_design.configuration",
     "CoDesignProblem": "co_design.problem",
     "CoDesignResult": "co_design.result",
-    "Cases": "disturbances.combinations",
     "Constant": "disturbances.combinations",
     "CustomObjective": "co_design.custom_objective",
+    "DesignSensitivity": "co_design.design_sensitivity",
     "DesignSpace": "plants.design_space",
     "DigitalTwin": "twin.twin",
     "Equilibrium": "plants.equilibrium",
@@ -187,6 +207,8 @@ _HOMES = {
     "InputError": "exceptions",
     "JumpWarning": "exceptions",
     "KalmanFilter": "estimation.kalman",
+    "Learned": "co_design.methods.learned",
+    "LearnedCoDesign": "co_design.learned_result",
     "LearnedPolicy": "controllers.learned",
     "LimitWarning": "exceptions",
     "LinearFeedback": "controllers.controllers",
@@ -195,6 +217,7 @@ _HOMES = {
     "MeanSpread": "co_design.risk",
     "Measurement": "estimation.measurement",
     "Mixture": "disturbances.combinations",
+    "Nested": "co_design.methods.nested",
     "NotDetectableError": "exceptions",
     "Observed": "controllers.observed",
     "OnlineConfig": "twin.online",
@@ -212,6 +235,9 @@ _HOMES = {
     "SampledModel": "plants.sampled_model",
     "SamplingWarning": "exceptions",
     "Scenario": "scenario",
+    "Search": "co_design.methods.search",
+    "Sequential": "co_design.methods.sequential",
+    "Simultaneous": "co_design.methods.simultaneous",
     "Stacked": "disturbances.combinations",
     "Study": "studies.study",
     "Sum": "disturbances.combinations",
@@ -221,12 +247,14 @@ _HOMES = {
     "WorstCase": "co_design.risk",
     "admissible_inputs": "co_design.admissible",
     "baselines": "comparison.baselines",
+    "closed_loop_returns": "co_design.closed_loop",
     "codesign": "co_design.codesign",
     "comfort": "comparison.ride_comfort",
     "compare": "comparison.comparison",
     "deploy": "twin.deployment",
     "deploy_and_update": "twin.deployment",
     "depth_outside": "limits",
+    "design_sensitivity": "co_design.design_sensitivity",
     "deviations": "plants.linearisation",
     "discretise": "plants.discretisation",
     "equilibrium": "plants.equilibrium",
@@ -236,12 +264,13 @@ _HOMES = {
     "first_order_hold": "plants.first_order_hold",
     "free_running_bands": "twin.free_running",
     "least_depth": "co_design.least_depth",
+    "linear_mpc": "co_design.design_controllers",
     "linearise": "plants.linearisation",
     "load_policy": "controllers.learned",
     "load_study": "studies.loading",
     "mean_interval": "statistics",
     "noise_covariance": "plants.noise_covariance",
-    "nonlinear_mpc": "comparison.baselines",
+    "nonlinear_mpc": "co_design.design_controllers",
     "output_objective": "co_design.custom_objective",
     "plant_from_matrices": "plants.linear_plants",
     "plant_from_state_space": "plants.linear_plants",
@@ -253,7 +282,7 @@ _HOMES = {
     "read_speed": "disturbances.recordings",
     "replay_problem": "twin.replay",
     "road_disturbance": "disturbances.roads",
-    "saturated_lqr": "comparison.baselines",
+    "saturated_lqr": "co_design.design_controllers",
     "simulate": "simulation",
     "suspension_metrics": "comparison.suspension",
     "to_torch": "plants.torch_function",

@@ -8,6 +8,8 @@ from mpc.linear_mpc import LinearMPC
 from mpc.lqr import lqr
 from mpc.parametric_qp import ParametricQP
 from mpc.plan import Plan, Status
+from mpc.sensitivities.plan_sensitivity import PlanSensitivity, SensitivityStatus
+from mpc.sensitivities.regulator import LQRSensitivity, lqr_sensitivity
 from mpc.tracking import OffsetFreeMPC
 
 __all__ = [
@@ -15,6 +17,7 @@ __all__ = [
     "ExplicitMPC",
     "InfeasibleError",
     "InputError",
+    "LQRSensitivity",
     "LinearMPC",
     "MPCError",
     "MPQPStatus",
@@ -23,7 +26,10 @@ __all__ = [
     "OffsetFreeMPC",
     "ParametricQP",
     "Plan",
+    "PlanSensitivity",
+    "SensitivityStatus",
     "Status",
     "lqr",
+    "lqr_sensitivity",
     "solve_mpqp",
 ]

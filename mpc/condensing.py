@@ -47,11 +47,11 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
     at = layout.at
     U, X = _predict(problem, layout)
     W = _cost(problem, U, X, at, nv)
-    rows, w, labels = _constraints(problem, U, X, at)
+    rows, w, labels = constraints_of(problem, U, X, at)
     H = 2 * W[nt:, nt:]
     f = np.zeros(nv - nt)
     if problem.soft is not None:
-        rows, w, labels, H, f = _soften(problem, rows, w, labels, H)
+        rows, w, labels, H, f = soften(problem, rows, w, labels, H)
     _check_convex(H)
     slack = len(H) - (nv - nt)
     (Lt, Lz), (Xt, Xz) = (np.split(form.reshape(-1, nv), [nt], axis=1) for form in (U, X))
@@ -138,7 +138,7 @@ def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice], nv: int
     return (W + W.T) / 2
 
 
-def _constraints(
+def constraints_of(
     problem: MPCProblem, U: Array, X: Array, at: dict[str, slice]
 ) -> tuple[Array, Array, list[Constraint]]:
     """Rows (m, nv) with rows ξ <= w, and their labels."""
@@ -173,7 +173,7 @@ def row_units(problem: MPCProblem, labels: list[Constraint] | tuple[Constraint, 
     return np.array([units[label.kind][label.row] if label.kind in units else 1.0 for label in labels])
 
 
-def _soften(
+def soften(
     problem: MPCProblem, rows: Array, w: Array, labels: list[Constraint], H: Array
 ) -> tuple[Array, Array, list[Constraint], Array, Array]:
     """One slack per step, in units of the bounds, with the cost linear * s + quadratic * s²."""

@@ -24,6 +24,7 @@ from mpc.sparse_qp import SparseSolver
 if TYPE_CHECKING:
     from mpc.explicit.explicit import ExplicitMPC
     from mpc.infeasibility import Explanation
+    from mpc.sensitivities.plan_sensitivity import PlanSensitivity
 
 SOLVERS = ("daqp", "osqp", "clarabel")
 
@@ -195,6 +196,45 @@ class LinearMPC(MPCProblem):
         given = spread_signals(self, dict(signals))
         solver = self._condensed[tuple(sorted(given))]
         return explain_infeasibility(self, solver.qp, solver.theta(x, given), solver.runaway(x, given))
+
+    def sensitivity(
+        self, x: ArrayLike, *, dA: ArrayLike | None = None, dB: ArrayLike | None = None, dE: ArrayLike | None = None,
+        dQ: ArrayLike | None = None, dR: ArrayLike | None = None, dS: ArrayLike | None = None,
+        dP: ArrayLike | None = None, dX: ArrayLike | None = None, dU: ArrayLike | None = None,
+        d_terminal_set: ArrayLike | None = None, d_rate_limit: ArrayLike | None = None, **signals: ArrayLike,
+    ) -> PlanSensitivity:  # fmt: skip
+        """The plan from x with its exact derivatives by x and by parameters p (np,): ∂u_0/∂x, ∂u_0/∂p, ∂J*/∂p and more.
+
+        Parameters
+        ----------
+        x : (nx,) array
+            State.
+        dA, dB, dE, dQ, dR, dS, dP : (·, ·, np) arrays, optional
+            ∂A/∂p and so on, the last axis that of the parameters; 0 where they are left out. A terminal weight that is
+            the Riccati solution changes with A, B, Q, R and S by itself; dP is for one that was given.
+        dX, dU, d_terminal_set : (rows, np) arrays, optional
+            ∂h/∂p of the half-spaces {v : Hv <= h} in `state_rows`, `input_rows` and `terminal_rows`.
+        d_rate_limit : (nu, np) array, optional
+        signals : arrays
+            As in `solve`.
+
+        Returns
+        -------
+        PlanSensitivity
+            With a status: weakly active and dependent constraints are named.
+
+        Examples
+        --------
+        >>> found = controller.sensitivity(x, dA=dA, dB=dB)
+        >>> found.input_by_state, found.cost_by_parameters, found.status.advice
+        """
+        from mpc.sensitivities.linear import linear_sensitivity
+
+        given = spread_signals(self, dict(signals))
+        plan = self.solve(x, **signals)
+        derivatives = {"dA": dA, "dB": dB, "dE": dE, "dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU,
+                       "d_terminal_set": d_terminal_set, "d_rate_limit": d_rate_limit}  # fmt: skip
+        return linear_sensitivity(self, plan, given, derivatives)
 
     def explicit(
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,

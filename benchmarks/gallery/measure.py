@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.comparison.baselines import saturated_lqr
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.simulation import simulate
 from ccdtools.studies import RunFolder, Study, load_study

@@ -29,9 +29,10 @@ from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
 from ccdtools.co_design.feasible import DesignRegion
 from ccdtools.co_design.feasible_slope import measured_slope
 from ccdtools.co_design.gradient_check import check_gradients
+from ccdtools.co_design.learned_result import Convergence
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.reinforcement.ppo import PPOPart
-from ccdtools.co_design.result import Convergence, History
+from ccdtools.co_design.result import History
 from ccdtools.co_design.sample_average import SampleAverage
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.task import Iterate, Task

@@ -2,151 +2,151 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from typing import Any, Protocol, overload
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_flag, as_generator, as_instance, has_method
-from ccdtools.co_design.agents import check_agent
-from ccdtools.co_design.ascent import Ascent
-from ccdtools.co_design.configuration import METHODS, CoDesignConfig
-from ccdtools.co_design.episodes import episode_at
-from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
-from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.checks import as_choice, as_flag, as_generator, as_instance, shown
+from ccdtools.co_design.closed_loop import closed_loop_returns
+from ccdtools.co_design.configuration import METHODS as LEARNED
+from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.co_design.learned_result import LearnedCoDesign
+from ccdtools.co_design.methods.learned import Learned
+from ccdtools.co_design.methods.nested import Nested
+from ccdtools.co_design.methods.search import Search
+from ccdtools.co_design.methods.sequential import Sequential
+from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult, Valley
-from ccdtools.co_design.risk import check_followed
-from ccdtools.co_design.starts import chosen_valleys, leader, race, start_designs
-from ccdtools.co_design.task import LimitPenalty, Task
+from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.task import LimitPenalty
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
+
+MODEL_BASED = {"sequential": Sequential, "nested": Nested, "simultaneous": Simultaneous, "search": Search}
+METHODS = (*MODEL_BASED, *LEARNED)
+
+
+class Method(Protocol):
+    """A way to co-design."""
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        ...
+
+    def run(
+        self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
+    ) -> CoDesignResult:
+        """The best design and controller found from a feasible design (np,)."""
+        ...
+
+
+@overload
+def codesign(
+    problem: CoDesignProblem, *, agent: ActorCritic, rng: np.random.Generator, design: ArrayLike | None = None,
+    method: str | Method = "pathwise", config: CoDesignConfig | None = None, judge: CoDesignProblem | None = None,
+    limits: LimitPenalty | None = None, progress: bool = False,
+) -> LearnedCoDesign: ...  # fmt: skip
+
+
+@overload
+def codesign(
+    problem: CoDesignProblem, *, agent: None = None, rng: np.random.Generator, design: ArrayLike | None = None,
+    method: str | Method = "pathwise", config: CoDesignConfig | None = None, judge: CoDesignProblem | None = None,
+    limits: LimitPenalty | None = None, progress: bool = False,
+) -> CoDesignResult: ...  # fmt: skip
 
 
 def codesign(
     problem: CoDesignProblem,
     *,
-    agent: ActorCritic,
-    design: ArrayLike,
     rng: np.random.Generator,
-    method: str = "pathwise",
+    design: ArrayLike | None = None,
+    method: str | Method = "pathwise",
+    agent: ActorCritic | None = None,
     config: CoDesignConfig | None = None,
     judge: CoDesignProblem | None = None,
     limits: LimitPenalty | None = None,
     progress: bool = False,
 ) -> CoDesignResult:
-    """The best design and policy found for `problem`.
+    """The best design and controller found for `problem`.
 
     Parameters
     ----------
     problem : CoDesignProblem
-    agent : ActorCritic
-        Warm start, from `learning.fit_actor_critic`; copied, not changed.
-    design : (np,) array_like
-        First design, in physical units.
     rng : numpy.random.Generator
-    method : {"pathwise", "ppo", "pathwise+ppo"}
-        What moves the policy: its gradient through the model, PPO, or both. `config.design_gradient` says what moves
-        the design.
-    config : CoDesignConfig, optional
-    judge : CoDesignProblem, optional
-        What the iterates are scored on, if not `problem` itself: for example replays of what was logged, where
-        `problem` holds a learned model whose errors an optimiser may exploit.
-    limits : optional
-        What leaving X costs, see `LimitPenalty`; by default what `judge.limit_tolerance` asks for.
+        Two methods with generators of the same seed are measured on the same scenarios.
+    design : (np,) array_like, optional
+        First design, in physical units; by default the feasible one nearest to the centre of the box.
+    method : str or Method
+        "sequential", "nested", "simultaneous", "search", or of those that learn "pathwise", "ppo", "pathwise+ppo"; or
+        an object with settings of its own, such as ``Nested("mpc")``.
+    agent, config, judge, limits
+        Of the methods that learn, see `Learned`.
     progress : bool
         Show a progress bar.
+
+    Returns
+    -------
+    CoDesignResult
+        Of the methods that learn a `LearnedCoDesign`.
 
     Raises
     ------
     InputError
-        If an argument is of the wrong kind, `design` is not feasible, `agent` does not observe (x, p) over the
-        box of designs or acts within other bounds than U, or the objective does not take torch tensors.
+        If an argument is of the wrong kind, `design` is not feasible, or the method cannot honour what the problem
+        asks for. Of learning: if `agent` does not observe (x, p) over the box of designs or acts within other bounds
+        than U, or the objective does not take torch tensors.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    as_choice("method", method, METHODS)
+    chosen = as_method(method, agent=agent, config=config, judge=judge, limits=limits)
     as_generator("rng", rng)
-    config = as_instance("config", CoDesignConfig() if config is None else config, CoDesignConfig, "a CoDesignConfig")
-    judge = as_instance("judge", problem if judge is None else judge, CoDesignProblem, "a CoDesignProblem or None")
-    design = problem.design.check_feasible(design)
-    check_followed(problem.risk, method, config.design_gradient)
-    check_agent(problem, agent)
     as_flag("progress", progress)
-    if limits is not None:
-        has_method("limits", limits, "prices", "a LimitPenalty, such as a StateLimitPenalty, or None")
-    _check_judge(problem, judge)
-    _check_objective(problem)
-    if limits is None and judge.limit_tolerance != "off":
-        limits = StateLimitPenalty(judge)
-        warn_of_unavoidable_depth(judge, design)
-    task = Task(problem, judge, method, config, limits)
-    found = chosen_valleys(task, design, rng)
-    ascents = race(task, agent, start_designs(task, design, found), rng, progress=progress)
-    return _result(task, ascents, agent, design, found)
+    space = problem.design
+    first = space.project(space.centre) if design is None else space.check_feasible(design)
+    scenarios = _own_generator(rng)
+    began = time.perf_counter()
+    result = chosen.run(problem, np.asarray(first), rng, progress=progress)
+    seconds = time.perf_counter() - began
+    judged = problem if judge is None else judge
+    loop = closed_loop_returns(judged, result.controller, result.design, scenarios)
+    lost = loop.lost.any() and not isinstance(result, LearnedCoDesign)  # learning has judged that itself
+    status = CoDesignStatus.DIVERGING if lost else result.status
+    return replace(result, status=status, closed_loop=loop, seconds=seconds)
 
 
-def _result(
-    task: Task, ascents: list[Ascent], agent: ActorCritic, design: Array, found: tuple[Valley, ...]
-) -> CoDesignResult:
-    """The winner of the race, with what the others came to."""
-    winner = ascents[0]
-    space = task.problem.design
-    best = winner.region.settled(winner.best.v)
-    assert winner.status is not None
-    return CoDesignResult(
-        best, winner.best.agent, space.active_bounds(best), winner.history(), winner.check, winner.best.limits,
-        winner.status, task.method, _gains(task, winner, agent, design), winner.convergence(),
-        _with_ends(found, ascents, design), space.active_constraints(best),
-    )  # fmt: skip
+def as_method(method: str | Method, **learning: Any) -> Method:
+    """A method by its name, or as it is.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name, or what belongs to learning is given to another.
+    """
+    if isinstance(method, str) and method in LEARNED:
+        return Learned(by=method, **learning)
+    if isinstance(method, str):
+        as_choice("method", method, METHODS)
+    elif isinstance(method, type) or not callable(getattr(method, "run", None)):
+        raise InputError("method", shown(method), f"one of {', '.join(METHODS)}, or a Method such as Nested('mpc')")
+    given = [name for name, value in learning.items() if value is not None]
+    if given:
+        cure = "State them in the method: Learned(by=…, agent=…)." if isinstance(method, Learned) else ""
+        raise InputError(given[0], shown(learning[given[0]]), f"nothing, of the method {method!r}", cure)
+    if isinstance(method, str):
+        made: Method = MODEL_BASED[method]()
+        return made
+    return method
 
 
-@torch.no_grad()
-def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dict[str, float]:
-    """What design and policy gained, one after the other, on the evaluation scenarios."""
-    first = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32)
-    before, moved = (
-        task.judge.risk.values(episode_at(task.judge, agent, v, winner.evaluation).total).mean().item()
-        for v in (first, winner.best.v)
-    )
-    return {"design": moved - before, "policy": winner.best.score - moved}
-
-
-def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], design: Array) -> tuple[Valley, ...]:
-    """The valleys, with where the best co-design that began on each of them ended; `design` is the given one."""
-    named = []
-    for valley in found:
-        places = [valley.design, design] if valley.given else [valley.design]
-        begun = [one for one in ascents if any(np.array_equal(one.start, place) for place in places)]
-        if begun:
-            first = leader(begun)
-            end = first.region.settled(first.best.v)
-            valley = replace(valley, found=end, found_return=first.best.score)
-        named.append(valley)
-    return tuple(named)
-
-
-def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:
-    """Raise an `InputError` unless the judge has the states, inputs and box of designs of `problem`."""
-    own = problem.design
-    other = judge.design
-    same_box = own.names == other.names and np.array_equal([own.lower, own.upper], [other.lower, other.upper])
-    if not same_box or (judge.model.nx, judge.model.nu) != (problem.model.nx, problem.model.nu):
-        raise InputError("judge", repr(judge), "the states, inputs and box of designs of the problem")
-
-
-def _check_objective(problem: CoDesignProblem) -> None:
-    """Raise an `InputError` unless the objective gives one differentiable reward per row of torch tensors."""
-    x = torch.zeros(2, problem.model.nx, requires_grad=True)
-    u = torch.zeros(2, problem.model.nu, requires_grad=True)
+def _own_generator(rng: np.random.Generator) -> np.random.Generator:
+    """A generator for the scenarios that results are measured on, which takes nothing from the stream of `rng`."""
     try:
-        rewards = problem.objective.rewards(x, u, x, torch.tensor(problem.design.centre, dtype=x.dtype))
-        fits = torch.is_tensor(rewards) and rewards.shape == (2,) and rewards.requires_grad
-    except (TypeError, ValueError, RuntimeError, AttributeError):
-        fits = False
-    if not fits:
-        raise InputError(
-            "objective", f"a {type(problem.objective).__name__} whose rewards do not take torch tensors",
-            "rewards (n,) of states (n, nx) and inputs (n, nu), NumPy arrays and torch tensors alike",
-        )  # fmt: skip
+        return rng.spawn(1)[0]
+    except TypeError:  # a bit generator without a seed sequence
+        return np.random.default_rng(rng.integers(2**63, size=4))

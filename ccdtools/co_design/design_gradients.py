@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.differentiable_model import ScenarioTensors, to_design
+from ccdtools.co_design.differentiable_model import ScenarioTensors, in_double, to_design
 from ccdtools.co_design.episodes import episode_at
+from ccdtools.co_design.learned_result import LEVEL
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import LEVEL
 from learning.networks import ActorCritic
 
 STEPS = (1e-2, 1e-3, 1e-4, 1e-5)  # of the central differences, in the unit box
@@ -51,9 +51,7 @@ class Differences:
     prices: Prices | None = None
 
     def __post_init__(self) -> None:
-        learned = self.problem.discrepancy
-        if learned is not None:
-            object.__setattr__(self, "problem", replace(self.problem, discrepancy=learned.double()))
+        object.__setattr__(self, "problem", in_double(self.problem))
         object.__setattr__(self, "agent", copy.deepcopy(self.agent).double())
         object.__setattr__(self, "scenarios", tuple(part.double() for part in self.scenarios))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -44,6 +44,12 @@ def matrices(model: Model, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     flat = _Matrices.apply(p, model) if p.ndim == 1 else torch.stack([_Matrices.apply(one, model) for one in p])
     M = flat.unflatten(-1, (columns, model.nx)).mT
     return M[..., : model.nx], M[..., model.nx : model.nx + model.nu], M[..., model.nx + model.nu :]
+
+
+def in_double(problem: CoDesignProblem) -> CoDesignProblem:
+    """A problem whose learned errors are in double precision."""
+    learned = problem.discrepancy
+    return problem if learned is None else replace(problem, discrepancy=learned.double())
 
 
 def to_design(problem: CoDesignProblem, v: Tensor) -> Tensor:

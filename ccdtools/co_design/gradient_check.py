@@ -11,9 +11,9 @@ from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.design_gradients import Differences, inside, pathwise_by_run, standard_error
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.episodes import episode_at, fewer_runs
+from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.reinforcement.gradients import network_input_gradient
-from ccdtools.co_design.result import GradientCheck
 from learning.networks import ActorCritic
 from learning.ppo import PPOConfig
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ccdtools.arrays import Array
+from ccdtools.co_design.design_controllers import HORIZON, linear_mpc
 from ccdtools.co_design.differentiable_model import Stepper, to_design
 from ccdtools.co_design.episodes import Episode, fewer_runs, simulated
 from ccdtools.co_design.problem import CoDesignProblem
-from mpc import LinearMPC
 
-HORIZON = 20  # steps, of the MPC that sets the tolerance
 BY_MPC = f"a quarter more than MPC of the same design does, N = {HORIZON}"
 MPC_RUNS = 32  # episodes of 100 steps that it is measured on
 BESIDE_MPC = 1.25  # the tolerance relative to what MPC does: a network in its place has a resolution,
@@ -93,19 +91,12 @@ def _granted(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tenso
 
 def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Episode:
     """Episodes of online MPC, state limits relaxed where they cannot be kept, on the first few of some scenarios."""
-    mpc = limited_mpc(problem, problem.design.from_unit(v.detach().double().numpy()))
+    mpc = linear_mpc(problem, problem.design.from_unit(v.detach().double().numpy()))
     x0, w = scenarios
     runs = fewer_runs(MPC_RUNS, w.shape[1])
     with torch.no_grad():
         step = Stepper.at(problem, to_design(problem, v.detach()))
         return simulated(step, lambda x: x.new_tensor(mpc(x.double().numpy())), (x0[:runs], w[:runs]), depths=True)
-
-
-def limited_mpc(problem: CoDesignProblem, p: Array) -> LinearMPC:
-    """Online MPC of a design (np,), within the limits of that design."""
-    A, B, _ = problem.model.matrices(p)
-    own = problem.weights(p).keywords()
-    return LinearMPC(A, B, **own, horizon=HORIZON, X=problem.kept_by_mpc(p), U=problem.input_limits(p))
 
 
 def measured(episode: Episode) -> Pair:

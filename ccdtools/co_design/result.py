@@ -1,109 +1,18 @@
-"""What a co-design returns: the design and policy found, and how they came about."""
+"""What every co-design returns: the design and controller found, what they are worth, and how they came about."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, fields
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable, Mask, frozen
 from ccdtools.checks import as_vector
 from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.controllers.learned import LearnedPolicy
-from ccdtools.statistics import PairedDifference
-from learning.networks import ActorCritic
-
-TRUSTED = 0.2  # relative error of a gradient's length and direction that Adam does not mind,
-ERRORS = 3.0  # beyond so many standard errors
-LEVEL = 1e-3  # of the return per length of the box: a slope without consequence
-
-ROWS = (
-    ("finite differences", "finite_difference"), ("pathwise", "pathwise"), ("network input (paper)", "network_input"),
-)  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class GradientCheck(Immutable):
-    """The design gradient of the mean return by each method, at one design, (np,) per unit-box length.
-
-    Attributes
-    ----------
-    names : tuple of str
-    finite_difference : array
-        Central differences under common random numbers: the reference.
-    pathwise : array
-        Backpropagation through dynamics, policy and reward.
-    network_input : array
-        The paper's: through the networks' inputs of the PPO loss, the states taken as constants.
-    finite_difference_error, pathwise_error : array
-        Standard errors over the runs.
-    deviation_error : array
-        Standard error of the difference between pathwise and finite differences, run by run.
-    scale : float
-        |mean return| without the cost of the design.
-    """
-
-    names: tuple[str, ...]
-    finite_difference: Array
-    pathwise: Array
-    network_input: Array
-    finite_difference_error: ArrayField = 0.0
-    pathwise_error: ArrayField = 0.0
-    deviation_error: ArrayField = 0.0
-    scale: float = 0.0
-
-    def __post_init__(self) -> None:
-        size = len(self.names)
-        for column in fields(self)[1:-1]:
-            value = np.broadcast_to(np.asarray(getattr(self, column.name), dtype=float), (size,)).copy()
-            object.__setattr__(self, column.name, frozen(value))
-
-    def __repr__(self) -> str:
-        cosines = (f"{method} {self.cosine(method):.3f}" for method in ("pathwise", "network_input"))
-        verdict = "trusted" if self.trusted else "not trusted"
-        return f"GradientCheck(cosine with finite differences: {', '.join(cosines)}; pathwise {verdict})"
-
-    def cosine(self, method: str) -> float:
-        """Cosine of the angle between a method's gradient and the finite differences."""
-        a = getattr(self, method)
-        b = self.finite_difference
-        return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
-
-    def length(self, method: str) -> float:
-        """Length of a method's gradient relative to that of the finite differences."""
-        reference = max(float(np.linalg.norm(self.finite_difference)), 1e-300)
-        return float(np.linalg.norm(getattr(self, method))) / reference
-
-    @property
-    def trusted(self) -> bool:
-        """Whether the pathwise gradient agrees with finite differences in length and direction.
-
-        The difference of the two vectors is at most a fifth of the reference's length, beyond three standard errors and
-        a slope that does not matter. With one parameter, that is length and sign.
-        """
-        if not (np.isfinite(self.pathwise).all() and np.isfinite(self.finite_difference).all()):
-            return False
-        deviation = np.linalg.norm(self.pathwise - self.finite_difference)
-        errors = (np.linalg.norm(self.deviation_error), np.linalg.norm(self.finite_difference_error))
-        allowed = TRUSTED * np.linalg.norm(self.finite_difference) + ERRORS * min(errors) + LEVEL * self.scale
-        return bool(deviation <= allowed)
-
-    def __str__(self) -> str:
-        rows = [f"{'design gradient (unit box)':<28}" + "".join(f"{name:>24}" for name in self.names)
-                + "     cosine     length"]  # fmt: skip
-        for label, method in ROWS:
-            errors = getattr(self, f"{method}_error", None)
-            columns = [f"{value:.5g}" for value in getattr(self, method)]
-            if errors is not None:
-                columns = [f"{value} ± {error:.2g}" for value, error in zip(columns, errors)]
-            values = "".join(f"{value:>24}" for value in columns)
-            rows.append(f"{label:<28}{values}{self.cosine(method):11.3f}{self.length(method):11.3g}")
-        if not self.trusted:
-            rows.append("the pathwise gradient differs from finite differences by more than chance")
-        return "\n".join(rows)
+from ccdtools.controllers.controllers import Controller
+from ccdtools.statistics import Summary, summarise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,38 +42,6 @@ class History(Immutable):
         first = self.model_return[0]
         last = self.model_return[-1]
         return f"History({len(self.iteration)} evaluations, return {first:.4g} → {last:.4g})"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Convergence(Immutable):
-    """What a status rests on.
-
-    Attributes
-    ----------
-    gain : PairedDifference
-        Of the last block, on the fixed evaluation scenarios.
-    slope, slope_error : (np,) arrays
-        Projected design gradient at the end by finite differences per unit-box length, and its standard error; zero
-        where the design is frozen, or at a bound that the return rises across.
-    by_differences : bool
-        Whether the design moved along finite differences, because the gradient through the model was wrong.
-    blocks, iterations : int
-        Of the start that won.
-    """
-
-    gain: PairedDifference
-    slope: Array
-    slope_error: Array
-    by_differences: bool
-    blocks: int
-    iterations: int
-
-    def __post_init__(self) -> None:
-        for name in ("slope", "slope_error"):
-            object.__setattr__(self, name, as_vector(name, np.nan_to_num(getattr(self, name))))
-
-    def __repr__(self) -> str:
-        return f"Convergence({self.iterations} iterations, last block {self.gain.mean:+.3g})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -203,46 +80,97 @@ class Valley(Immutable):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class ClosedLoopReturns(Immutable):
+    """What a controller brings at a design, run by run, on scenarios of a problem.
+
+    Attributes
+    ----------
+    values : (n,) array
+        Returns; of a problem with a risk the values whose mean it is. A run that is lost has its whole, huge cost.
+    lost : (n,) array of bool
+        Runs that diverged.
+    outside, depth : float
+        Fraction of the states outside the limits, and mean over the runs of the peak depth in half-widths; of the runs
+        that are not lost.
+    """
+
+    values: Array
+    lost: Mask
+    outside: float = 0.0
+    depth: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", frozen(np.array(self.values, dtype=float)))
+        object.__setattr__(self, "lost", frozen(np.array(self.lost, dtype=bool)))
+
+    def __repr__(self) -> str:
+        lost = f", {self.lost_share:.2%} lost" if self.lost.any() else ""
+        return f"ClosedLoopReturns({self.summary.mean:.5g}, {len(self.values)} runs{lost})"
+
+    @property
+    def summary(self) -> Summary:
+        """Mean, 95 % interval and more of the runs that are not lost."""
+        return summarise(self.values[~self.lost])
+
+    @property
+    def lost_share(self) -> float:
+        """Fraction of the runs that diverged."""
+        return float(self.lost.mean()) if len(self.lost) else float("nan")
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class CoDesignResult(Immutable):
-    """The best evaluated iterate of the best start, and how it came about.
+    """The design and controller that a method found.
 
     Attributes
     ----------
     design : (np,) array
-    agent : ActorCritic
+    controller : callable
+        States (nx,) or (n, nx) to inputs.
+    method : str
+    status : CoDesignStatus
+    closed_loop : ClosedLoopReturns or None
+        On fresh scenarios of the problem, the same for every method that is given the same seed.
+    objective : float
+        What the method itself brought to its largest, as a return.
+    criterion : str
+        What that is, in words.
     active_bounds : dict
         Design parameters at a bound, with "lower" or "upper".
-    history : History
-        Of the start that won.
-    gradients : GradientCheck or None
-        Before its first move; None when the design is frozen.
-    limits : LimitsOutcome or None
-        How often and how far X is left, beside what was granted; None where the limits were switched off.
-    status : CoDesignStatus
-    method : {"pathwise", "ppo", "pathwise+ppo"}
-        What moved the policy.
-    gains : dict
-        What did the work, in units of the return: "design" is the gain of the first policy from the given design to the
-        one found, "policy" the gain of the policy found over the first one there.
-    convergence : Convergence or None
-    valleys : tuple of Valley
-        The local optima of the landscape, best first; empty where it was not looked at.
     active_constraints : dict
         Values of the constraints on the design that hold it, by name.
+    multipliers : dict
+        By how much the objective would rise per unit of an active bound or constraint, by name.
+    slope : float
+        What is left of the objective's slope along the directions that bounds and constraints leave: relative to the
+        part of the return that control makes, per length of the unit box. NaN where a method knows no slope.
+    evaluations : int
+        Of the criterion: closed loops on all its scenarios, trajectories, iterations of a program.
+    seconds : float
+    history : History
+        Of the start that won.
+    limits : LimitsOutcome or None
+        How often and how far X is left, beside what was granted; None where the limits were switched off.
+    valleys : tuple of Valley
+        The local optima of the landscape, best first; empty where it was not looked at.
     """
 
     design: Array
-    agent: ActorCritic
-    active_bounds: dict[str, str]
-    history: History
-    gradients: GradientCheck | None
-    limits: LimitsOutcome | None = None
-    status: CoDesignStatus = CoDesignStatus.BUDGET_SPENT
+    controller: Controller | None = None
     method: str = "pathwise"
-    gains: dict[str, float] = field(default_factory=dict)
-    convergence: Convergence | None = None
-    valleys: tuple[Valley, ...] = ()
+    status: CoDesignStatus = CoDesignStatus.BUDGET_SPENT
+    closed_loop: ClosedLoopReturns | None = None
+    objective: float = float("nan")
+    criterion: str = ""
+    active_bounds: dict[str, str] = field(default_factory=dict)
     active_constraints: dict[str, float] = field(default_factory=dict)
+    multipliers: dict[str, float] = field(default_factory=dict)
+    slope: float = float("nan")
+    evaluations: int = 0
+    seconds: float = float("nan")
+    history: History
+    limits: LimitsOutcome | None = None
+    valleys: tuple[Valley, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", frozen(np.array(self.design, dtype=float)))
@@ -252,37 +180,47 @@ class CoDesignResult(Immutable):
         if self.active_constraints:
             bounds += f", active constraints: {', '.join(self.active_constraints)}"
         found = f"design {_short(self.design)}, {self.status.value}, active bounds: {bounds}"
-        return f"CoDesignResult({found}, {self.method}, {self.history!r})"
-
-    @cached_property
-    def policy(self) -> LearnedPolicy:
-        """The policy at the design found, as a controller."""
-        return LearnedPolicy(self.agent, self.design)
+        loop = "" if self.closed_loop is None else f", return {self.closed_loop.summary.mean:.5g}"
+        return f"{type(self).__name__}({self.method}: {found}{loop}, {self.history!r})"
 
     def as_dict(self) -> dict[str, Any]:
         """How it ended, as plain values for a file."""
         return {
             "status": self.status.name, "meaning": self.status.value, "advice": self.status.advice,
-            "method": self.method, "gains": dict(self.gains), "valleys": [asdict(valley) for valley in self.valleys],
-            "convergence": None if self.convergence is None else asdict(self.convergence),
-            "active_constraints": dict(self.active_constraints),
+            "method": self.method, "valleys": [asdict(valley) for valley in self.valleys],
+            "active_constraints": dict(self.active_constraints), "multipliers": dict(self.multipliers),
+            "criterion": self.criterion, "objective": self.objective, "evaluations": self.evaluations,
         }  # fmt: skip
 
     def describe(self) -> list[str]:
-        """How it ended, what did the work, and the other valleys, one line each."""
-        ended = "" if self.convergence is None else f" after {self.convergence.iterations} iterations"
-        lines = [f"{self.method}: {self.status.value}{ended}. {self.status.advice}"]
-        if self.gains:
-            parts = (f"{gain:+.4g} from the {what}" for what, gain in self.gains.items())
-            lines.append(f"gain on the model: {', '.join(parts)}")
+        """How it ended, what holds the design, and the other valleys, one line each."""
+        lines = self._ended()
         if self.active_constraints:
             values = (f"{name} = {value:.3g}" for name, value in self.active_constraints.items())
             lines.append(f"active constraints, each to be ≤ 0: {', '.join(values)}")
-        if self.convergence is not None and self.convergence.by_differences:
-            lines.append("the design followed finite differences: the gradient through the model was wrong")
+        lines += self._remarks()
         if len(self.valleys) > 1:
             lines += [f"local optimum: {valley!r}" for valley in self.valleys]
         return lines
+
+    def _ended(self) -> list[str]:
+        """How it ended, one line each."""
+        lines = [f"{self.method}: {self.status.value} after {self.evaluations} evaluations. {self.status.advice}"]
+        if self.criterion:
+            lines.append(f"{self.criterion}: {self.objective:.6g}")
+        if self.closed_loop is not None:
+            summary = self.closed_loop.summary
+            low, high = summary.ci95
+            lost = f", {self.closed_loop.lost_share:.2%} of the runs lost" if self.closed_loop.lost.any() else ""
+            lines.append(f"in closed loop: {summary.mean:.6g} [{low:.6g}, {high:.6g}], {summary.n} runs{lost}")
+        if self.multipliers:
+            prices = (f"{name} {value:.3g}" for name, value in self.multipliers.items())
+            lines.append(f"gain per unit of what holds the design: {', '.join(prices)}")
+        return lines
+
+    def _remarks(self) -> list[str]:
+        """What else is to be known, one line each."""
+        return []
 
 
 def _short(design: Array) -> str:

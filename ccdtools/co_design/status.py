@@ -16,6 +16,7 @@ class CoDesignStatus(Enum):
     GRADIENT_UNTRUSTED = "design gradient untrusted"
     DIVERGING = "runs diverge"
     LIMITS_BROKEN = "limits broken"
+    INFEASIBLE = "no trajectory within the limits"
 
     @property
     def settled(self) -> bool:
@@ -38,13 +39,19 @@ _ADVICE = {
         "Deploy it, and let another generation follow: a redesign that keeps its promise may go further next time."
     ),
     CoDesignStatus.STILL_IMPROVING: "Raise CoDesignConfig.iterations: the last block still gained significantly.",
-    CoDesignStatus.BUDGET_SPENT: "Raise CoDesignConfig.iterations: the return still rises along the design.",
+    CoDesignStatus.BUDGET_SPENT: (
+        "Raise the budget (CoDesignConfig.iterations of learning, evaluations of other methods): the return still "
+        "rises along the design, or nobody knows that it does not."
+    ),
     CoDesignStatus.GRADIENT_UNTRUSTED: (
-        "Check that the objective is differentiable, or raise pathwise_runs: neither the gradient through the model "
-        "nor finite differences could be trusted."
+        "Check that the objective is differentiable, or raise the number of runs: neither the gradient through the "
+        "model nor finite differences could be trusted."
     ),
     CoDesignStatus.DIVERGING: "Check x0 and U: with this design and policy some runs cannot be recovered.",
+    CoDesignStatus.INFEASIBLE: (
+        'Widen X, take fewer runs, or set limit_tolerance="off": no inputs keep the named limits in all scenarios.'
+    ),
     CoDesignStatus.LIMITS_BROKEN: (
-        "Raise the tolerance of the limits or CoDesignConfig.iterations: they are left further than granted."
+        "Raise the tolerance of the limits or the budget: they are left further than granted."
     ),
 }

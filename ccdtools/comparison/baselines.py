@@ -2,77 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array
 from ccdtools.checks import as_generator, as_instance
+from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.comparison.pid_tuning import tuned_pid
-from ccdtools.controllers.controllers import Controller, LinearFeedback, Passive
-from ccdtools.plants.linear_model import LinearModel
-from ccdtools.plants.models import Model
-from mpc import LinearMPC, lqr
-
-if TYPE_CHECKING:
-    from mpc.optimal_control import NonlinearMPC
+from ccdtools.controllers.controllers import Controller, Passive
 
 REFERENCE = "LQR"
-HORIZON = 20  # steps, of the MPC
-
-
-def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:
-    """The LQR of the nominal model at one design, with its inputs clipped to U, or to U(p)."""
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    p = problem.design.check_one(design)
-    A, B, _ = problem.model.matrices(p)
-    K, _ = lqr(A, B, **problem.weights(p).keywords())
-    return LinearFeedback(K, *problem.input_bounds_at(p))
-
-
-def nonlinear_mpc(
-    problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON, iterations: int | None = 1
-) -> NonlinearMPC:
-    """MPC of the nominal model itself, linear or not, at one design.
-
-    Parameters
-    ----------
-    problem : CoDesignProblem
-    design : (np,) array
-    horizon : int
-        [steps]
-    iterations : int, optional
-        Quadratic programs a sample: 1 follows the optimum from sample to sample; None goes to the optimum in each.
-
-    Returns
-    -------
-    mpc.optimal_control.NonlinearMPC
-        With the limits of the problem at the design, its weights (of a custom objective those that LQR and MPC take),
-        and the disturbance at rest.
-    """
-    from mpc.optimal_control import NonlinearMPC
-
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    p = problem.design.check_one(design)
-    X, U = problem.kept_by_mpc(p), problem.input_limits(p)
-    return NonlinearMPC(
-        _at_rest(problem.model, p), problem.model.nx, problem.model.nu, **problem.weights(p).keywords(),
-        horizon=horizon, X=X, U=U, iterations=iterations,
-    )  # fmt: skip
-
-
-def _at_rest(model: Model, p: Array) -> ca.Function:
-    """(x, u) → x⁺ at a design, undisturbed."""
-    if isinstance(model, LinearModel):
-        x, u = ca.SX.sym("x", model.nx), ca.SX.sym("u", model.nu)
-        A, B, _ = model.matrices(p)
-        return ca.Function("step", [x, u], [ca.DM(A) @ x + ca.DM(B) @ u], ["x", "u"], ["value"])
-    kind: Any = ca.SX if model.step.is_a("SXFunction") else ca.MX
-    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
-    return ca.Function("step", [x, u], [model.step(x, u, ca.DM.zeros(model.nw), ca.DM(p))], ["x", "u"], ["value"])
 
 
 def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> dict[str, Controller]:
@@ -83,13 +22,9 @@ def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gen
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_generator("rng", rng)
     design = problem.design.check_one(design)
-    A, B, _ = problem.model.matrices(design)
     return {
         "passive": Passive(problem.model.nu),
         REFERENCE: saturated_lqr(problem, design),
         "PID": tuned_pid(problem, design, rng=rng),
-        "MPC": LinearMPC(
-            A, B, **problem.weights(design).keywords(), horizon=HORIZON, X=problem.kept_by_mpc(design),
-            U=problem.input_limits(design),
-        ),
+        "MPC": linear_mpc(problem, design),
     }

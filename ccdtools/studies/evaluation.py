@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.admissible import admissible_inputs
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import Risk, WorstCase, has_cases
-from ccdtools.comparison.baselines import baselines, saturated_lqr
+from ccdtools.comparison.baselines import baselines
 from ccdtools.comparison.comparison import Score, compare
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.comparison.baselines import saturated_lqr
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.comparison.comparison import compare
 from ccdtools.scenario import Scenario
 from ccdtools.studies.evaluation import Evaluation

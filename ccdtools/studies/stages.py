@@ -12,7 +12,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.expert import expert_dataset
-from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.progress import Echo
@@ -137,7 +137,7 @@ class LoopStages:
         return self._co_designed(result, chosen, twin, redesign)
 
     def _proposals(
-        self, result: CoDesignResult, current: InService, history: Sequence[GenerationRecord]
+        self, result: LearnedCoDesign, current: InService, history: Sequence[GenerationRecord]
     ) -> dict[str, InService]:
         """What is judged, by name: the redesign, its policy without its design, the start, and what was in service."""
         proposals = {"redesign": InService(result.agent, result.design)}
@@ -156,7 +156,7 @@ class LoopStages:
         return decisions
 
     def _redesign(
-        self, result: CoDesignResult, chosen: str | None, current: InService, decisions: Mapping[str, RedesignDecision]
+        self, result: LearnedCoDesign, chosen: str | None, current: InService, decisions: Mapping[str, RedesignDecision]
     ) -> dict[str, Any]:
         """What became of a redesign, as plain values; `chosen` names what is deployed in the place of `current`."""
         space = self.evaluation.problem.design
@@ -167,7 +167,7 @@ class LoopStages:
         }  # fmt: skip
 
     def _co_designed(
-        self, result: CoDesignResult, chosen: InService, twin: DigitalTwin, redesign: dict[str, Any] | None
+        self, result: LearnedCoDesign, chosen: InService, twin: DigitalTwin, redesign: dict[str, Any] | None
     ) -> Stage:
         """A co-design, with the policy and design that go into service, the decisions, and what they promise."""
         history = result.history
@@ -329,7 +329,7 @@ def _of_many_runs(config: CoDesignConfig) -> CoDesignConfig:
     return replace(config, pathwise_runs=MORE_EPISODES * config.pathwise_runs)
 
 
-def _limits(result: CoDesignResult) -> dict[str, Any] | None:
+def _limits(result: LearnedCoDesign) -> dict[str, Any] | None:
     """How a co-design kept its state limits, as plain values; None where they were switched off."""
     if result.limits is None:
         return None

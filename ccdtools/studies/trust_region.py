@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.sampled_model import SampledModel
@@ -119,7 +119,7 @@ def edges(design: Array, region: DesignSpace, space: DesignSpace) -> dict[str, s
     return {name: side for name, side in region.active_bounds(design).items() if bounds.get(name) != side}
 
 
-def in_whole_box(result: CoDesignResult, region: DesignSpace, space: DesignSpace) -> CoDesignResult:
+def in_whole_box(result: LearnedCoDesign, region: DesignSpace, space: DesignSpace) -> LearnedCoDesign:
     """A result found in a region as it is to be read in the whole box: its edges are no bounds of the design.
 
     A whole number is held by no slope: that the best one stands at an edge says as much.

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.comparison.baselines import saturated_lqr
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
 from ccdtools.twin.residuals import Residuals

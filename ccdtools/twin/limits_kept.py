@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.design_controllers import linear_mpc
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.limit_tolerance import BESIDE_MPC, FLOOR, MPC_RUNS, Pair, limited_mpc
+from ccdtools.co_design.limit_tolerance import BESIDE_MPC, FLOOR, MPC_RUNS, Pair
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.limits import StateLimits
 from ccdtools.outside import Outside
@@ -104,7 +105,7 @@ def _granted(problem: CoDesignProblem, scenario: Scenario, design: Array, limits
     """A quarter more than what MPC of a design does on a scenario; the least there is where it loses all runs."""
     least = Pair(FLOOR, FLOOR)
     try:
-        run = scenario.run(limited_mpc(problem, design), design=design, limit=problem.limit)
+        run = scenario.run(linear_mpc(problem, design), design=design, limit=problem.limit)
     except InputError:
         raise
     except MPCError:  # no law at this design, such as of a plant that cannot be stabilised

@@ -11,7 +11,8 @@ from joblib import Parallel, delayed
 
 import ccdtools as cc
 from ccdtools.co_design.expert import ExpertData
-from ccdtools.co_design.result import GradientCheck, History
+from ccdtools.co_design.learned_result import GradientCheck, LearnedCoDesign
+from ccdtools.co_design.result import History
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import residuals
@@ -55,7 +56,9 @@ def things(illustrative, clone, log):
         cc.FixedStart([0, 0], noise), cc.Reference([0, 0]), cc.LinearFeedback([[1.0]], [-1], [1]), cc.Passive(2),
         cc.PID([[1.0]], [1], [0], [0], dt=1.0, lower=[-1], upper=[1]), cc.CoDesignConfig(), cc.OnlineConfig(),
         ExpertData(np.zeros((200, 3)), np.zeros((200, 1)), np.zeros(200), 1.0, 0.0), history,
-        cc.CoDesignResult(P, clone(illustrative), {}, history, GradientCheck(("p",), P, P, P)),
+        LearnedCoDesign(
+            design=P, agent=clone(illustrative), history=history, gradients=GradientCheck(("p",), P, P, P),
+        ),
         cc.compare({"LQR": cc.LinearFeedback([[0.1, 0.1]])}, scenario, design=P, objective=illustrative.objective,
                    X=illustrative.X),
     ]  # fmt: skip

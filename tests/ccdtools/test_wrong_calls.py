@@ -386,7 +386,12 @@ CALLS = {
     "co-design by an unknown method": (lambda: codesign(method="magic"), "method"),
     "co-design by a dictionary": (lambda: codesign(config={"iterations": 5}), "config"),
     "co-design of a policy": (lambda: codesign(agent=POLICY), "agent"),
-    "co-design of nobody": (lambda: codesign(agent=None), "agent"),
+    "nested co-design of an agent": (lambda: codesign(method="nested"), "agent"),
+    "co-design by a class": (lambda: codesign(method=cc.Nested), "method"),
+    "nested co-design with an unknown controller": (lambda: cc.Nested("pid"), "inner"),
+    "simultaneous co-design of nothing": (lambda: cc.Simultaneous("nothing"), "unknowns"),
+    "sequential design by nothing": (lambda: cc.Sequential("price"), "criterion"),
+    "a search by an unknown library": (lambda: cc.Search("scipy"), "library"),
     "co-design of an agent without designs": (lambda: codesign(agent=agent(2)), "agent"),
     "co-design of an agent of another U": (lambda: codesign(agent=agent(action=5.0)), "agent"),
     "co-design of an agent of other designs": (

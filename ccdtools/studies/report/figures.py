@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.comparison.baselines import saturated_lqr
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import load_policy
 from ccdtools.studies.report import plotting, return_plots, style

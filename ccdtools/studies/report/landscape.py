@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.risk import Mean, measure
-from ccdtools.comparison.baselines import saturated_lqr
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.simulation import simulate
 from ccdtools.studies.report import return_plots, style

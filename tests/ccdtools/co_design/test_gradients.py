@@ -15,8 +15,8 @@ from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.gradient_check import check_gradients
+from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.reinforcement.gradients import loss_gradient, network_input_gradient
-from ccdtools.co_design.result import GradientCheck
 from ccdtools.twin.discrepancy import Discrepancy
 from learning.ppo import PPOConfig, ppo_loss, prepare
 from learning.quantile import QuantileNetwork

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ccdtools import InputError, simulate
-from ccdtools.comparison.baselines import baselines, saturated_lqr
+from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.comparison.baselines import baselines
 from ccdtools.comparison.comparison import compare, step_time
 from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
 from ccdtools.scenario import Scenario

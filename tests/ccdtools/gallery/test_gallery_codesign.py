@@ -10,8 +10,8 @@ from gallery.reference import reference, statement
 
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.expert import expert_dataset
-from ccdtools.comparison.baselines import saturated_lqr
 from ccdtools.simulation import simulate
 from ccdtools.studies import load_study
 from learning import fit_actor_critic

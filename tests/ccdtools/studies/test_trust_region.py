@@ -17,10 +17,12 @@ from ccdtools import (
     discretise,
     simulate,
 )
-from ccdtools.co_design.result import CoDesignResult, History
+from ccdtools.co_design.learned_result import LearnedCoDesign
+from ccdtools.co_design.result import History
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.studies.trust_region import LEAST_RADIUS, Doubt, Trust, doubt_of, edges, in_whole_box, within
+from learning.networks import ActorCritic, NetworkConfig
 from learning.quantile import QuantileConfig
 
 SCALE = np.array([4.0, 4.0])
@@ -121,8 +123,9 @@ def test_the_edge_of_the_region_is_no_bound_of_the_design(illustrative, clone):
     held = {where: edges(design, region.design, space) for where, design in at.items()}
     assert held == {"edge": {"p": "lower"}, "bound": {}, "between": {}}
     history = History(*(np.zeros(1) for _ in range(2)), np.zeros((1, 1)), *(np.zeros(1) for _ in range(3)))
-    found = {where: CoDesignResult(design, clone(illustrative), region.design.active_bounds(design), history, None,
-                                   status=CoDesignStatus.AT_BOUND) for where, design in at.items()}  # fmt: skip
+    found = {where: LearnedCoDesign(
+        design=design, agent=clone(illustrative), history=history, status=CoDesignStatus.AT_BOUND,
+        active_bounds=region.design.active_bounds(design)) for where, design in at.items()}  # fmt: skip
     read = {where: in_whole_box(result, region.design, space) for where, result in found.items()}
     assert read["edge"].status is CoDesignStatus.EDGE_OF_TRUST
     assert read["edge"].active_bounds == {}
@@ -170,7 +173,7 @@ def test_a_whole_number_may_take_the_next_one_in_the_smallest_region(box, centre
     assert region.feasible([centre, 2.5])
 
 
-def test_a_whole_number_at_the_edge_of_the_region_is_told_from_one_at_its_bound(clone, illustrative):
+def test_a_whole_number_at_the_edge_of_the_region_is_told_from_one_at_its_bound():
     problem = gears(1.6, 6.7)
     region = within(problem, np.array([4, 1.5]), LEAST_RADIUS).design
     assert edges(np.array([5, 1.5]), region, problem.design) == {"teeth": "upper"}
@@ -179,11 +182,13 @@ def test_a_whole_number_at_the_edge_of_the_region_is_told_from_one_at_its_bound(
     assert problem.design.active_bounds([6, 1.5]) == {"teeth": "upper"}
     assert edges(np.array([6, 1.5]), last, problem.design) == {}
     history = History(*(np.zeros(1) for _ in range(2)), np.zeros((1, 2)), *(np.zeros(1) for _ in range(3)))
+    agent = ActorCritic(*problem.observation_bounds, *problem.input_bounds, config=NetworkConfig((8,)), seed=0)
 
     def read(teeth, region):
         """What is said of a converged co-design of that many teeth."""
-        found = CoDesignResult(np.array([teeth, 1.5]), clone(illustrative), {}, history, None,
-                               status=CoDesignStatus.CONVERGED)  # fmt: skip
+        found = LearnedCoDesign(
+            design=np.array([teeth, 1.5]), agent=agent, history=history, status=CoDesignStatus.CONVERGED
+        )
         return in_whole_box(found, region, problem.design)
 
     assert read(5, region).status is CoDesignStatus.EDGE_OF_TRUST

@@ -1,0 +1,73 @@
+"""The usual controllers of a design: what a nested search closes the loop with, and every policy is compared with."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from numpy.typing import ArrayLike
+
+from ccdtools.checks import as_instance
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.controllers import Controller, LinearFeedback
+from ccdtools.plants.undisturbed_step import undisturbed_step
+from mpc import LinearMPC, lqr
+
+if TYPE_CHECKING:
+    from mpc.optimal_control import NonlinearMPC
+
+HORIZON = 20  # steps, of the MPC
+CONTROL = ("lqr", "mpc")
+
+
+def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:
+    """The LQR of the nominal model at one design, with its inputs clipped to U, or to U(p)."""
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    p = problem.design.check_one(design)
+    A, B, _ = problem.model.matrices(p)
+    K, _ = lqr(A, B, **problem.weights(p).keywords())
+    return LinearFeedback(K, *problem.input_bounds_at(p))
+
+
+def linear_mpc(problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON) -> LinearMPC:
+    """MPC of the nominal model at one design, or of its linearisation at rest, within the limits of that design."""
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    p = problem.design.check_one(design)
+    A, B, _ = problem.model.matrices(p)
+    own = problem.weights(p).keywords()
+    return LinearMPC(A, B, **own, horizon=horizon, X=problem.kept_by_mpc(p), U=problem.input_limits(p))
+
+
+def nonlinear_mpc(
+    problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON, iterations: int | None = 1
+) -> NonlinearMPC:
+    """MPC of the nominal model itself, linear or not, at one design.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    design : (np,) array
+    horizon : int
+        [steps]
+    iterations : int, optional
+        Quadratic programs a sample: 1 follows the optimum from sample to sample; None goes to the optimum in each.
+
+    Returns
+    -------
+    mpc.optimal_control.NonlinearMPC
+        With the limits of the problem at the design, its weights (of a custom objective those that LQR and MPC take),
+        and the disturbance at rest.
+    """
+    from mpc.optimal_control import NonlinearMPC
+
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    p = problem.design.check_one(design)
+    X, U = problem.kept_by_mpc(p), problem.input_limits(p)
+    return NonlinearMPC(
+        undisturbed_step(problem.model), problem.model.nx, problem.model.nu, p=p, **problem.weights(p).keywords(),
+        horizon=horizon, X=X, U=U, iterations=iterations,
+    )  # fmt: skip
+
+
+def controller_of(kind: str, problem: CoDesignProblem, design: ArrayLike) -> Controller:
+    """The controller of a design: "lqr" or "mpc"."""
+    return saturated_lqr(problem, design) if kind == "lqr" else linear_mpc(problem, design)

@@ -1,0 +1,187 @@
+"""What a co-design by learning returns beside the rest: the agent, and how policy and design came about."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.checks import as_vector
+from ccdtools.co_design.result import CoDesignResult
+from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.statistics import PairedDifference
+from learning.networks import ActorCritic
+
+TRUSTED = 0.2  # relative error of a gradient's length and direction that Adam does not mind,
+ERRORS = 3.0  # beyond so many standard errors
+LEVEL = 1e-3  # of the return per length of the box: a slope without consequence
+
+ROWS = (
+    ("finite differences", "finite_difference"), ("pathwise", "pathwise"), ("network input (paper)", "network_input"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GradientCheck(Immutable):
+    """The design gradient of the mean return by each method, at one design, (np,) per unit-box length.
+
+    Attributes
+    ----------
+    names : tuple of str
+    finite_difference : array
+        Central differences under common random numbers: the reference.
+    pathwise : array
+        Backpropagation through dynamics, policy and reward.
+    network_input : array
+        The paper's: through the networks' inputs of the PPO loss, the states taken as constants.
+    finite_difference_error, pathwise_error : array
+        Standard errors over the runs.
+    deviation_error : array
+        Standard error of the difference between pathwise and finite differences, run by run.
+    scale : float
+        |mean return| without the cost of the design.
+    """
+
+    names: tuple[str, ...]
+    finite_difference: Array
+    pathwise: Array
+    network_input: Array
+    finite_difference_error: ArrayField = 0.0
+    pathwise_error: ArrayField = 0.0
+    deviation_error: ArrayField = 0.0
+    scale: float = 0.0
+
+    def __post_init__(self) -> None:
+        size = len(self.names)
+        for column in fields(self)[1:-1]:
+            value = np.broadcast_to(np.asarray(getattr(self, column.name), dtype=float), (size,)).copy()
+            object.__setattr__(self, column.name, frozen(value))
+
+    def __repr__(self) -> str:
+        cosines = (f"{method} {self.cosine(method):.3f}" for method in ("pathwise", "network_input"))
+        verdict = "trusted" if self.trusted else "not trusted"
+        return f"GradientCheck(cosine with finite differences: {', '.join(cosines)}; pathwise {verdict})"
+
+    def cosine(self, method: str) -> float:
+        """Cosine of the angle between a method's gradient and the finite differences."""
+        a = getattr(self, method)
+        b = self.finite_difference
+        return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
+
+    def length(self, method: str) -> float:
+        """Length of a method's gradient relative to that of the finite differences."""
+        reference = max(float(np.linalg.norm(self.finite_difference)), 1e-300)
+        return float(np.linalg.norm(getattr(self, method))) / reference
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the pathwise gradient agrees with finite differences in length and direction.
+
+        The difference of the two vectors is at most a fifth of the reference's length, beyond three standard errors and
+        a slope that does not matter. With one parameter, that is length and sign.
+        """
+        if not (np.isfinite(self.pathwise).all() and np.isfinite(self.finite_difference).all()):
+            return False
+        deviation = np.linalg.norm(self.pathwise - self.finite_difference)
+        errors = (np.linalg.norm(self.deviation_error), np.linalg.norm(self.finite_difference_error))
+        allowed = TRUSTED * np.linalg.norm(self.finite_difference) + ERRORS * min(errors) + LEVEL * self.scale
+        return bool(deviation <= allowed)
+
+    def __str__(self) -> str:
+        rows = [f"{'design gradient (unit box)':<28}" + "".join(f"{name:>24}" for name in self.names)
+                + "     cosine     length"]  # fmt: skip
+        for label, method in ROWS:
+            errors = getattr(self, f"{method}_error", None)
+            columns = [f"{value:.5g}" for value in getattr(self, method)]
+            if errors is not None:
+                columns = [f"{value} ± {error:.2g}" for value, error in zip(columns, errors)]
+            values = "".join(f"{value:>24}" for value in columns)
+            rows.append(f"{label:<28}{values}{self.cosine(method):11.3f}{self.length(method):11.3g}")
+        if not self.trusted:
+            rows.append("the pathwise gradient differs from finite differences by more than chance")
+        return "\n".join(rows)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Convergence(Immutable):
+    """What a status rests on.
+
+    Attributes
+    ----------
+    gain : PairedDifference
+        Of the last block, on the fixed evaluation scenarios.
+    slope, slope_error : (np,) arrays
+        Projected design gradient at the end by finite differences per unit-box length, and its standard error; zero
+        where the design is frozen, or at a bound that the return rises across.
+    by_differences : bool
+        Whether the design moved along finite differences, because the gradient through the model was wrong.
+    blocks, iterations : int
+        Of the start that won.
+    """
+
+    gain: PairedDifference
+    slope: Array
+    slope_error: Array
+    by_differences: bool
+    blocks: int
+    iterations: int
+
+    def __post_init__(self) -> None:
+        for name in ("slope", "slope_error"):
+            object.__setattr__(self, name, as_vector(name, np.nan_to_num(getattr(self, name))))
+
+    def __repr__(self) -> str:
+        return f"Convergence({self.iterations} iterations, last block {self.gain.mean:+.3g})"
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class LearnedCoDesign(CoDesignResult):
+    """The best evaluated iterate of the best start of a co-design by learning.
+
+    Attributes
+    ----------
+    agent : ActorCritic
+    gradients : GradientCheck or None
+        Before its first move; None when the design is frozen.
+    gains : dict
+        What did the work, in units of the return: "design" is the gain of the first policy from the given design to the
+        one found, "policy" the gain of the policy found over the first one there.
+    convergence : Convergence or None
+    """
+
+    agent: ActorCritic
+    gradients: GradientCheck | None = None
+    gains: dict[str, float] = field(default_factory=dict)
+    convergence: Convergence | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "controller", LearnedPolicy(self.agent, self.design))
+
+    @property
+    def policy(self) -> LearnedPolicy:
+        """The policy at the design found, as a controller."""
+        assert isinstance(self.controller, LearnedPolicy)
+        return self.controller
+
+    def as_dict(self) -> dict[str, Any]:
+        """How it ended, as plain values for a file."""
+        convergence = None if self.convergence is None else asdict(self.convergence)
+        return super().as_dict() | {"gains": dict(self.gains), "convergence": convergence}
+
+    def _ended(self) -> list[str]:
+        """How it ended, and what did the work, one line each."""
+        ended = "" if self.convergence is None else f" after {self.convergence.iterations} iterations"
+        lines = [f"{self.method}: {self.status.value}{ended}. {self.status.advice}"]
+        if self.gains:
+            parts = (f"{gain:+.4g} from the {what}" for what, gain in self.gains.items())
+            lines.append(f"gain on the model: {', '.join(parts)}")
+        return lines
+
+    def _remarks(self) -> list[str]:
+        """What else is to be known, one line each."""
+        if self.convergence is not None and self.convergence.by_differences:
+            return ["the design followed finite differences: the gradient through the model was wrong"]
+        return []

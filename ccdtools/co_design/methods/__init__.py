@@ -1,0 +1,1 @@
+"""The ways to co-design, each an object with the one method `run`."""

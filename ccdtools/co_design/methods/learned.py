@@ -1,0 +1,168 @@
+"""Co-design by learning: policy and design together along gradients through the model, by PPO, or by both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_choice, as_instance, has_method
+from ccdtools.co_design.agents import check_agent
+from ccdtools.co_design.ascent import Ascent
+from ccdtools.co_design.configuration import METHODS, CoDesignConfig
+from ccdtools.co_design.episodes import episode_at
+from ccdtools.co_design.expert import expert_dataset
+from ccdtools.co_design.learned_result import LearnedCoDesign
+from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
+from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import Valley
+from ccdtools.co_design.risk import check_followed, measure
+from ccdtools.co_design.starts import chosen_valleys, leader, race, start_designs
+from ccdtools.co_design.task import LimitPenalty, Task
+from ccdtools.exceptions import InputError
+from learning.networks import ActorCritic
+from learning.warm_start import fit_actor_critic
+
+SAMPLES = 1000  # candidates of the expert's data, where no agent is given
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learned:
+    """A policy and a design that climb together, from a policy that imitates an expert.
+
+    Attributes
+    ----------
+    by : {"pathwise", "ppo", "pathwise+ppo"}
+        What moves the policy: its gradient through the model, PPO, or both. `config.design_gradient` says what moves
+        the design.
+    agent : ActorCritic, optional
+        Warm start, from `learning.fit_actor_critic`; copied, not changed. By default one that imitates saturated LQR
+        is made.
+    config : CoDesignConfig
+    judge : CoDesignProblem, optional
+        What the iterates are scored on, if not the problem itself: for example replays of what was logged, where
+        the problem holds a learned model whose errors an optimiser may exploit.
+    limits : optional
+        What leaving X costs, see `LimitPenalty`; by default what `judge.limit_tolerance` asks for.
+    """
+
+    by: str = "pathwise"
+    agent: ActorCritic | None = None
+    config: CoDesignConfig | None = None
+    judge: CoDesignProblem | None = None
+    limits: LimitPenalty | None = None
+
+    def __post_init__(self) -> None:
+        as_choice("method", self.by, METHODS)
+        config = CoDesignConfig() if self.config is None else self.config
+        object.__setattr__(self, "config", as_instance("config", config, CoDesignConfig, "a CoDesignConfig"))
+        if self.judge is not None:
+            as_instance("judge", self.judge, CoDesignProblem, "a CoDesignProblem or None")
+        if self.limits is not None:
+            has_method("limits", self.limits, "prices", "a LimitPenalty, such as a StateLimitPenalty, or None")
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        return self.by
+
+    def run(
+        self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
+    ) -> LearnedCoDesign:
+        """The best design and policy found from a feasible design (np,)."""
+        config: Any = self.config
+        judge = problem if self.judge is None else self.judge
+        check_followed(problem.risk, self.by, config.design_gradient)
+        _check_judge(problem, judge)
+        _check_objective(problem)
+        agent = warm_start(problem, rng, progress=progress) if self.agent is None else self.agent
+        check_agent(problem, agent)
+        limits = self.limits
+        if limits is None and judge.limit_tolerance != "off":
+            limits = StateLimitPenalty(judge)
+            warn_of_unavoidable_depth(judge, design)
+        task = Task(problem, judge, self.by, config, limits)
+        found = chosen_valleys(task, design, rng)
+        ascents = race(task, agent, start_designs(task, design, found), rng, progress=progress)
+        return _result(task, ascents, agent, design, found)
+
+
+def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: bool = False) -> ActorCritic:
+    """An agent that imitates saturated LQR over X and the box of designs."""
+    data = expert_dataset(problem, samples=SAMPLES, rng=rng, progress=progress)
+    return fit_actor_critic(
+        data.inputs, data.actions, data.values, action_bounds=problem.action_bounds,
+        input_bounds=problem.observation_bounds, rng=rng, progress=progress,
+    )  # fmt: skip
+
+
+def _result(
+    task: Task, ascents: list[Ascent], agent: ActorCritic, design: Array, found: tuple[Valley, ...]
+) -> LearnedCoDesign:
+    """The winner of the race, with what the others came to."""
+    winner = ascents[0]
+    space = task.problem.design
+    best = winner.region.settled(winner.best.v)
+    assert winner.status is not None
+    return LearnedCoDesign(
+        design=best, agent=winner.best.agent, method=task.method, status=winner.status,
+        objective=winner.best.score, criterion=f"{measure(task.judge.risk)} return of the policy on fixed scenarios",
+        active_bounds=space.active_bounds(best), active_constraints=space.active_constraints(best),
+        evaluations=sum(ascent.iterations for ascent in ascents), history=winner.history(), limits=winner.best.limits,
+        valleys=_with_ends(found, ascents, design), gradients=winner.check, gains=_gains(task, winner, agent, design),
+        convergence=winner.convergence(),
+    )  # fmt: skip
+
+
+@torch.no_grad()
+def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dict[str, float]:
+    """What design and policy gained, one after the other, on the evaluation scenarios."""
+    first = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32)
+    before, moved = (
+        task.judge.risk.values(episode_at(task.judge, agent, v, winner.evaluation).total).mean().item()
+        for v in (first, winner.best.v)
+    )
+    return {"design": moved - before, "policy": winner.best.score - moved}
+
+
+def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], design: Array) -> tuple[Valley, ...]:
+    """The valleys, with where the best co-design that began on each of them ended; `design` is the given one."""
+    named = []
+    for valley in found:
+        places = [valley.design, design] if valley.given else [valley.design]
+        begun = [one for one in ascents if any(np.array_equal(one.start, place) for place in places)]
+        if begun:
+            first = leader(begun)
+            end = first.region.settled(first.best.v)
+            valley = replace(valley, found=end, found_return=first.best.score)
+        named.append(valley)
+    return tuple(named)
+
+
+def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:
+    """Raise an `InputError` unless the judge has the states, inputs and box of designs of `problem`."""
+    own = problem.design
+    other = judge.design
+    same_box = own.names == other.names and np.array_equal([own.lower, own.upper], [other.lower, other.upper])
+    if not same_box or (judge.model.nx, judge.model.nu) != (problem.model.nx, problem.model.nu):
+        raise InputError("judge", repr(judge), "the states, inputs and box of designs of the problem")
+
+
+def _check_objective(problem: CoDesignProblem) -> None:
+    """Raise an `InputError` unless the objective gives one differentiable reward per row of torch tensors."""
+    x = torch.zeros(2, problem.model.nx, requires_grad=True)
+    u = torch.zeros(2, problem.model.nu, requires_grad=True)
+    try:
+        rewards = problem.objective.rewards(x, u, x, torch.tensor(problem.design.centre, dtype=x.dtype))
+        fits = torch.is_tensor(rewards) and rewards.shape == (2,) and rewards.requires_grad
+    except (TypeError, ValueError, RuntimeError, AttributeError):
+        fits = False
+    if not fits:
+        raise InputError(
+            "objective", f"a {type(problem.objective).__name__} whose rewards do not take torch tensors",
+            "rewards (n,) of states (n, nx) and inputs (n, nu), NumPy arrays and torch tensors alike",
+        )  # fmt: skip

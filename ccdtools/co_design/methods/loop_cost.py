@@ -1,0 +1,141 @@
+"""The cost of a law in closed loop as a function of the design alone, on fixed scenarios, with its exact slope."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design
+from ccdtools.co_design.episodes import Episode, simulated
+from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.methods.laws import DesignLaw
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import History
+from ccdtools.co_design.task import LimitPenalty
+from ccdtools.controllers.controllers import Controller
+from ccdtools.exceptions import InputError
+from mpc import MPCError
+
+STEP = 1e-4  # of the unit box: of differences
+
+
+@dataclass(eq=False)
+class LoopCost:
+    """Minus the mean return of a law at points of the unit box, all on the same scenarios.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        Its discrepancy, risk and limits are honoured.
+    law : DesignLaw
+    scenarios : tensors (n, nx) and (n, T, nw)
+    penalty : LimitPenalty, optional
+        What leaving the limits costs.
+
+    Attributes
+    ----------
+    rows : list
+        Of the history: one for every evaluation.
+    """
+
+    problem: CoDesignProblem
+    law: DesignLaw
+    scenarios: ScenarioTensors
+    penalty: LimitPenalty | None = None
+    rows: list[tuple] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.problem = in_double(self.problem)
+        x0, w = self.scenarios
+        self.scenarios = x0.double(), w.double()
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        return f"{self.law.words} in closed loop on {len(self.scenarios[0])} scenarios"
+
+    def __call__(self, v: Array) -> tuple[float, Array]:
+        """Cost and its slope (np,) at a point (np,); infinite where the law has no gain there."""
+        if not self.law.differentiable:
+            return self._value(v), self._differences(v)
+        point = torch.tensor(v, dtype=torch.float64, requires_grad=True)
+        cost = self._cost(point, v)
+        if cost is None or not cost.requires_grad:
+            return np.inf if cost is None else float(cost), np.zeros(len(v))
+        (slope,) = torch.autograd.grad(cost, point)
+        return float(cost.detach()), slope.numpy()
+
+    @torch.no_grad()
+    def _value(self, v: Array, *, remember: bool = True) -> float:
+        """The cost alone."""
+        cost = self._cost(torch.tensor(v, dtype=torch.float64), v if remember else None)
+        return np.inf if cost is None else float(cost)
+
+    def _differences(self, v: Array) -> Array:
+        """Slopes (np,) of the closed loops themselves: central, at a bound one-sided."""
+        slope = np.zeros(len(v))
+        for i in np.flatnonzero(self.problem.design.allowed.free):
+            ends = []
+            for side in (STEP, -STEP):
+                at = v.copy()
+                at[i] = np.clip(v[i] + side, 0.0, 1.0)
+                ends.append((at[i], self._value(at, remember=False)))
+            (high, above), (low, below) = ends
+            slope[i] = (above - below) / (high - low)
+        return slope
+
+    def _cost(self, point: Tensor, v: Array | None) -> Tensor | None:
+        """The cost at a point; None where the law has no gain there. A point `v` is a row of the history."""
+        try:
+            seen = self._episode(point)
+        except (MPCError, InputError):
+            return None
+        values = self.problem.risk.values(seen.total)
+        if v is not None:
+            self._remember(v, values.detach(), seen.diverged)
+        cost = -values.mean()
+        if self.penalty is not None and self.penalty.active and not bool(seen.diverged.any()):
+            cost = cost + self.penalty.cost(seen, point)
+        return cost
+
+    def updated(self, penalty: StateLimitPenalty, v: Array) -> tuple[Episode, StateLimitPenalty]:
+        """Episodes at a point, and the penalty after them."""
+        seen = self.seen(v)
+        if bool(seen.diverged.any()):
+            return seen, penalty
+        x0, w = self.scenarios
+        return seen, penalty.updated(seen, torch.tensor(v, dtype=torch.float32), (x0.float(), w.float()))
+
+    @torch.no_grad()
+    def seen(self, v: Array) -> Episode:
+        """Its episodes at a point, with what leaves the limits."""
+        return self._episode(torch.tensor(v, dtype=torch.float64), depths=True)
+
+    def _episode(self, v: Tensor, *, depths: bool = False) -> Episode:
+        """Episodes at a point of the unit box."""
+        p = to_design(self.problem, v)
+        law = self.law.law(self.problem, p)
+        watched = depths or (self.penalty is not None and self.penalty.active)
+        return simulated(Stepper.at(self.problem, p), law, self.scenarios, depths=watched)
+
+    def _remember(self, v: Array, values: Tensor, lost: Tensor) -> None:
+        """Another row of the history."""
+        kept = values[~lost]
+        mean = kept.mean().item() if len(kept) else float("nan")
+        std = kept.std().item() if len(kept) > 1 else 0.0
+        count = len(self.rows) + 1
+        samples = self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
+        design = self.problem.design.from_unit(v)
+        self.rows.append((count, count * samples, design, mean, std, lost.double().mean().item()))
+
+    def controller(self, p: Array) -> Controller:
+        """The law at a design, for use."""
+        return self.law.controller(self.problem, p)
+
+    def history(self) -> History:
+        """All evaluations so far."""
+        return History(*(np.array(column) for column in zip(*self.rows)))

@@ -1,0 +1,118 @@
+"""Nested co-design: an outer search over the designs, and inside it the controller of each design.
+
+References
+----------
+Fathy, Reyer, Papalambros and Ulsoy, "On the coupling between the plant and controller optimization problems", ACC
+2001; Herber and Allison, "Nested and simultaneous solution strategies for general combined plant and control design
+problems", Journal of Mechanical Design 141, 2019.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_choice, as_count
+from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, NonlinearMPCLaw
+from ccdtools.co_design.methods.learned import warm_start
+from ccdtools.co_design.methods.learned_cost import LearnedCost
+from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.methods.open_loop import drawn
+from ccdtools.co_design.methods.riccati_cost import RiccatiCost
+from ccdtools.co_design.methods.searched import DesignCost, Plan, searched
+from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import CoDesignResult
+from learning.networks import ActorCritic
+
+RUNS = {"lqr": 1000, "mpc": 32, "nmpc": 16, "riccati": 1, "trajectory": 8, "rl": 256}  # scenarios of 100 steps
+NAMES = {"lqr": "LQR", "mpc": "MPC", "nmpc": "NMPC", "riccati": "Riccati", "trajectory": "trajectory", "rl": "RL"}
+OUTER = {"rl": 12}  # evaluations, where the inside takes long
+ALL = 100
+
+
+@dataclass(frozen=True)
+class Nested:
+    """An outer search by SQP along slopes; inside, for every design, its own controller.
+
+    Attributes
+    ----------
+    inner : {"lqr", "riccati", "mpc", "nmpc", "trajectory", "rl"}
+        In closed loop on fixed scenarios: saturated LQR ("lqr"; slopes exact, through the Riccati equation and the
+        simulation), linear or nonlinear MPC (slopes by differences of closed loops), a policy trained at every design
+        ("rl", the bi-level form; slopes by the envelope theorem). Without a simulation: LQR that never saturates
+        ("riccati"). In open loop: the best inputs of every scenario, its disturbance known ahead ("trajectory"; slopes
+        exact, by multipliers).
+    runs : int, optional
+        Scenarios of 100 steps; of longer ones fewer are taken. By default 1000 of LQR, 32 of MPC, 16 of nonlinear MPC,
+        8 of trajectories, 256 of learning.
+    starts : int
+        Designs to start from: the given one, and the best valleys of the landscape of saturated LQR.
+    evaluations : int, optional
+        With their slopes, at most, of each start; 100 by default, 12 of learning, which starts once.
+    horizon : int
+        Steps of an MPC.
+    control : {"lqr", "mpc"}
+        What closes the loop where the inside is a trajectory.
+    by : {"pathwise", "ppo", "pathwise+ppo"}
+        What trains the policy of "rl".
+    agent : ActorCritic, optional
+        Its warm start; by default one that imitates saturated LQR is made.
+    """
+
+    inner: str = "lqr"
+    runs: int | None = None
+    starts: int = 3
+    evaluations: int | None = None
+    horizon: int = 20
+    control: str = "lqr"
+    by: str = "pathwise"
+    agent: ActorCritic | None = None
+
+    def __post_init__(self) -> None:
+        as_choice("inner", self.inner, tuple(RUNS))
+        as_choice("control", self.control, ("lqr", "mpc"))
+        as_choice("by", self.by, ("pathwise", "ppo", "pathwise+ppo"))
+        for name in ("starts", "horizon"):
+            as_count(name, getattr(self, name))
+        for name in ("runs", "evaluations"):
+            if getattr(self, name) is not None:
+                as_count(name, getattr(self, name))
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        return f"nested {NAMES[self.inner]}"
+
+    def run(
+        self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
+    ) -> CoDesignResult:
+        """The best design found from a feasible design (np,) and other valleys, with its controller."""
+        starts = 1 if self.inner == "rl" else self.starts
+        plan = Plan(self.name, starts, self.evaluations or OUTER.get(self.inner, ALL))
+        cost_from = self._cost_from(problem, rng, progress)
+        return searched(plan, problem, cost_from, design, rng, progress=progress)
+
+    def _cost_from(
+        self, problem: CoDesignProblem, rng: np.random.Generator, progress: bool
+    ) -> Callable[[Array], DesignCost]:
+        """The cost of a search that starts at a point of the unit box."""
+        runs = self.runs or RUNS[self.inner]
+        if self.inner == "riccati":
+            return lambda v: RiccatiCost(problem)
+        if self.inner == "trajectory":
+            given = drawn(problem, runs, rng)
+            return lambda v: TrajectoryCost(problem, given, problem.design.settled(v), self.control)
+        scenarios = scenario_tensors(problem, fewer_runs(runs, problem.steps), rng)
+        if self.inner == "rl":
+            agent = warm_start(problem, rng, progress=progress) if self.agent is None else self.agent
+            return lambda v: LearnedCost(problem, agent, scenarios, rng, self.by)
+        laws: dict[str, DesignLaw] = {
+            "lqr": LQRLaw(), "mpc": MPCLaw(self.horizon), "nmpc": NonlinearMPCLaw(self.horizon)
+        }  # fmt: skip
+        return lambda v: LoopCost(problem, laws[self.inner], scenarios)

@@ -1,0 +1,261 @@
+"""A co-design problem as one of optimal control: trajectories under given disturbances, and the design beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.custom_objective import CustomObjective
+from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.risk import Mean, WorstCase
+from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.design_limits import DesignLimits
+from ccdtools.exceptions import InputError
+from mpc import MPCError
+from mpc.optimal_control import OptimalControlProblem, Phase
+
+SOFT = 1e-3  # of the range of an input: how far from a bound its saturation is rounded off
+CURE = "Nested or learned co-design simulates the problem as it is."
+
+
+def open_loop_problem(
+    problem: CoDesignProblem, scenarios: tuple[Array, Array], *, design: Array, guess: list[Any] | None = None,
+    feedback: Feedback | None = None, constrained: bool = True,
+) -> OptimalControlProblem:  # fmt: skip
+    """The best trajectories of the given scenarios, with a design that they share.
+
+    Each scenario has inputs of its own, chosen with its whole disturbance known: what no controller can do, and what
+    bounds them all. With `feedback`, the inputs are those of a gain that they share, too.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    scenarios : arrays (n, nx) and (n, T, nw)
+    design : (np,) array
+        To start from; its whole numbers are held.
+    guess : list of (times, x, u), optional
+        Of every scenario.
+    feedback : Feedback, optional
+    constrained : bool
+        Whether the constraints on the design are part of it.
+
+    Raises
+    ------
+    InputError
+        If the problem asks for what trajectories cannot honour: a learned error, a cost without a symbolic form, a
+        warm-up, or a risk other than the mean and the worst case.
+    """
+    check_open_loop(problem)
+    x0, w = scenarios
+    sizes = problem.model.nx, problem.model.nu, problem.design.dim
+    phases = [
+        _phase(problem, x0[i], w[i], None if guess is None else guess[i], feedback) for i in range(len(x0))
+    ]
+    space = problem.design
+    lower, upper = space.lower.copy(), space.upper.copy()
+    lower[space.whole] = upper[space.whole] = design[space.whole]
+    first = design
+    if feedback is not None:
+        lower, upper = np.r_[lower, feedback.lower], np.r_[upper, feedback.upper]
+        first = np.r_[design, feedback.first]
+    given: dict[str, Any] = {}
+    cost = problem.objective.design_cost
+    if cost is not None:
+        function, share = cost.function(sizes[2]), problem.steps / (problem.objective.episode or problem.steps)
+        given["p_cost"] = lambda p: function(p[: sizes[2]]) * share
+    if constrained and space.constraints is not None:
+        limits = space.constraints
+        given["p_constraints"] = lambda p: limits(p[: sizes[2]])
+    return OptimalControlProblem(
+        phases, p_bounds=(lower, upper), p_guess=first, linked=False,
+        risk="worst" if isinstance(problem.risk, WorstCase) else "sum", **given,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """u = −K x, saturated: K among the parameters, after the design, so that it is found with it.
+
+    The saturation is rounded off, by at most half of `SOFT` times the range of an input, so that it has derivatives.
+    """
+
+    problem: CoDesignProblem
+    K: Array
+
+    @property
+    def first(self) -> Array:
+        """The gain to start from, by columns."""
+        return np.asarray(self.K.ravel(order="F"))
+
+    @property
+    def lower(self) -> Array:
+        """No bounds."""
+        return np.full(self.K.size, -np.inf)
+
+    @property
+    def upper(self) -> Array:
+        """No bounds."""
+        return np.full(self.K.size, np.inf)
+
+    def inputs(self, x: Any, p: Any, size: int) -> Any:
+        """Inputs (nu) at a state and all parameters, the first `size` of them the design."""
+        asked = -ca.reshape(p[size:], *self.K.shape) @ x
+        U = self.problem.U
+        if isinstance(U, DesignLimits):
+            lower, upper = ca.vertsplit(U.both.function(size)(p[:size]), U.dim)
+        else:
+            lower, upper = (ca.DM(bound) for bound in self.problem.input_bounds)
+        soft = SOFT * (upper - lower)
+        return (lower + upper + ca.sqrt((asked - lower) ** 2 + soft**2) - ca.sqrt((asked - upper) ** 2 + soft**2)) / 2
+
+
+def check_open_loop(problem: CoDesignProblem) -> None:
+    """Raise an `InputError` if trajectories cannot honour what a problem asks for."""
+    objective = problem.objective
+    symbolic = isinstance(objective, CustomObjective) or (
+        isinstance(objective, QuadraticObjective) and type(objective).rewards is QuadraticObjective.rewards
+    )
+    refused = {
+        "a problem with a learned error of its model": problem.discrepancy is not None,
+        f"a {type(objective).__name__} whose rewards are no CasADi expression": not symbolic,
+        "a problem with a warm-up": problem.warm_up > 0,
+        f"the risk {problem.risk!r}": not isinstance(problem.risk, Mean | WorstCase),
+    }
+    for got, is_so in refused.items():
+        if is_so:
+            raise InputError("method", f"optimal trajectories of {got}", "a problem that they can honour", CURE)
+
+
+def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: Any) -> Phase:
+    """One scenario."""
+    nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
+    step = problem.model.step
+    stage, terminal = costs(problem)
+    limits = _limits(problem, feedback is not None)
+    lower, upper = problem.input_bounds
+    if guess is not None and feedback is not None:
+        guess = (guess[0], guess[1], np.zeros((len(guess[0]), 0)))
+    signal = np.vstack([w, w[-1:]]) if w.shape[1] else None
+
+    def next_state(x: Any, u: Any, w: Any, p: Any) -> Any:
+        """x⁺."""
+        return step(x, u if feedback is None else feedback.inputs(x, p, size), w, p[:size])
+
+    def stage_cost(x: Any, u: Any, p: Any) -> Any:
+        """Of the present state."""
+        return stage(x, u if feedback is None else feedback.inputs(x, p, size), p[:size])
+
+    def path(x: Any, u: Any, p: Any) -> Any:
+        """Limits, each to be ≤ 0."""
+        return limits(x, u if feedback is None else feedback.inputs(x, p, size), p[:size])
+
+    return Phase(
+        dynamics=next_state, states=nx, inputs=0 if feedback is not None else nu, stage_cost=stage_cost,
+        terminal_cost=lambda x, p: terminal(x, p[:size]) - first_cost(problem, x0), start=x0, duration=len(w),
+        discrete=True, u_bounds=(None, None) if feedback is not None else (lower, upper),
+        path=None if limits is None else path, signal=signal, guess=guess,
+    )  # fmt: skip
+
+
+def costs(problem: CoDesignProblem) -> tuple[Any, Any]:
+    """(x, u, p) → cost of a step, by its present state, and (x, p) → that of the end."""
+    objective = problem.objective
+    nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
+    if isinstance(objective, CustomObjective):
+        end = objective.terminal_cost
+        return objective.stage_cost.function(nx, nu, size), (
+            (lambda x, p: 0.0) if end is None else end.function(nx, size)
+        )
+    assert isinstance(objective, QuadraticObjective)
+    Q, R = ca.DM(objective.Q), ca.DM(objective.R)
+    S = None if objective.S is None else ca.DM(objective.S)
+
+    def stage(x: Any, u: Any, p: Any) -> Any:
+        """A step is charged for its next state; summed up, that is every present one but the first, and the last."""
+        own = ca.bilin(Q, x, x) + ca.bilin(R, u, u)
+        return own if S is None else own + 2 * ca.bilin(S, x, u)
+
+    return stage, lambda x, p: ca.bilin(Q, x, x)
+
+
+def first_cost(problem: CoDesignProblem, x0: Array) -> float:
+    """What the stage costs charge for a first state, which an objective of next states does not."""
+    objective = problem.objective
+    return float(x0 @ objective.Q @ x0) if isinstance(objective, QuadraticObjective) else 0.0
+
+
+def _limits(problem: CoDesignProblem, fed_back: bool) -> Any:
+    """(x, u, p) → limits on states, inputs and outputs that are no bounds of the inputs, each ≤ 0; None if none."""
+    parts: list[Any] = []
+    nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
+    if isinstance(problem.U, DesignLimits) and not fed_back:
+        parts.append(_beyond(problem.U, size, lambda x, u: u))
+    if problem.limit_tolerance != "off":
+        if isinstance(problem.X, DesignLimits):
+            parts.append(_beyond(problem.X, size, lambda x, u: x))
+        else:
+            F, g = ca.DM(problem.X.A), ca.DM(problem.X.b)
+            parts.append(lambda x, u, p: F @ x - g)
+        if problem.output_limits is not None:
+            parts.append(_outputs(problem.output_limits, (nx, nu, size)))
+    if not parts:
+        return None
+    return lambda x, u, p: ca.vertcat(*(part(x, u, p) for part in parts))
+
+
+def _beyond(limits: DesignLimits, size: int, of: Any) -> Any:
+    """How far bounds that depend on the design are exceeded."""
+    both = limits.both.function(size)
+
+    def beyond(x: Any, u: Any, p: Any) -> Any:
+        """Each ≤ 0."""
+        lower, upper = ca.vertsplit(both(p), limits.dim)
+        return ca.vertcat(of(x, u) - upper, lower - of(x, u))
+
+    return beyond
+
+
+def _outputs(limits: Any, sizes: tuple[int, int, int]) -> Any:
+    """How far limits of outputs are exceeded."""
+    function = limits.outputs.function(*sizes)
+    ny = function.numel_out(0)
+    low, high = (np.broadcast_to(bound, (ny,)) for bound in (limits.lower, limits.upper))
+    above, below = np.flatnonzero(np.isfinite(high)).tolist(), np.flatnonzero(np.isfinite(low)).tolist()
+
+    def beyond(x: Any, u: Any, p: Any) -> Any:
+        """Each ≤ 0."""
+        y = function(x, u, p)
+        return ca.vertcat(y[above] - ca.DM(high[above]), ca.DM(low[below]) - y[below])
+
+    return beyond
+
+
+def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Scenarios as arrays (n, nx) and (n, T, nw)."""
+    x0, w = scenario_tensors(problem, runs, rng)
+    return x0.double().numpy(), w.double().numpy()
+
+
+def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> list[Any]:
+    """Trajectories of saturated LQR (times, x, u) to start a program from, held where they run away."""
+    x0, w = scenarios
+    try:
+        law: Any = saturated_lqr(problem, design)
+    except MPCError:
+        law = LinearFeedback(np.zeros((problem.model.nu, problem.model.nx)))
+    step = problem.model.stepper(design, batch=len(x0))
+    states, inputs = [x0], []
+    for k in range(w.shape[1]):
+        u = law(states[-1])
+        after = np.clip(np.nan_to_num(step(states[-1], u, w[:, k])), -2 * problem.state_scale, 2 * problem.state_scale)
+        states.append(after)
+        inputs.append(u)
+    x, u = np.stack(states, axis=1), np.stack([*inputs, inputs[-1]], axis=1)
+    return [(np.linspace(0.0, 1.0, x.shape[1]), x[i], u[i]) for i in range(len(x0))]

@@ -1,0 +1,246 @@
+"""Search without slopes: CMA-ES and Bayesian optimisation, for closed loops that are black boxes.
+
+References
+----------
+Hansen, "The CMA evolution strategy: a tutorial", arXiv:1604.00772, 2016 (the package cma); Akiba et al., "Optuna", KDD
+2019, with its Gaussian process sampler (the package optuna).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_choice, as_count, shown
+from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.limit_tolerance import FLOOR
+from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw
+from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import CoDesignResult, History
+from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.exceptions import InputError
+from ccdtools.progress import bar
+from mpc import MPCError
+
+LIBRARIES = {"cma": "cma", "bayesian": "optuna"}
+BUDGET = {"cma": 300, "bayesian": 60}  # evaluations
+RUNS = {"lqr": 256, "mpc": 32}  # scenarios of 100 steps
+FIRST_STEP = 0.25  # of CMA-ES, in the unit box
+SETTLED = 1e-3  # of the unit box: spread of CMA-ES at which it has converged
+OUTSIDE = 10.0  # of the cost, per unit-box length squared: what a point loses for its distance from the feasible ones
+BROKEN = 0.05  # of the cost: what exceeding the tolerance of limits by the least that counts costs
+LOST = 1e3  # relative cost of a design where nothing works
+
+
+@dataclass(frozen=True)
+class Search:
+    """A search that asks for values alone, by a kept library.
+
+    Attributes
+    ----------
+    library : {"cma", "bayesian"}
+        CMA-ES, or Bayesian optimisation with a Gaussian process; both are in the extra `ccdtools[search]`.
+    of : {"lqr", "mpc"} or callable
+        What is looked at: the closed loop of saturated LQR or of MPC of each design on fixed scenarios; or any function
+        of a design (np,) that returns its return, such as a measurement.
+    evaluations : int, optional
+        By default 300 of CMA-ES, 60 of Bayesian optimisation.
+    runs : int, optional
+        Scenarios of 100 steps: by default 256 of LQR, 32 of MPC.
+    """
+
+    library: str = "cma"
+    of: str | Callable[[Array], float] = "lqr"
+    evaluations: int | None = None
+    runs: int | None = None
+
+    def __post_init__(self) -> None:
+        as_choice("library", self.library, tuple(LIBRARIES))
+        if not callable(self.of):
+            as_choice("of", self.of, tuple(RUNS))
+        for name in ("evaluations", "runs"):
+            if getattr(self, name) is not None:
+                as_count(name, getattr(self, name))
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        return {"cma": "CMA-ES", "bayesian": "Bayesian search"}[self.library]
+
+    def run(
+        self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
+    ) -> CoDesignResult:
+        """The best design found from a feasible design (np,), with its controller."""
+        package = LIBRARIES[self.library]
+        if find_spec(package) is None:
+            raise InputError("method", f"a search by {package}, which is not installed", "the extra ccdtools[search]",
+                             f"pip install {package}")  # fmt: skip
+        box = _BlackBox(problem, self._value(problem, rng), problem.design.to_unit(design))
+        budget = self.evaluations or BUDGET[self.library]
+        with bar(label=self.name, total=budget, progress=progress) as shown_bar:
+            ask = _cma if self.library == "cma" else _bayesian
+            settled = ask(box, budget, rng, shown_bar)
+        return self._result(problem, box, settled)
+
+    def _value(self, problem: CoDesignProblem, rng: np.random.Generator) -> Any:
+        """Point of the unit box → (cost, violation of the limits)."""
+        if callable(self.of):
+            given = self.of
+
+            def measured(v: Array) -> tuple[float, float]:
+                """Of the user's function."""
+                value = given(problem.design.settled(v))
+                if not np.isscalar(value) and np.size(value) != 1:
+                    raise InputError("of", shown(value), "a function of a design that returns one number")
+                return -float(np.asarray(value)), 0.0
+
+            return measured
+        runs = fewer_runs(self.runs or RUNS[self.of], problem.steps)
+        law: DesignLaw = LQRLaw() if self.of == "lqr" else MPCLaw()
+        return _ClosedLoop(problem, LoopCost(problem, law, scenario_tensors(problem, runs, rng)))
+
+    def _result(self, problem: CoDesignProblem, box: _BlackBox, settled: bool) -> CoDesignResult:
+        """The best that was looked at."""
+        space = problem.design
+        if not np.isfinite(box.best[1]):
+            raise InputError("of", "no return at any design", "one at some design", "Check the bounds of the design.")
+        design = space.settled(box.best_v)
+        loop = box.value if isinstance(box.value, _ClosedLoop) else None
+        law = LQRLaw() if loop is None else loop.cost.law
+        bounds = space.active_bounds(design)
+        held = bounds or space.active_constraints(design)
+        status = CoDesignStatus.BUDGET_SPENT
+        if settled:
+            status = CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
+        outcome = None
+        if loop is not None and loop.penalty is not None:
+            outcome = loop.outcome(box.best_v)
+            status = status if outcome.kept else CoDesignStatus.LIMITS_BROKEN
+        words = "the given function" if loop is None else loop.cost.words
+        controller = saturated_lqr(problem, design) if loop is None else law.controller(problem, design)
+        return CoDesignResult(
+            design=design, controller=controller, method=self.name, status=status, objective=-box.best[1],
+            criterion=f"return of {words}", active_bounds=bounds,
+            active_constraints=space.active_constraints(design), evaluations=len(box.rows), limits=outcome,
+            history=History(*(np.array(column) for column in zip(*box.rows))),
+        )  # fmt: skip
+
+
+class _ClosedLoop:
+    """A law in closed loop: cost and by how much limits are left."""
+
+    def __init__(self, problem: CoDesignProblem, cost: LoopCost) -> None:
+        self.cost = cost
+        self.penalty = None if problem.limit_tolerance == "off" else StateLimitPenalty(problem)
+
+    def __call__(self, v: Array) -> tuple[float, float]:
+        """At a point of the unit box."""
+        try:
+            if self.penalty is None:
+                seen = self.cost.seen(v)
+            else:
+                seen, self.penalty = self.cost.updated(self.penalty, v)
+        except (MPCError, InputError):
+            return np.inf, 0.0
+        value = float(-self.cost.problem.risk.values(seen.total).mean())
+        return value, 0.0 if self.penalty is None else self.penalty.violation(seen)
+
+    def outcome(self, v: Array) -> Any:
+        """How the limits are kept at a point."""
+        assert self.penalty is not None
+        return self.penalty.outcome(self.cost.seen(v))
+
+
+class _BlackBox:
+    """Values at any point of the unit box: that of the nearest feasible design, less a little for the distance."""
+
+    def __init__(self, problem: CoDesignProblem, value: Any, start: Array) -> None:
+        self.problem = problem
+        self.value = value
+        self.start = problem.design.allowed.rounded(start)
+        self.free = problem.design.free
+        self.best: tuple[float, float] = (np.inf, np.inf)  # violation and cost
+        self.best_v = self.start
+        self.rows: list[tuple] = []
+        self.size = 1.0
+
+    @property
+    def first(self) -> Array:
+        """The start's free entries."""
+        return np.asarray(self.start[self.free])
+
+    def __call__(self, z: Array) -> float:
+        """What is to be small at free entries `z`."""
+        asked = self.start.copy()
+        asked[self.free] = np.clip(z, 0.0, 1.0)
+        allowed = self.problem.design.allowed
+        v = allowed.near(allowed.rounded(asked))
+        if v is None:
+            return LOST * self.size
+        cost, violation = self.value(v)
+        count = len(self.rows) + 1
+        if count == 1 and np.isfinite(cost) and cost != 0:
+            self.size = abs(cost)
+        self.rows.append((count, count, self.problem.design.settled(v), -cost, 0.0, 0.0))
+        if np.isfinite(cost) and (violation, cost) < self.best:
+            self.best, self.best_v = (violation, cost), v
+        if not np.isfinite(cost):
+            return LOST * self.size
+        away = float(np.sum((asked - v) ** 2))
+        return float(cost + self.size * (OUTSIDE * away + BROKEN * violation / FLOOR))
+
+
+def _cma(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
+    """CMA-ES; whether it has converged."""
+    import cma
+
+    n = int(box.free.sum())
+    start = np.full(max(n, 2), 0.5)  # a covariance needs two entries: of a single parameter the second is idle
+    start[:n] = box.first
+    options = {
+        "bounds": [0.0, 1.0], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "maxfevals": budget, "tolx": SETTLED,
+        "tolfun": 0.0, "tolfunhist": 0.0,
+    }  # fmt: skip
+    strategy = cma.CMAEvolutionStrategy(start, FIRST_STEP, options)
+    while not strategy.stop():
+        points = strategy.ask()
+        strategy.tell(points, [box(np.asarray(z)[:n]) for z in points])
+        shown_bar.update(len(points))
+    return "maxfevals" not in strategy.stop()
+
+
+def _bayesian(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
+    """Bayesian optimisation with a Gaussian process; it never knows that it has converged."""
+    import optuna
+
+    n = int(box.free.sum())
+    verbosity = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        sampler = optuna.samplers.GPSampler(seed=int(rng.integers(1, 2**31)))
+    study = optuna.create_study(sampler=sampler)
+    names = [f"v{i}" for i in range(n)]
+    study.enqueue_trial(dict(zip(names, map(float, box.first))))
+
+    def value(trial: Any) -> float:
+        """Of the point that a trial asks for."""
+        shown_bar.update()
+        return box(np.array([trial.suggest_float(name, 0.0, 1.0) for name in names]))
+
+    try:
+        study.optimize(value, n_trials=budget)
+    finally:
+        optuna.logging.set_verbosity(verbosity)
+    return False

@@ -1,0 +1,201 @@
+"""The best design by a cost of the design alone, searched from several starts, and what is to be said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.landscape import valleys
+from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.methods.outer import Descent, confirmed, descend, held_by
+from ccdtools.co_design.methods.starting import SAME_PLACE, start_points
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import CoDesignResult, History, Valley
+from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.controllers.controllers import Controller
+from ccdtools.exceptions import InputError
+from ccdtools.progress import bar
+
+ROUNDS = 30  # of the multipliers of limits
+LEVEL = 1e-3  # of the return that control makes, per length of the unit box: a slope without consequence
+
+
+class DesignCost(Protocol):
+    """What an outer search brings to its least: a cost of the design alone."""
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        ...
+
+    @property
+    def rows(self) -> list[tuple]:
+        """Of the history: one for every evaluation."""
+        ...
+
+    def __call__(self, v: Array) -> tuple[float, Array]:
+        """Cost and its slope (np,) at a point (np,) of the unit box; infinite where there is none."""
+        ...
+
+    def controller(self, p: Array) -> Controller:
+        """What belongs to a design, for use."""
+        ...
+
+    def history(self) -> History:
+        """All evaluations so far."""
+        ...
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a search goes: what tables call it, how many starts, and evaluations of each at most."""
+
+    name: str
+    starts: int
+    evaluations: int
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """Where the search from one start ended.
+
+    Attributes
+    ----------
+    cost : DesignCost
+    found : Descent
+    size : float
+        Of the part of the return that control makes.
+    penalty : StateLimitPenalty or None
+        Of leaving the limits, where they are watched.
+    violation : float
+        By how much their tolerance is exceeded.
+    """
+
+    cost: DesignCost
+    found: Descent
+    size: float
+    penalty: StateLimitPenalty | None = None
+    violation: float = 0.0
+
+    @property
+    def order(self) -> tuple[float, float]:
+        """What the best end is the least of."""
+        return (self.violation, self.found.cost)
+
+
+def searched(
+    plan: Plan, problem: CoDesignProblem, cost_from: Callable[[Array], DesignCost], design: Array,
+    rng: np.random.Generator, *, progress: bool = False,
+) -> CoDesignResult:  # fmt: skip
+    """The best design found from a feasible design (np,) and other valleys.
+
+    Parameters
+    ----------
+    plan : Plan
+    problem : CoDesignProblem
+    cost_from : callable
+        Point (np,) of the unit box that a search starts from → `DesignCost`.
+    design : (np,) array
+    rng : numpy.random.Generator
+        Draws the landscape.
+
+    Raises
+    ------
+    InputError
+        If there is no controller at any start.
+    """
+    space = problem.design
+    found = valleys(problem, design, rng=rng) if plan.starts > 1 else ()
+    points = start_points(space, design, found, plan.starts)
+    ends = []
+    with bar(label=plan.name, total=len(points), progress=progress) as shown:
+        for v in points:
+            ends.append(_from(plan, problem, cost_from(v), v))
+            shown.update()
+    best = min(ends, key=lambda end: end.order)
+    if not np.isfinite(best.found.cost):
+        got = f"{space.describe(design)} to start from, where there is nothing to search by: {best.cost.words}"
+        cure = "Start from a design that can be stabilised and whose runs keep the limits, or check the weights."
+        raise InputError("design", got, "a design with a controller", cure)
+    result = _result(plan.name, problem, best, sum(len(end.cost.rows) for end in ends))
+    return replace(result, valleys=_with_ends(problem, found, points, ends))
+
+
+def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> End:
+    """The search from one start; again and again while leaving the limits is priced too low."""
+    size = _size(problem, cost(v)[0], v)
+    found = descend(cost, problem.design, v, size=size, evaluations=plan.evaluations)
+    if not isinstance(cost, LoopCost) or problem.limit_tolerance == "off" or not np.isfinite(found.cost):
+        return End(cost, found, size)
+    penalty = StateLimitPenalty(problem)
+    best: End | None = None
+    for _ in range(ROUNDS):
+        seen, penalty = cost.updated(penalty, found.v)
+        if bool(seen.diverged.any()):
+            return End(cost, found, size) if best is None else best
+        plain = float(-problem.risk.values(seen.total).mean())
+        tried = End(cost, replace(found, cost=plain), size, penalty, penalty.violation(seen))
+        best = tried if best is None or tried.order < best.order else best
+        if not penalty.active or found.spent:
+            break
+        cost = LoopCost(problem, cost.law, cost.scenarios, penalty, cost.rows)
+        found = descend(cost, problem.design, found.v, size=size, evaluations=plan.evaluations)
+    assert best is not None
+    return best
+
+
+def _size(problem: CoDesignProblem, value: float, v: Array) -> float:
+    """How large the return at a start is, without the cost of the design."""
+    size = float(problem.made_by_control(-value, problem.design.from_unit(v)))
+    return size if np.isfinite(size) and size > 0 else 1.0
+
+
+def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) -> CoDesignResult:
+    """The result of the best end."""
+    space = problem.design
+    design = space.check_feasible(space.settled(best.found.v))
+    held = held_by(space, best.found.v, best.found.slope)
+    size = _size(problem, best.found.cost, best.found.v)
+    outcome = None
+    if best.penalty is not None and isinstance(best.cost, LoopCost):
+        outcome = best.penalty.outcome(best.cost.seen(best.found.v))
+    return CoDesignResult(
+        design=design, controller=best.cost.controller(design), method=name,
+        status=_status(problem, best, held.rest / size, bool(held.multipliers)), objective=-best.found.cost,
+        criterion=f"return of {best.cost.words}", active_bounds=space.active_bounds(design),
+        active_constraints=space.active_constraints(design), multipliers=held.multipliers, slope=held.rest / size,
+        evaluations=evaluations, history=best.cost.history(), limits=outcome,
+    )  # fmt: skip
+
+
+def _status(problem: CoDesignProblem, best: End, rest: float, held: bool) -> CoDesignStatus:
+    """How a search ended."""
+    if isinstance(best.cost, LoopCost) and bool(best.cost.seen(best.found.v).diverged.any()):
+        return CoDesignStatus.DIVERGING
+    if best.violation > 0:
+        return CoDesignStatus.LIMITS_BROKEN
+    if rest > LEVEL:
+        agree = confirmed(best.cost, problem.design, best.found.v, size=best.size)
+        return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED
+    return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
+
+
+def _with_ends(
+    problem: CoDesignProblem, found: tuple[Valley, ...], points: list[Array], ends: list[End]
+) -> tuple[Valley, ...]:
+    """The valleys, with where the search that began on each of them ended."""
+    space = problem.design
+    named = []
+    for valley in found:
+        v = space.to_unit(valley.design)
+        begun = [end for point, end in zip(points, ends) if np.abs(v - point).max() <= SAME_PLACE]
+        if begun:
+            first = min(begun, key=lambda end: end.order).found
+            valley = replace(valley, found=space.settled(first.v), found_return=-first.cost)
+        named.append(valley)
+    return tuple(named)

@@ -1,0 +1,79 @@
+"""Sequential design: the plant first, by a criterion without its controller; then the controller of that plant.
+
+References
+----------
+Fathy, Reyer, Papalambros and Ulsoy, "On the coupling between the plant and controller optimization problems", ACC
+2001: what it gives away against co-design is the coupling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_choice, as_count
+from ccdtools.co_design.design_controllers import CONTROL, controller_of
+from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.methods.laws import PassiveLaw
+from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.methods.searched import Plan, searched
+from ccdtools.co_design.methods.simultaneous import Simultaneous
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import CoDesignResult
+
+CRITERIA = ("auto", "passive", "open_loop")
+RUNS = 1000  # scenarios of 100 steps
+
+
+@dataclass(frozen=True)
+class Sequential:
+    """The plant first, then its controller.
+
+    Attributes
+    ----------
+    criterion : {"auto", "passive", "open_loop"}
+        What the plant is designed by: its return without any input; or the best return that given inputs can have,
+        feedback left out. "auto": the first, unless runs of the passive plant are lost at the given design.
+    control : {"lqr", "mpc"}
+        What the plant is then given.
+    starts, evaluations : int
+        Of the search for the plant.
+    """
+
+    criterion: str = "auto"
+    control: str = "lqr"
+    starts: int = 3
+    evaluations: int = 100
+
+    def __post_init__(self) -> None:
+        as_choice("criterion", self.criterion, CRITERIA)
+        as_choice("control", self.control, CONTROL)
+        for name in ("starts", "evaluations"):
+            as_count(name, getattr(self, name))
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        return "sequential"
+
+    def run(
+        self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
+    ) -> CoDesignResult:
+        """The plant that its criterion prefers, from a feasible design (np,), with its controller."""
+        scenarios = scenario_tensors(problem, fewer_runs(RUNS, problem.steps), rng)
+        criterion = self.criterion
+        if criterion == "auto":
+            lost = LoopCost(problem, PassiveLaw(), scenarios).seen(problem.design.to_unit(design)).diverged
+            criterion = "open_loop" if bool(lost.any()) else "passive"
+        if criterion == "open_loop":
+            plant = Simultaneous("trajectory", starts=self.starts).run(problem, design, rng, progress=progress)
+        else:
+            unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
+            cost = LoopCost(unlimited, PassiveLaw(), scenarios)
+            plan = Plan(self.name, self.starts, self.evaluations)
+            plant = searched(plan, unlimited, lambda v: cost, design, rng, progress=progress)
+        controller = controller_of(self.control, problem, plant.design)
+        return replace(plant, method=self.name, controller=controller)

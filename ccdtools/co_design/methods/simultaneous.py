@@ -1,0 +1,178 @@
+"""Simultaneous co-design: trajectories and design are the unknowns of one nonlinear program.
+
+References
+----------
+Allison, Guo and Han, "Co-design of an active suspension using simultaneous dynamic optimization", Journal of Mechanical
+Design 136, 2014; Herber and Allison, Journal of Mechanical Design 141, 2019.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_choice, as_count
+from ccdtools.co_design.design_controllers import CONTROL, controller_of, saturated_lqr
+from ccdtools.co_design.landscape import valleys
+from ccdtools.co_design.methods.open_loop import Feedback, check_open_loop, drawn, followed, open_loop_problem
+from ccdtools.co_design.methods.starting import start_points
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import CoDesignResult, History, Valley
+from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.controllers.controllers import Controller, LinearFeedback
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.progress import bar
+from mpc import MPCError
+
+UNKNOWNS = ("trajectory", "gain")
+RUNS = {"trajectory": 8, "gain": 16}  # scenarios, each with trajectories of its own
+ITERATIONS = 500
+
+
+@dataclass(frozen=True)
+class Simultaneous:
+    """Trajectories and design in one program, solved by Ipopt.
+
+    Attributes
+    ----------
+    unknowns : {"trajectory", "gain"}
+        What is found with the design: inputs of every scenario, its disturbance known ahead; or one feedback gain that
+        all scenarios share, u = −K x, saturated.
+    control : {"lqr", "mpc"}
+        What closes the loop where inputs were found: they themselves hold for their disturbances alone.
+    runs : int, optional
+        Scenarios: 8 of inputs, 16 of a gain by default.
+    starts : int
+        Designs to start from: the given one, and the best valleys of the landscape of saturated LQR.
+    """
+
+    unknowns: str = "trajectory"
+    control: str = "lqr"
+    runs: int | None = None
+    starts: int = 2
+
+    def __post_init__(self) -> None:
+        as_choice("unknowns", self.unknowns, UNKNOWNS)
+        as_choice("control", self.control, CONTROL)
+        as_count("starts", self.starts)
+        if self.runs is not None:
+            as_count("runs", self.runs)
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        return "simultaneous" if self.unknowns == "trajectory" else "simultaneous gain"
+
+    def run(
+        self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
+    ) -> CoDesignResult:
+        """The best design found from a feasible design (np,) and other valleys, with its controller."""
+        check_open_loop(problem)
+        scenarios = drawn(problem, self.runs or RUNS[self.unknowns], rng)
+        found = valleys(problem, design, rng=rng) if self.starts > 1 else ()
+        ends = []
+        points = start_points(problem.design, design, found, self.starts)
+        with bar(label=self.name, total=len(points), progress=progress) as shown:
+            for v in points:
+                ends.append(self._from(problem, scenarios, problem.design.settled(v)))
+                shown.update()
+        best = min(ends, key=lambda end: (not end.feasible, end.cost))
+        return self._result(problem, best, sum(end.iterations for end in ends), found)
+
+    def _from(self, problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> _End:
+        """Where one start leads to."""
+        from mpc.optimal_control import OptimalControlStatus, build, solve
+
+        feedback = Feedback(problem, _first_gain(problem, design)) if self.unknowns == "gain" else None
+        guess = followed(problem, scenarios, design)
+        statement = open_loop_problem(problem, scenarios, design=design, guess=guess, feedback=feedback)
+        program = build(statement)
+        solution = solve(program, max_iterations=ITERATIONS)
+        feasible = solution.status is not OptimalControlStatus.INFEASIBLE and not solution.conflicts
+        return _End(solution, feasible)
+
+    def _result(
+        self, problem: CoDesignProblem, best: _End, iterations: int, found: tuple[Valley, ...]
+    ) -> CoDesignResult:
+        """The result of the best start."""
+        space = problem.design
+        own = np.clip(best.solution.p[: space.dim], space.lower, space.upper)
+        design = space.check_feasible(space.settled(space.to_unit(own))) if best.solution.solved else own
+        bounds, constraints = space.active_bounds(design), space.active_constraints(design)
+        return CoDesignResult(
+            design=design, controller=self._controller(problem, best, design), method=self.name,
+            status=_status(best, bool(bounds or constraints)), objective=-best.cost,
+            criterion=f"return of {self._words(best)}", active_bounds=bounds, active_constraints=constraints,
+            multipliers={name: best.multipliers(space)[name] for name in {**bounds, **constraints}},
+            slope=float(best.solution.residuals.worst), evaluations=iterations,
+            history=_history(best, design), valleys=found,
+        )  # fmt: skip
+
+    def _controller(self, problem: CoDesignProblem, best: _End, design: Array) -> Controller:
+        """What closes the loop."""
+        if self.unknowns == "trajectory":
+            return controller_of(self.control, problem, design)
+        K = best.solution.p[problem.design.dim :].reshape(problem.model.nu, problem.model.nx, order="F")
+        return LinearFeedback(K, *problem.input_bounds_at(design))
+
+    def _words(self, best: _End) -> str:
+        """What was brought to its largest."""
+        runs = len(best.solution.phases)
+        if self.unknowns == "gain":
+            return f"one saturated gain in {runs} scenarios"
+        return f"the best inputs in {runs} scenarios whose disturbances are known ahead"
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where a program ended: its solution, and whether limits are kept."""
+
+    solution: Any
+    feasible: bool
+
+    def multipliers(self, space: DesignSpace) -> dict[str, float]:
+        """By how much the return would rise per unit of every constraint and bound of the design, by name."""
+        prices: dict[str, float] = {}
+        for rows in self.solution.program.rows:
+            if rows.name == "p_constraints":
+                own = self.solution.multipliers["rows"][rows.first : rows.last]
+                prices |= dict(zip(space.constraint_names, own.tolist()))
+        prices |= dict(zip(space.names, np.abs(self.solution.p_gradient[: space.dim] * space.free).tolist()))
+        return prices
+
+    @property
+    def cost(self) -> float:
+        """Of the program."""
+        return float(self.solution.cost)
+
+    @property
+    def iterations(self) -> int:
+        """Of Ipopt."""
+        return int(self.solution.iterations)
+
+
+def _first_gain(problem: CoDesignProblem, design: Array) -> Array:
+    """The gain of the LQR, or none where there is none."""
+    try:
+        return np.asarray(saturated_lqr(problem, design).K)
+    except MPCError:
+        return np.zeros((problem.model.nu, problem.model.nx))
+
+
+def _status(best: _End, held: bool) -> CoDesignStatus:
+    """How the program ended."""
+    if not best.feasible:
+        return CoDesignStatus.INFEASIBLE
+    if not best.solution.solved:
+        return CoDesignStatus.BUDGET_SPENT
+    return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
+
+
+def _history(best: _End, design: Array) -> History:
+    """A program has no path of designs: its start and its end."""
+    value = np.array([-best.cost])
+    none = np.zeros(1)
+    return History(np.array([best.iterations]), np.array([best.iterations]), design[None], value, none, none)

@@ -1,0 +1,158 @@
+"""How gain and cost of the infinite-horizon regulator change with parameters: the Riccati equation, differentiated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import schur, solve_triangular
+
+from mpc.checks import Array, as_array, as_cross_weight, as_pair, as_weight
+from mpc.lqr import cost_units, lqr
+from mpc.sensitivities.derivatives import as_derivatives
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LQRSensitivity:
+    """The regulator u = -K x at one design, with exact derivatives by the parameters p (np,).
+
+    Attributes
+    ----------
+    K, P : (nu, nx) and (nx, nx) arrays
+        Gain, and cost matrix: x'Px is the cost from x.
+    dK, dP : (nu, nx, np) and (nx, nx, np) arrays
+        ∂K/∂p and ∂P/∂p.
+    """
+
+    K: Array
+    P: Array
+    dK: Array
+    dP: Array
+
+    def __post_init__(self) -> None:
+        for array in (self.K, self.P, self.dK, self.dP):
+            array.flags.writeable = False
+
+    def __repr__(self) -> str:
+        nu, nx, count = self.dK.shape
+        return f"LQRSensitivity({nx} states, {nu} inputs, {count} parameters)"
+
+    @property
+    def input_by_state(self) -> Array:
+        """∂u/∂x (nu, nx), which is -K."""
+        return -self.K
+
+    def input_by_parameters(self, x: ArrayLike) -> Array:
+        """∂u/∂p (nu, np) at a state (nx,)."""
+        return -np.einsum("uxp,x->up", self.dK, self._state(x))
+
+    def cost(self, x: ArrayLike) -> float:
+        """J* = x'Px from a state (nx,)."""
+        x = self._state(x)
+        return float(x @ self.P @ x)
+
+    def cost_by_state(self, x: ArrayLike) -> Array:
+        """∂J*/∂x (nx,) at a state (nx,)."""
+        return 2 * self.P @ self._state(x)
+
+    def cost_by_parameters(self, x: ArrayLike) -> Array:
+        """∂J*/∂p (np,) from a state (nx,)."""
+        x = self._state(x)
+        return np.einsum("x,xyp,y->p", x, self.dP, x)
+
+    def noise_cost(self, W: ArrayLike) -> float:
+        """tr(PW): what noise of covariance W (nx, nx) in the state costs a step, in the long run."""
+        return float(np.sum(self.P * as_weight("W", W, len(self.P))))
+
+    def noise_cost_by_parameters(self, W: ArrayLike, dW: ArrayLike | None = None) -> Array:
+        """∂tr(PW)/∂p (np,), of a covariance W (nx, nx) that changes by dW (nx, nx, np) if it does."""
+        W = as_weight("W", W, len(self.P))
+        gradient = np.einsum("xyp,xy->p", self.dP, W)
+        if dW is None:
+            return gradient
+        return gradient + np.einsum("xy,xyp->p", self.P, as_array("dW", dW, self.dP.shape))
+
+    def _state(self, x: ArrayLike) -> Array:
+        """A state, checked."""
+        return as_array("x", x, (len(self.P),))
+
+
+def lqr_sensitivity(
+    A: Any, B: ArrayLike | None = None, *, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None,
+    dA: ArrayLike | None = None, dB: ArrayLike | None = None, dQ: ArrayLike | None = None,
+    dR: ArrayLike | None = None, dS: ArrayLike | None = None,
+) -> LQRSensitivity:  # fmt: skip
+    """Gain and cost of the regulator of `lqr`, and their exact derivatives by parameters p (np,).
+
+    The Riccati equation holds at every p, so its derivative is a Lyapunov equation of the closed loop, which is solved
+    for all parameters with one factorisation.
+
+    Parameters
+    ----------
+    A, B, Q, R, S
+        As for `lqr`.
+    dA, dB : (nx, nx, np) and (nx, nu, np) arrays, optional
+        ∂A/∂p and ∂B/∂p, the last axis that of the parameters; 0 where they are left out.
+    dQ, dR, dS : (nx, nx, np), (nu, nu, np) and (nx, nu, np) arrays, optional
+        ∂Q/∂p, ∂R/∂p and ∂S/∂p; 0 where they are left out.
+
+    Returns
+    -------
+    LQRSensitivity
+
+    Raises
+    ------
+    InputError, NotConvexError, NotStabilisableError
+        Those of `lqr`; derivatives of other shapes, with NaN, or of weights that are not symmetric.
+
+    References
+    ----------
+    Kao and Hennequin, "Automatic differentiation of Sylvester, Lyapunov, and algebraic Riccati equations", 2020;
+    Kitagawa, International Journal of Control 25(5), 1977 (the Lyapunov equation by the Schur form).
+
+    Examples
+    --------
+    >>> found = lqr_sensitivity(A, B, Q=Q, R=R, dA=dA, dB=dB)
+    >>> gradient = found.cost_by_parameters(x0)
+    """
+    A, B = as_pair(A, B)
+    nx, nu = B.shape
+    Q = as_weight("Q", Q, nx)
+    R = as_weight("R", R, nu)
+    S = as_cross_weight(S, Q, R)
+    K, P = lqr(A, B, Q=Q, R=R, S=S)
+    given = {"dA": (dA, (nx, nx)), "dB": (dB, (nx, nu)), "dQ": (dQ, (nx, nx)), "dR": (dR, (nu, nu)),
+             "dS": (dS, (nx, nu))}  # fmt: skip
+    dA, dB, dQ, dR, dS = as_derivatives(given, symmetric=("dQ", "dR")).values()
+    closed = A - B @ K
+    moved = dA - np.einsum("xup,uy->xyp", dB, K)  # ∂(A - BK)/∂p with K held
+    driven = np.einsum("yx,yz,zwp->xwp", closed, P, moved)
+    cross = np.einsum("xup,uy->xyp", dS, K)
+    weights = dQ + np.einsum("ux,uvp,vy->xyp", K, dR, K) - cross - cross.transpose(1, 0, 2)
+    sx, su = cost_units(A, B, Q, R)
+    unit = sx[:, None] * sx  # of P: the equation is solved in the units of the weights
+    right = (weights + driven + driven.transpose(1, 0, 2)) / unit[:, :, None]
+    dP = _lyapunov(closed * sx[:, None] / sx, right) * unit[:, :, None]
+    M = R + B.T @ P @ B
+    slope = np.einsum("yup,yz,zx->uxp", dB, P, closed) + np.einsum("yu,yzp,zx->uxp", B, dP, closed)
+    slope += np.einsum("yu,yz,zxp->uxp", B, P, moved) + dS.transpose(1, 0, 2) - np.einsum("uvp,vx->uxp", dR, K)
+    scaled = np.linalg.solve(M / su / su[:, None], (slope / su[:, None, None]).reshape(nu, -1))
+    return LQRSensitivity(K, P, scaled.reshape(slope.shape) / su[:, None, None], dP)
+
+
+def _lyapunov(A: Array, C: Array) -> Array:
+    """X (n, n, m) with X = A'XA + C for symmetric C (n, n, m) and a stable A."""
+    n, _, m = C.shape
+    if m == 0:
+        return np.zeros(C.shape)
+    T, V = schur(A, output="complex")
+    right = np.einsum("ia,ijm,jb->abm", V.conj(), C, V, optimize=True)
+    solution = np.zeros_like(right)
+    for j in range(n):  # column by column: those before it are known
+        known = np.einsum("aim,i->am", solution[:, :j], T[:j, j])
+        column = right[:, j] + T.conj().T @ known
+        solution[:, j] = solve_triangular(np.eye(n) - T[j, j] * T.conj().T, column, lower=True)
+    X = np.einsum("ia,abm,jb->ijm", V, solution, V.conj(), optimize=True).real
+    return np.asarray((X + X.transpose(1, 0, 2)) / 2)
