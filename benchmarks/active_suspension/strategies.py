@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -47,8 +47,8 @@ def simultaneous(plant: Plant, road: Road, start, mesh) -> Found:
 
 
 def _program(plant: Plant, road: Road, start, mesh, *, rules: bool) -> NonlinearProgram:
-    """The program, its intervals calls of one function: written out, derivatives take longer to form than to use."""
-    return replace(build(problem(plant, road, start, rules=rules), Radau(3), meshes=mesh), expand=False)
+    """The program of both load cases."""
+    return build(problem(plant, road, start, rules=rules), Radau(3), meshes=mesh)
 
 
 class Inner:
