@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.configuration import CoDesignConfig
     from ccdtools.co_design.custom_objective import CustomObjective, output_objective
     from ccdtools.co_design.design_controllers import linear_mpc, nonlinear_mpc, saturated_lqr
+    from ccdtools.co_design.design_sensitivity import DesignSensitivity, design_sensitivity
     from ccdtools.co_design.expert import expert_dataset, feasible_sets
     from ccdtools.co_design.learned_result import LearnedCoDesign
     from ccdtools.co_design.least_depth import least_depth
@@ -90,6 +91,7 @@ __all__ = [
     "CoDesignResult",
     "Constant",
     "CustomObjective",
+    "DesignSensitivity",
     "DesignSpace",
     "DigitalTwin",
     "Equilibrium",
@@ -154,6 +156,7 @@ __all__ = [
     "deploy",
     "deploy_and_update",
     "depth_outside",
+    "design_sensitivity",
     "deviations",
     "discretise",
     "equilibrium",
@@ -202,6 +205,7 @@ _HOMES = {
     "CoDesignResult": "co_design.result",
     "Constant": "disturbances.combinations",
     "CustomObjective": "co_design.custom_objective",
+    "DesignSensitivity": "co_design.design_sensitivity",
     "DesignSpace": "plants.design_space",
     "DigitalTwin": "twin.twin",
     "Equilibrium": "plants.equilibrium",
@@ -267,6 +271,7 @@ _HOMES = {
     "deploy": "twin.deployment",
     "deploy_and_update": "twin.deployment",
     "depth_outside": "limits",
+    "design_sensitivity": "co_design.design_sensitivity",
     "deviations": "plants.linearisation",
     "discretise": "plants.discretisation",
     "equilibrium": "plants.equilibrium",

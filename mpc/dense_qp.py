@@ -54,7 +54,7 @@ class DenseQP:
         self._d = 1 / np.sqrt(np.diag(H))
         self._H = np.ascontiguousarray(H * self._d * self._d[:, None])
         scaled = G * self._d
-        length = np.linalg.norm(scaled, axis=1)
+        length = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
         self._rows = np.flatnonzero(length > 0)  # the other rows do not depend on z
         self._empty = np.flatnonzero(length == 0)
         self._r = 1 / length[self._rows]

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple, TypeAlias
+
 import numpy as np
 
 from mpc.checks import Array
 from mpc.lqr import cost_units
 from mpc.problem import MPCProblem
 from mpc.tolerances import GROWTH
+
+Weights: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 def stabilising_feedback(problem: MPCProblem) -> Array | None:
@@ -20,16 +24,48 @@ def stabilising_feedback(problem: MPCProblem) -> Array | None:
     radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
     if problem.horizon * np.log(max(radius, 1.0)) <= np.log(GROWTH):
         return None
+    A, B = (np.broadcast_to(M, (problem.horizon, *M.shape)) for M in (problem.A, problem.B))
+    return _least_growing(problem, A, B).gains
+
+
+def stabilising_weights(problem: MPCProblem) -> Weights:
+    """Weights (Q, R, S, P) whose regulator keeps predictions bounded: the problem's, or those in units of its sets."""
+    A, B = (np.broadcast_to(M, (problem.horizon, *M.shape)) for M in (problem.A, problem.B))
+    return _least_growing(problem, A, B).weights
+
+
+def feedback_along(problem: MPCProblem, A: Array, B: Array) -> Array | None:
+    """The same for a model whose A (N, nx, nx) and B (N, nx, nu) change from step to step, as they do along a plan."""
+    sx, _ = cost_units(problem.A, problem.B, problem.Q, problem.R)
+    growth = _growth(problem, A, B, None, sx)
+    if growth <= GROWTH:
+        return None
+    found = _least_growing(problem, A, B)
+    return found.gains if found.growth < growth else None
+
+
+class _Chosen(NamedTuple):
+    """Gains over the horizon, by how much the loop that they close grows, and the weights that they are of."""
+
+    gains: Array
+    growth: float
+    weights: Weights
+
+
+def _least_growing(problem: MPCProblem, A: Array, B: Array) -> _Chosen:
+    """Gains of the problem's weights, or of those in units of the sets where the closed loop grows less with them."""
     sx, su = cost_units(problem.A, problem.B, problem.Q, problem.R)
-    gains = _riccati_gains(problem, problem.Q, problem.R, problem.S, problem.P)
-    growth = _closed_loop_growth(problem, gains, sx)
-    if growth > GROWTH:
-        Q = np.diag(1 / problem.state_extent**2)
-        R = np.diag(1 / np.where(problem.input_extent > 0, problem.input_extent, 1 / su) ** 2)
-        others = _riccati_gains(problem, Q, R, None, Q)
-        if _closed_loop_growth(problem, others, sx) < growth:
-            gains = others
-    return gains
+    none = np.zeros((problem.nx, problem.nu))
+    weights = (problem.Q, problem.R, none if problem.S is None else problem.S, problem.P)
+    gains = _riccati_gains(problem, A, B, weights)
+    own = _Chosen(gains, _growth(problem, A, B, gains, sx), weights)
+    if own.growth <= GROWTH:
+        return own
+    Q = np.diag(1 / problem.state_extent**2)
+    R = np.diag(1 / np.where(problem.input_extent > 0, problem.input_extent, 1 / su) ** 2)
+    gains = _riccati_gains(problem, A, B, (Q, R, none, Q))
+    other = _Chosen(gains, _growth(problem, A, B, gains, sx), (Q, R, none, Q))
+    return other if other.growth < own.growth else own
 
 
 def block_lengths(problem: MPCProblem) -> tuple[int, ...]:
@@ -37,24 +73,25 @@ def block_lengths(problem: MPCProblem) -> tuple[int, ...]:
     return problem.blocks if problem.blocks is not None else (1,) * problem.horizon
 
 
-def _riccati_gains(problem: MPCProblem, Q: Array, R: Array, S: Array | None, P: Array) -> Array:
+def _riccati_gains(problem: MPCProblem, A: Array, B: Array, weights: Weights) -> Array:
     """Optimal gains block by block, backwards from the terminal weight."""
-    A = problem.A
-    B = problem.B
+    Q, R, S, P = weights
     lengths = block_lengths(problem)
     gains = np.zeros((len(lengths), problem.nu, problem.nx))
+    k = problem.horizon
     for b in reversed(range(len(lengths))):
         # cost of one block in (x, u) at its start: [x; u]'M[x; u]
         M = np.zeros((problem.nx + problem.nu,) * 2)
         M[: problem.nx, : problem.nx] = P
-        step = np.block([[A, B], [np.zeros((problem.nu, problem.nx)), np.eye(problem.nu)]])
+        step = np.eye(problem.nx + problem.nu)
         for _ in range(lengths[b]):
+            k -= 1
+            step[: problem.nx] = np.hstack([A[k], B[k]])
             M = step.T @ M @ step
             M[: problem.nx, : problem.nx] += Q
             M[problem.nx :, problem.nx :] += R
-            if S is not None:
-                M[: problem.nx, problem.nx :] += S
-                M[problem.nx :, : problem.nx] += S.T
+            M[: problem.nx, problem.nx :] += S
+            M[problem.nx :, : problem.nx] += S.T
         Mxu = M[: problem.nx, problem.nx :]
         Muu = M[problem.nx :, problem.nx :]
         K = _solve_scaled(Muu, Mxu.T)
@@ -72,14 +109,16 @@ def _solve_scaled(M: Array, right: Array) -> Array:
     return np.asarray(np.linalg.lstsq(M / d / d[:, None], right / d[:, None], rcond=None)[0] / d[:, None])
 
 
-def _closed_loop_growth(problem: MPCProblem, gains: Array, sx: Array) -> float:
-    """Largest entry of the closed-loop transition from the start to any block, in units of the cost."""
+def _growth(problem: MPCProblem, A: Array, B: Array, gains: Array | None, sx: Array) -> float:
+    """Largest entry of the transition from the start to any block, closed by gains if given, in units of the cost."""
     worst = 1.0
     product = np.eye(problem.nx)
-    for K, length in zip(gains, block_lengths(problem)):
-        u = -K @ product
+    k = 0
+    for b, length in enumerate(block_lengths(problem)):
+        u = np.zeros((problem.nu, problem.nx)) if gains is None else -gains[b] @ product
         for _ in range(length):
-            product = problem.A @ product + problem.B @ u
+            product = A[k] @ product + B[k] @ u
+            k += 1
         worst = max(worst, float(np.abs(product * sx[:, None] / sx).max()))
         if not np.isfinite(worst):
             return np.inf

@@ -230,8 +230,8 @@ class LinearMPC(MPCProblem):
         """
         from mpc.sensitivities.linear import linear_sensitivity
 
-        plan = self.solve(x, **signals)
         given = spread_signals(self, dict(signals))
+        plan = self.solve(x, **signals)
         derivatives = {"dA": dA, "dB": dB, "dE": dE, "dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU,
                        "d_terminal_set": d_terminal_set, "d_rate_limit": d_rate_limit}  # fmt: skip
         return linear_sensitivity(self, plan, given, derivatives)

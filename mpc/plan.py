@@ -17,6 +17,15 @@ class Status(Enum):
     SOFTENED = "Infeasible: state constraints were relaxed by the least amount. Ask `explain(x)` which ones conflict."
     INFEASIBLE = "Infeasible even without state constraints. Check that U and the rate limits are compatible."
     INACCURATE = "No solver met the tolerance; the best iterate is returned. Rescale the data or shorten the horizon."
+    FOLLOWED = "A real-time iteration: a step towards the optimum, not the optimum. The residuals say how far it was."
+    LATE = (
+        "The time limit was up: the best of what was reached, the plan of the sample before and the linear law stands "
+        "in, see `solver`. Allow more time, shorten the horizon, or set iterations=1."
+    )
+    REPLACED = (
+        "No plan was found: that of the sample before, shifted, or that of the linear law stands in, see `solver`. "
+        "Check that the model is finite and smooth within the limits."
+    )
 
     @property
     def advice(self) -> str:
@@ -55,7 +64,8 @@ class Plan:
     status : Status
     residuals : Residuals
         Optimality residuals; for a softened plan those of the relaxed problem. Of a plan found stage by stage the
-        stationarity is the largest Newton step left, in units of the inputs.
+        stationarity is the largest Newton step left, in units of the inputs; of a nonlinear one they are those of the
+        last program, and the primal one is the largest gap in the states before it, in their sizes.
     violation : float
         Largest violation of a state or terminal constraint a'x <= b by these states, in units of b; rounding or 0
         when solved with hard ones.

@@ -117,5 +117,7 @@ def relative_violations(problem: MPCProblem, states: Array, units: dict[str, Arr
 
 def finite(v: Array) -> Array:
     """The same numbers, those that overflowed replaced by the largest."""
+    if np.isfinite(v).all():
+        return v
     largest = float(np.finfo(float).max) / 4
     return np.nan_to_num(v, nan=0.0, posinf=largest, neginf=-largest)

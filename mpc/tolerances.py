@@ -158,15 +158,19 @@ ACTIVE = 1e-5
 """Distance from its bound, in its unit, up to which a row of a plan may act [-]: plans are no more exact than
 `KKT_REPORTED`. The Newton steps that follow decide."""
 
-WEAKLY_ACTIVE = 1e-7
-"""Distance of a row from its bound, and about how far the plan would pass it if it did not act, both in its unit, below
-which it neither acts nor leaves the plan alone [-]."""
+WEAKLY_ACTIVE = 1e-6
+"""Distance of a row from its bound, and how far the plan would pass it if it did not act, both in its unit, below which
+it neither acts nor leaves the plan alone [-]: plans are no more exact."""
 
 NEAR_OPTIMUM = 1e-2
 """First Newton step from a plan, in sizes of inputs and states, beyond which the plan is no optimum [-]."""
 
 NEWTON = 1e-9
 """Newton step, in sizes of inputs and states, from which on derivatives are taken [-]; their error is of this size."""
+
+BALANCED = 1e-5
+"""Slope of the Lagrangian by the inputs, relative to its parts, beyond which the multipliers are not those of the plan
+[-]."""
 
 INDEPENDENT = 1e-9
 """Part of a row outside the span of the acting ones below which it depends on them [-]."""

@@ -7,37 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import null_space
 
 from mpc.checks import Array, as_array, as_count, as_floats
-from mpc.dense_qp import DenseQP, QPResult
 from mpc.exceptions import InputError
 from mpc.linear_mpc import LinearMPC
 from mpc.plan import Plan
-from mpc.tolerances import NEGLIGIBLE, STEADY, TARGET_COST, TARGET_DRIFT
-
-
-@dataclass(frozen=True, eq=False)
-class Target:
-    """A state and input to aim at.
-
-    Attributes
-    ----------
-    state, input : (nx,) and (nu,) array
-    drift : (nx,) array
-        By how much the state moves away in one step under the input and the estimated disturbance.
-    steady : bool
-        Whether the drift is rounding; False where no state in X with an input in U stays where it is.
-    """
-
-    state: Array
-    input: Array
-    drift: Array
-    steady: bool
-
-    def __post_init__(self) -> None:
-        for array in (self.state, self.input, self.drift):
-            array.flags.writeable = False
+from mpc.problem import MPCProblem
+from mpc.targets import Target, nearest_target
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,23 +57,36 @@ class OffsetFreeMPC:
     disturbance: Any = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.mpc, LinearMPC):
-            raise InputError("mpc", type(self.mpc).__name__, "a LinearMPC")
-        mpc = self.mpc if self.mpc.E is not None else self.mpc.with_model(self.mpc.A, self.mpc.B, np.eye(self.mpc.nx))
+        object.__setattr__(self, "mpc", self._disturbed())
+        problem = self._problem
         gain = as_array("gain", self.gain, ())
         if not 0 < gain <= 1:
             raise InputError("gain", self.gain, "a number in (0, 1]")
-        estimate = np.zeros(mpc.nw) if self.disturbance is None else self.disturbance
+        estimate = np.zeros(problem.nw) if self.disturbance is None else self.disturbance
         for name, value in (
-            ("mpc", mpc), ("C", as_array("C", self.C, (None, mpc.nx))), ("gain", float(gain)),
-            ("disturbance", as_array("disturbance", estimate, (mpc.nw,))),
+            ("C", as_array("C", self.C, (None, problem.nx))), ("gain", float(gain)),
+            ("disturbance", as_array("disturbance", estimate, (problem.nw,))),
         ):  # fmt: skip
             object.__setattr__(self, name, value)
 
+    def _disturbed(self) -> Any:
+        """The regulator, checked, of a model with disturbances."""
+        if not isinstance(self.mpc, LinearMPC):
+            raise InputError("mpc", type(self.mpc).__name__, "a LinearMPC")
+        return self.mpc if self.mpc.E is not None else self.mpc.with_model(self.mpc.A, self.mpc.B, np.eye(self.mpc.nx))
+
+    @property
+    def _problem(self) -> MPCProblem:
+        """Sizes, weights and sets."""
+        return self.mpc
+
+    def _alone(self) -> OffsetFreeMPC:
+        """The controller of one run among others."""
+        return self
+
     def __repr__(self) -> str:
-        return (
-            f"OffsetFreeMPC({len(self.C)} outputs, gain={self.gain:.3g}, disturbance={self.disturbance}, {self.mpc!r})"
-        )
+        size = f"{len(self.C)} outputs, gain={self.gain:.3g}, disturbance={self.disturbance}"
+        return f"{type(self).__name__}({size}, {self.mpc!r})"
 
     @property
     def needs(self) -> frozenset[str]:
@@ -137,51 +126,7 @@ class OffsetFreeMPC:
         """As `target`, but where no steady state exists the state and input in X and U that drift least."""
         mpc = self.mpc
         r = as_array("reference", reference, (len(self.C),))
-        size = np.concatenate([mpc.state_extent, np.where(mpc.input_extent > 0, mpc.input_extent, 1.0)])
-        # (A - I)x + Bu + Ew = 0, states and inputs in units of their limits
-        M = np.hstack([mpc.A - np.eye(mpc.nx), mpc.B]) / mpc.state_extent[:, None] * size
-        push = mpc.E @ self.disturbance / mpc.state_extent
-        particular = np.linalg.lstsq(M, -push, rcond=None)[0]
-        basis = null_space(M)
-        basis[np.abs(basis) < STEADY] = 0.0  # what rounding left of a zero would count as a direction
-        drift = M @ particular + push
-        steady = np.abs(drift).max() <= STEADY * max(1.0, np.abs(push).max())
-        result = self._nearest(r, size, particular, basis, np.zeros((len(size), len(size))))
-        if result is None or result.infeasible or not steady:
-            basis = np.eye(len(size))
-            steady = False
-            result = self._nearest(r, size, particular, basis, M.T @ M / TARGET_DRIFT)
-        point = particular + basis @ (np.zeros(basis.shape[1]) if result is None else result.z)
-        drift = (M @ point + push) * mpc.state_extent
-        state, action = np.split(point * size, [mpc.nx])
-        return Target(state, action, drift, bool(steady))
-
-    def _nearest(self, r: Array, size: Array, particular: Array, basis: Array, drift: Array) -> QPResult | None:
-        """QP over particular + basis z: output error, then cost, and the drift of those that are not steady."""
-        mpc = self.mpc
-        output = np.hstack([self.C, np.zeros((len(self.C), mpc.nu))]) * size
-        unit = max(float(np.linalg.norm(output)), np.finfo(float).tiny)
-        W = np.zeros((len(size), len(size)))
-        W[: mpc.nx, : mpc.nx] = mpc.Q
-        W[mpc.nx :, mpc.nx :] = mpc.R
-        if mpc.S is not None:
-            W[: mpc.nx, mpc.nx :] = mpc.S
-            W[mpc.nx :, : mpc.nx] = mpc.S.T
-        W = W * size * size[:, None]
-        W = W / max(float(np.trace(W)), np.finfo(float).tiny) + NEGLIGIBLE * np.eye(len(size))
-        T = output / unit
-        full = T.T @ T + TARGET_COST * W + drift
-        if not basis.shape[1]:
-            return None
-        H = basis.T @ full @ basis
-        # the particular solution has the least drift, so the drift has no slope there
-        q = basis.T @ (T.T @ (T @ particular - r / unit) + TARGET_COST * W @ particular)
-        (HX, hX) = mpc.state_rows
-        (HU, hU) = mpc.input_rows
-        rows = np.vstack([np.hstack([HX, np.zeros((len(HX), mpc.nu))]), np.hstack([np.zeros((len(HU), mpc.nx)), HU])])
-        units = np.concatenate([mpc.row_units["state"], mpc.row_units["input"]])
-        right = np.concatenate([hX, hU]) - rows * size @ particular
-        return DenseQP(H, rows * size @ basis, units).solve(q, right, confirm_infeasible=True)
+        return nearest_target(mpc, mpc.A, mpc.B, mpc.E @ self.disturbance, self.C, r)
 
     def solve(self, x: ArrayLike, reference: ArrayLike, **signals: ArrayLike) -> Plan:
         """Plan from x towards the `nearest_target` of the reference, under the estimated disturbance.
@@ -215,7 +160,7 @@ class OffsetFreeMPC:
         if x_ref is None:
             raise InputError("reference", "nothing", "the outputs to reach, or x_ref")
         state = as_floats("x_ref", x_ref)
-        return np.asarray(self.C @ as_array("x_ref", state[0] if state.ndim == 2 else state, (self.mpc.nx,)))
+        return np.asarray(self.C @ as_array("x_ref", state[0] if state.ndim == 2 else state, (self._problem.nx,)))
 
 
 def _refuse_own(signals: dict[str, Any]) -> None:
@@ -242,19 +187,19 @@ class OffsetFreeLoop:
 
     def reset(self, n: int = 1) -> None:
         """Forget the last states and start from the controller's own estimate."""
-        self._each = [self.controller] * as_count("n", n)
+        self._each = [self.controller._alone() for _ in range(as_count("n", n))]
         self._last: Array | None = None
 
     def __call__(self, x: ArrayLike, **signals: Any) -> Array:
         """Inputs (n, nu) for the states (n, nx) of all runs, or (nu,) for the one run's (nx,)."""
         states = as_floats("x", x)
         single = states.ndim == 1
-        states = as_array("x", np.atleast_2d(states), (len(self._each), self.controller.mpc.nx))
+        states = as_array("x", np.atleast_2d(states), (len(self._each), self.controller._problem.nx))
         applied = self._applied(signals.pop("u_prev", None))
         if self._last is not None:
             self._each = [c.observe(*step) for c, *step in zip(self._each, self._last, applied, states)]
         self._last = states
-        limited = self.controller.mpc.rate_limit is not None
+        limited = self.controller._problem.rate_limit is not None
         own = [{"u_prev": u} if limited else {} for u in applied]  # references are shared, the last input is not
         u = np.array([c(s, **signals, **mine) for c, s, mine in zip(self._each, states, own)])
         return u[0] if single else u
@@ -263,4 +208,6 @@ class OffsetFreeLoop:
         """The last inputs (n, nu) of all runs, checked."""
         if u_prev is None:
             raise InputError("u_prev", "nothing", "the input that was applied one step ago", "Before the first: zeros.")
-        return as_array("u_prev", np.atleast_2d(as_floats("u_prev", u_prev)), (len(self._each), self.controller.mpc.nu))
+        return as_array(
+            "u_prev", np.atleast_2d(as_floats("u_prev", u_prev)), (len(self._each), self.controller._problem.nu)
+        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField
@@ -77,6 +78,17 @@ class CustomObjective(Objective):
             return Weights(self.Q, self.R)
         H = np.asarray(self.stage_cost.hessian(nx, nu, len(p))(p), dtype=float) / 2
         return _checked_weights(H, nx, p)
+
+    def weight_derivatives(self, p: Array, nx: int, nu: int) -> Weights:
+        """Derivatives (·, ·, np) of the weights by the design: of half the Hessian of ℓ, unless they are given."""
+        if self.Q is not None:
+            return super().weight_derivatives(p, nx, nu)
+        symbol = ca.SX.sym("p", len(p))
+        hessian = self.stage_cost.hessian(nx, nu, len(p))(symbol)
+        slopes = ca.Function("slopes", [symbol], [ca.densify(ca.jacobian(ca.vec(hessian), symbol))])(p)
+        T = np.asarray(slopes, dtype=float).reshape((nx + nu, nx + nu, len(p)), order="F") / 2
+        T = (T + T.transpose(1, 0, 2)) / 2
+        return Weights(T[:nx, :nx], T[nx:, nx:], T[:nx, nx:])
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:
         """Whether a cost depends on any of its arguments, or there is one of the design."""

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import casadi as ca
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array
 from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller, LinearFeedback
-from ccdtools.plants.linear_model import LinearModel
-from ccdtools.plants.models import Model
+from ccdtools.plants.undisturbed_step import undisturbed_step
 from mpc import LinearMPC, lqr
 
 if TYPE_CHECKING:
@@ -66,7 +63,7 @@ def nonlinear_mpc(
     p = problem.design.check_one(design)
     X, U = problem.kept_by_mpc(p), problem.input_limits(p)
     return NonlinearMPC(
-        _at_rest(problem.model, p), problem.model.nx, problem.model.nu, **problem.weights(p).keywords(),
+        undisturbed_step(problem.model), problem.model.nx, problem.model.nu, p=p, **problem.weights(p).keywords(),
         horizon=horizon, X=X, U=U, iterations=iterations,
     )  # fmt: skip
 
@@ -74,14 +71,3 @@ def nonlinear_mpc(
 def controller_of(kind: str, problem: CoDesignProblem, design: ArrayLike) -> Controller:
     """The controller of a design: "lqr" or "mpc"."""
     return saturated_lqr(problem, design) if kind == "lqr" else linear_mpc(problem, design)
-
-
-def _at_rest(model: Model, p: Array) -> ca.Function:
-    """(x, u) → x⁺ at a design, undisturbed."""
-    if isinstance(model, LinearModel):
-        x, u = ca.SX.sym("x", model.nx), ca.SX.sym("u", model.nu)
-        A, B, _ = model.matrices(p)
-        return ca.Function("step", [x, u], [ca.DM(A) @ x + ca.DM(B) @ u], ["x", "u"], ["value"])
-    kind: Any = ca.SX if model.step.is_a("SXFunction") else ca.MX
-    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
-    return ca.Function("step", [x, u], [model.step(x, u, ca.DM.zeros(model.nw), ca.DM(p))], ["x", "u"], ["value"])

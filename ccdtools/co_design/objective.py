@@ -77,6 +77,10 @@ class Objective(Immutable):
         """The quadratic cost of a step about rest at a design (np,), for LQR and MPC."""
         raise NotImplementedError
 
+    def weight_derivatives(self, p: Array, nx: int, nu: int) -> Weights:
+        """Derivatives (·, ·, np) of the weights by the design; zeros unless a subclass has others."""
+        return Weights(*(np.zeros((m, n, len(p))) for m, n in ((nx, nx), (nu, nu), (nx, nu))))
+
     def judges(self, nx: int, nu: int, designs: int) -> bool:
         """Whether anything that is chosen changes it: a state, an input or the design."""
         return True

@@ -16,7 +16,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finite, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace, check_finite
-from ccdtools.plants.matrices_of_design import derivative, evaluated
+from ccdtools.plants.matrices_of_design import derivative, derivatives_at, evaluated
 from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
 from ccdtools.plants.zero_order_hold import zero_order_hold
 
@@ -170,6 +170,13 @@ class LinearModel:
         """p → ∂vec[A B E]/∂p, (nx·(nx + nu + nw), np), vec by columns."""
         return derivative(self.function)
 
+    @cached_property
+    def step(self) -> ca.Function:
+        """(x, u, w, p) → x⁺, in CasADi."""
+        x, u, w = (ca.SX.sym(name, size) for name, size in zip("xuw", (self.nx, self.nu, self.nw)))
+        after = self.A @ x + self.B @ u + self.E @ w + self._c
+        return ca.Function("step", [x, u, w, self.symbols], [ca.densify(after)], ["x", "u", "w", "p"], ["x_next"])
+
     def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
         """A (nx, nx), B (nx, nu) and E (nx, nw) at a design (np,); stacked along axis 0 for designs (n, np).
 
@@ -189,9 +196,7 @@ class LinearModel:
     def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
         """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) at a design (np,)."""
         p = self._checked(p) if self.design is None else self.design.check_one(p)
-        columns = self.nx + self.nu + self.nw
-        T = np.asarray(self.jacobian(p), dtype=float).reshape(columns, self.nx, len(p)).transpose(1, 0, 2)
-        return T[:, : self.nx], T[:, self.nx : self.nx + self.nu], T[:, self.nx + self.nu :]
+        return derivatives_at(self.jacobian, p, self.nx, self.nu)
 
     def state_space(self, p: ArrayLike = ()):
         """The model at one design as a `control.StateSpace` with inputs u, outputs x and its dt.

@@ -36,3 +36,9 @@ def derivative(function: ca.Function) -> ca.Function:
     kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     p = kind.sym("p", *function.size_in(0))
     return ca.Function("jacobian", [p], [ca.densify(ca.jacobian(ca.vec(function(p)), p))])
+
+
+def derivatives_at(jacobian: ca.Function, p: Array, nx: int, nu: int) -> tuple[Array, Array, Array]:
+    """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np), of p → ∂vec[A B E]/∂p at a design (np,)."""
+    T = np.asarray(jacobian(p), dtype=float).reshape(-1, nx, len(p)).transpose(1, 0, 2)
+    return T[:, :nx], T[:, nx : nx + nu], T[:, nx + nu :]

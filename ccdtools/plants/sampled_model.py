@@ -17,7 +17,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.collocation import ImplicitStep
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.integration_error import IntegrationError
-from ccdtools.plants.matrices_of_design import derivative, evaluated
+from ccdtools.plants.matrices_of_design import derivative, derivatives_at, evaluated
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.runge_kutta import ExplicitStep
 
@@ -182,6 +182,10 @@ class SampledModel:
             If a design has the wrong shape, lies outside its bounds, or makes a matrix infinite.
         """
         return evaluated(self.function, self.design.check(p), self.nu)
+
+    def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
+        """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) of the linearisation at a design (np,)."""
+        return derivatives_at(self.jacobian, self.design.check_one(p), self.nx, self.nu)
 
     @property
     def step(self) -> ca.Function:

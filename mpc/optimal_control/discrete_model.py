@@ -2,12 +2,61 @@
 
 from __future__ import annotations
 
+import threading
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mpc.checks import Array
+
+
+class Buffered:
+    """A CasADi function of arrays, each with one row for every column of the function's; every thread has buffers.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        With dense results.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self.function = function
+        self._workspace = threading.local()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Buffers are not copied: a copy makes its own."""
+        return {"function": self.function}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(**state)  # type: ignore[misc]
+
+    def __call__(self, *arguments: ArrayLike) -> tuple[Array, ...]:
+        """Its results; a single row of an argument is repeated."""
+        own = self._workspace.__dict__
+        if not own:
+            own.update(self._buffers())
+        for into, value in zip(own["arguments"], arguments):
+            into[...] = value
+        own["evaluate"]()
+        return tuple(value.copy() for value in own["results"])
+
+    def _buffers(self) -> dict[str, Any]:
+        """Where arguments and results lie: CasADi stores columns one after the other, as NumPy rows."""
+        f = self.function
+        arguments = [np.zeros((f.size2_in(i), f.size1_in(i))) for i in range(f.n_in())]
+        results = [np.zeros((f.size2_out(i), f.size1_out(i))) for i in range(f.n_out())]
+        made: Any = f.buffer()
+        buffer, evaluate = made
+        for i, array in enumerate(arguments):
+            if array.size:
+                buffer.set_arg(i, memoryview(array.ravel()))  # type: ignore[arg-type]
+        for i, array in enumerate(results):
+            if array.size:
+                buffer.set_res(i, memoryview(array.ravel()))  # type: ignore[arg-type]
+        return {"buffer": buffer, "evaluate": evaluate, "arguments": arguments, "results": results}
 
 
 class DiscreteModel:
@@ -22,34 +71,98 @@ class DiscreteModel:
     """
 
     def __init__(self, step: ca.Function, horizon: int) -> None:
+        self.step = step
+        self.horizon = horizon
         kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
         columns = [kind.sym(name, step.numel_in(i)) for i, name in enumerate("xuwp")]
-        value = step(*columns)
-        derivatives = [ca.densify(ca.jacobian(value, column)) for column in columns[:2]]
-        self.step = step
-        self._derivatives = ca.Function("derivatives", columns, [ca.densify(value), *derivatives])
-        self._along = self._derivatives.map(horizon)
-        self._values = step.map(horizon)
-        self._rollout = step.mapaccum(horizon)
+        value = ca.densify(step(*columns))
+        derivatives = [ca.densify(ca.jacobian(value, column)) for column in columns[:3]]
+        names = ["x", "u", "w", "p"]
+        self.derivatives = ca.Function(
+            "derivatives", columns, [value, *derivatives[:2]], names, ["next", "A", "B"], {"cse": True}
+        )
+        by_disturbance = ca.Function("by_disturbance", columns, [derivatives[2]], {"cse": True})
+        self._at = Buffered(self.derivatives)
+        self._by_disturbance = Buffered(by_disturbance)
+        self._linearised = Buffered(self.derivatives.map("linearised", "serial", horizon, [3], []))
+        self._along = Buffered(step.map("along", "serial", horizon, [3], []))
+        self._one = Buffered(step)
+        self._followed = Buffered(_following(step, kind).mapaccum("followed", horizon))
 
     def linearised(self, states: Array, inputs: Array, w: Array, p: Array) -> tuple[Array, Array, Array]:
         """Next states (N, nx), A (N, nx, nx) and B (N, nx, nu) at states (N, nx), inputs (N, nu), signals (N, nw)."""
         N, nx = states.shape
-        found = self._along(states.T, inputs.T, w.T, np.tile(p[:, None], (1, N)))
-        f, A, B = (np.asarray(value, dtype=float) for value in found)
-        return f.T, A.reshape(nx, N, -1).transpose(1, 0, 2), B.reshape(nx, N, -1).transpose(1, 0, 2)
-
-    def along(self, states: Array, inputs: Array, w: Array, p: Array) -> Array:
-        """Next states (N, nx) at states (N, nx), inputs (N, nu), signals (N, nw)."""
-        after = self._values(states.T, inputs.T, w.T, np.tile(p[:, None], (1, len(states))))
-        return np.asarray(after, dtype=float).T
+        f, A, B = self._linearised(states, inputs, w, p)
+        A, B = A.reshape(N, nx, nx), B.reshape(N, -1, nx)
+        return f, np.ascontiguousarray(A.transpose(0, 2, 1)), np.ascontiguousarray(B.transpose(0, 2, 1))
 
     def linearised_at(self, x: Array, u: Array, w: Array, p: Array) -> tuple[Array, Array, Array]:
         """The same at one point."""
-        f, A, B = (np.asarray(value, dtype=float) for value in self._derivatives(x, u, w, p))
-        return f.ravel(), A, B
+        f, A, B = self._at(x, u, w, p)
+        return f[0], A.T, B.T
 
-    def rolled(self, x: Array, inputs: Array, w: Array, p: Array) -> Array:
-        """States (N + 1, nx) from x (nx,) under inputs (N, nu)."""
-        after = self._rollout(x, inputs.T, w.T, np.tile(p[:, None], (1, len(inputs))))
-        return np.vstack([x, np.asarray(after, dtype=float).T])
+    def by_disturbance(self, x: Array, u: Array, w: Array, p: Array) -> Array:
+        """Derivatives (nx, nw) of the next state by w."""
+        return self._by_disturbance(x, u, w, p)[0].T
+
+    def curvature(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> Array:
+        """Second derivatives (N, nx + nu, nx + nu) of λ'f by (x, u), for costates (N, nx) of the next states."""
+        n = states.shape[1] + inputs.shape[1]
+        return self._curvature(states, inputs, w, p, costates)[0].reshape(len(inputs), n, n)
+
+    @cached_property
+    def _curvature(self) -> Buffered:
+        """Built when first asked for: few plans need it."""
+        kind: Any = ca.SX if self.step.is_a("SXFunction") else ca.MX
+        columns = [kind.sym(name, self.step.numel_in(i)) for i, name in enumerate("xuwp")]
+        costate = kind.sym("costate", self.step.numel_out(0))
+        both = kind.sym("both", columns[0].numel() + columns[1].numel())
+        state, action = both[: columns[0].numel()], both[columns[0].numel() :]
+        found, _ = ca.hessian(ca.dot(costate, self.step(state, action, *columns[2:])), both)
+        found = ca.substitute(found, both, ca.vertcat(*columns[:2]))
+        function = ca.Function("curvature", [*columns, costate], [ca.densify(found)], {"cse": True})
+        return Buffered(function.map("curvature_along", "serial", self.horizon, [3], []))
+
+    def along(self, states: Array, inputs: Array, w: Array, p: Array) -> Array:
+        """Next states (N, nx) at states (N, nx), inputs (N, nu), signals (N, nw)."""
+        return self._along(states, inputs, w, p)[0]
+
+    def next(self, x: Array, u: Array, w: Array, p: Array) -> Array:
+        """Next state (nx,) at one point."""
+        return np.asarray(self._one(x, u, w, p)[0][0])
+
+    def followed(
+        self, x: Array, last: Array, states: Array, inputs: Array, gains: Array, limits: tuple[Array, Array, Array],
+        w: Array, p: Array,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """States (N + 1, nx) and inputs (N, nu) from x (nx,) under u = v - K(x - s), held within limits.
+
+        Parameters
+        ----------
+        last : (nu,) array
+            The input one step ago.
+        states, inputs, gains : (N + 1, nx), (N, nu) and (N, nu, nx) arrays
+            s, v and K.
+        limits : three (nu,) arrays
+            Least and largest input, and its largest change.
+        """
+        N, nu, nx = gains.shape
+        start = np.concatenate([x, last])
+        by_columns = gains.transpose(0, 2, 1).reshape(N, nx * nu)
+        found = self._followed(start, inputs, states[:-1], by_columns, *limits, w, p)[0]
+        return np.vstack([x, found[:, :nx]]), found[:, nx:]
+
+
+def _following(step: ca.Function, kind: Any) -> ca.Function:
+    """One step of (x, u) → (x⁺, u⁺) with u⁺ = v - K(x - s), held within bounds and changes."""
+    nx, nu = step.numel_in(0), step.numel_in(1)
+    now = kind.sym("now", nx + nu)
+    v, s = kind.sym("v", nu), kind.sym("s", nx)
+    gain = kind.sym("gain", nx * nu)
+    low, high, rate = (kind.sym(name, nu) for name in ("low", "high", "rate"))
+    w, p = kind.sym("w", step.numel_in(2)), kind.sym("p", step.numel_in(3))
+    x, last = now[:nx], now[nx:]
+    u = v - ca.reshape(gain, nu, nx) @ (x - s)
+    u = ca.fmax(ca.fmax(low, last - rate), ca.fmin(ca.fmin(high, last + rate), u))
+    then = ca.densify(ca.vertcat(step(x, u, w, p), u))
+    return ca.Function("following", [now, v, s, gain, low, high, rate, w, p], [then])

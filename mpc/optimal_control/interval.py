@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.problem import Phase, PhaseFunctions
+from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Scheme
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.optimal_control.interval import at_points, times_of
-from mpc.optimal_control.problem import signal_at
+from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation
 

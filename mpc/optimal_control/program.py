@@ -9,10 +9,12 @@ import casadi as ca
 import numpy as np
 
 from mpc.checks import Array
+from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout
-from mpc.optimal_control.problem import OptimalControlProblem, Phase, PhaseFunctions
+from mpc.optimal_control.phase import Phase, PhaseFunctions
+from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-from mpc.optimal_control.unknowns import Trajectory, placed
+from mpc.optimal_control.unknowns import coordinates
 
 VANISHING = 1e-9  # size of an unknown, beside the one it was given, that tells nothing
 
@@ -102,8 +104,10 @@ class NonlinearProgram:
     parts : tuple of PhasePart
     parameters : slice
         Of p among the unknowns.
-    expand : bool
-        Whether f and g are written out in scalar instructions for the solver.
+    worst : int
+        Index of the largest cost of a scenario among the unknowns; −1 where costs are summed.
+    derivatives : Derivatives
+        Values and derivatives of f and g as functions of v.
     """
 
     problem: OptimalControlProblem
@@ -120,7 +124,8 @@ class NonlinearProgram:
     rows: tuple[Rows, ...]
     parts: tuple[PhasePart, ...]
     parameters: slice
-    expand: bool
+    worst: int
+    derivatives: Derivatives
     cost_scale: float = 1.0
 
     def __repr__(self) -> str:
@@ -144,26 +149,61 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
     for part in program.parts:
         layout = part.layout
         own, sizes = v[part.first : part.last], scale[part.first : part.last]
-        coordinate = placed(layout, part.mesh, _numbered(layout))
+        coordinate, _ = coordinates(layout, part.mesh)
         for i in range(layout.nx + layout.nu):
             largest = np.abs(own[coordinate == i]).max()
             sizes[coordinate == i] = largest if largest > VANISHING * sizes[coordinate == i].max() else 1.0
         rows = part.defects.stop - part.defects.start
         row_scale[part.defects] = np.tile(sizes[: layout.nx], rows // layout.nx)
-    slope = ca.Function("slope", [program.v], [ca.gradient(program.f, program.v)])(v)
-    size = float(np.abs(np.asarray(slope, dtype=float).ravel() * scale).max(initial=0.0))
+    loose = np.setdiff1d(np.arange(len(v)), np.concatenate([np.arange(p.first, p.last) for p in program.parts]))
+    loose = loose[~(np.isfinite(program.lower) & np.isfinite(program.upper))[loose]]
+    large = np.abs(v[loose])
+    scale[loose] = np.where(large > VANISHING * scale[loose], large, 1.0)
+    slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
+    size = float(np.abs(slope * scale).max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
-    return replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=cost_scale)
+    return with_sizes_of_rows(replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=cost_scale))
 
 
-def _numbered(layout: Layout) -> Trajectory:
-    """A trajectory whose values are the numbers of the coordinates: states first, then inputs."""
+def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
+    """The program with sizes of constraints other than dynamics: by how much they change with an unknown's size.
 
-    def numbers(at: Array) -> tuple[Array, Array]:
-        every = np.tile(np.arange(layout.nx + layout.nu, dtype=float), (len(at), 1))
-        return every[:, : layout.nx], every[:, layout.nx :]
+    One size for all points of an entry, that of the point where it changes most.
+    """
+    row_scale = program.row_scale.copy()
+    chosen = [rows for rows in program.rows if rows.name not in ("dynamics", "link")]
+    if not chosen:
+        return program
+    slope = program.derivatives.jacobian[1](program.guess)[1].sparse()
+    steepest = abs(slope.multiply(program.scale[None])).max(axis=1).toarray().ravel()
+    for rows in chosen:
+        repeats = program.problem.functions[rows.phase].path if rows.name == "path" else None
+        own = steepest[rows.first : rows.last]
+        width = repeats.numel_out(0) if repeats is not None and len(own) % repeats.numel_out(0) == 0 else len(own)
+        size = own.reshape(-1, width).max(axis=0)
+        size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+        row_scale[rows.first : rows.last] = np.tile(size, len(own) // width)
+    return replace(program, row_scale=row_scale)
 
-    return numbers
+
+def with_largest_cost(program: NonlinearProgram) -> NonlinearProgram:
+    """The program whose unknown largest cost starts from what it is at the guess."""
+    if program.worst < 0:
+        return program
+    guess, scale = program.guess.copy(), program.scale.copy()
+    guess[program.worst] = largest_cost(program, guess)
+    there = np.clip(scale, program.lower, program.upper)
+    there[program.worst] = 0.0
+    large = [abs(guess[program.worst]), abs(largest_cost(program, there))]
+    scale[program.worst] = max([size for size in large if np.isfinite(size)]) or 1.0
+    return replace(program, guess=guess, scale=scale)
+
+
+def largest_cost(program: NonlinearProgram, v: Array) -> float:
+    """The largest cost of a scenario at unknowns (n,)."""
+    count = len(program.parts)
+    g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()
+    return float(g[:count].max() + v[program.worst])
 
 
 def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
@@ -180,3 +220,18 @@ def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
         entry = f" {(index % path.numel_out(0) if found.name == 'path' and path else index) + 1}"
     phase = f" of phase {found.phase + 1}" if len(program.parts) > 1 else ""
     return f"{found.name}{entry}{phase} at t = {start + length * found.fractions[index]:.6g}"
+
+
+def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
+    """What an unknown is, and when: "bound of input 1 at t = 0.31"."""
+    for k, (part, (start, length)) in enumerate(zip(program.parts, program.times(v))):
+        if not part.first <= index < part.last:
+            continue
+        own = index - part.first
+        layout = part.layout
+        numbers, fraction = coordinates(layout, part.mesh)
+        coordinate = int(numbers[own])
+        name = f"state {coordinate + 1}" if coordinate < layout.nx else f"input {coordinate - layout.nx + 1}"
+        phase = f" of phase {k + 1}" if len(program.parts) > 1 else ""
+        return f"bound of {name}{phase} at t = {start + length * fraction[own]:.6g}"
+    return "bound of a duration" if index < program.parameters.start else "bound of a parameter"

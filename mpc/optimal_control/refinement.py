@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import replace
 from typing import Any
@@ -10,8 +11,10 @@ import numpy as np
 
 from mpc.checks import Array, as_count
 from mpc.exceptions import InputError
+from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import PhaseSolution
-from mpc.optimal_control.problem import OptimalControlProblem, Phase
+from mpc.optimal_control.problem import OptimalControlProblem
+from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, Scheme
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.solving import solve
@@ -19,6 +22,10 @@ from mpc.optimal_control.transcription import build
 
 SAFETY = 0.05  # part of the tolerance that new intervals aim at
 MOST_PARTS = 6  # that an interval is cut into at once
+PINNED = 0.1  # of the root of the tolerance, to which the place of a jump is known
+SHARPNESS = 1e-3  # tolerance of the last solves where inputs may jump: short intervals weigh little in the cost
+GROWTH = 1.5  # of the program, by those last solves
+AT_BOUND = 1e-6  # of an input's range
 JUMP = 0.5  # of an input's range, crossed within one interval
 LEAST_INTERVAL = 1e-9  # of the phase
 
@@ -27,7 +34,8 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
            tolerance: float = 1e-6, rounds: int = 10, **options: Any) -> Solution:  # fmt: skip
     """Solve on meshes that are made finer where the dynamics are missed, until they are met to a tolerance.
 
-    Where an input jumps, intervals are cut to the root of the tolerance, which the cost feels as the tolerance.
+    Where an input jumps, intervals are cut to a tenth of the root of the tolerance: the cost feels the square of that,
+    parameters the length itself.
 
     Parameters
     ----------
@@ -50,28 +58,84 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     """
     if not 0 < float(tolerance) < 1:
         raise InputError("tolerance", tolerance, "a number between 0 and 1")
-    began = time.perf_counter()
+    began, left = time.perf_counter(), as_count("rounds", rounds) - 1
     program = build(problem, scheme, intervals)
     solution = solve(program, **options)
-    iterations = solution.iterations
     if not solution.solved:
         return solution
-    for _ in range(as_count("rounds", rounds) - 1):
-        meshes = [_finer(phase, error, tolerance) for phase, error in zip(solution.phases, solution.errors)]
-        if all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases)):
-            break
-        program = build(program.problem, program.parts[0].scheme, meshes=meshes)
-        finer = solve(program, start=solution, **options)
-        iterations += finer.iterations
-        if not finer.solved:
-            fresh = solve(program, **options)
-            iterations += fresh.iterations
-            finer = min(finer, fresh, key=lambda found: found.residuals.worst)
-        if not finer.solved:
-            return _ended(solution, "a finer mesh was not solved", iterations, began)
-        solution = finer
-    met = all(error.max(initial=0.0) <= tolerance for error in solution.errors)
-    return _ended(solution, "" if met else "these were all the rounds", iterations, began)
+    rounds_of = _Rounds(options, tolerance, left, solution.iterations)
+    solution, reason = rounds_of.refined(solution)
+    if not reason and "tolerance" not in options and _reach_bounds(solution):
+        sharp = _Rounds(options | {"tolerance": SHARPNESS * tolerance}, tolerance, rounds_of.left, rounds_of.iterations)
+        finer = sharp.sharpened(solution)
+        return _ended(solution if finer is None else finer, "", sharp.iterations, began)
+    return _ended(solution, reason, rounds_of.iterations, began)
+
+
+class _Rounds:
+    """Solves on finer and finer meshes, each from the one before."""
+
+    def __init__(self, options: dict[str, Any], tolerance: float, left: int, iterations: int) -> None:
+        self.options = {name: value for name, value in options.items() if name != "start"}
+        self.tolerance = tolerance
+        self.left = left
+        self.iterations = iterations
+        self.most = sys.maxsize
+
+    def refined(self, solution: Solution) -> tuple[Solution, str]:
+        """The last solution, and why it is not the one that was asked for, if it is not."""
+        while (meshes := self._meshes(solution)) is not None:
+            if not self.left:
+                met = _met(solution, self.tolerance)
+                return solution, "" if met else "these were all the rounds"
+            self.left -= 1
+            program = build(solution.program.problem, solution.phases[0].part.scheme, meshes=meshes)
+            if program.v.numel() > self.most:
+                return solution, "a mesh that meets them is too large"
+            finer = self._solved(program, solution)
+            if not finer.solved:
+                return solution, "a finer mesh was not solved"
+            solution = finer
+        met = _met(solution, self.tolerance)
+        return solution, "" if met else "intervals are as short as they may be"
+
+    def sharpened(self, solution: Solution) -> Solution | None:
+        """The solution to a tighter tolerance of the solver, if a mesh of much the same size does for that.
+
+        Along a singular arc it does not: the input begins to swing.
+        """
+        self.most = int(GROWTH * len(solution.unknowns))
+        sharp = self._solved(solution.program, solution)
+        if not sharp.solved:
+            return None
+        sharp, reason = self.refined(sharp)
+        return None if reason else sharp
+
+    def _solved(self, program: NonlinearProgram, start: Solution) -> Solution:
+        """From the solution of another mesh; if that fails, from the guess."""
+        found = solve(program, start=start, **self.options)
+        self.iterations += found.iterations
+        if found.solved:
+            return found
+        fresh = solve(program, **self.options)
+        self.iterations += fresh.iterations
+        return min(found, fresh, key=lambda one: (not one.solved, one.residuals.worst))
+
+    def _meshes(self, solution: Solution) -> list[Array] | None:
+        """Finer meshes; None where none is asked for."""
+        meshes = [_finer(phase, error, self.tolerance) for phase, error in zip(solution.phases, solution.errors)]
+        same = all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases))
+        return None if same else meshes
+
+
+def _reach_bounds(solution: Solution) -> bool:
+    """Whether inputs reach their bounds, between which they may jump."""
+    for phase in solution.phases:
+        low, high = phase.part.phase.u_bounds
+        room = AT_BOUND * np.where(np.isfinite(high - low), high - low, 0.0)
+        if phase.inputs.size and ((phase.inputs <= low + room) | (phase.inputs >= high - room)).any():
+            return True
+    return False
 
 
 def _ended(solution: Solution, reason: str, iterations: int, began: float) -> Solution:
@@ -83,6 +147,11 @@ def _ended(solution: Solution, reason: str, iterations: int, began: float) -> So
         status=OptimalControlStatus.STOPPED if stopped else solution.status,
         message=solution.message + missed * stopped,
     )  # fmt: skip
+
+
+def _met(solution: Solution, tolerance: float) -> bool:
+    """Whether the dynamics are met."""
+    return all(error.max(initial=0.0) <= tolerance for error in solution.errors)
 
 
 def _worst(solution: Solution) -> float:
@@ -97,7 +166,7 @@ def _finer(phase: PhaseSolution, errors: Array, tolerance: float) -> Array:
     asked = np.ceil((np.maximum(errors, tolerance) / (SAFETY * tolerance)) ** (1 / order)).astype(int)
     steps = np.diff(part.mesh)
     parts = np.where(errors > tolerance, np.clip(asked, 2, MOST_PARTS), 1)
-    parts[_jumps(phase) & (steps > np.sqrt(tolerance))] = MOST_PARTS
+    parts[_jumps(phase) & (steps > PINNED * np.sqrt(tolerance))] = MOST_PARTS
     parts[steps <= LEAST_INTERVAL] = 1
     if part.phase.discrete:
         return part.mesh

@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
+from mpc.exceptions import InputError
 from mpc.optimal_control.mesh_errors import mesh_errors
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
+from mpc.optimal_control.solution_sensitivity import SolutionSensitivity, solution_sensitivity
 from mpc.plan import Residuals
 
 
@@ -20,7 +23,15 @@ class OptimalControlStatus(Enum):
     """Outcome of a solve; the value is the advice."""
 
     SOLVED = "Solved: the optimality conditions hold to the tolerance, checked apart from the solver."
-    INFEASIBLE = "No feasible trajectory was found. Relax what `conflicts` names, or give a guess nearer to feasible."
+    INFEASIBLE = (
+        "No feasible trajectory was found: not by the solver, nor by making violations least from several starts. "
+        "Relax what `conflicts` names, or give a guess nearer to feasible."
+    )
+    UNBOUNDED = "The cost falls without end. Bound states, inputs, parameters or the duration, or price them."
+    UNDEFINED = (
+        "Functions or their derivatives are not finite where the solver went, see `conflicts`. "
+        "Bound the states away from there, or give a guess away from it."
+    )
     STOPPED = "Stopped before the optimum: the best iterate is returned. Raise the limit, or start from this solution."
     INACCURATE = (
         "The solver ended, but the optimality conditions do not hold to the tolerance. Rescale, or refine the mesh."
@@ -46,7 +57,9 @@ class Solution:
     residuals : Residuals
         Optimality residuals, computed from the program alone in scaled unknowns.
     conflicts : tuple of str
-        The constraints that are violated most, where some are.
+        The constraints that are violated most, where some are; if INFEASIBLE, also what contradicts them.
+    notes : tuple of str
+        What the problem's statement may have to do with the outcome: functions that jump, a duration at its bound.
     multipliers : dict of str to array
         Of "rows" (m,) and "bounds" (n,) of the program; positive at upper bounds.
     iterations : int
@@ -65,6 +78,7 @@ class Solution:
     status: OptimalControlStatus
     residuals: Residuals
     conflicts: tuple[str, ...]
+    notes: tuple[str, ...]
     multipliers: dict[str, Array]
     iterations: int
     solve_time: float
@@ -83,19 +97,44 @@ class Solution:
         return self.status is OptimalControlStatus.SOLVED
 
     @property
+    def advice(self) -> str:
+        """What to do about the outcome: that of the status, and the notes."""
+        return " ".join([self.status.advice, *self.notes])
+
+    @property
     def times(self) -> Array:
         """Mesh of the first phase [s]."""
         return self.phases[0].times
 
     @property
     def duration(self) -> float:
-        """Of all phases [s]."""
-        return self.phases[-1].times[-1] - self.phases[0].times[0]
+        """Of all phases, or of the longest scenario [s]."""
+        if not self.program.problem.linked:
+            return max(phase.duration for phase in self.phases)
+        return float(self.phases[-1].times[-1] - self.phases[0].times[0])
 
     @property
     def p_gradient(self) -> Array:
         """How the optimal cost changes with parameters that are held or stand at a bound, (np,); 0 of others."""
         return -self.multipliers["bounds"][self.program.parameters]
+
+    def sensitivity(self) -> SolutionSensitivity:
+        """How optimal cost and trajectory change with the parameters, held where they are, and with a given start.
+
+        The conditions of an optimum of the program, on its mesh, are differentiated at the active constraints. Solve
+        to a small tolerance for derivatives of as many digits: `solve(…, tolerance=1e-10)`.
+
+        Returns
+        -------
+        SolutionSensitivity
+            ∂J*/∂p, ∂²J*/∂p², ∂u/∂p, ∂x/∂p, the same by the start, and a status: weakly active constraints are named.
+
+        References
+        ----------
+        Fiacco, *Introduction to Sensitivity and Stability Analysis in Nonlinear Programming*, 1983; Pirnay,
+        López-Negrete and Biegler, "Optimal sensitivity based on IPOPT", Mathematical Programming Computation 4, 2012.
+        """
+        return solution_sensitivity(self.program, self.unknowns, self.multipliers, self.solved)
 
     def x(self, t: ArrayLike) -> Array:
         """States (..., nx) at times (...), of the phase that they fall in."""
@@ -109,10 +148,37 @@ class Solution:
         """Costates (..., nx) at times (...), of the phase that they fall in."""
         return self._of_phases("costate", t)
 
+    def plot(self, *, costates: bool = False, mesh: bool = True, figure: Any = None) -> Any:
+        """Draw states, inputs with their bounds, and the mesh; phases or scenarios side by side.
+
+        Parameters
+        ----------
+        costates : bool
+            Whether they are drawn too.
+        mesh : bool
+            Whether the points of the mesh are marked.
+        figure : matplotlib Figure, optional
+            Where to draw; a new one by default.
+
+        Returns
+        -------
+        matplotlib Figure
+        """
+        from mpc.optimal_control.plotting import plot_phases
+
+        title = f"cost {self.cost:.6g}, {self.status.name}"
+        return plot_phases(self.phases, costates=costates, mesh=mesh, title=title, figure=figure)
+
     def _of_phases(self, name: str, t: ArrayLike) -> Array:
         """Values of phases at times."""
         if len(self.phases) == 1:
             return np.asarray(getattr(self.phases[0], name)(t))
+        if not self.program.problem.linked:
+            cure = f"Ask one of `phases`: solution.phases[0].{name}(t)."
+            raise InputError(name, "scenarios, which run side by side", "phases that follow one another", cure)
+        if len({phase.states.shape[1] for phase in self.phases}) > 1:
+            cure = f"Ask one of `phases`: solution.phases[0].{name}(t)."
+            raise InputError(name, "phases with different states", "phases with the same", cure)
         given = as_floats("t", t)
         ends = np.array([phase.times[-1] for phase in self.phases[:-1]])
         which = np.searchsorted(ends, given.ravel(), side="right")

@@ -3,36 +3,46 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
+from mpc.optimal_control.elastic import contradiction, elastic, shaken, starts
+from mpc.optimal_control.functions import brief
+from mpc.optimal_control.ipopt import FEASIBLE, Found, Settings, once
+from mpc.optimal_control.notes import notes_of, undefined
+from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
-from mpc.optimal_control.problem import OptimalControlProblem, Phase
-from mpc.optimal_control.program import NonlinearProgram, describe_row, rescaled
+from mpc.optimal_control.problem import OptimalControlProblem
+from mpc.optimal_control.program import NonlinearProgram, describe_row, largest_cost, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
 from mpc.optimal_control.unknowns import placed
-from mpc.plan import Residuals
 
-FEASIBLE = 1e-6  # violation, in scaled rows, of what passes for feasible
 OPTIMAL = 1e-5  # residual of the optimality conditions, scaled by the size of multipliers
-ACTIVE = 1e-7  # distance from a bound, in scaled unknowns, at which it may have a multiplier
 RESCALINGS = 3  # solves at most, each with sizes as the one before found them
 WELL_SIZED = 10.0  # ratio of sizes that is good enough
-WARM = {"mu_init": 1e-5, "bound_push": 1e-6, "bound_frac": 1e-6, "slack_bound_push": 1e-6, "slack_bound_frac": 1e-6}
+WARM = {
+    "mu_init": 1e-5, "bound_mult_init_method": "mu-based", "bound_push": 1e-6, "bound_frac": 1e-6,
+    "slack_bound_push": 1e-6, "slack_bound_frac": 1e-6,
+}  # fmt: skip
+CHEAPER = 1e-6  # of the cost: what makes another stationary point the better one
+BOTTOMLESS = 1e12  # of the cost at the guess
+USUAL = 3000  # iterations at most
+LEAST_SECONDS = 1e-3  # that a call is given, however late it is
 SHOWN = 5  # conflicts that are named
 LIMITS = ("Maximum_Iterations_Exceeded", "Maximum_WallTime_Exceeded", "Maximum_CpuTime_Exceeded", "User_Requested_Stop")
 IMPOSSIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")
+UNDEFINED = ("Invalid_Number_Detected",)
+ENDLESS = ("Diverging_Iterates",)
 
 
 def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: Solution | None = None,
-          p: ArrayLike | None = None, tolerance: float = 1e-8, max_iterations: int = 3000,
+          p: ArrayLike | None = None, tolerance: float = 1e-8, max_iterations: int = USUAL,
           time_limit: float | None = None, options: dict[str, Any] | None = None) -> Solution:  # fmt: skip
     """Solve an optimal control problem.
 
@@ -47,8 +57,9 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     tolerance : float
         Of the solver, on scaled unknowns.
     max_iterations : int
+        Stopped there, or by the time, the best feasible iterate is returned.
     time_limit : float, optional
-        [s].
+        Of all that one solve takes [s].
     options : dict, optional
         For Ipopt, such as {"linear_solver": "mumps"}.
 
@@ -61,95 +72,150 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
         program = build(program)
     if not isinstance(program, NonlinearProgram):
         raise InputError("program", type(program).__name__, "what `build` returns, an OptimalControlProblem or a Phase")
-    as_count("max_iterations", max_iterations)
-    seconds = as_seconds("time_limit", time_limit)
+    settings = _settings(tolerance, max_iterations, time_limit, options)
+    if start is not None and not isinstance(start, Solution):
+        raise InputError("start", type(start).__name__, "a Solution")
     lower, upper = program.lower.copy(), program.upper.copy()
     if p is not None:
         _hold(program, p, lower, upper)
-    began = time.perf_counter()
+    run = _Run(program, lower, upper, settings)
     guess = np.clip(program.guess if start is None else unknowns_from(program, start), lower, upper)
-    own = (WARM if start is not None else {}) | dict(options or {})
-    same = (
-        start is not None
-        and len(start.multipliers["rows"]) == len(program.row_lower)
-        and len(start.unknowns) == len(guess)
-    )
-    first = start.multipliers if same and start is not None else None
-    iterations = 0
-    if first is not None:
-        program = rescaled(program, guess)
-    for _ in range(RESCALINGS):
-        found = _once(program, guess, first, lower, upper, (tolerance, max_iterations, seconds, own))
-        iterations += found.iterations
-        sized = rescaled(program, found.v)
-        ratio = np.concatenate([sized.scale / program.scale, [sized.cost_scale / program.cost_scale]])
-        off = float(np.abs(np.log(ratio)).max(initial=0.0))
-        if off < np.log(WELL_SIZED) or not found.ended:
-            break
-        program, guess, first, own = sized, found.v, found.multipliers, WARM | dict(options or {})
-    seconds = time.perf_counter() - began
-    return _solution(program, replace(found, iterations=iterations), seconds)
+    alike = start is not None and len(start.unknowns) == len(guess) and _alike(start.program, program)
+    found = run.solved(guess, start.multipliers if alike and start is not None else None, warm=start is not None)
+    if found.ended and not found.iterations and start is None:
+        found = run.elsewhere(found)
+    return run.judged(found)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What one call of the solver gave, in the units of the problem."""
-
-    v: Array
-    multipliers: dict[str, Array]
-    residuals: Residuals
-    violations: Array
-    iterations: int
-    said: str
-
-    @property
-    def ended(self) -> bool:
-        """Whether the solver says that it is done."""
-        return self.said in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+def _settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Settings:
+    """What a call is given, checked."""
+    number = as_floats("tolerance", tolerance)
+    if number.ndim or not 0 < number < 1:
+        raise InputError("tolerance", brief(repr(tolerance)), "a number between 0 and 1")
+    if options is not None and not isinstance(options, dict):
+        raise InputError("options", brief(repr(options)), "a dict of options of Ipopt")
+    most, limit = as_count("max_iterations", iterations), as_seconds("time_limit", seconds)
+    stops = most < USUAL or np.isfinite(limit)
+    return Settings(float(number), most, limit, dict(options or {}), keep_best=bool(stops))
 
 
-def _once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] | None, lower: Array, upper: Array,
-          settings: tuple[float, int, float, dict[str, Any]]) -> _Found:  # fmt: skip
-    """Solve with the sizes that the program has now."""
-    solver, scaled = _solver(program, *settings)
-    size, of_cost = program.scale, program.cost_scale
-    given: dict[str, Any] = {"x0": guess / size, "lbx": lower / size, "ubx": upper / size,
-             "lbg": program.row_lower / program.row_scale, "ubg": program.row_upper / program.row_scale}  # fmt: skip
-    if multipliers is not None:
-        given |= {
-            "lam_g0": multipliers["rows"] * program.row_scale / of_cost,
-            "lam_x0": multipliers["bounds"] * size / of_cost,
-        }
-    result = solver(**given)
-    stats = solver.stats()
-    z, on_rows, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
-    residuals, violations = _checked(scaled, z, on_rows, on_bounds, given)
-    back = {"rows": on_rows / program.row_scale * of_cost, "bounds": on_bounds / size * of_cost}
-    v = np.clip(z * size, lower, upper)
-    return _Found(v, back, residuals, violations, int(stats["iter_count"]), str(stats["return_status"]))
+class _Run:
+    """The calls of the solver that one solve takes, within one limit of time."""
 
+    def __init__(self, program: NonlinearProgram, lower: Array, upper: Array, settings: Settings) -> None:
+        self.program = program
+        self.lower = lower
+        self.upper = upper
+        self.settings = settings
+        self.began = time.perf_counter()
+        self.iterations = 0
 
-def _solution(program: NonlinearProgram, found: _Found, elapsed: float) -> Solution:
-    """The solution that the solver's answer stands for."""
-    v, multipliers = found.v, found.multipliers
-    cost = float(ca.Function("cost", [program.v], [program.f])(v))
-    p = v[program.parameters]
-    weights = program.problem.weights
-    if program.problem.risk == "worst" and len(program.parts) > 1:
-        rows = next(rows for rows in program.rows if rows.name == "cost of a scenario")
-        weights = multipliers["rows"][rows.first : rows.last]
-    phases = tuple(
-        phase_solution(part, v, p, clock, multipliers["rows"], float(weight))
-        for part, clock, weight in zip(program.parts, program.times(v), weights)
-    )  # fmt: skip
-    worst = np.argsort(-found.violations)[:SHOWN]
-    conflicts = tuple(describe_row(program, int(i), v) for i in worst if found.violations[i] > FEASIBLE)
-    status = _status(found.said, found.residuals)
-    return Solution(
-        program=program, unknowns=v, cost=cost, p=p, phases=phases, status=status, residuals=found.residuals,
-        conflicts=conflicts, multipliers=multipliers, iterations=found.iterations, solve_time=elapsed, solver="ipopt",
-        message=found.said,
-    )  # fmt: skip
+    def _left(self, warm: bool) -> Settings:
+        """The settings of the next call."""
+        passed = time.perf_counter() - self.began
+        options = (WARM if warm else {}) | self.settings.options
+        return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS), options=options)
+
+    def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
+        """Solve, again where the first sizes were off."""
+        if warm:
+            self.program = rescaled(self.program, guess)
+        for _ in range(RESCALINGS):
+            found = once(self.program, guess, multipliers, self.lower, self.upper, self._left(warm))
+            self.iterations += found.iterations
+            if not found.ended:
+                break
+            sized = rescaled(self.program, found.v)
+            ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])
+            if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
+                break
+            self.program, guess, multipliers, warm = sized, found.v, found.multipliers, True
+        return found
+
+    def elsewhere(self, found: Found) -> Found:
+        """What is found from a guess that is moved, where the guess itself was stationary: it may be a maximum."""
+        program = self.program
+        # begun with a small barrier, which at full height would pull inputs back between their bounds
+        other = self.solved(shaken(program, self.lower, self.upper), None, warm=True)
+        f, then = (float(program.derivatives.values(one.v)[0]) for one in (found, other))
+        gone = other.ended or other.said in ENDLESS
+        if gone and then < f - CHEAPER * max(program.cost_scale, abs(f)):
+            return other
+        self.program = program
+        return found
+
+    def judged(self, found: Found) -> Solution:
+        """The solution that the solver's answer stands for, its verdict confirmed."""
+        status = _status(found)
+        if status not in (OptimalControlStatus.SOLVED, OptimalControlStatus.UNDEFINED) and self._falls(found):
+            status = OptimalControlStatus.UNBOUNDED
+        conflicts: tuple[str, ...] = ()
+        if status is OptimalControlStatus.INFEASIBLE:
+            found, status, conflicts = self._confirmed(found)
+        if status is OptimalControlStatus.UNDEFINED:
+            conflicts = undefined(self.program, found.v)
+        elif not conflicts:
+            worst = [int(i) for i in np.argsort(-found.violations)[:SHOWN] if found.violations[i] > FEASIBLE]
+            conflicts = tuple(describe_row(self.program, i, found.v) for i in worst)
+        return self._packed(found, status, conflicts)
+
+    def _falls(self, found: Found) -> bool:
+        """Whether the cost came down beyond all that it began with, or unknowns ran away to make it fall."""
+        first, last = (float(self.program.derivatives.values(v)[0]) for v in (self.program.guess, found.v))
+        return last < -BOTTOMLESS * max(1.0, abs(first)) or (found.said in ENDLESS and last < first)
+
+    def _confirmed(self, found: Found) -> tuple[Found, OptimalControlStatus, tuple[str, ...]]:
+        """A verdict of infeasibility, checked by the least violation from several starts.
+
+        Where one of them is feasible the problem is solved from there.
+        """
+        program, n = self.program, len(self.lower)
+        least: Found | None = None
+        for guess in starts(program, found.v, self.lower, self.upper):
+            loose = elastic(program, guess)
+            lower, upper = loose.lower.copy(), loose.upper.copy()
+            lower[:n], upper[:n] = self.lower, self.upper
+            tried = once(loose, loose.guess, None, lower, upper, self._left(warm=False))
+            self.iterations += tried.iterations
+            g = np.asarray(program.derivatives.values(tried.v[:n])[1], dtype=float).ravel()
+            missed = np.maximum.reduce([program.row_lower - g, g - program.row_upper, np.zeros(len(g))])
+            tried = replace(tried, v=tried.v[:n], violations=missed / program.row_scale)
+            if not np.isfinite(missed).all():
+                continue
+            if tried.violations.max(initial=0.0) <= FEASIBLE:
+                again = self.solved(tried.v, None, warm=False)
+                status = _status(again)
+                if status is OptimalControlStatus.INFEASIBLE:  # it is not, at the start of this call
+                    return tried, OptimalControlStatus.STOPPED, ()
+                return again, status, ()
+            if least is None or tried.violations.sum() < least.violations.sum():
+                least = tried
+            if tried.said in LIMITS:
+                return found, OptimalControlStatus.STOPPED, ()
+        if least is None or not least.ended:
+            return found, OptimalControlStatus.INACCURATE, ()
+        on = least.multipliers
+        named = contradiction(program, least.v, on["rows"], on["bounds"], least.violations, FEASIBLE, SHOWN)
+        return replace(found, v=least.v, violations=least.violations), OptimalControlStatus.INFEASIBLE, named
+
+    def _packed(self, found: Found, status: OptimalControlStatus, conflicts: tuple[str, ...]) -> Solution:
+        """The solution, with its trajectories."""
+        program, v, multipliers = self.program, found.v, found.multipliers
+        cost = float(program.derivatives.values(v)[0])
+        p = v[program.parameters]
+        weights = program.problem.weights
+        if program.worst >= 0:
+            weights = multipliers["rows"][: len(program.parts)]
+        phases = tuple(
+            phase_solution(part, v, p, clock, multipliers["rows"], float(weight))
+            for part, clock, weight in zip(program.parts, program.times(v), weights)
+        )  # fmt: skip
+        return Solution(
+            program=program, unknowns=v, cost=cost, p=p, phases=phases, status=status, residuals=found.residuals,
+            conflicts=conflicts, notes=notes_of(program, v, status is OptimalControlStatus.SOLVED),
+            multipliers=multipliers, iterations=self.iterations, solve_time=time.perf_counter() - self.began,
+            solver="ipopt", message=found.said,
+        )  # fmt: skip
 
 
 def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -> None:
@@ -161,58 +227,16 @@ def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -
     lower[program.parameters] = upper[program.parameters] = value
 
 
-def _solver(
-    program: NonlinearProgram, tolerance: float, iterations: int, seconds: float, own: dict[str, Any]
-) -> tuple[Any, Any]:
-    """Ipopt on scaled unknowns and rows, and those as CasADi expressions (z, f, g)."""
-    z = ca.MX.sym("z", program.v.numel())
-    whole = ca.Function("program", [program.v], [program.f, program.g], {"always_inline": True})
-    f, g = whole(z * ca.DM(program.scale))
-    f, g = f / program.cost_scale, g / ca.DM(program.row_scale)
-    ipopt = {"tol": tolerance, "max_iter": iterations, "print_level": 0, "sb": "yes"} | own
-    if np.isfinite(seconds):
-        ipopt["max_wall_time"] = seconds
-    options: Any = {"ipopt": ipopt, "print_time": False, "expand": program.expand, "show_eval_warnings": False}
-    statement: Any = {"x": z, "f": f, "g": g}
-    return ca.nlpsol("solver", "ipopt", statement, options), (z, f, g)
-
-
-def _checked(scaled: Any, z: Array, on_rows: Array, on_bounds: Array,
-             given: dict[str, Any]) -> tuple[Residuals, Array]:  # fmt: skip
-    """Residuals of the optimality conditions, and violations of the rows (m,), in scaled unknowns and rows."""
-    x, f, g = scaled
-    multipliers = ca.MX.sym("multipliers", g.numel())
-    slope = ca.gradient(f + ca.dot(multipliers, g), x)
-    values = ca.Function("check", [x, multipliers], [g, slope, ca.gradient(f, x)])(z, on_rows)
-    rows, gradient, of_cost = (np.asarray(value, dtype=float).ravel() for value in values)
-    size = max(1.0, float(np.abs(of_cost).max(initial=0.0)), float(np.abs(on_rows).max(initial=0.0)))
-    violations = np.maximum.reduce([given["lbg"] - rows, rows - given["ubg"], np.zeros(len(rows))])
-    outside = np.maximum.reduce([given["lbx"] - z, z - given["ubx"], np.zeros(len(z))])
-    of_bounds = _complementarity(z, on_bounds, given["lbx"], given["ubx"])
-    of_rows = _complementarity(rows, on_rows, given["lbg"], given["ubg"])
-    return Residuals(
-        float(np.abs(gradient + on_bounds).max(initial=0.0)) / size,
-        float(max(violations.max(initial=0.0), outside.max(initial=0.0))),
-        0.0,
-        max(of_bounds, of_rows) / size,
-    ), violations
-
-
-def _complementarity(value: Array, multiplier: Array, low: Array, high: Array) -> float:
-    """The largest product of a multiplier and the distance from the bound of its sign, which counts as 1 at most."""
-    room = np.where(multiplier > 0, high - value, value - low)
-    free = low < high
-    product = np.abs(multiplier) * np.minimum(np.maximum(room, 0.0), 1.0)
-    return float(product[free].max(initial=0.0))
-
-
-def _status(said: str, residuals: Residuals) -> OptimalControlStatus:
+def _status(found: Found) -> OptimalControlStatus:
     """What a solver's word and the residuals come to."""
+    said, residuals = found.said, found.residuals
     if residuals.worst <= OPTIMAL and residuals.primal <= FEASIBLE:
         return OptimalControlStatus.SOLVED
     if said in LIMITS:
         return OptimalControlStatus.STOPPED
-    if said in IMPOSSIBLE or residuals.primal > FEASIBLE:
+    if said in UNDEFINED:
+        return OptimalControlStatus.UNDEFINED
+    if said in IMPOSSIBLE or not residuals.primal <= FEASIBLE:
         return OptimalControlStatus.INFEASIBLE
     return OptimalControlStatus.INACCURATE
 
@@ -230,6 +254,8 @@ def unknowns_from(program: NonlinearProgram, start: Solution) -> Array:
         v[part.first : part.last] = placed(part.layout, part.mesh, found.at_fractions)
         if part.duration >= 0:
             v[part.duration] = found.duration
+    if program.worst >= 0:
+        v[program.worst] = largest_cost(program, v)
     return v
 
 

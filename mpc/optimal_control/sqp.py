@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
+from mpc.feedback import stabilising_weights
+from mpc.optimal_control.condensing import compile_kernels, costates_along, gains_along, responses
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, relative_violations
 
 TINY = float(np.finfo(float).tiny)
+DEFINITE = 1e-6  # least eigenvalue of a Hessian with curvature, relative to one without
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,15 +27,17 @@ class Step:
     ----------
     states, inputs : (N + 1, nx) and (N, nu) arrays
         What it moves the plan by.
+    gains : (N, nu, nx) array
+        Of the feedback along the plan that keeps it together.
     defects : float
         Largest gap in the plan between a state and what the model makes of the one before it, in sizes of the states.
     stationarity : float
-        Of the plan with the multipliers of the program, relative to the gradients that balance; or how far inputs
-        would still move, in parts of their limits, where that is less.
-    decrease : float
-        Of the cost and the price of the gaps, as the program promises it.
-    gap_price, limit_price : float
-        What a merit must charge for a gap of one size, and for a limit violated by one unit.
+        Of the plan with the multipliers of the program, relative to the gradients that balance; or, where that is less,
+        how far inputs would still move, in parts of their limits, and what part of the cost that would save.
+    multipliers : (m,) array
+        Of its limits.
+    slopes : two arrays
+        A (N, nx, nx) and B (N, nx, nu) of the model along the plan.
     relaxed : bool
         Whether limits of states had to be relaxed.
     solved : bool
@@ -41,29 +46,46 @@ class Step:
 
     states: Array
     inputs: Array
+    gains: Array
     defects: float
     stationarity: float
-    decrease: float
-    gap_price: float
-    limit_price: float
+    multipliers: Array
+    slopes: tuple[Array, Array]
     relaxed: bool
     solved: bool
 
 
+@dataclass(frozen=True, eq=False)
+class _Program:
+    """Minimise ½ z'Hz + (by_state + by_input)'z subject to rows z <= bounds."""
+
+    H: Array
+    by_state: Array
+    by_input: Array
+    rows: Array
+    bounds: Array
+
+    @property
+    def gradient(self) -> Array:
+        """Linear cost."""
+        return self.by_state + self.by_input
+
+
 class Sequential:
-    """The quadratic programs of a statement: cost and limits of `problem`, the dynamics of `model`."""
+    """The quadratic programs of a statement: cost and limits of `problem`, the dynamics of `model`.
+
+    Its variables are v = du + K dx with the gains of the regulator along the plan, for which the Hessian is block
+    diagonal and an unstable model does no harm (Rossiter, Kouvaritakis and Rice, Automatica 34(1), 1998).
+    """
 
     def __init__(self, problem: MPCProblem, model: DiscreteModel) -> None:
         self.problem = problem
         self.model = model
-        N, nu = problem.horizon, problem.nu
-        self.n = N * nu
-        H, h = problem.input_rows
-        self._input_rows = np.kron(np.eye(N), H)
-        self._input_bounds = np.tile(h, N)
-        self._moves = np.kron(np.eye(N) - np.eye(N, k=-1), np.eye(nu))
+        self.n = problem.horizon * problem.nu
+        N = problem.horizon
+        self._regulated = tuple(np.array(weight, order="C") for weight in stabilising_weights(problem))
         self._weights = np.concatenate([np.tile(problem.Q, (N, 1, 1)), problem.P[None]])
-        self._efforts = 2 * np.kron(np.eye(N), problem.R)
+        self._extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
         self.size = problem.state_extent
         units, prices = problem.row_units, problem.price_units
         self._state_units = np.concatenate([np.tile(units["state"], N), units["terminal"]])
@@ -75,116 +97,177 @@ class Sequential:
         if problem.rate_limit is not None:
             parts.insert(1, np.tile(problem.rate_limit, 2 * N))
         self._units = np.concatenate(parts)
+        compile_kernels()
 
-    def step(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float) -> Step:
+    def step(
+        self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float, *,
+        relaxed: bool = False, costates: Array | None = None,
+    ) -> Step:  # fmt: skip
         """The quadratic program at a plan of states (N + 1, nx) and inputs (N, nu), from the state x (nx,).
 
-        `dear` is the price of a violation that cannot be avoided.
+        `dear` is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear and quadratic.
+        With `costates` (N + 1, nx) the Hessian takes the curvature of the model in, where it stays definite.
         """
-        problem, N = self.problem, self.problem.horizon
-        next_states, A, B = self.model.linearised(states[:-1], inputs, w, p)
-        gaps = next_states - states[1:]
-        G, drift = self._responses(A, B, gaps, x - states[0])
-        error, effort = self.deviations(states + drift, inputs, given)
-        weighted = self._weights @ G
-        flat = G.reshape(-1, self.n)
-        H = 2 * flat.T @ weighted.reshape(-1, self.n) + self._efforts
-        pulls = [2 * error.ravel() @ weighted.reshape(-1, self.n), self._efforts @ effort.ravel()]
-        gradient = pulls[0] + pulls[1]
-        if problem.S is not None:
-            cross = np.einsum("kin,ij->knj", G[:-1], problem.S).transpose(1, 0, 2).reshape(self.n, self.n)
-            H = H + 2 * (cross + cross.T)
-            gradient = gradient + 2 * (error[:-1] @ problem.S).ravel() + 2 * cross @ effort.ravel()
-        rows, bounds = self._limits(states + drift, inputs, G, given)
-        z, limit_price, relaxed, solved = self._solve(H, gradient, rows, bounds, dear)
-        moved = drift + (G @ z)
-        curvature = H @ z
-        balance = max(*(float(np.abs(pull).max()) for pull in pulls), float(np.abs(gradient + curvature).max()), TINY)
-        extent = np.tile(np.where(problem.input_extent > 0, problem.input_extent, np.inf), N)
-        still = float(np.abs(z / extent).max()) if np.isfinite(extent).all() else np.inf
-        costates = np.abs(2 * error @ problem.Q).max() if len(error) else 0.0
-        distance = float(np.abs(gaps / self.size).max(initial=0.0))
-        first = float(np.abs((x - states[0]) / self.size).max())
+        after, A, B = self.model.linearised(states[:-1], inputs, w, p)
+        gaps = after - states[1:]
+        defects = max(_largest(gaps / self.size), _largest((x - states[0]) / self.size))
+        if not (np.isfinite(after).all() and np.isfinite(A).all() and np.isfinite(B).all()):
+            none = np.zeros((self.problem.horizon, self.problem.nu, self.problem.nx))
+            return Step(states, inputs, none, defects, np.inf, np.zeros(0), (A, B), False, False)
+        gains = gains_along(A, B, *self._regulated)
+        G, F, drift, lead = responses(A, B, gains, gaps, x - states[0])
+        program = self._program(states + drift, inputs + lead, G, F, given)
+        if costates is not None:
+            bent = self.model.curvature(states[:-1], inputs, w, p, costates[1:])
+            program = _bent(program, np.concatenate([G[:-1], F], axis=1), bent, np.hstack([drift[:-1], lead]))
+        z, multipliers, relaxed, solved = self._solve(program, dear, relaxed)
+        moved, change = drift + G @ z, lead + F @ z
+        curvature = program.H @ z
+        unit = 1 / np.sqrt(np.diag(program.H))  # so that inputs of any units count alike
+        parts = (program.by_state, program.by_input, program.gradient + curvature)
+        balance = max(*(_largest(part * unit) for part in parts), TINY)
+        stationarity = _largest(curvature * unit) / balance
+        still = _largest(change / self._extent) if np.isfinite(self._extent).all() else np.inf
+        if still < stationarity:
+            gain = -float(program.gradient @ z + 0.5 * z @ curvature)
+            cost = cost_of(self.problem, inputs + lead, states + drift, given)
+            stationarity = min(stationarity, max(still, abs(gain) / max(abs(cost), TINY)))
         return Step(
-            states=moved, inputs=z.reshape(N, -1), defects=max(distance, first),
-            stationarity=min(float(np.abs(curvature).max()) / balance, still),
-            decrease=float(-(gradient @ z + 0.5 * z @ curvature)),
-            gap_price=2.0 * float(costates * self.size.max() * N), limit_price=limit_price, relaxed=relaxed,
-            solved=solved,
+            states=moved, inputs=change, gains=gains, defects=defects,
+            stationarity=stationarity,
+            multipliers=multipliers, slopes=(A, B), relaxed=relaxed, solved=solved,
         )  # fmt: skip
 
-    def _responses(self, A: Array, B: Array, gaps: Array, first: Array) -> tuple[Array, Array]:
-        """How states answer to inputs, (N + 1, nx, N nu), and where gaps alone take them, (N + 1, nx)."""
-        N, nx, nu = B.shape
-        G = np.zeros((N + 1, nx, self.n))
-        drift = np.empty((N + 1, nx))
-        drift[0] = first
-        for k in range(N):
-            G[k + 1, :, : k * nu] = A[k] @ G[k, :, : k * nu]
-            G[k + 1, :, k * nu : (k + 1) * nu] = B[k]
-            drift[k + 1] = A[k] @ drift[k] + gaps[k]
-        return G, drift
+    def prices(self, step: Step, states: Array, inputs: Array, given: Given) -> tuple[float, float, Array]:
+        """What a merit must charge for a gap of one size and for a limit violated by one unit; costates (N + 1, nx)."""
+        forces = self._forces(states + step.states, inputs + step.inputs, step.multipliers, given)
+        found = costates_along(*step.slopes, step.gains, *forces)
+        own = step.multipliers[len(step.multipliers) - len(self._prices) :] * self._prices
+        along = np.bincount(self._step_of, own, minlength=1).astype(float)
+        return 2.0 * _largest(found * self.size), 2.0 * _largest(along), found
+
+    def _program(self, states: Array, inputs: Array, G: Array, F: Array, given: Given) -> _Program:
+        """The program in v, of a plan that v = 0 leads to; states answer by G, inputs by F."""
+        problem, n = self.problem, self.n
+        error, effort = self.deviations(states, inputs, given)
+        flat, weighted = G.reshape(-1, n), (self._weights @ G).reshape(-1, n)
+        acting, efforts = F.reshape(-1, n), (problem.R @ F).reshape(-1, n)
+        H = 2 * (flat.T @ weighted + acting.T @ efforts)
+        by_state, by_input = 2 * error.ravel() @ weighted, 2 * effort.ravel() @ efforts
+        if problem.S is not None:
+            across = (problem.S @ F).reshape(-1, n)
+            cross = flat[: len(across)].T @ across
+            H = H + 2 * (cross + cross.T)
+            by_state = by_state + 2 * error[:-1].ravel() @ across
+            by_input = by_input + 2 * (effort @ problem.S.T).ravel() @ flat[: len(across)]
+        rows, bounds = self._limits(states, inputs, G, F, given)
+        return _Program((H + H.T) / 2, by_state, by_input, rows, bounds)
 
     def deviations(self, states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
         """States and inputs from their references, where there are some."""
         error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
         return error, inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
 
-    def _limits(self, states: Array, inputs: Array, G: Array, given: Given) -> tuple[Array, Array]:
-        """Rows and bounds of the moves: inputs, rates, then states and the end."""
-        problem = self.problem
+    def _limits(self, states: Array, inputs: Array, G: Array, F: Array, given: Given) -> tuple[Array, Array]:
+        """Rows and bounds of v: inputs, rates, then states and the end."""
+        problem, n = self.problem, self.n
+        H, h = problem.input_rows
+        rows = [(H @ F).reshape(-1, n)]
+        bounds = [(h - inputs @ H.T).ravel()]
+        if problem.rate_limit is not None:
+            moves = np.diff(inputs, axis=0, prepend=given["u_prev"][None]).ravel()
+            answers = np.diff(F, axis=0, prepend=np.zeros((1, problem.nu, n))).reshape(-1, n)
+            limit = np.tile(problem.rate_limit, problem.horizon)
+            rows += [answers, -answers]
+            bounds += [limit - moves, limit + moves]
         H, h = problem.state_rows
         end, at_end = problem.terminal_rows
-        rows = [self._input_rows]
-        bounds = [self._input_bounds - self._input_rows @ inputs.ravel()]
-        if problem.rate_limit is not None:
-            moves = self._moves @ inputs.ravel()
-            moves[: problem.nu] -= given["u_prev"]
-            limit = np.tile(problem.rate_limit, problem.horizon)
-            rows += [self._moves, -self._moves]
-            bounds += [limit - moves, limit + moves]
-        rows += [(H @ G[1:]).reshape(-1, self.n), end @ G[-1]]
+        rows += [(H @ G[1:]).reshape(-1, n), end @ G[-1]]
         bounds += [(h - states[1:] @ H.T).ravel(), at_end - end @ states[-1]]
         return np.vstack(rows), np.concatenate(bounds)
 
-    def _solve(
-        self, H: Array, gradient: Array, rows: Array, bounds: Array, dear: float
-    ) -> tuple[Array, float, bool, bool]:
-        """Moves, what a violated limit must cost, whether limits of states were relaxed, and whether it was solved."""
-        if self.problem.soft is not None:
-            z, solved = self._priced(H, gradient, rows, bounds, *self.problem.soft)
-            return z, 0.0, False, solved
-        result = DenseQP(H, rows, self._units).solve(gradient, bounds)
-        if not result.infeasible or not len(self._prices):
-            own = result.multipliers[len(rows) - len(self._prices) :] * self._prices
-            price = np.bincount(self._step_of, own, minlength=1).max(initial=0.0)
-            return result.z, 2.0 * float(price), False, not result.infeasible
-        z, solved = self._priced(H, gradient, rows, bounds, dear, dear)
-        return z, dear, True, solved
+    def _forces(self, states: Array, inputs: Array, multipliers: Array, given: Given) -> tuple[Array, Array]:
+        """Slopes of the Lagrangian by states (N + 1, nx) and inputs (N, nu), without those of the dynamics."""
+        problem, N, nu = self.problem, self.problem.horizon, self.problem.nu
+        error, effort = self.deviations(states, inputs, given)
+        by_state = 2 * (self._weights @ error[:, :, None])[:, :, 0]
+        by_input = 2 * effort @ problem.R
+        if problem.S is not None:
+            by_state[:-1] += 2 * effort @ problem.S.T
+            by_input += 2 * error[:-1] @ problem.S
+        end = len(problem.terminal_rows[1])
+        on_inputs, rest = np.split(multipliers, [N * len(problem.input_rows[1])])
+        along = len(rest) - end
+        by_input += on_inputs.reshape(N, -1) @ problem.input_rows[0]
+        if problem.rate_limit is not None:
+            up, down = rest[: N * nu].reshape(N, nu), rest[N * nu : 2 * N * nu].reshape(N, nu)
+            by_input += (up - down) - np.vstack([(up - down)[1:], np.zeros((1, nu))])
+            rest, along = rest[2 * N * nu :], along - 2 * N * nu
+        by_state[1:] += rest[:along].reshape(N, -1) @ problem.state_rows[0]
+        by_state[-1] += rest[along:] @ problem.terminal_rows[0]
+        return by_state, by_input
 
-    def _priced(self, H: Array, gradient: Array, rows: Array, bounds: Array, linear: float,
-                quadratic: float) -> tuple[Array, bool]:  # fmt: skip
-        """The moves where the largest violation of every step has a price, and whether they were found."""
-        N, n = self.problem.horizon, self.n
-        columns = np.zeros((len(rows), N))
-        first = len(rows) - len(self._prices)
-        columns[first + np.arange(len(self._prices)), self._step_of] = -self._prices
+    def _solve(self, program: _Program, dear: float, relaxed: bool) -> tuple[Array, Array, bool, bool]:
+        """Variables, multipliers of the rows, whether limits of states were relaxed, and whether it was solved."""
+        if self.problem.soft is not None:
+            return self._priced(program, *self.problem.soft, False)
+        if relaxed:
+            return self._priced(program, dear, dear, True)
+        result = DenseQP(program.H, program.rows, self._units).solve(program.gradient, program.bounds)
+        if not result.infeasible or not len(self._prices):
+            return result.z, result.multipliers, False, not result.infeasible
+        return self._priced(program, dear, dear, True)
+
+    def _priced(
+        self, program: _Program, linear: float, quadratic: float, relaxed: bool
+    ) -> tuple[Array, Array, bool, bool]:
+        """As `_solve`, where the largest violation of every step has a price."""
+        N, n, m = self.problem.horizon, self.n, len(program.rows)
+        columns = np.zeros((m, N))
+        columns[m - len(self._prices) + np.arange(len(self._prices)), self._step_of] = -self._prices
         slack = np.hstack([np.zeros((N, n)), -np.eye(N)])
         qp = DenseQP(
-            block_diag(H, 2 * quadratic * np.eye(N)), np.vstack([np.hstack([rows, columns]), slack]),
+            block_diag(program.H, 2 * quadratic * np.eye(N)), np.vstack([np.hstack([program.rows, columns]), slack]),
             np.concatenate([self._units, np.ones(N)]),
         )  # fmt: skip
-        result = qp.solve(np.concatenate([gradient, np.full(N, linear)]), np.concatenate([bounds, np.zeros(N)]))
-        return result.z[:n], not result.infeasible
+        result = qp.solve(
+            np.concatenate([program.gradient, np.full(N, linear)]), np.concatenate([program.bounds, np.zeros(N)])
+        )
+        return result.z[:n], result.multipliers[:m], relaxed, not result.infeasible
 
-    def merit(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given,
-              prices: tuple[float, float]) -> float:  # fmt: skip
+    def merit(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, gap_price: float,
+              limit_prices: tuple[float, float]) -> float:  # fmt: skip
         """Cost of a plan, with its gaps and, where limits are hard, its violations at their prices."""
         gaps = (self.model.along(states[:-1], inputs, w, p) - states[1:]) / self.size
         first = (x - states[0]) / self.size
-        cost = cost_of(self.problem, inputs, states, given) + prices[0] * float(
-            np.abs(gaps).sum() + np.abs(first).sum()
-        )
-        if self.problem.soft is not None:
+        of_gaps = gap_price * float(np.abs(gaps).sum() + np.abs(first).sum())
+        return of_gaps + self.priced_cost(states, inputs, given, limit_prices)
+
+    def priced_cost(self, states: Array, inputs: Array, given: Given, limit_prices: tuple[float, float]) -> float:
+        """Cost of a plan and, where limits are hard, its violations at prices, linear and quadratic."""
+        cost = cost_of(self.problem, inputs, states, given)
+        if self.problem.soft is not None or not any(limit_prices):
             return cost
-        return cost + prices[1] * float(relative_violations(self.problem, states, self.problem.price_units).sum())
+        over = relative_violations(self.problem, states, self.problem.price_units)
+        return cost + limit_prices[0] * float(over.sum()) + limit_prices[1] * float(over @ over)
+
+
+def _bent(program: _Program, answers: Array, curvature: Array, lead: Array) -> _Program:
+    """The program with the curvature of the model, if its Hessian stays definite.
+
+    `answers` (N, nx + nu, n) of states and inputs to the variables, which lead nowhere but to `lead` (N, nx + nu) at 0.
+    """
+    n = answers.shape[2]
+    weighted = (curvature @ answers).reshape(-1, n)
+    H = program.H + answers.reshape(-1, n).T @ weighted
+    H = (H + H.T) / 2
+    unit = 1 / np.sqrt(np.diag(program.H))
+    values, vectors = np.linalg.eigh(H * unit * unit[:, None])
+    if values[0] < DEFINITE:  # bent the other way along these directions
+        H = (vectors * np.maximum(np.abs(values), DEFINITE)) @ vectors.T / unit / unit[:, None]
+    return replace(program, H=H, by_state=program.by_state + lead.ravel() @ weighted)
+
+
+def _largest(values: Array) -> float:
+    """Largest size of an entry."""
+    return float(np.abs(values).max(initial=0.0))

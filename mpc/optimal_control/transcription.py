@@ -9,13 +9,29 @@ import numpy as np
 
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
+from mpc.optimal_control.derivatives import Derivatives, Numbers, Piece
 from mpc.optimal_control.interval import Layout, interval_function, layout_of, times_of
-from mpc.optimal_control.problem import OptimalControlProblem, Phase, PhaseFunctions, signal_at
-from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, describe_row
+from mpc.optimal_control.phase import Phase, signal_at
+from mpc.optimal_control.pieces import (
+    Clock,
+    end_piece,
+    interval_piece,
+    link_piece,
+    parameter_piece,
+    path_piece,
+    piece_function,
+)
+from mpc.optimal_control.problem import OptimalControlProblem
+from mpc.optimal_control.program import (
+    NonlinearProgram,
+    PhasePart,
+    Rows,
+    describe_row,
+    with_largest_cost,
+    with_sizes_of_rows,
+)
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
 from mpc.optimal_control.unknowns import between, first_duration, first_guess, placed, size_of
-
-LARGEST = 400_000  # instructions that are written out one by one; beyond, intervals stay calls of one function
 
 
 def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, intervals: Any = 20,
@@ -71,7 +87,7 @@ def _meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> list
 
 
 class _Builder:
-    """Collects unknowns and constraints, phase by phase."""
+    """Collects unknowns, constraints and pieces, phase by phase."""
 
     def __init__(self, problem: OptimalControlProblem, scheme: Scheme, meshes: list[Array]) -> None:
         self.problem = problem
@@ -82,79 +98,61 @@ class _Builder:
         self.guess: list[Array] = []
         self.scale: list[Array] = []
         self.rows: list[Rows] = []
-        self.g: list[Any] = []
         self.bounds: list[tuple[Array, Array, Array]] = []
+        self.pieces: list[Piece] = []
         self.height = 0
 
     def program(self) -> NonlinearProgram:
         """The whole."""
         problem = self.problem
-        layouts = [
-            layout_of(phase, own.nw, self.scheme) for phase, own in zip(problem.phases, problem.functions)
-        ]  # fmt: skip
-        places, first = [], 0
-        for phase, layout, mesh in zip(problem.phases, layouts, self.meshes):
-            last = first + layout.column * (len(mesh) - 1) + layout.node
-            self._unknowns_of(phase, layout, mesh)
-            places.append((first, last))
-            first = last
-        durations = []
-        for phase in problem.phases:
-            durations.append(first if phase.free_duration else -1)
-            if phase.free_duration:
-                low, high = phase.duration
-                self._unknown(np.array([low]), np.array([high]), np.array([first_duration(phase)]))
-                first += 1
-        parameters = slice(first, first + problem.parameters)
+        layouts = [layout_of(phase, own.nw, self.scheme) for phase, own in zip(problem.phases, problem.functions)]
+        firsts = []
+        for k, (phase, layout, mesh) in enumerate(zip(problem.phases, layouts, self.meshes)):
+            firsts.append(self.width)
+            self._unknowns_of(k, phase, layout, mesh)
+        durations = [self._duration(phase) for phase in problem.phases]
+        parameters = slice(self.width, self.width + problem.parameters)
+        self.p = np.arange(parameters.start, parameters.stop)
         low, high = problem.p_bounds
         self._unknown(low, high, np.asarray(problem.p_guess))
-        worst = parameters.stop if problem.risk == "worst" and len(problem.phases) > 1 else -1
+        worst = self.width if problem.risk == "worst" and len(problem.phases) > 1 else -1
         if worst >= 0:
-            self._unknown(np.array([-np.inf]), np.array([np.inf]), np.array([0.0]))
-        size = parameters.stop + (worst >= 0)
-        v = ca.MX.sym("v", size)
-        p = v[parameters]
+            self._unknown(np.array([-np.inf]), np.array([np.inf]), np.zeros(1))
+        count = len(problem.phases)
+        targets = np.arange(1, count + 1) if worst >= 0 else np.zeros(count, dtype=int)
+        weights = np.ones(count) if worst >= 0 else problem.weights
+        if worst >= 0:
+            self._rows("cost of a scenario", -1, count, -np.inf, 0.0, 1.0, 0.0)
+            at = np.full((1, count), worst)
+            self._piece(_itself(), at, targets[None], -np.ones(1))
+            self._piece(_itself(), at[:, :1], np.zeros((1, 1), dtype=int), np.ones(1))
         parts: list[PhasePart] = []
-        costs: list[Any] = []
-        ends: list[Any] = []
-        clock: Any = ca.MX(0)
-        for k, (phase, functions, layout, mesh) in enumerate(
-            zip(problem.phases, problem.functions, layouts, self.meshes)
-        ):
-            start = clock if k and problem.linked else ca.MX(phase.start_time)
-            length = v[durations[k]] if durations[k] >= 0 else ca.MX(phase.duration[0])
-            part, cost, end = self._phase(k, functions, layout, mesh, places[k], durations[k], v, p, start, length)
-            parts.append(part)
-            costs.append(cost)
+        for k in range(count):
+            clock = self._clock(k, durations)
+            part = self._phase(k, layouts[k], firsts[k], durations[k], clock, int(targets[k]), float(weights[k]))
             if k and problem.linked:
-                self._link(k, parts[k - 1], ends[k - 1], part.columns(v)[0][: layout.nx, 0], p)
-            ends.append(end)
-            clock = start + length
-        cost_of_p, constraints_of_p = problem.of_parameters
-        if worst >= 0:
-            self._row("cost of a scenario", -1, ca.vertcat(*costs) - v[worst], -np.inf, 0.0, 1.0, [0.0], ())
-            f = v[worst]
-        else:
-            f = sum(float(weight) * cost for weight, cost in zip(problem.weights, costs))
-        if cost_of_p is not None:
-            f = f + cost_of_p(p)
-        if constraints_of_p is not None:
-            self._row("p_constraints", -1, constraints_of_p(p), -np.inf, 0.0, 1.0, [0.0], ())
-        program = self._assembled(v, f, tuple(parts), parameters)
-        check_at_guess(program)
-        return program
+                self._link(k, parts[-1], part)
+            parts.append(part)
+        self._of_parameters()
+        return self._assembled(tuple(parts), parameters, worst)
 
-    def _assembled(self, v: ca.MX, f: Any, parts: tuple[PhasePart, ...], parameters: slice) -> NonlinearProgram:
-        """The program of what was collected."""
+    @property
+    def width(self) -> int:
+        """Unknowns so far."""
+        return sum(map(len, self.lower))
+
+    def _assembled(self, parts: tuple[PhasePart, ...], parameters: slice, worst: int) -> NonlinearProgram:
+        """The program of what was collected, sized by what it is at the guess."""
         none = [np.zeros(0)]
         low, high, scale = (np.concatenate([sides[i] for sides in self.bounds] + none) for i in range(3))
-        scalar = all(part.interval.is_a("SXFunction") for part in parts)
-        work = sum(part.interval.n_instructions() * part.intervals for part in parts) if scalar else LARGEST
-        return NonlinearProgram(
+        derivatives = Derivatives(self.pieces, self.width, self.height)
+        v = ca.MX.sym("v", self.width)
+        f, g = derivatives.expressions(v)
+        program = NonlinearProgram(
             problem=self.problem,
             v=v,
-            f=ca.MX(f),
-            g=ca.vertcat(*self.g),
+            f=f,
+            g=g,
             lower=np.concatenate(self.lower),
             upper=np.concatenate(self.upper),
             guess=np.concatenate(self.guess),
@@ -165,8 +163,11 @@ class _Builder:
             rows=tuple(self.rows),
             parts=parts,
             parameters=parameters,
-            expand=work < LARGEST,
+            worst=worst,
+            derivatives=derivatives,
         )
+        check_at_guess(program)
+        return with_sizes_of_rows(with_largest_cost(program))
 
     def _unknown(self, lower: Array, upper: Array, guess: Array, scale: Array | None = None) -> None:
         """Append unknowns."""
@@ -175,13 +176,21 @@ class _Builder:
         self.guess.append(guess)
         self.scale.append(size_of(lower, upper, guess) if scale is None else scale)
 
-    def _unknowns_of(self, phase: Phase, layout: Layout, mesh: Array) -> None:
+    def _unknowns_of(self, k: int, phase: Phase, layout: Layout, mesh: Array) -> None:
         """Append the unknowns of a phase, with where they start from."""
         trajectory = first_guess(phase)
         x, u = trajectory(mesh)
         known = [np.where(np.isfinite(side), side, 0.0) for side in (*phase.start, *phase.end)]
         (x_low, x_high), (u_low, u_high) = phase.x_bounds, phase.u_bounds
-        sizes = size_of(x_low, x_high, np.vstack([x, *known])), size_of(u_low, u_high, u)
+        inputs, states = size_of(u_low, u_high, u), size_of(x_low, x_high, np.vstack([x, *known]))
+        told = [
+            (np.isfinite(low) & np.isfinite(high)) | (np.abs(values).max(axis=0, initial=0.0) > 0)
+            for low, high, values in ((x_low, x_high, np.vstack([x, *known])), (u_low, u_high, u))
+        ]
+        if not (told[0].all() and told[1].all()):
+            guess = np.concatenate([states, inputs]), np.concatenate(told)
+            states, inputs = np.split(self._sizes(k, phase, mesh, x, u, *guess), [phase.states])
+        sizes = states, inputs
         lower, upper, size = (
             placed(layout, mesh, between(np.zeros(1), side[0][None], side[1][None]))
             for side in (*zip(phase.x_bounds, phase.u_bounds), sizes)
@@ -192,108 +201,174 @@ class _Builder:
             upper[place] = np.minimum(upper[place], high)
         self._unknown(lower, upper, np.clip(placed(layout, mesh, trajectory), lower, upper), size)
 
-    def _phase(self, k: int, functions: PhaseFunctions, layout: Layout, mesh: Array, place: tuple[int, int],
-               duration: int, v: ca.MX, p: Any, start: Any, length: Any) -> tuple[PhasePart, Any, Any]:  # fmt: skip
-        """Append the equations of a phase; its part, its cost and the state at its end."""
-        phase, N = self.problem.phases[k], len(mesh) - 1
+    def _sizes(self, k: int, phase: Phase, mesh: Array, x: Array, u: Array, sizes: Array, told: Array) -> Array:
+        """Sizes (nx + nu,) of states and inputs, some of them told: the others by how the dynamics join them.
+
+        An unknown is as large as a state of known size needs it, to move by that over the phase or as fast as the rest
+        of its dynamics makes it; failing that, a state is as large as it moves over the phase.
+        """
+        functions, n = self.problem.functions[k], len(mesh)
+        times = phase.start_time + first_duration(phase) * mesh
+        p = np.tile(np.asarray(self.problem.p_guess)[:, None], (1, n))
+        w = signal_at(phase, phase.start_time + phase.duration[0] * mesh)
+        columns = [ca.MX.sym(name, functions.dynamics.numel_in(i)) for i, name in enumerate("xuwpt")]
+        both = ca.jacobian(functions.dynamics(*columns), ca.vertcat(*columns[:2]))
+        slopes = ca.Function("slopes", columns, [ca.vec(ca.densify(both))]).map(n)(x.T, u.T, w.T, p, times[None])
+        steep = np.abs(np.asarray(slopes, dtype=float)).max(axis=1).reshape(-1, phase.states).T
+        steep = np.where(np.isfinite(steep), steep, 0.0) * (1.0 if phase.discrete else first_duration(phase))
+        sizes, told = np.where(told, sizes, 1.0), told.copy()
+        for _ in range(len(sizes)):
+            with np.errstate(divide="ignore"):
+                moves = np.maximum(sizes[: phase.states], (steep * (sizes * told)).max(axis=1))
+                needed = np.where(told[: phase.states, None], moves[:, None] / steep, np.inf).min(axis=0)
+            found = np.logical_not(told) & np.isfinite(needed)
+            if not found.any():
+                needed = np.zeros(len(sizes))
+                needed[: phase.states] = (steep * (sizes * told)).max(axis=1)
+                found = np.logical_not(told) & (needed > 0)
+            sizes, told = np.where(found, needed, sizes), told | found
+        return sizes
+
+    def _duration(self, phase: Phase) -> int:
+        """Append a duration that is free; its place, or −1."""
+        if not phase.free_duration:
+            return -1
+        low, high = phase.duration
+        self._unknown(np.array([low]), np.array([high]), np.array([first_duration(phase)]))
+        return self.width - 1
+
+    def _clock(self, k: int, durations: list[int]) -> Clock:
+        """When phase k is."""
+        phases = self.problem.phases
+        before = range(k) if self.problem.linked else range(0)
+        start = phases[0 if self.problem.linked else k].start_time
+        given = sum(phases[i].duration[0] for i in before if durations[i] < 0)
+        free = [durations[i] for i in (*before, k) if durations[i] >= 0]
+        return Clock(start + given, phases[k].duration[0], np.array(free, dtype=int), durations[k] >= 0)
+
+    def _phase(self, k: int, layout: Layout, first: int, duration: int, clock: Clock, target: int,
+               weight: float) -> PhasePart:  # fmt: skip
+        """Append the equations of a phase, whose cost is added to row `target` of [f; g]."""
+        phase, functions, mesh = self.problem.phases[k], self.problem.functions[k], self.meshes[k]
+        N, shared = len(mesh) - 1, np.concatenate([self.p, clock.free])
         interval = interval_function(phase, functions, self.scheme, layout, self.problem.parameters)
-        part = PhasePart(phase, functions, layout, self.scheme, mesh, *place, duration, slice(0), slice(0), interval)
-        columns, last = part.columns(v)
-        nodes = ca.horzcat(columns[: layout.node, :], last)
-        x, node_inputs = nodes[: layout.nx, :], nodes[layout.nx :, :]
-        own = columns[layout.node :, :]
-        unit = 1.0 if phase.discrete else length
-        times = start + length * ca.DM(mesh).T
-        steps = unit * ca.DM(np.diff(mesh)).T if not phase.discrete else ca.DM.ones(1, N)
-        fractions = times_of(layout.points, mesh)
-        given = signal_at(phase, phase.start_time + phase.duration[0] * times_of(layout.signals, mesh).ravel())
-        w = given.reshape(N, -1).T
-        arguments = (
-            x[:, :N],
-            node_inputs[:, :N],
-            own,
-            x[:, 1:],
-            node_inputs[:, 1:],
-            ca.repmat(p, 1, N),
-            times[:, :N],
-            steps,
-            w,
-        )
-        defects, costs, path = interval.map(N)(*arguments) if N > 1 else interval(*arguments)
-        size = np.asarray(self.scale[k])[: layout.nx]
-        many = defects.numel() // N
-        first = self.height
+        of_defects, of_path = interval.numel_out("defects"), interval.numel_out("path")
         after = [c for c in layout.points if c > 0] or [1.0]
-        places = (mesh[:-1, None] + np.diff(mesh)[:, None] * np.asarray(after)).repeat(layout.nx, axis=1)
-        self._row(
-            "dynamics",
-            k,
-            ca.vec(defects),
-            0.0,
-            0.0,
-            np.tile(size, N * many // layout.nx),
-            places.ravel(),
-            phase.state_names,
-        )
-        part_defects = slice(first, self.height)
-        first = self.height
-        cost = ca.sum2(costs)
-        x_end = x[:, N]
-        if functions.path is not None:
-            self._path_rows(k, functions, layout, path, fractions, x, node_inputs, own, p, start, length, w, N)
-        part_path = slice(first, self.height)
-        end_time = start + length
-        if functions.terminal_cost is not None:
-            cost = cost + functions.terminal_cost(x_end, p, end_time)
-        if functions.boundary is not None:
-            value = functions.boundary(x[:, 0], x_end, start, end_time, p)
-            self._row("boundary", k, value, *functions.boundary_bounds, 1.0, np.ones(value.numel()), ())
-        part = PhasePart(
-            phase, functions, layout, self.scheme, mesh, *place, duration, part_defects, part_path, interval
-        )
-        return part, cost, x_end
-
-    def _path_rows(self, k: int, functions: PhaseFunctions, layout: Layout, path: Any, fractions: Array, x: Any,
-                   node_inputs: Any, own: Any, p: Any, start: Any, length: Any, w: Array, N: int) -> None:  # fmt: skip
-        """Append what is kept along a phase: at the points of every interval, and at the end that these leave out."""
-        assert functions.path is not None
-        count = functions.path.numel_out(0)
+        size = np.tile(self.scale[k][: layout.nx], N * of_defects // layout.nx)
+        places = times_of(after, mesh).ravel().repeat(layout.nx)
+        defects = self._rows("dynamics", k, N * of_defects, 0.0, 0.0, size, places, phase.state_names)
         low, high = functions.path_bounds
-        held = isinstance(self.scheme, MultipleShooting) or self.problem.phases[k].discrete
-        inside = fractions if held else fractions[:, np.asarray(layout.points) > 0]
-        places = inside.ravel().repeat(count)
-        times = len(places) // count
-        self._row("path", k, ca.vec(path), np.tile(low, times), np.tile(high, times), 1.0, places, ())
-        if held:
-            end = (x[:, N], own[:, N - 1], w[-layout.nw :, N - 1] if layout.nw else w[:, 0], p, start + length)
-            self._row("path", k, functions.path(*end), low, high, 1.0, np.ones(count), ())
+        held = isinstance(self.scheme, MultipleShooting) or phase.discrete
+        kept_at = [c for c in layout.points if held or c > 0]
+        times = N * len(kept_at)
+        places = times_of(kept_at, mesh).ravel().repeat(len(low))
+        path = self._rows("path", k, N * of_path, np.tile(low, times), np.tile(high, times), 1.0, places)
+        signals = signal_at(phase, phase.start_time + phase.duration[0] * times_of(layout.signals, mesh).ravel())
+        w = signals.reshape(N, -1).T
+        self._piece(
+            interval_piece(interval, layout, clock, self.problem.parameters, phase.discrete),
+            np.vstack([
+                first + np.arange(layout.column + layout.node)[:, None] + layout.column * np.arange(N),
+                np.tile(shared[:, None], (1, N)),
+            ]),
+            1 + np.vstack([
+                np.full((1, N), target - 1),
+                np.arange(defects.start, defects.stop).reshape(N, -1).T,
+                np.arange(path.start, path.stop).reshape(N, of_path).T,
+            ]),
+            np.concatenate([[weight], np.ones(of_defects + of_path)]),
+            np.vstack([mesh[:-1], np.diff(mesh), w]),
+        )  # fmt: skip
+        last = first + layout.column * N + layout.node
+        if functions.path is not None:
+            self._path_at_an_end(k, layout, clock, first, shared, w, 1.0 if held else 0.0)
+        if functions.terminal_cost is not None or functions.boundary is not None:
+            targets, factors = [], []
+            if functions.terminal_cost is not None:
+                targets.append(np.array([target]))
+                factors.append(np.array([weight]))
+            if functions.boundary is not None:
+                count = functions.boundary.numel_out(0)
+                rows = self._rows("boundary", k, count, *functions.boundary_bounds, 1.0, 1.0)
+                targets.append(1 + np.arange(rows.start, rows.stop))
+                factors.append(np.ones(count))
+            ends = np.concatenate([first + np.arange(layout.nx), last - layout.node + np.arange(layout.nx), shared])
+            function = end_piece(functions, clock, layout.nx, self.problem.parameters)
+            self._piece(function, ends[:, None], np.concatenate(targets)[:, None], np.concatenate(factors))
+        return PhasePart(
+            phase, functions, layout, self.scheme, mesh, first, last, duration, defects, path, interval
+        )  # fmt: skip
+
+    def _path_at_an_end(self, k: int, layout: Layout, clock: Clock, first: int, shared: Numbers, w: Array,
+                        fraction: float) -> None:  # fmt: skip
+        """Append what is kept along a phase at that of its ends which its intervals leave out."""
+        functions = self.problem.functions[k]
+        assert functions.path is not None
+        low, high = functions.path_bounds
+        N = len(self.meshes[k]) - 1
+        if fraction == 1:  # with the input that is held last
+            kept = np.arange(len(low))
+            node = first + layout.column * N
+            inputs = node - layout.column + layout.node + np.arange(layout.nu)
+            signal = w[-layout.nw :, -1] if layout.nw else w[:0, 0]
+        else:
+            known = np.ones(len(low)) if layout.node_inputs else np.logical_not(_depends_on_input(functions.path))
+            kept = np.flatnonzero(known)
+            node = first
+            inputs = node + layout.nx + np.arange(layout.node_inputs)
+            signal = w[: layout.nw, 0]
+        if not len(kept):
             return
-        u = node_inputs[:, 0] if layout.node_inputs else ca.DM.zeros(layout.nu)
-        begin = functions.path(x[:, 0], u, w[: layout.nw, 0], p, start)
-        kept = (
-            np.arange(count)
-            if layout.node_inputs
-            else np.flatnonzero(np.logical_not(_depends_on_input(functions.path)))
-        )
-        if len(kept):
-            self._row("path", k, begin[kept.tolist()], low[kept], high[kept], 1.0, np.zeros(len(kept)), ())
+        rows = self._rows("path", k, len(kept), low[kept], high[kept], 1.0, fraction)
+        function = path_piece(functions, clock, layout, self.problem.parameters, fraction, kept)
+        at = np.concatenate([node + np.arange(layout.nx), inputs, shared])
+        self._piece(function, at[:, None], 1 + np.arange(rows.start, rows.stop)[:, None], np.ones(len(kept)),
+                    signal[:, None])  # fmt: skip
 
-    def _link(self, k: int, before: PhasePart, end: Any, begin: Any, p: Any) -> None:
+    def _link(self, k: int, before: PhasePart, after: PhasePart) -> None:
         """Append that a phase begins where the one before it ends."""
-        value = end if self.problem.link is None else self.problem.link_function(k - 1)(end, p)
-        size = np.asarray(self.scale[k])[: begin.numel()]
-        self._row("link", k, value - begin, 0.0, 0.0, size, np.zeros(begin.numel()), self.problem.phases[k].state_names)
+        link = None if self.problem.link is None else self.problem.link_function(k - 1)
+        end, begin = before.layout.nx, after.layout.nx
+        size = self.scale[k][:begin]
+        rows = self._rows("link", k, begin, 0.0, 0.0, size, 0.0, self.problem.phases[k].state_names)
+        at = np.concatenate([before.last - before.layout.node + np.arange(end), after.first + np.arange(begin), self.p])
+        function = link_piece(link, end, begin, self.problem.parameters)
+        self._piece(function, at[:, None], 1 + np.arange(rows.start, rows.stop)[:, None], np.ones(begin))
 
-    def _row(self, name: str, phase: int, value: Any, low: Any, high: Any, scale: Any, fractions: Any,
-             entries: tuple[str, ...]) -> None:  # fmt: skip
-        """Append constraints."""
-        count = value.numel()
-        self.g.append(value)
-        full = tuple(np.array(np.broadcast_to(np.asarray(b, dtype=float), (count,))) for b in (low, high, scale))
-        self.bounds.append(full)  # type: ignore[arg-type]
-        places = np.array(np.broadcast_to(np.asarray(fractions, dtype=float), (count,)))
-        self.rows.append(Rows(name, phase, self.height, self.height + count, places, tuple(entries)))
-        self.height += count
+    def _of_parameters(self) -> None:
+        """Append cost and constraints of the parameters."""
+        cost, constraints = self.problem.of_parameters
+        count = 0 if constraints is None else constraints.numel_out(0)
+        if cost is None and not count:
+            return
+        rows = self._rows("p_constraints", -1, count, -np.inf, 0.0, 1.0, 0.0)
+        targets = np.concatenate([np.zeros(0 if cost is None else 1), 1 + np.arange(rows.start, rows.stop)]).astype(int)
+        function = parameter_piece((cost, constraints), self.problem.parameters)
+        self._piece(function, self.p[:, None], targets[:, None], np.ones(len(targets)))
+
+    def _piece(self, function: ca.Function, unknowns: Numbers, rows: Numbers, factors: Array,
+               data: Array | None = None) -> None:  # fmt: skip
+        """Append a piece."""
+        given = np.zeros((0, unknowns.shape[1])) if data is None else data
+        self.pieces.append(Piece(function, unknowns, given, rows, factors))
+
+    def _rows(self, name: str, phase: int, count: int, low: Any, high: Any, scale: Any, fractions: Any,
+              entries: tuple[str, ...] = ()) -> slice:  # fmt: skip
+        """Append constraints; their places."""
+        first, last = self.height, self.height + count
+        low, high, scale, places = (
+            np.array(np.broadcast_to(np.asarray(b, dtype=float), (count,))) for b in (low, high, scale, fractions)
+        )
+        self.bounds.append((low, high, scale))
+        if count:
+            self.rows.append(Rows(name, phase, first, last, places, tuple(entries)))
+        self.height = last
+        return slice(first, last)
+
+
+def _itself() -> ca.Function:
+    """A number, as a piece."""
+    return piece_function(lambda z, data: [z], True, {"z": 1}, 0)
 
 
 def _depends_on_input(path: ca.Function) -> Array:
@@ -306,8 +381,7 @@ def _depends_on_input(path: ca.Function) -> Array:
 
 def check_at_guess(program: NonlinearProgram) -> None:
     """Raise an `InputError` unless cost and constraints are finite at the guess: it says which, and when."""
-    values = ca.Function("values", [program.v], [program.f, program.g])(program.guess)
-    f, g = (np.asarray(value, dtype=float).ravel() for value in values)
+    f, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(program.guess))
     wrong = np.flatnonzero(~np.isfinite(g))
     if len(wrong):
         got = f"{g[wrong[0]]:g} in {describe_row(program, int(wrong[0]), program.guess)}"

@@ -8,8 +8,9 @@ import numpy as np
 
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
+from mpc.optimal_control.functions import brief
 from mpc.optimal_control.interval import Layout
-from mpc.optimal_control.problem import Phase
+from mpc.optimal_control.phase import Phase
 
 Trajectory = Callable[[Array], tuple[Array, Array]]
 
@@ -23,6 +24,21 @@ def placed(layout: Layout, mesh: Array, trajectory: Trajectory) -> Array:
         x, u = trajectory(mesh[:-1] + c * np.diff(mesh))
         own += [x] * (c in layout.inner) + [u] * (c in layout.held)
     return np.concatenate([np.hstack([nodes[:-1], *own]).ravel(), nodes[-1]])
+
+
+def coordinates(layout: Layout, mesh: Array) -> tuple[Array, Array]:
+    """What the unknowns (n,) of a phase are, states 0 … nx − 1 and then inputs, and the fractions at which they are."""
+    width = layout.nx + layout.nu
+
+    def numbers(at: Array) -> tuple[Array, Array]:
+        every = np.tile(np.arange(width, dtype=float), (len(at), 1))
+        return every[:, : layout.nx], every[:, layout.nx :]
+
+    def fractions(at: Array) -> tuple[Array, Array]:
+        every = np.tile(np.asarray(at)[:, None], (1, width))
+        return every[:, : layout.nx], every[:, layout.nx :]
+
+    return placed(layout, mesh, numbers), placed(layout, mesh, fractions)
 
 
 def size_of(lower: Array, upper: Array, guess: Array) -> Array:
@@ -55,10 +71,13 @@ def first_guess(phase: Phase) -> Trajectory:
 
 def _given(phase: Phase) -> tuple[Array, Array, Array]:
     """The user's guess, checked."""
+    if not isinstance(phase.guess, list | tuple) or len(phase.guess) != 3:
+        raise InputError("guess", brief(repr(phase.guess)), "(times, x, u)")
     times, x, u = (as_floats("guess", part) for part in phase.guess)
     shapes = ((len(times),), (len(times), phase.states), (len(times), phase.inputs))
-    if (times.shape, x.shape, u.shape) != shapes or not all(np.isfinite(part).all() for part in (times, x, u)):
-        got = f"shapes {times.shape}, {x.shape}, {u.shape}"
+    finite = all(np.isfinite(part).all() for part in (times, x, u))
+    if (times.shape, x.shape, u.shape) != shapes or not finite:
+        got = f"shapes {times.shape}, {x.shape}, {u.shape}" if finite else "numbers that are not finite"
         raise InputError(
             "guess", got, f"(n,) fractions, (n, {phase.states}) states and (n, {phase.inputs}) inputs, finite"
         )

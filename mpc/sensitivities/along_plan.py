@@ -7,17 +7,19 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import nnls
 
 from mpc.checks import Array
 from mpc.condensing import constraints_of, row_units, soften
-from mpc.feedback import block_lengths, stabilising_feedback
+from mpc.feedback import block_lengths, feedback_along
 from mpc.parametric_qp import Constraint
 from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, relative_violations
+from mpc.sensitivities.changes import Changes
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
-from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
+from mpc.tolerances import ACTIVE, BALANCED, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
 
 Mask = NDArray[np.bool_]
 
@@ -37,29 +39,6 @@ class PlanModel(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Changes:
-    """How cost and limits change with parameters.
-
-    Attributes
-    ----------
-    Q, R, S, P : (·, ·, np) arrays
-    bounds : dict of str to (rows, np) array
-        Of h in {v : Hv <= h}, by kind of constraint; those that do not change may be left out.
-    """
-
-    Q: Array
-    R: Array
-    S: Array
-    P: Array
-    bounds: dict[str, Array]
-
-    @property
-    def parameters(self) -> int:
-        """np."""
-        return int(self.Q.shape[-1])
-
-
 def sensitivity_of(
     problem: MPCProblem, model: PlanModel, changes: Changes, plan: Plan, given: Given
 ) -> PlanSensitivity:
@@ -76,7 +55,7 @@ def sensitivity_of(
             linear = conditions.at(point)
             solved = linear.solved(point)
             if solved is None:
-                return conditions.none(plan, SensitivityStatus.SADDLE)
+                return conditions.none(plan, SensitivityStatus.SINGULAR)
             size = linear.size_of(solved)
             # rounding ends it sooner where the problem is badly conditioned
             if size <= NEWTON or (last <= ACTIVE and not size <= last):
@@ -121,7 +100,6 @@ class _Conditions:
         names = ("x", "p", "u_prev", "gap", "value", "z")
         self.columns = {name: slice(int(a), int(b)) for name, a, b in zip(names, ends[:-1], ends[1:])}
         self.nt = int(ends[3])
-        self.feedback = stabilising_feedback(problem)
         self.stage = np.block([[problem.Q, np.zeros((problem.nx, problem.nu))],
                                [np.zeros((problem.nu, problem.nx)), problem.R]])  # fmt: skip
         if problem.S is not None:
@@ -135,8 +113,11 @@ class _Conditions:
         """Everything about one point."""
         return _Linearised(self, point)
 
-    def forms(self, point: _Point, A: Array, B: Array, F: Array, after: Array) -> tuple[Array, Array]:
+    def forms(
+        self, point: _Point, model: tuple[Array, Array, Array], after: Array, feedback: Array | None
+    ) -> tuple[Array, Array]:
         """Inputs (N, nu, ·) and states (N + 1, nx, ·) as they move with ξ."""
+        A, B, F = model
         problem, at = self.problem, self.columns
         N, width = problem.horizon, at["z"].stop
         U, X = np.zeros((N, problem.nu, width)), np.zeros((N + 1, problem.nx, width))
@@ -146,8 +127,8 @@ class _Conditions:
             column = at["z"].start + b * problem.nu
             form = np.zeros((problem.nu, width))
             form[:, column : column + problem.nu] = np.eye(problem.nu)
-            if self.feedback is not None:
-                form -= self.feedback[b] @ X[first]
+            if feedback is not None:
+                form -= feedback[b] @ X[first]
             for k in range(first, first + length):
                 U[k] = form
                 X[k + 1] = A[k] @ X[k] + B[k] @ form
@@ -205,10 +186,14 @@ class _Linearised:
         problem, at = conditions.problem, conditions.columns
         nx, N = problem.nx, problem.horizon
         after, A, B, F = conditions.model.first(point.states[:-1], point.inputs)
-        self.U, self.X = conditions.forms(point, A, B, F, after)
+        self.feedback = feedback_along(problem, A, B)
+        self.U, self.X = conditions.forms(point, (A, B, F), after, self.feedback)
         rows, self.values, self.labels = conditions.rows(point, self.U, self.X)
         self.rows = rows
         self.units = row_units(problem, self.labels)
+        held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
+        own = [label.kind != "input" or not held[label.step] for label in self.labels]
+        self.own = np.array(own, dtype=bool)  # of a held input, the limits at its first step
         self.multipliers = np.zeros(len(rows)) if point.multipliers is None else point.multipliers
         given = conditions.given
         error = point.states - given["x_ref"].reshape(N + 1, -1) if "x_ref" in given else point.states
@@ -228,10 +213,14 @@ class _Linearised:
         mixed, end_mixed = self._mixed(steps, error[-1])
         self.cost_of_parameters = 0.5 * (np.einsum("ki,kip->p", steps, mixed) + error[-1] @ end_mixed)
         curvature = np.broadcast_to(2 * conditions.stage, (N, nx + problem.nu, nx + problem.nu))
-        self.scale = self._hessian(forms, curvature, slacks)[:, -n:].diagonal()
-        self.scale = 1 / np.sqrt(np.where(self.scale > 0, self.scale, 1.0))
+        self.curvature = self._hessian(forms, curvature, slacks)[:, -n:]  # of the cost alone
+        diagonal = self.curvature.diagonal()
+        self.scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        self.balanced = False
         if point.multipliers is not None:
-            costates = self._costates(A)
+            costates = self._costates(A, B)
+            lost = self.feedback is not None and problem.blocks is not None  # the digits of the costates
+            self.balanced = lost or self._imbalance(B, costates) <= BALANCED
             of_model, mixed_of_model = conditions.model.second(point.states[:-1], point.inputs, costates)
             curvature = curvature + of_model
             mixed = mixed + mixed_of_model
@@ -271,24 +260,56 @@ class _Linearised:
         whole[len(H) :, H.shape[1] :] = 2 * problem.soft[1] * np.eye(slacks)
         return whole
 
-    def _costates(self, A: Array) -> Array:
-        """λ (N, nx): what the cost from each next state on changes by with that state."""
+    def _pushes(self) -> tuple[Array, Array]:
+        """What the multipliers of limits add to the slopes by states (N + 1, nx) and inputs (N, nu)."""
         problem = self.conditions.problem
-        pushed = np.zeros((problem.horizon + 1, problem.nx))
-        sets = {"state": problem.state_rows[0], "terminal": problem.terminal_rows[0]}
-        for label, multiplier in zip(self.labels, self.multipliers):
-            if multiplier and label.kind in sets:
-                pushed[label.step] += multiplier * sets[label.kind][label.row]
-        costates = np.empty((problem.horizon, problem.nx))
-        now = self.end_slope + pushed[-1]
+        on_states = np.zeros((problem.horizon + 1, problem.nx))
+        on_inputs = np.zeros((problem.horizon, problem.nu))
+        both = np.vstack([np.eye(problem.nu), -np.eye(problem.nu)])
+        sets = {"state": problem.state_rows[0], "terminal": problem.terminal_rows[0], "input": problem.input_rows[0]}
+        for i in np.flatnonzero(self.multipliers):
+            kind, step, row = self.labels[i]
+            if kind == "rate":
+                on_inputs[step] += self.multipliers[i] * both[row]
+                if step:
+                    on_inputs[step - 1] -= self.multipliers[i] * both[row]
+            elif kind in sets:
+                pushed = on_inputs if kind == "input" else on_states
+                pushed[step] += self.multipliers[i] * sets[kind][row]
+        return on_states, on_inputs
+
+    def _costates(self, A: Array, B: Array) -> Array:
+        """λ (N, nx): what the cost from each next state on changes by with that state.
+
+        Along the feedback, where there is one, they do not lose their digits to an unstable model: at an optimum the
+        slope by the inputs, which it adds, is zero.
+        """
+        problem = self.conditions.problem
+        nx = problem.nx
+        on_states, on_inputs = self._pushes()
+        costates = np.empty((problem.horizon, nx))
+        closing = self.feedback if problem.blocks is None else None
+        now = self.end_slope + on_states[-1]
         for k in reversed(range(problem.horizon)):
             costates[k] = now
-            now = self.slope[k, : problem.nx] + pushed[k] + A[k].T @ now
+            by_input = self.slope[k, nx:] + on_inputs[k] + B[k].T @ now
+            now = self.slope[k, :nx] + on_states[k] + A[k].T @ now
+            if closing is not None:
+                now = now - closing[k].T @ by_input
         return costates
+
+    def _imbalance(self, B: Array, costates: Array) -> float:
+        """Slope of the Lagrangian by the inputs, beside the largest of its parts [-]."""
+        nx = self.conditions.problem.nx
+        parts = (self.slope[:, nx:], self._pushes()[1], np.einsum("kxu,kx->ku", B, costates))
+        starts = np.cumsum([0, *block_lengths(self.conditions.problem)])[:-1]
+        left = np.add.reduceat(sum(parts), starts, axis=0)
+        largest = max(float(np.abs(part).max(initial=0.0)) for part in parts)
+        return float(np.abs(left).max()) / largest if largest > 0 else 0.0
 
     def with_multipliers(self, point: _Point) -> _Point:
         """The point with multipliers >= 0 of the rows that are met, which balance the gradient best."""
-        met = np.flatnonzero(self.values >= -ACTIVE * self.units)
+        met = np.flatnonzero((self.values >= -ACTIVE * self.units) & self.own)
         multipliers = np.zeros(len(self.rows))
         scaled = self.rows[met][:, self.free] * self.scale
         length = np.linalg.norm(scaled, axis=1)
@@ -299,9 +320,21 @@ class _Linearised:
         return _Point(point.inputs, point.states, point.slacks, multipliers, self._acting(multipliers))
 
     def _worth(self, multipliers: Array) -> Array:
-        """How far (m,) each row would be passed if it did not act, about, in its unit [-]."""
-        reach = (self.rows[:, self.free] * self.scale) ** 2
-        return multipliers * reach.sum(axis=1) / self.units
+        """How far (m,) each row would be passed if it alone did not act, in its unit [-]; of linear models exactly."""
+        pushing = np.flatnonzero(multipliers > 0)
+        d = self.scale
+        G = self.rows[pushing][:, self.free] * d
+        H = self.curvature * d * d[:, None]
+        try:
+            soft = G @ cho_solve(cho_factor(H), G.T)
+        except np.linalg.LinAlgError:  # a model that is not linear may leave an input free of cost
+            soft = G @ np.linalg.lstsq(H, G.T, rcond=None)[0]
+        size = np.sqrt(np.diag(soft))
+        size[size == 0] = 1.0
+        stiffness = np.diag(np.linalg.pinv(soft / size / size[:, None], hermitian=True)) / size**2
+        worth = np.zeros(len(multipliers))
+        worth[pushing] = multipliers[pushing] / np.where(stiffness > 0, stiffness, np.inf) / self.units[pushing]
+        return worth
 
     def _acting(self, multipliers: Array) -> Mask:
         """Rows (m,) that push, and those of slacks at zero that nothing pushes, (m,) bool."""
@@ -368,7 +401,7 @@ class _Linearised:
         at = self.conditions.columns
         move = solved[0][:, -1]
         values = self.values + self.rows[:, at["gap"]].ravel() + self.rows[:, self.free] @ move
-        passed = (values > ACTIVE * self.units) & ~point.acting
+        passed = (values > ACTIVE * self.units) & ~point.acting & self.own
         acting = self._acting(multipliers) | passed
         slacks = point.slacks + move[at["z"].stop - at["z"].start :]
         return _Point(point.inputs + inputs, point.states + states, slacks, np.where(acting, multipliers, 0.0), acting)
@@ -393,9 +426,7 @@ class _Linearised:
             np.concatenate([form[:, :, np.r_[0:nt, at["z"]]], np.zeros((*form.shape[:2], len(point.slacks)))], axis=2)
             for form in (self.U, self.X)
         )
-        local = LocalProgram(
-            self.H, self.F, self.rows[point.acting][:, keep], self.rows[weak][:, keep], inputs, states
-        )
+        local = LocalProgram(self.H, self.F, self.rows[point.acting][:, keep], self.rows[weak][:, keep], inputs, states)
         return PlanSensitivity(
             plan=plan, status=status, cost_by_state=cost[at["x"]], cost_by_parameters=by_parameters,
             inputs_by_state=U[:, :, at["x"]], inputs_by_parameters=U[:, :, at["p"]],
@@ -417,7 +448,7 @@ class _Linearised:
     def _idle(self, point: _Point, rates: Array) -> tuple[Mask, Mask, Mask]:
         """Rows (m,) that are met but do not push: weak ones, dependent ones, and which of these move along anyway."""
         nt = self.conditions.nt
-        met = self._on_bound & ~point.acting
+        met = self._on_bound & self.own & ~point.acting
         acting = self.rows[point.acting][:, self.free] * self.scale
         basis = np.linalg.qr(acting.T)[0] if len(acting) else np.zeros((len(self.scale), 0))
         touched = {self.labels[i].step for i in np.flatnonzero(self._on_bound) if self.labels[i].kind in SOFTENED}

@@ -13,7 +13,10 @@ from mpc.tolerances import ASYMMETRY
 
 
 def as_derivatives(
-    given: Mapping[str, tuple[ArrayLike | None, tuple[int, ...]]], *, symmetric: tuple[str, ...] = ()
+    given: Mapping[str, tuple[ArrayLike | None, tuple[int, ...]]],
+    *,
+    symmetric: tuple[str, ...] = (),
+    count: int | None = None,
 ) -> dict[str, Array]:
     """Arrays (*shape, np) of derivatives by name, checked; zeros for what is None.
 
@@ -23,13 +26,14 @@ def as_derivatives(
         What was given, and the shape of the quantity itself.
     symmetric : tuple of str
         Those of symmetric matrices.
+    count : int, optional
+        np; by default what the first array says.
 
     Raises
     ------
     InputError
         Another shape, numbers of parameters that differ, NaN, or a derivative of a weight that is not symmetric.
     """
-    count: int | None = None
     checked: dict[str, Array] = {}
     for name, (value, shape) in given.items():
         if value is None:

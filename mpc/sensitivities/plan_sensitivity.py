@@ -28,9 +28,10 @@ class SensitivityStatus(Enum):
         "has no solution, or another rate; the derivatives hold one set of independent ones. Drop a constraint, or "
         "make the state constraints soft."
     )
-    SADDLE = (
-        "The plan meets the first-order conditions, but the Hessian of the Lagrangian is not positive definite along "
-        "the active constraints: it is no strict optimum, and there are no derivatives. Start from another plan."
+    SINGULAR = (
+        "The first-order conditions hold, but their derivatives are singular: it is no strict optimum (the Hessian of "
+        "the Lagrangian is not positive definite along the active constraints), or active constraints of a trajectory "
+        "depend on each other. There are no derivatives. Give every input a cost, or start from another plan."
     )
     UNSOLVED = "The plan is no optimum of the problem as posed, so there are no derivatives: see `plan.status`."
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import HORIZON, linear_mpc, nonlinear_mpc, saturated_lqr
+from ccdtools.co_design.design_sensitivity import regulator_of
 from ccdtools.co_design.episodes import Law
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller, Passive
-from mpc import lqr_sensitivity
-
-WEIGHT_STEP = 1e-5  # of the unit box: of the central differences of weights that depend on the design
 
 
 class DesignLaw(Protocol):
@@ -132,7 +129,7 @@ class _Gain(torch.autograd.Function):
         at = p.detach().numpy()
         if not ctx.needs_input_grad[0]:
             return torch.tensor(saturated_lqr(problem, at).K)
-        found = lqr_slopes(problem, at)
+        found = regulator_of(problem, at)
         ctx.slopes = torch.tensor(found.dK)
         return torch.tensor(found.K)
 
@@ -140,45 +137,3 @@ class _Gain(torch.autograd.Function):
     def backward(ctx, gradient: Tensor):
         """By the chain rule."""
         return torch.einsum("ux,uxp->p", gradient, ctx.slopes), None
-
-
-def lqr_slopes(problem: CoDesignProblem, p: Array) -> Any:
-    """Gain and cost of the LQR of a design, with their derivatives by the design: an `LQRSensitivity`."""
-    A, B, _ = problem.model.matrices(p)
-    dA, dB, _ = model_slopes(problem, p)
-    return lqr_sensitivity(A, B, **problem.weights(p).keywords(), dA=dA, dB=dB, **weight_slopes(problem, p))
-
-
-def model_slopes(problem: CoDesignProblem, p: Array) -> tuple[Array, Array, Array]:
-    """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) of the model, or of its linearisation."""
-    model = problem.model
-    columns = model.nx + model.nu + model.nw
-    slopes = np.asarray(model.jacobian(p), dtype=float).reshape(columns, model.nx, len(p)).transpose(1, 0, 2)
-    return slopes[:, : model.nx], slopes[:, model.nx : model.nx + model.nu], slopes[:, model.nx + model.nu :]
-
-
-def weight_slopes(problem: CoDesignProblem, p: Array) -> dict[str, Array]:
-    """∂Q/∂p, ∂R/∂p and ∂S/∂p by name, last axis np; nothing where the weights are the same at every design."""
-    if not hasattr(problem.objective, "stage_cost") or getattr(problem.objective, "Q", None) is not None:
-        return {}
-    space = problem.design
-    step = WEIGHT_STEP * space.allowed.width * space.free
-    columns = []
-    for i in range(len(p)):
-        ends = []
-        for side in (1.0, -1.0):
-            at = p.copy()
-            at[i] = np.clip(p[i] + side * step[i], space.lower[i], space.upper[i])
-            ends.append((at[i], problem.weights(at)))
-        (high, above), (low, below) = ends
-        apart = high - low if high > low else 1.0
-        S = problem.model.nx, problem.model.nu
-        columns.append([
-            (above.Q - below.Q) / apart, (above.R - below.R) / apart,
-            ((np.zeros(S) if above.S is None else above.S) - (np.zeros(S) if below.S is None else below.S)) / apart,
-        ])  # fmt: skip
-    named = {f"d{name}": np.stack([one[k] for one in columns], axis=-1) for k, name in enumerate("QRS")}
-    if problem.weights(p).S is None and not named["dS"].any():
-        named.pop("dS")
-    return named
-

@@ -18,7 +18,6 @@ from ccdtools.co_design.risk import Mean, WorstCase
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
-from ccdtools.plants.linear_model import LinearModel
 from mpc import MPCError
 from mpc.optimal_control import OptimalControlProblem, Phase
 
@@ -28,7 +27,7 @@ CURE = "Nested or learned co-design simulates the problem as it is."
 
 def open_loop_problem(
     problem: CoDesignProblem, scenarios: tuple[Array, Array], *, design: Array, guess: list[Any] | None = None,
-    feedback: Feedback | None = None,
+    feedback: Feedback | None = None, constrained: bool = True,
 ) -> OptimalControlProblem:  # fmt: skip
     """The best trajectories of the given scenarios, with a design that they share.
 
@@ -44,6 +43,8 @@ def open_loop_problem(
     guess : list of (times, x, u), optional
         Of every scenario.
     feedback : Feedback, optional
+    constrained : bool
+        Whether the constraints on the design are part of it.
 
     Raises
     ------
@@ -69,7 +70,7 @@ def open_loop_problem(
     if cost is not None:
         function, share = cost.function(sizes[2]), problem.steps / (problem.objective.episode or problem.steps)
         given["p_cost"] = lambda p: function(p[: sizes[2]]) * share
-    if space.constraints is not None:
+    if constrained and space.constraints is not None:
         limits = space.constraints
         given["p_constraints"] = lambda p: limits(p[: sizes[2]])
     return OptimalControlProblem(
@@ -135,7 +136,7 @@ def check_open_loop(problem: CoDesignProblem) -> None:
 def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: Any) -> Phase:
     """One scenario."""
     nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
-    step = one_step(problem)
+    step = problem.model.step
     stage, terminal = costs(problem)
     limits = _limits(problem, feedback is not None)
     lower, upper = problem.input_bounds
@@ -161,17 +162,6 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
         discrete=True, u_bounds=(None, None) if feedback is not None else (lower, upper),
         path=None if limits is None else path, signal=signal, guess=guess,
     )  # fmt: skip
-
-
-def one_step(problem: CoDesignProblem) -> ca.Function:
-    """(x, u, w, p) → x⁺ of the model."""
-    model = problem.model
-    if not isinstance(model, LinearModel):
-        return model.step
-    sizes = (model.nx, model.nu, model.nw, problem.design.dim)
-    x, u, w, p = (ca.SX.sym(name, size) for name, size in zip("xuwp", sizes))
-    M = model.function(p)
-    return ca.Function("step", [x, u, w, p], [M @ ca.vertcat(x, u, w)])
 
 
 def costs(problem: CoDesignProblem) -> tuple[Any, Any]:

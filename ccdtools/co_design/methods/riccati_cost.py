@@ -9,7 +9,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.methods.laws import lqr_slopes, model_slopes
+from ccdtools.co_design.design_sensitivity import regulator_of
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
@@ -60,10 +60,10 @@ class RiccatiCost:
         problem = self.problem
         p = problem.design.from_unit(v)
         try:
-            found = lqr_slopes(problem, p)
+            found = regulator_of(problem, p)
         except MPCError:
             return np.inf, np.zeros(len(v))
-        E, dE = problem.model.matrices(p)[2], model_slopes(problem, p)[2]
+        E, dE = problem.model.matrices(p)[2], problem.model.derivatives(p)[2]
         spread = self._starts + problem.steps * (E @ self._noise @ E.T)
         cost = float(np.sum(found.P * spread)) - self._first()
         slope = np.einsum("xyp,xy->p", found.dP, spread)

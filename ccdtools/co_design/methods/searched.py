@@ -158,7 +158,7 @@ def _size(problem: CoDesignProblem, value: float, v: Array) -> float:
 def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) -> CoDesignResult:
     """The result of the best end."""
     space = problem.design
-    design = space.settled(best.found.v)
+    design = space.check_feasible(space.settled(best.found.v))
     held = held_by(space, best.found.v, best.found.slope)
     size = _size(problem, best.found.cost, best.found.v)
     outcome = None

@@ -18,12 +18,12 @@ from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of, saturated_lqr
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.methods.open_loop import Feedback, check_open_loop, drawn, followed, open_loop_problem
-from ccdtools.co_design.methods.outer import held_by
 from ccdtools.co_design.methods.starting import start_points
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, Valley
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller, LinearFeedback
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import bar
 from mpc import MPCError
 
@@ -92,28 +92,23 @@ class Simultaneous:
         program = build(statement)
         solution = solve(program, max_iterations=ITERATIONS)
         feasible = solution.status is not OptimalControlStatus.INFEASIBLE and not solution.conflicts
-        held = solve(program, p=solution.p, start=solution, max_iterations=ITERATIONS)
-        slope = held.p_gradient if held.solved else np.full(len(solution.p), np.nan)
-        return _End(solution, feasible, slope)
+        return _End(solution, feasible)
 
     def _result(
         self, problem: CoDesignProblem, best: _End, iterations: int, found: tuple[Valley, ...]
     ) -> CoDesignResult:
         """The result of the best start."""
         space = problem.design
-        design = space.settled(space.to_unit(np.clip(best.solution.p[: space.dim], space.lower, space.upper)))
-        v = space.to_unit(design)
-        size = float(problem.made_by_control(-best.cost, design)) or 1.0
-        slope = best.slope[: space.dim] * space.allowed.width
-        known = bool(np.isfinite(slope).all())
-        held = held_by(space, v, slope) if known else None
+        own = np.clip(best.solution.p[: space.dim], space.lower, space.upper)
+        design = space.check_feasible(space.settled(space.to_unit(own))) if best.solution.solved else own
         bounds, constraints = space.active_bounds(design), space.active_constraints(design)
         return CoDesignResult(
             design=design, controller=self._controller(problem, best, design), method=self.name,
             status=_status(best, bool(bounds or constraints)), objective=-best.cost,
-            criterion=f"return of {self._words(problem, best)}", active_bounds=bounds, active_constraints=constraints,
-            multipliers={} if held is None else held.multipliers, slope=np.nan if held is None else held.rest / size,
-            evaluations=iterations, history=_history(best, design), valleys=found,
+            criterion=f"return of {self._words(best)}", active_bounds=bounds, active_constraints=constraints,
+            multipliers={name: best.multipliers(space)[name] for name in {**bounds, **constraints}},
+            slope=float(best.solution.residuals.worst), evaluations=iterations,
+            history=_history(best, design), valleys=found,
         )  # fmt: skip
 
     def _controller(self, problem: CoDesignProblem, best: _End, design: Array) -> Controller:
@@ -123,7 +118,7 @@ class Simultaneous:
         K = best.solution.p[problem.design.dim :].reshape(problem.model.nu, problem.model.nx, order="F")
         return LinearFeedback(K, *problem.input_bounds_at(design))
 
-    def _words(self, problem: CoDesignProblem, best: _End) -> str:
+    def _words(self, best: _End) -> str:
         """What was brought to its largest."""
         runs = len(best.solution.phases)
         if self.unknowns == "gain":
@@ -133,11 +128,20 @@ class Simultaneous:
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """Where a program ended: its solution, whether limits are kept, and dJ*/dp."""
+    """Where a program ended: its solution, and whether limits are kept."""
 
     solution: Any
     feasible: bool
-    slope: Array
+
+    def multipliers(self, space: DesignSpace) -> dict[str, float]:
+        """By how much the return would rise per unit of every constraint and bound of the design, by name."""
+        prices: dict[str, float] = {}
+        for rows in self.solution.program.rows:
+            if rows.name == "p_constraints":
+                own = self.solution.multipliers["rows"][rows.first : rows.last]
+                prices |= dict(zip(space.constraint_names, own.tolist()))
+        prices |= dict(zip(space.names, np.abs(self.solution.p_gradient[: space.dim] * space.free).tolist()))
+        return prices
 
     @property
     def cost(self) -> float:

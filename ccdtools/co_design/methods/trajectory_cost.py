@@ -40,7 +40,9 @@ class TrajectoryCost:
         from mpc.optimal_control import build
 
         guess = followed(self.problem, self.scenarios, self.start)
-        self._program = build(open_loop_problem(self.problem, self.scenarios, design=self.start, guess=guess))
+        self._program = build(
+            open_loop_problem(self.problem, self.scenarios, design=self.start, guess=guess, constrained=False)
+        )
 
     @property
     def words(self) -> str:

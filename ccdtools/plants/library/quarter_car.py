@@ -12,6 +12,7 @@ from ccdtools.plants.library.parameters import Parameters, given_or_default
 from ccdtools.plants.library.struts import GRAVITY, Corner, RealStrut
 from ccdtools.plants.plant import Plant
 
+STATES = ("z_us − z₀ [m]", "ż_us [m/s]", "z_s − z_us [m]", "ż_s [m/s]")
 PAPER_DT = 0.05  # s, of Tsai et al.; it hardly resolves the wheel hop, and `discretise` says so
 
 
@@ -79,15 +80,16 @@ def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, real: bo
     deflection, wheel, travel, body = ca.vertsplit(x[:4])
     demanded = corner.active(u)
     lift = (x[4] if lagging else demanded) - corner.passive(travel, body - wheel)
-    dynamics = ca.vertcat(
-        wheel - w,
-        (corner.ground(deflection) - lift) / car.unsprung,
-        body - wheel,
-        lift / car.sprung,
-    )
-    names = ["z_us − z₀ [m]", "ż_us [m/s]", "z_s − z_us [m]", "ż_s [m/s]"]
+    dynamics = motion(car, x, w, lift, corner.ground(deflection))
+    names = list(STATES)
     if lagging:
         dynamics = ca.vertcat(dynamics, (demanded - x[4]) / car.lag)
         names.append("active force [N]")
     design = DesignSpace(["k_s", "c_s"], lower=[1e4, 500.0], upper=[4e4, 3000.0], units=["N/m", "N·s/m"])
     return Plant(x, u, w, p, dynamics, design, dt=dt, state_names=names, input_names=["u [N]"])
+
+
+def motion(car: QuarterCar, x: ca.SX, w: ca.SX, lift: ca.SX, ground: ca.SX) -> ca.SX:
+    """dx/dt (4, 1) by the upward forces of the strut on the body and of the road on the wheel [N]."""
+    _, wheel, _, body = ca.vertsplit(x[:4])
+    return ca.vertcat(wheel - w, (ground - lift) / car.unsprung, body - wheel, lift / car.sprung)

@@ -1,6 +1,7 @@
 """Nonlinear MPC is linear MPC on linear models, the optimum of the nonlinear program on others, and always an input."""
 
 import copy
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -143,7 +144,7 @@ def test_rows_have_plans_of_their_own():
 def test_parameters_change_without_building_anew():
     controller = pole()
     other = controller.with_parameters([0.8])
-    assert other._model is controller._model
+    assert other.model is controller.model
     x = [0.1, 0.3, 0.0, 0.0]
     assert other.solve(x).inputs == pytest.approx(pole(p=[0.8]).solve(x).inputs, abs=1e-9)
     assert controller.solve(x).inputs == pytest.approx(pole().solve(x).inputs, abs=1e-9)
@@ -159,12 +160,141 @@ def test_parameters_change_without_building_anew():
         ({"Q": [1.0]}, "Q"),
         ({"iterations": 0}, "iterations"),
         ({"p": [[1.0]]}, "p"),
+        ({"step": lambda x: ca.vertcat(x, x)}, "step"),
+        ({"step": lambda x, u: 1 / 0}, "step"),
+        ({"step": lambda x, u: 0.9 * x + u + ca.SX.sym("z", 2)}, "step"),
+        ({"step": "0.9 x"}, "step"),
+        ({"step": lambda x, u: 0.9 * x + u / ca.sum1(u)}, "step"),
+        ({"states": 0}, "states"),
+        ({"horizon": 2.5}, "horizon"),
+        ({"most_iterations": -1}, "most_iterations"),
+        ({"time_limit": 0.0}, "time_limit"),
+        ({"time_limit": "1 ms"}, "time_limit"),
+        ({"disturbances": -1}, "disturbances"),
+        ({"U": ([1, 1], [-1, -1])}, "U"),
+        ({"X": (0, 1, 2)}, "X"),
+        ({"soft": (1.0,)}, "soft"),
+        ({"rate_limit": -1.0}, "rate_limit"),
+        ({"terminal_set": "big"}, "terminal_set"),
+        ({"uses": ("preview",)}, "uses"),
     ],
 )
 def test_a_bad_statement_is_refused(arguments, argument):
     good = {"step": lambda x, u: 0.9 * x + u, "Q": [1.0, 1.0], "R": [1.0, 1.0], "horizon": 3}
     settings = good | arguments
-    step = settings.pop("step")
+    step, states = settings.pop("step"), settings.pop("states", 2)
     with pytest.raises(InputError) as caught:
-        NonlinearMPC(step, 2, 2, **settings)
+        NonlinearMPC(step, states, 2, **settings)
     assert caught.value.argument == argument
+
+
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_whether_a_model_rests_does_not_depend_on_units(size):
+    def stated(drift):
+        return NonlinearMPC(
+            lambda x, u: 0.9 * x + u + drift * size, 1, 1, Q=1 / size**2, R=1 / size**2, horizon=3, U=(-size, size)
+        )  # fmt: skip
+
+    assert stated(1e-12).solve([0.5 * size]).status is Status.SOLVED
+    with pytest.raises(InputError, match="moves from rest"):
+        stated(1e-3)
+
+
+@pytest.mark.parametrize(
+    ("call", "argument"),
+    [
+        (lambda law: law.solve([0.0, 1.0]), "x"),
+        (lambda law: law.solve([0.0, np.nan, 0, 0]), "x"),
+        (lambda law: law([[0.0, np.inf, 0, 0]]), "x"),
+        (lambda law: law(np.zeros(4), w=[0.0]), "w"),
+        (lambda law: law(np.zeros(4), speed=[0.0]), "speed"),
+        (lambda law: law.solve(np.zeros(4), x_ref=np.zeros((3, 4))), "x_ref"),
+        (lambda law: law.solve(np.zeros(4), u_prev=[0.0]), "u_prev"),
+        (lambda law: law.solve(np.zeros(4), start=3), "start"),
+        (lambda law: law.solve(np.zeros(4), start=pole(horizon=5).solve(np.zeros(4))), "start"),
+        (lambda law: law.with_parameters([1.0, 2.0]), "p"),
+        (lambda law: law.with_parameters([np.nan]), "p"),
+        (lambda law: law.with_parameters([0.0]), "step"),  # a pole without length
+    ],
+)
+def test_a_bad_call_is_refused(call, argument):
+    with pytest.raises(InputError) as caught:
+        call(pole())
+    assert caught.value.argument == argument
+
+
+@pytest.mark.parametrize("units", [(1.0, 1.0), (1e6, 1e-3)], ids=["alike", "N and kN"])
+def test_two_inputs_in_a_polytope_are_those_of_linear_mpc(units):
+    from invariant_sets import Polytope
+
+    A, B = np.array([[1.0, 0.1], [0.05, 1.1]]), np.array([[0.1, 0.02], [0.01, 0.1]]) / units
+    U = Polytope(np.array([[1, 1], [-1, 0], [0, -1], [1, -2.0]]) / units, [1.0, 0.6, 0.5, 0.8])
+    stated = {"Q": [1.0, 0.1], "R": 0.1 / np.square(units), "horizon": 10, "U": U, "rate_limit": 0.3 * np.array(units)}
+    linear = LinearMPC(A, B, **stated)
+    nonlinear = NonlinearMPC(lambda x, u: ca.DM(A) @ x + ca.DM(B) @ u, 2, 2, **stated)
+    for x in ([0.5, -0.3], [-0.9, 0.4], [0.05, 0.0]):
+        plan, expected = (law.solve(x, u_prev=[0.1 * units[0], 0.0]) for law in (nonlinear, linear))
+        assert plan.status is expected.status is Status.SOLVED
+        assert plan.inputs / units == pytest.approx(expected.inputs / units, abs=1e-6)
+        assert (plan.inputs @ U.A.T <= U.b + 1e-9).all()
+
+
+def test_out_of_time_the_best_there_is_stands_in_and_says_so():
+    x = [0.1, 1.2, 0.0, 0.0]
+    late = pole(time_limit=1e-9)
+    first = late.solve(x)
+    optimum = pole().solve(x)
+    assert first.status is Status.LATE
+    assert not first.feasible
+    assert np.abs(first.inputs).max() <= 10
+    assert first.cost > optimum.cost
+    from_optimum = late.solve(x, start=optimum)  # a plan that is there already is not given up
+    assert from_optimum.status is Status.LATE
+    assert from_optimum.cost == pytest.approx(optimum.cost, rel=1e-6)
+    assert pole(time_limit=60.0).solve(x).status is Status.SOLVED
+
+
+def test_out_of_time_in_every_sample_it_still_gets_there():
+    cost, end = closed_loop(pole(time_limit=1e-9), np.array([0.0, 0.3, 0.0, 0.0]), 60)
+    converged, _ = closed_loop(pole(), np.array([0.0, 0.3, 0.0, 0.0]), 60)
+    assert cost == pytest.approx(converged, rel=0.05)
+    assert np.abs(end).max() < 0.1
+
+
+def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
+    controller = pole()
+    x = np.array([0.0, 0.3, 0.0, 0.0])
+    controller(x)
+    before = controller.last_plans[0]
+    monkeypatch.setattr(
+        "mpc.optimal_control.planner.Sequential.step", lambda *a, **k: SimpleNamespace(solved=False)
+    )  # fmt: skip
+    u = controller(before.states[1])
+    plan = controller.last_plans[0]
+    assert u == pytest.approx(before.inputs[1], abs=1e-6)
+    assert (plan.status, plan.solver) == (Status.REPLACED, "shifted plan")
+    assert "sample before" in plan.status.advice
+    controller.reset()
+    controller(x)
+    assert (controller.last_plans[0].status, controller.last_plans[0].solver) == (Status.REPLACED, "linear law")
+    assert controller.last_plans[0].inputs[0] == pytest.approx(np.clip(-controller.linear.gain @ x, -10, 10))
+
+
+def test_a_model_that_ends_within_the_limits_gets_the_linear_law():
+    def step(x, u):
+        return 0.9 * x + u * ca.sqrt(1 - x**2)  # no number beyond |x| = 1
+
+    plan = NonlinearMPC(step, 1, 1, Q=1.0, R=1.0, horizon=5, U=(-1, 1)).solve([2.0])
+    assert plan.status is Status.REPLACED
+    assert plan.solver == "linear law"
+    assert np.isfinite(plan.inputs).all()
+    assert np.isfinite(plan.states).all()
+
+
+def test_a_real_time_iteration_is_not_called_solved_away_from_the_optimum():
+    controller = pole(iterations=1)
+    controller([0.0, 0.3, 0.0, 0.0])
+    assert controller.last_plans[0].status is Status.SOLVED  # the first sample goes to the optimum
+    controller([0.0, 0.6, 0.0, 0.0])  # far from where the plan led
+    assert controller.last_plans[0].status is Status.FOLLOWED
+    assert controller.last_plans[0].residuals.worst > 1e-3

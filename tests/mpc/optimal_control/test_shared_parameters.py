@@ -186,6 +186,6 @@ def test_solution_starts_another_mesh_near_its_optimum():
     problem = array_problem(1.0, 1.0, 1.0)
     coarse = solve(build(problem, Radau(3), 20))
     fine = build(problem, Radau(3), 50)
-    warm, cold = solve(fine, start=coarse), solve(fine)
+    warm, cold = solve(fine, start=coarse, tolerance=1e-10), solve(fine, tolerance=1e-10)
     assert warm.cost == pytest.approx(cold.cost, rel=1e-6)
     assert warm.iterations < cold.iterations

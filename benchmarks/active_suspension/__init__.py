@@ -1,0 +1,1 @@
+"""The detailed active suspension of Allison, Guo and Han (2014), simultaneous and nested."""

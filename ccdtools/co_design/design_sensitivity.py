@@ -1,0 +1,180 @@
+"""How the optimal cost and the control law change with the design: LQR, linear MPC and nonlinear MPC of a problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, Immutable
+from ccdtools.checks import as_choice, as_count, as_instance, as_vector
+from ccdtools.co_design.design_controllers import HORIZON
+from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+from ccdtools.design_limits import DesignLimits
+from ccdtools.exceptions import InputError
+from ccdtools.plants.undisturbed_step import undisturbed_step
+from mpc import LinearMPC, LQRSensitivity, PlanSensitivity, SensitivityStatus, lqr_sensitivity
+
+CONTROLLERS = ("lqr", "mpc", "nmpc")
+
+Detail: TypeAlias = LQRSensitivity | PlanSensitivity
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DesignSensitivity(Immutable):
+    """Derivatives of the optimal cost from a state, and of the control law there, by state and design.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the design parameters.
+    design, x0 : (np,) and (nx,) arrays
+    cost : float
+        J*: of LQR x'Px, of MPC that of the horizon with its terminal cost. Without the cost of the design itself.
+    cost_by_state, cost_by_design : (nx,) and (np,) arrays
+    input_by_state, input_by_design : (nu, nx) and (nu, np) arrays
+        Of the first input.
+    status : SensitivityStatus
+        Whether they hold on every side, with advice. LQR knows no limits: its derivatives always do.
+    detail : LQRSensitivity or PlanSensitivity
+        What they are taken from: all gains, or the whole plan with its active and weakly active constraints.
+    """
+
+    names: tuple[str, ...]
+    design: Array
+    x0: Array
+    cost: float
+    cost_by_state: Array
+    cost_by_design: Array
+    input_by_state: Array
+    input_by_design: Array
+    status: SensitivityStatus
+    detail: Detail
+
+    def __repr__(self) -> str:
+        slopes = ", ".join(f"{name}: {slope:.4g}" for name, slope in zip(self.names, self.cost_by_design))
+        return f"DesignSensitivity(cost={self.cost:.6g}, by design: {slopes}, status={self.status.name})"
+
+    @property
+    def elasticities(self) -> Array:
+        """By how many per cent J* changes with each design parameter per per cent, (np,)."""
+        return self.cost_by_design * self.design / self.cost
+
+
+def design_sensitivity(
+    problem: CoDesignProblem, design: ArrayLike, x0: ArrayLike | None = None, *, controller: str = "lqr",
+    horizon: int = HORIZON,
+) -> DesignSensitivity:  # fmt: skip
+    """How optimal cost and control law of the undisturbed model change with the design, exactly.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        Model, weights and limits, with what of them depends on the design.
+    design : (np,) array
+    x0 : (nx,) array, optional
+        The state; by default that of a problem with a `FixedStart`.
+    controller : {"lqr", "mpc", "nmpc"}
+        "lqr": infinite horizon, without limits, by the differentiated Riccati equation. "mpc": with the limits at the
+        design, of the linearisation; "nmpc": of the model itself; both by the differentiated optimality conditions.
+        Their terminal cost is the Riccati solution, which changes with the design too.
+    horizon : int
+        Of MPC [steps].
+
+    Returns
+    -------
+    DesignSensitivity
+        Finite differences are never taken: the model's derivatives are CasADi's.
+
+    Raises
+    ------
+    InputError
+        If an argument is none of these, or MPC is asked for limits of outputs, whose derivatives are not known.
+    NotStabilisableError
+        If the design cannot be stabilised, see `mpc.lqr`.
+
+    Examples
+    --------
+    >>> found = design_sensitivity(problem, p, x0)
+    >>> found.cost_by_design, found.input_by_state
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_choice("controller", controller, CONTROLLERS)
+    horizon = as_count("horizon", horizon)
+    p = problem.design.check_one(design)
+    x = _start(problem, x0)
+    names = tuple(problem.design.names)
+    changes = _weight_changes(problem, p)
+    weights = problem.weights(p).keywords()
+    if controller == "lqr":
+        found = regulator_of(problem, p)
+        return DesignSensitivity(
+            names, p, x, found.cost(x), found.cost_by_state(x), found.cost_by_parameters(x), found.input_by_state,
+            found.input_by_parameters(x), SensitivityStatus.SMOOTH, found,
+        )  # fmt: skip
+    plan = _of_mpc(problem, p, x, controller, {**weights, "horizon": horizon}, changes)
+    return DesignSensitivity(
+        names, p, x, plan.plan.cost, plan.cost_by_state, plan.cost_by_parameters, plan.input_by_state,
+        plan.input_by_parameters, plan.status, plan,
+    )  # fmt: skip
+
+
+def regulator_of(problem: CoDesignProblem, p: Array) -> LQRSensitivity:
+    """The LQR of a design (np,), with the derivatives of its gain and its cost by the design."""
+    A, B, _ = problem.model.matrices(p)
+    dA, dB, _ = problem.model.derivatives(p)
+    return lqr_sensitivity(A, B, **problem.weights(p).keywords(), dA=dA, dB=dB, **_weight_changes(problem, p))
+
+
+def _start(problem: CoDesignProblem, x0: ArrayLike | None) -> Array:
+    """The state, checked."""
+    if x0 is None:
+        if not isinstance(problem.scenarios, FixedStart):
+            raise InputError("x0", "nothing", f"a state ({problem.model.nx},), because the problem has no FixedStart")
+        return np.asarray(problem.scenarios.x0)
+    return as_vector("x0", x0, problem.model.nx, of="one per state")
+
+
+def _weight_changes(problem: CoDesignProblem, p: Array) -> dict[str, Array]:
+    """dQ, dR and dS."""
+    model = problem.model
+    changed = problem.objective.weight_derivatives(p, model.nx, model.nu)
+    return {f"d{name}": value for name, value in changed.keywords().items()}
+
+
+def _of_mpc(
+    problem: CoDesignProblem, p: Array, x: Array, controller: str, weights: dict[str, Any], changes: dict[str, Array]
+) -> PlanSensitivity:
+    """Derivatives of the plan of linear or nonlinear MPC."""
+    if problem.output_limits is not None:
+        cure = 'LQR has none: controller="lqr".'
+        raise InputError("problem", "limits of outputs", "limits of states and inputs alone", cure)
+    limits: dict[str, Any] = {"X": problem.state_limits(p), "U": problem.input_limits(p)}
+    moved: dict[str, Any] = {
+        f"d{name}": _bound_changes(limits[name], own, p)
+        for name, own in (("X", problem.X), ("U", problem.U))
+        if isinstance(own, DesignLimits)
+    }
+    if controller == "mpc":
+        A, B, _ = problem.model.matrices(p)
+        dA, dB, _ = problem.model.derivatives(p)
+        return LinearMPC(A, B, **weights, **limits).sensitivity(x, dA=dA, dB=dB, **changes, **moved)
+    from mpc.optimal_control import NonlinearMPC
+
+    model = problem.model
+    own: dict[str, Any] = {**changes, **moved}
+    return NonlinearMPC(undisturbed_step(model), model.nx, model.nu, p=p, **weights, **limits).sensitivity(x, **own)
+
+
+def _bound_changes(limits: Any, own: DesignLimits, p: Array) -> Array:
+    """∂b/∂p (rows, np) of the facets a'v <= b of a box that depends on the design."""
+    bounds = own.both.function(own.entries)
+    symbol = ca.SX.sym("p", own.entries)
+    J = np.asarray(ca.Function("changes", [symbol], [ca.densify(ca.jacobian(bounds(symbol), symbol))])(p), dtype=float)
+    lower, upper = np.split(J, 2)
+    rows = np.asarray(limits.A)
+    changes: Array = np.maximum(rows, 0.0) @ upper - np.maximum(-rows, 0.0) @ lower
+    return changes

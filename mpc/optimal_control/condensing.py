@@ -1,0 +1,146 @@
+"""States of a linearised plan eliminated, compiled: moves are counted from a feedback that keeps them bounded."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numba import njit
+
+TINY = 1e-12  # of the diagonal of a matrix to be divided by: gains need not be exact, only stabilise
+
+
+@cache
+def compile_kernels() -> None:
+    """Compile them before a clock runs: seconds after an installation, once; numba keeps them on disk."""
+    one, column = np.ones((1, 1, 1)), np.ones((1, 1))
+    gains = gains_along(one, one, column, column, column, column)
+    responses(one, one, gains, column, np.ones(1))
+    costates_along(one, one, gains, np.ones((2, 1)), column)
+
+
+@njit(cache=True)
+def gains_along(A, B, Q, R, S, P):
+    """Gains (N, nu, nx) of the regulator of dx⁺ = A dx + B du, by the Riccati recursion backwards from P.
+
+    A (N, nx, nx) and B (N, nx, nu); weights as of a quadratic cost x'Qx + 2 x'Su + u'Ru.
+    """
+    N, nx, nu = B.shape
+    gains = np.zeros((N, nu, nx))
+    V = P.copy()
+    for k in range(N - 1, -1, -1):
+        VA, VB = _product(V, A[k]), _product(V, B[k])
+        Bt = np.ascontiguousarray(B[k].T)
+        M = R + _product(Bt, VB)
+        slope = np.ascontiguousarray(S.T) + _product(Bt, VA)
+        K = _divided(M, slope)
+        V = Q + _product(np.ascontiguousarray(A[k].T), VA) - _product(np.ascontiguousarray(slope.T), K)
+        for i in range(nx):
+            for j in range(i):
+                V[i, j] = V[j, i] = 0.5 * (V[i, j] + V[j, i])
+        gains[k] = K
+    return gains
+
+
+@njit(cache=True)
+def responses(A, B, gains, gaps, first):
+    """How states (N + 1, nx, N nu) and inputs (N, nu, N nu) answer to v, where du = v - K dx; and where v = 0 leads.
+
+    Parameters
+    ----------
+    A, B, gains : (N, nx, nx), (N, nx, nu) and (N, nu, nx) arrays
+    gaps : (N, nx) array
+        Added to every next state.
+    first : (nx,) array
+        dx_0.
+    """
+    N, nx, nu = B.shape
+    by_state = np.zeros((N + 1, nx, N * nu))
+    by_input = np.zeros((N, nu, N * nu))
+    states = np.zeros((N + 1, nx))
+    inputs = np.zeros((N, nu))
+    states[0] = first
+    for k in range(N):
+        for i in range(nu):
+            for j in range(nx):
+                inputs[k, i] -= gains[k, i, j] * states[k, j]
+                for c in range(k * nu):
+                    by_input[k, i, c] -= gains[k, i, j] * by_state[k, j, c]
+            by_input[k, i, k * nu + i] = 1.0
+        for i in range(nx):
+            states[k + 1, i] = gaps[k, i]
+            for j in range(nx):
+                states[k + 1, i] += A[k, i, j] * states[k, j]
+                for c in range(k * nu):
+                    by_state[k + 1, i, c] += A[k, i, j] * by_state[k, j, c]
+            for j in range(nu):
+                states[k + 1, i] += B[k, i, j] * inputs[k, j]
+                for c in range((k + 1) * nu):
+                    by_state[k + 1, i, c] += B[k, i, j] * by_input[k, j, c]
+    return by_state, by_input, states, inputs
+
+
+@njit(cache=True)
+def costates_along(A, B, gains, by_state, by_input):
+    """Costates (N + 1, nx) from slopes of the Lagrangian by states (N + 1, nx) and by inputs (N, nu).
+
+    Backwards along the closed loop: what the inputs' slopes leave, zero at an optimum, keeps the digits.
+    """
+    N, nx, nu = B.shape
+    found = np.zeros((N + 1, nx))
+    found[N] = by_state[N]
+    for k in range(N - 1, -1, -1):
+        for i in range(nx):
+            found[k, i] = by_state[k, i]
+            for j in range(nx):
+                found[k, i] += A[k, j, i] * found[k + 1, j]
+        for i in range(nu):
+            left = by_input[k, i]
+            for j in range(nx):
+                left += B[k, j, i] * found[k + 1, j]
+            for j in range(nx):
+                found[k, j] -= gains[k, i, j] * left
+    return found
+
+
+@njit(cache=True)
+def _product(M, L):
+    """Matrix product of small matrices."""
+    found = np.zeros((M.shape[0], L.shape[1]))
+    for i in range(M.shape[0]):
+        for j in range(M.shape[1]):
+            for k in range(L.shape[1]):
+                found[i, k] += M[i, j] * L[j, k]
+    return found
+
+
+@njit(cache=True)
+def _divided(M, right):
+    """M⁻¹ right for a symmetric M ⪰ 0 (nu, nu), scaled to a unit diagonal, by Cholesky."""
+    n = len(M)
+    scale = np.zeros(n)
+    for i in range(n):
+        scale[i] = 1.0 / np.sqrt(M[i, i]) if M[i, i] > 0 else 0.0
+    L = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            left = M[i, j] * scale[i] * scale[j] + (TINY if i == j else 0.0)
+            for k in range(j):
+                left -= L[i, k] * L[j, k]
+            L[i, j] = np.sqrt(max(left, TINY)) if i == j else left / L[j, j]
+    found = np.zeros(right.shape)
+    for c in range(right.shape[1]):
+        for i in range(n):
+            left = right[i, c] * scale[i]
+            for k in range(i):
+                left -= L[i, k] * found[k, c]
+            found[i, c] = left / L[i, i]
+        for i in range(n - 1, -1, -1):
+            left = found[i, c]
+            for k in range(i + 1, n):
+                left -= L[k, i] * found[k, c]
+            found[i, c] = left / L[i, i]
+    for i in range(n):
+        for c in range(right.shape[1]):
+            found[i, c] *= scale[i]
+    return found

@@ -1,0 +1,241 @@
+"""Values and derivatives of a nonlinear program, put together from those of its pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array
+
+from mpc.checks import Array
+
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One function of a few unknowns, at M places; each of its values is added to one row of [f; g].
+
+    Attributes
+    ----------
+    function : casadi.Function
+        (z (n,), data (d,)) → values (k,).
+    unknowns : (n, M) array
+        Which of all they are.
+    data : (d, M) array
+    rows : (k, M) array
+        Where the values go: 0 is the cost f, 1 + i constraint i.
+    factors : (k,) array
+        That they are multiplied by.
+    """
+
+    function: ca.Function
+    unknowns: Numbers
+    data: Array
+    rows: Numbers
+    factors: Array
+
+    @property
+    def places(self) -> int:
+        """M."""
+        return int(self.unknowns.shape[1])
+
+    @property
+    def of_cost(self) -> NDArray[np.bool_]:
+        """Which values (k,) are added to the cost."""
+        return np.asarray(self.rows[:, 0] == 0)
+
+    @cached_property
+    def parts(self) -> dict[bool, ca.Function]:
+        """Functions of the values that are added to the cost, and of the others."""
+        z, data = self.symbols
+        value = self.function(z, data)
+        found = {of_cost: value[_listed(self.of_cost == of_cost)] for of_cost in (True, False)}
+        return {key: ca.Function("part", [z, data], [part], {"cse": True}) for key, part in found.items()}
+
+    @property
+    def symbols(self) -> tuple[Any, Any]:
+        """z and data, of the kind of the function."""
+        kind: Any = ca.SX if self.function.is_a("SXFunction") else ca.MX
+        return kind.sym("z", self.unknowns.shape[0]), kind.sym("data", self.data.shape[0])
+
+    def mapped(self, function: ca.Function, *columns: Any) -> Sequence[Any]:
+        """Results of a function of columns, one a place."""
+        found = function.map(self.places)(*columns) if self.places > 1 else function(*columns)
+        return found if isinstance(found, list | tuple) else [found]
+
+    def gathered(self, v: Any) -> Any:
+        """Unknowns (n, M) out of those of all."""
+        return ca.reshape(v[self.unknowns.ravel(order="F").tolist()], *self.unknowns.shape)
+
+
+class Derivatives:
+    """Functions of the unknowns v (n,) of a program, whose graphs are as large as a piece and not as the mesh.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+    unknowns, constraints : int
+        n and m.
+    """
+
+    def __init__(self, pieces: Sequence[Piece], unknowns: int, constraints: int) -> None:
+        self.pieces = tuple(pieces)
+        self.n = unknowns
+        self.m = constraints
+        self.solvers: dict[Any, Any] = {}
+
+    def expressions(self, v: Any) -> tuple[Any, Any]:
+        """f and g (m,) of the unknowns."""
+        cost, constraints = (self._gathered(v, of_cost) for of_cost in (True, False))
+        return cost, constraints
+
+    def _gathered(self, v: Any, of_cost: bool) -> Any:
+        """f or g, of the values that go there."""
+        values, rows, factors = [ca.MX(0, 1)], [], []
+        for piece in self.pieces:
+            chosen = piece.of_cost == of_cost
+            if not chosen.any():
+                continue
+            (found,) = piece.mapped(piece.parts[of_cost], piece.gathered(v), piece.data)
+            values.append(ca.vec(found))
+            rows.append(piece.rows[chosen].ravel(order="F"))
+            factors.append(np.tile(piece.factors[chosen], piece.places))
+        every = _joined(rows) - (not of_cost)
+        weights = np.concatenate([np.zeros(0), *factors])
+        shape = (1 if of_cost else self.m, len(every))
+        gather = coo_array((weights, (every, np.arange(len(every)))), shape)
+        return ca.densify(ca.mtimes(_dm(gather), ca.vertcat(*values)))
+
+    @cached_property
+    def values(self) -> ca.Function:
+        """v → f, g."""
+        v = ca.MX.sym("v", self.n)
+        return ca.Function("values", [v], list(self.expressions(v)))
+
+    @cached_property
+    def stationarity(self) -> ca.Function:
+        """v, λ → g, ∇(f + λ'g), ∇f: by CasADi's own reverse mode, which shares nothing with what the solver gets."""
+        v, multipliers = ca.MX.sym("v", self.n), ca.MX.sym("multipliers", self.m)
+        f, g = self.expressions(v)
+        slope = ca.gradient(f + ca.dot(multipliers, g), v)
+        return ca.Function("stationarity", [v, multipliers], [g, slope, ca.gradient(f, v)])
+
+    @cached_property
+    def jacobian(self) -> tuple[ca.Function, ca.Function]:
+        """v → (f, ∇f) and v → (g, ∂g/∂v)."""
+        v = ca.MX.sym("v", self.n)
+        f, g = self.expressions(v)
+        parts: tuple[list[Any], list[Any]] = ([ca.MX(0, 1)], [ca.MX(0, 1)])
+        places: tuple[list[Any], list[Any]] = ([], [])
+        for piece in self.pieces:
+            for k, chosen in enumerate((piece.of_cost, ~piece.of_cost)):
+                if not chosen.any():
+                    continue
+                z, data = piece.symbols
+                value = piece.function(z, data)[_listed(chosen)]
+                slope: Any = ca.jacobian(value * ca.DM(piece.factors[chosen]), z)
+                function = _compact("slope", [z, data], slope)
+                (found,) = piece.mapped(function, piece.gathered(v), piece.data)
+                parts[k].append(ca.vec(found))
+                row, column = _places(slope)
+                places[k].append((piece.rows[chosen][row].ravel(order="F"), piece.unknowns[column].ravel(order="F")))
+        gradient = self._assembled(parts[0], places[0], (1, self.n), 0)
+        whole = self._assembled(parts[1], places[1], (self.m, self.n), 1)
+        return ca.Function("grad_f", [v], [f, ca.densify(gradient.T)]), ca.Function("jac_g", [v], [g, whole])
+
+    @cached_property
+    def hessian(self) -> ca.Function:
+        """v, σ, λ → upper triangle of the Hessian of σ f + λ'g."""
+        v, of_cost, multipliers = ca.MX.sym("v", self.n), ca.MX.sym("of_cost"), ca.MX.sym("multipliers", self.m)
+        all_of_them = ca.vertcat(of_cost, multipliers)
+        parts, places = [ca.MX(0, 1)], []
+        for piece in self.pieces:
+            z, data = piece.symbols
+            weights = type(z).sym("weights", len(piece.factors))
+            value = ca.dot(weights * ca.DM(piece.factors), piece.function(z, data))
+            curvature = ca.triu(ca.hessian(value, z)[0])
+            if not curvature.nnz():
+                continue
+            function = _compact("curvature", [z, data, weights], curvature)
+            given = ca.reshape(all_of_them[piece.rows.ravel(order="F").tolist()], *piece.rows.shape)
+            (found,) = piece.mapped(function, piece.gathered(v), piece.data, given)
+            parts.append(ca.vec(found))
+            row, column = _places(curvature)
+            pair = np.sort([piece.unknowns[row], piece.unknowns[column]], axis=0)
+            places.append((pair[0].ravel(order="F"), pair[1].ravel(order="F")))
+        whole = self._assembled(parts, places, (self.n, self.n), 0)
+        return ca.Function("hess_lag", [v, of_cost, multipliers], [whole])
+
+    @staticmethod
+    def _assembled(parts: list[Any], places: list[Any], shape: tuple[int, int], first: int) -> Any:
+        """A sparse matrix of nonzeros and their places, those of one place added; rows are counted from `first`."""
+        rows, columns = (_joined([place[i] for place in places]) for i in range(2))
+        order = columns * shape[0] + rows - first  # by columns, as CasADi keeps them
+        cells, where = np.unique(order, return_inverse=True)
+        gather = coo_array((np.ones(len(where)), (where, np.arange(len(where)))), (len(cells), len(where)))
+        pattern = ca.Sparsity.triplet(*shape, (cells % shape[0]).tolist(), (cells // shape[0]).tolist())
+        return ca.MX(pattern, ca.densify(ca.mtimes(_dm(gather), ca.vertcat(*parts))))
+
+    @cached_property
+    def scaled(self) -> tuple[Any, dict[str, ca.Function]]:
+        """The program in unknowns z = v / s, with cost and rows divided by c and r, for `casadi.nlpsol`.
+
+        Its parameters are (s, c, r): sizes change without building anew.
+        """
+        z, given = ca.MX.sym("x", self.n), ca.MX.sym("p", self.n + 1 + self.m)
+        of_cost, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.m)
+        s, c, r = given[: self.n], given[self.n], given[self.n + 1 :]
+        v = z * s
+        f, g = self.values(v)
+        (_, slope), (_, whole) = (function(v) for function in self.jacobian)
+        curvature = self.hessian(v, of_cost / c, multipliers / r)
+        rows, columns = whole.sparsity().get_triplet()
+        jacobian = ca.MX(whole.sparsity(), whole.nz[:] * s[columns] / r[rows])
+        first, second = curvature.sparsity().get_triplet()
+        hessian = ca.MX(curvature.sparsity(), curvature.nz[:] * s[first] * s[second])
+        names = ["x", "p"]
+        functions = {
+            "grad_f": ca.Function("nlp_grad_f", [z, given], [f / c, slope * s / c], names, ["f", "grad_f_x"]),
+            "jac_g": ca.Function("nlp_jac_g", [z, given], [g / r, jacobian], names, ["g", "jac_g_x"]),
+            "hess_lag": ca.Function(
+                "nlp_hess_l", [z, given, of_cost, multipliers], [hessian], [*names, "lam_f", "lam_g"],
+                ["triu_hess_gamma_x_x"],
+            ),
+        }  # fmt: skip
+        return {"x": z, "p": given, "f": f / c, "g": g / r}, functions
+
+
+def _compact(name: str, symbols: list[Any], matrix: Any) -> ca.Function:
+    """The nonzeros of a matrix as a function, common expressions once."""
+    dense = ca.densify(matrix.nz[:]) if matrix.nnz() else type(matrix)(0, 1)
+    return ca.Function(name, symbols, [dense], {"cse": True})
+
+
+def _places(matrix: Any) -> tuple[Numbers, Numbers]:
+    """Rows and columns of its nonzeros."""
+    rows, columns = matrix.sparsity().get_triplet()
+    return np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
+
+
+def _listed(chosen: NDArray[np.bool_]) -> list[int]:
+    """The numbers of what is chosen."""
+    return [int(i) for i in np.flatnonzero(chosen)]
+
+
+def _joined(parts: list[Any]) -> Numbers:
+    """Numbers one after the other."""
+    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+
+
+def _dm(matrix: Any) -> ca.DM:
+    """CasADi's copy of a sparse matrix."""
+    columns = csc_array(matrix)
+    rows, count = map(int, columns.shape)
+    pattern = ca.Sparsity(rows, count, columns.indptr.tolist(), columns.indices.tolist())
+    return ca.DM(pattern, columns.data)

@@ -1,0 +1,198 @@
+"""One call of Ipopt, and what its answer is worth by the program's own derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mpc.checks import Array
+from mpc.exceptions import InputError
+from mpc.optimal_control.functions import brief
+from mpc.optimal_control.program import NonlinearProgram
+from mpc.plan import Residuals
+
+FEASIBLE = 1e-6  # violation, in scaled rows, of what passes for feasible
+ENDLESS = 1e13  # of a scaled unknown
+LEAST_FILL = 2  # approximate minimum fill; what MUMPS chooses by itself grows faster than the mesh
+QUIET = {"print_level": 0, "sb": "yes"}
+ENDED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Of one call.
+
+    Attributes
+    ----------
+    tolerance : float
+    iterations : int
+        At most.
+    seconds : float
+        At most; infinite where there is no limit.
+    options : dict
+        For Ipopt.
+    keep_best : bool
+        Whether iterates are looked at, to keep the best if the solver is stopped.
+    """
+
+    tolerance: float
+    iterations: int
+    seconds: float
+    options: dict[str, Any]
+    keep_best: bool = False
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one call of the solver gave, in the units of the problem."""
+
+    v: Array
+    multipliers: dict[str, Array]
+    residuals: Residuals
+    violations: Array
+    iterations: int
+    said: str
+
+    @property
+    def ended(self) -> bool:
+        """Whether the solver says that it is done."""
+        return self.said in ENDED
+
+
+def once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] | None, lower: Array, upper: Array,
+         settings: Settings) -> Found:  # fmt: skip
+    """Solve with the sizes that the program has now."""
+    size, of_cost = program.scale, program.cost_scale
+    given: dict[str, Any] = {"x0": guess / size, "lbx": lower / size, "ubx": upper / size,
+             "lbg": program.row_lower / program.row_scale, "ubg": program.row_upper / program.row_scale,
+             "p": np.concatenate([size, [of_cost], program.row_scale])}  # fmt: skip
+    if multipliers is not None:
+        given |= {
+            "lam_g0": multipliers["rows"] * program.row_scale / of_cost,
+            "lam_x0": multipliers["bounds"] * size / of_cost,
+        }
+    solver, watch = _solver(program, settings)
+    if watch is not None:
+        watch.begin(given)
+    result = solver(**given)
+    stats = solver.stats()
+    z, on_rows, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
+    said = str(stats["return_status"])
+    if said == "Invalid_Option":
+        raise InputError("options", brief(repr(settings.options)), "options that this Ipopt accepts")
+    residuals, violations = _checked(program, z, on_rows, on_bounds, given)
+    if said not in ENDED and watch is not None and watch.better_than(violations, float(result["f"])):
+        z = watch.z
+        residuals, violations = _checked(program, z, on_rows, on_bounds, given)
+    back = {"rows": on_rows / program.row_scale * of_cost, "bounds": on_bounds / size * of_cost}
+    v = np.clip(z * size, lower, upper)
+    return Found(v, back, residuals, violations, int(stats["iter_count"]), said)
+
+
+def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
+    """Ipopt on scaled unknowns and rows; made once for each choice of options, whatever the sizes."""
+    limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
+    if np.isfinite(settings.seconds):
+        limits["max_wall_time"] = settings.seconds
+    ipopt = QUIET | {"diverging_iterates_tol": ENDLESS, "mumps_pivot_order": LEAST_FILL} | limits | settings.options
+    made = program.derivatives.solvers
+    key = repr((sorted(ipopt.items()), settings.keep_best))
+    if key in made:
+        return made[key]  # type: ignore[no-any-return]
+    statement, functions = program.derivatives.scaled
+    watch = BestIterate(len(program.lower), len(program.row_lower)) if settings.keep_best else None
+    plain = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False}
+    own: dict[str, Any] = {"ipopt": ipopt} | ({} if watch is None else {"iteration_callback": watch}) | plain
+    try:
+        solver = ca.nlpsol("solver", "ipopt", statement, own | functions)
+    except RuntimeError as error:
+        if not settings.options:
+            raise
+        reason = str(error).strip().splitlines()[-1]
+        raise InputError("options", brief(repr(settings.options)), "options that Ipopt knows", reason) from error
+    if not np.isfinite(settings.seconds):  # what is left of a time limit is never the same twice
+        made[key] = solver, watch
+    return solver, watch
+
+
+class BestIterate(ca.Callback):  # type: ignore[misc]
+    """Keeps the cheapest of the feasible iterates; the least infeasible where none is."""
+
+    def __init__(self, unknowns: int, rows: int) -> None:
+        ca.Callback.__init__(self)
+        self._sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": 0}
+        self._sizes["lam_p"] = unknowns + 1 + rows
+        self.begin({"lbg": np.zeros(rows), "ubg": np.zeros(rows)})
+        self.construct("best", {})
+
+    def begin(self, given: dict[str, Any]) -> None:
+        """Forget what was kept."""
+        self.z = np.zeros(0)
+        self.rank = (np.inf, np.inf)
+        self._sides = given["lbg"], given["ubg"]
+
+    def get_n_in(self) -> int:
+        """As CasADi asks for it."""
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        """As CasADi asks for it."""
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        """As CasADi asks for it."""
+        return str(ca.nlpsol_out(i))
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """As CasADi asks for it."""
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)])
+
+    def eval(self, arg: Any) -> list[int]:
+        """Look at one iterate."""
+        f, g = float(arg[1]), np.asarray(arg[2], dtype=float).ravel()
+        rank = _rank(np.maximum(self._sides[0] - g, g - self._sides[1]).max(initial=0.0), f)
+        if rank < self.rank:
+            self.rank, self.z = rank, np.asarray(arg[0], dtype=float).ravel()
+        return [0]
+
+    def better_than(self, violations: Array, f: float) -> bool:
+        """Whether something better was kept than an iterate with these violations and this cost."""
+        return bool(len(self.z)) and self.rank < _rank(float(violations.max(initial=0.0)), f)
+
+
+def _rank(violation: float, f: float) -> tuple[float, float]:
+    """The violation that counts, then the cost; whatever is not finite comes last."""
+    if not (np.isfinite(violation) and np.isfinite(f)):
+        return np.inf, np.inf
+    return (0.0, f) if violation <= FEASIBLE else (violation, f)
+
+
+def _checked(program: NonlinearProgram, z: Array, on_rows: Array, on_bounds: Array,
+             given: dict[str, Any]) -> tuple[Residuals, Array]:  # fmt: skip
+    """Residuals of the optimality conditions, and violations of the rows (m,), in scaled unknowns and rows."""
+    values = program.derivatives.stationarity(z * program.scale, on_rows / program.row_scale * program.cost_scale)
+    rows, gradient, of_cost = (np.asarray(value, dtype=float).ravel() for value in values)
+    rows = rows / program.row_scale
+    gradient, of_cost = (value * program.scale / program.cost_scale for value in (gradient, of_cost))
+    size = max(1.0, float(np.abs(of_cost).max(initial=0.0)), float(np.abs(on_rows).max(initial=0.0)))
+    violations = np.maximum.reduce([given["lbg"] - rows, rows - given["ubg"], np.zeros(len(rows))])
+    outside = np.maximum.reduce([given["lbx"] - z, z - given["ubx"], np.zeros(len(z))])
+    of_bounds = _complementarity(z, on_bounds, given["lbx"], given["ubx"])
+    of_rows = _complementarity(rows, on_rows, given["lbg"], given["ubg"])
+    return Residuals(
+        float(np.abs(gradient + on_bounds).max(initial=0.0)) / size,
+        float(max(violations.max(initial=0.0), outside.max(initial=0.0))),
+        0.0,
+        max(of_bounds, of_rows) / size,
+    ), violations
+
+
+def _complementarity(value: Array, multiplier: Array, low: Array, high: Array) -> float:
+    """The largest product of a multiplier and the distance from the bound of its sign, which counts as 1 at most."""
+    room = np.where(multiplier > 0, high - value, value - low)
+    free = low < high
+    product = np.abs(multiplier) * np.minimum(np.maximum(room, 0.0), 1.0)
+    return float(product[free].max(initial=0.0))

@@ -1,0 +1,126 @@
+"""Nonlinear MPC whose outputs settle on their reference although its model is wrong."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mpc.checks import Array, as_array
+from mpc.exceptions import InputError
+from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
+from mpc.problem import MPCProblem
+from mpc.targets import Target, nearest_target, sizes_of
+from mpc.tracking import OffsetFreeMPC
+
+NEWTON = 1e-10  # change of a target, in sizes of states and inputs, that is rounding
+MOST = 50  # Newton steps towards a target
+DRIFT = 1e-8  # of a target that is steady, in sizes of the states
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OffsetFreeNonlinearMPC(OffsetFreeMPC):
+    """A nonlinear MPC whose tracked outputs y = Cx settle on their reference in spite of what its model misses.
+
+    The disturbance that explains the last transitions is estimated, the steady state of the nonlinear model under it
+    whose outputs meet the reference is found by Newton's method, and the plan goes there. Used as `OffsetFreeMPC`:
+    `observe` returns the controller with the new estimate, `loop` one with memory for a closed loop.
+
+    Parameters
+    ----------
+    mpc : NonlinearMPC
+        The regulator. Its w is what is estimated; without one, what is added to each next state.
+    C : (ny, nx) array
+        Tracked outputs.
+    gain : float
+        Share of the newest one-step error taken into the estimate, in (0, 1].
+    disturbance : (nw,) array, optional
+        Estimate w; zero at first.
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, or a gain outside (0, 1].
+
+    References
+    ----------
+    Morari and Maeder, "Nonlinear offset-free model predictive control", Automatica 48(9), 2012; with measured states
+    the estimator reduces to a filter of the one-step error.
+
+    Examples
+    --------
+    >>> law = OffsetFreeNonlinearMPC(NonlinearMPC(step, 2, 1, Q=Q, R=R, horizon=20, U=(-5, 5)), [[1, 0]]).loop()
+    >>> u = law(x, reference=[2.0], u_prev=u)
+    """
+
+    mpc: Any
+    _aimed: list[Array] = field(init=False, default_factory=list)
+
+    def _disturbed(self) -> NonlinearMPC:
+        """The regulator, checked, of a model with disturbances."""
+        if not isinstance(self.mpc, NonlinearMPC):
+            raise InputError("mpc", type(self.mpc).__name__, "a NonlinearMPC")
+        return self.mpc if self.mpc.disturbances else _with_additive(self.mpc)
+
+    @property
+    def _problem(self) -> MPCProblem:
+        """Sizes, weights and sets."""
+        return self.mpc.linear
+
+    def _alone(self) -> OffsetFreeNonlinearMPC:
+        """The controller of one run among others, with a memory of its own."""
+        return replace(self, mpc=copy.deepcopy(self.mpc))
+
+    def observe(self, x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> OffsetFreeNonlinearMPC:
+        """The controller after seeing one transition."""
+        problem, model, p = self._problem, self.mpc.model, self.mpc.p
+        x = as_array("x", x, (problem.nx,))
+        u = as_array("u", u, (problem.nu,))
+        error = as_array("x_next", x_next, (problem.nx,)) - model.next(x, u, self.disturbance, p)
+        scale = 1 / problem.state_extent
+        E = model.by_disturbance(x, u, self.disturbance, p)
+        if not (np.isfinite(error).all() and np.isfinite(E).all()):
+            return self
+        seen = np.linalg.lstsq(E * scale[:, None], error * scale, rcond=None)[0]
+        return replace(self, disturbance=self.disturbance + self.gain * seen)
+
+    def nearest_target(self, reference: ArrayLike) -> Target:
+        """Steady state (x, u) in X and U that brings Cx nearest to the reference (ny,), by Newton's method.
+
+        Where none is found, what drifts least under the last linearisation; its drift is that of the model.
+        """
+        problem, model, p, w = self._problem, self.mpc.model, self.mpc.p, self.disturbance
+        r = as_array("reference", reference, (len(self.C),))
+        size = sizes_of(problem)
+        at = self._aimed[0] if self._aimed else np.zeros(len(size))
+        for _ in range(MOST):
+            x, u = np.split(at, [problem.nx])
+            after, A, B = model.linearised_at(x, u, w, p)
+            if not (np.isfinite(after).all() and np.isfinite(A).all() and np.isfinite(B).all()):
+                at = np.zeros(len(size))
+                break
+            found = nearest_target(problem, A, B, after - A @ x - B @ u, self.C, r)
+            then = np.concatenate([found.state, found.input])
+            moved = float(np.abs((then - at) / size).max())
+            at = then
+            if moved <= NEWTON:
+                break
+        self._aimed[:] = [at]
+        x, u = np.split(at, [problem.nx])
+        drift = model.next(x, u, w, p) - x
+        return Target(x, u, drift, bool(np.abs(drift / problem.state_extent).max() <= DRIFT))
+
+
+def _with_additive(mpc: NonlinearMPC) -> NonlinearMPC:
+    """The same controller of a model with a disturbance added to every next state."""
+    step: Any = mpc.model.step
+    kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
+    x, u, w, p = (
+        kind.sym(name, n) for name, n in (("x", mpc.states), ("u", mpc.inputs), ("w", mpc.states), ("p", len(mpc.p)))
+    )
+    disturbed = ca.Function("step", [x, u, w, p], [step(x, u, kind(0, 1), p) + w], ["x", "u", "w", "p"], ["next"])
+    return replace(mpc, step=disturbed, disturbances=mpc.states)

@@ -1,0 +1,123 @@
+"""The pieces of a program: equations of the intervals of a phase, of its ends, and of what joins phases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mpc.optimal_control.derivatives import Numbers
+from mpc.optimal_control.interval import Layout
+from mpc.optimal_control.phase import PhaseFunctions
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """When a phase begins and how long it is, of given numbers and free durations.
+
+    Attributes
+    ----------
+    start : float
+        Its start, less the free durations before it.
+    length : float
+        Its duration, where it is given.
+    free : (k,) array
+        Unknowns that are free durations before it, and last its own if that is free.
+    own : bool
+        Whether its own is free.
+    """
+
+    start: float
+    length: float
+    free: Numbers
+    own: bool
+
+    def times(self, free: Any) -> tuple[Any, Any]:
+        """Start and duration, of the free durations (k,)."""
+        before = free[: len(self.free) - self.own]
+        length = free[len(self.free) - 1] if self.own else self.length
+        return self.start + (ca.sum1(before) if before.numel() else 0), length
+
+
+def piece_function(function: Callable[..., Any], scalar: bool, sizes: dict[str, int], data: int) -> ca.Function:
+    """(z, data) → values, of a function of the columns that z consists of, by name, and the data."""
+    kind: Any = ca.SX if scalar else ca.MX
+    z, given = kind.sym("z", sum(sizes.values())), kind.sym("data", data)
+    cuts = np.cumsum([0, *sizes.values()])
+    columns = {name: z[int(a) : int(b)] for name, a, b in zip(sizes, cuts[:-1], cuts[1:])}
+    value = ca.densify(ca.vertcat(*(ca.vec(kind(part)) for part in function(**columns, data=given))))
+    return ca.Function("piece", [z, given], [value], ["z", "data"], ["value"], {"cse": True})
+
+
+def interval_piece(interval: ca.Function, layout: Layout, clock: Clock, parameters: int, discrete: bool) -> ca.Function:
+    """Cost, defects and path values of an interval; data are its begin and length, as fractions, and the signal."""
+    sizes = {
+        "x": layout.nx, "v": layout.node_inputs, "own": layout.own, "x_next": layout.nx, "v_next": layout.node_inputs,
+        "p": parameters, "free": len(clock.free),
+    }  # fmt: skip
+
+    def values(free: Any, p: Any, data: Any, **own: Any) -> list[Any]:
+        start, length = clock.times(free)
+        step = 1.0 if discrete else length * data[1]
+        defects, cost, path = interval(*own.values(), p, start + length * data[0], step, data[2:])
+        return [cost, defects, path]
+
+    scalar = interval.is_a("SXFunction")
+    return piece_function(values, scalar, sizes, 2 + layout.nw * len(layout.signals))
+
+
+def end_piece(functions: PhaseFunctions, clock: Clock, nx: int, parameters: int) -> ca.Function:
+    """Terminal cost and boundary values of both ends of a phase."""
+
+    def values(x0: Any, x: Any, p: Any, free: Any, data: Any) -> list[Any]:
+        start, length = clock.times(free)
+        found = []
+        if functions.terminal_cost is not None:
+            found.append(functions.terminal_cost(x, p, start + length))
+        if functions.boundary is not None:
+            found.append(functions.boundary(x0, x, start, start + length, p))
+        return found
+
+    sizes = {"x0": nx, "x": nx, "p": parameters, "free": len(clock.free)}
+    return piece_function(values, _scalar(functions.terminal_cost, functions.boundary), sizes, 0)
+
+
+def path_piece(functions: PhaseFunctions, clock: Clock, layout: Layout, parameters: int, fraction: float,
+               kept: Numbers) -> ca.Function:  # fmt: skip
+    """Path values that are kept at one end of a phase; data are the signal there."""
+
+    def values(x: Any, u: Any, p: Any, free: Any, data: Any) -> list[Any]:
+        start, length = clock.times(free)
+        given = u if u.numel() == layout.nu else ca.DM.zeros(layout.nu)
+        assert functions.path is not None
+        return [functions.path(x, given, data, p, start + fraction * length)[kept.tolist()]]
+
+    held = layout.nu if fraction == 1 else layout.node_inputs
+    sizes = {"x": layout.nx, "u": held, "p": parameters, "free": len(clock.free)}
+    return piece_function(values, _scalar(functions.path), sizes, layout.nw)
+
+
+def link_piece(link: ca.Function | None, before: int, after: int, parameters: int) -> ca.Function:
+    """What the state that a phase begins with differs by from that of the phase before."""
+
+    def values(end: Any, begin: Any, p: Any, data: Any) -> list[Any]:
+        return [(end if link is None else link(end, p)) - begin]
+
+    return piece_function(values, _scalar(link), {"end": before, "begin": after, "p": parameters}, 0)
+
+
+def parameter_piece(functions: tuple[ca.Function | None, ca.Function | None], parameters: int) -> ca.Function:
+    """Cost and constraints of the parameters."""
+
+    def values(p: Any, data: Any) -> list[Any]:
+        return [function(p) for function in functions if function is not None]
+
+    return piece_function(values, _scalar(*functions), {"p": parameters}, 0)
+
+
+def _scalar(*functions: ca.Function | None) -> bool:
+    """Whether all functions have scalar instructions."""
+    return all(function is None or function.is_a("SXFunction") for function in functions)

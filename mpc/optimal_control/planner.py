@@ -1,0 +1,226 @@
+"""From a state to a plan: quadratic programs one after the other, and what stands in where they lead to none."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mpc.checks import Array
+from mpc.halfspaces import box_of
+from mpc.linear_mpc import LinearMPC
+from mpc.optimal_control.discrete_model import DiscreteModel
+from mpc.optimal_control.sqp import Sequential, Step
+from mpc.plan import Plan, Residuals, Status
+from mpc.rollout import Given, admissible, cost_of, finite, relative_violations, violation_of
+from mpc.tolerances import FEASIBLE
+
+CONVERGED = 1e-7  # gaps in sizes of the states, and stationarity relative to the gradients that balance
+REPORTED = 1e-5  # of the same, above which a plan is called inaccurate
+SHORTEST = 2.0**-10  # part of a step that is tried
+DEAR = 100.0  # price of violating a hard limit by one unit where it must be, in costs of the first plan
+PATIENT = 6  # quadratic programs after which the curvature of the model is taken in
+ROUNDING = 1e-12  # of the merit
+ENOUGH = 1e-4  # part of the promised decrease that is asked for
+TINY = float(np.finfo(float).tiny)
+WORSE = 2.0  # cost of a real-time iteration, in that of the plan that it began at, from which on it is not followed
+LINEAR_LAW, SHIFTED, REAL_TIME, CONVERGING = "linear law", "shifted plan", "real-time iteration", "SQP"
+
+
+@dataclass(frozen=True, eq=False)
+class Effort:
+    """How much is done a sample: quadratic programs (None: to the optimum), most of them, and wall time [s]."""
+
+    iterations: int | None
+    most: int
+    time_limit: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """A plan on its way: states (N + 1, nx), inputs (N, nu), gains (N, nu, nx) of a feedback along it, and its name."""
+
+    states: Array
+    inputs: Array
+    gains: Array
+    name: str
+
+    def moved(self, step: Step, part: float = 1.0) -> _Path:
+        """The same after a part of a step."""
+        return replace(
+            self, states=self.states + part * step.states, inputs=self.inputs + part * step.inputs, gains=step.gains
+        )
+
+
+class Planner:
+    """Plans of a statement for one set of parameters p (np,)."""
+
+    def __init__(self, law: LinearMPC, model: DiscreteModel, p: Array, effort: Effort) -> None:
+        self.law = law
+        self.model = model
+        self.p = p
+        self.effort = effort
+        self.programs = Sequential(law, model)
+        self._gains = np.tile(law.gain, (law.horizon, 1, 1))
+        box = box_of(*law.input_rows)
+        self._in_box = box is not None
+        self._hard = law.soft is None and len(law.state_rows[1]) + len(law.terminal_rows[1]) > 0
+        low, high = (np.full(law.nu, -np.inf), np.full(law.nu, np.inf)) if box is None else box
+        rate = np.full(law.nu, np.inf) if law.rate_limit is None else law.rate_limit
+        self._limits = (low, high, rate)
+
+    def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
+        """The plan from a state, begun at another or at that of the linear law."""
+        began = time.perf_counter()
+        w = given["w"].reshape(self.law.horizon, -1) if "w" in given else np.zeros((self.law.horizon, self.law.nw))
+        with np.errstate(over="ignore", invalid="ignore"):
+            if before is None:
+                first = self._linear_law(x, w, given)
+            else:
+                first = _Path(before.states, before.inputs, self._gains, SHIFTED)
+            found, last, status = self._iterated(x, first, w, given, began, follow=before is not None)
+            found = self._followed(x, found, w, given)
+            if last is not None and last.relaxed and status in (Status.SOLVED, Status.FOLLOWED):
+                over = relative_violations(self.law, found.states).max()
+                status = Status.SOFTENED if over > FEASIBLE else status
+            if time.perf_counter() - began > self.effort.time_limit:
+                status = Status.LATE
+            if found.name == REAL_TIME or status not in (Status.SOLVED, Status.SOFTENED):
+                best, cost = self._best(x, found, first, w, given)
+                if best is not found and status is not Status.LATE:
+                    status = Status.REPLACED
+                found = best
+            else:
+                cost = cost_of(self.law, found.inputs, found.states, given)
+            residuals = Residuals(np.inf, np.inf, np.inf, np.inf)
+            if last is not None and found.name in (REAL_TIME, CONVERGING):
+                residuals = Residuals(last.stationarity, last.defects, 0.0, 0.0)
+            violation = violation_of(self.law, found.states)
+        duration = time.perf_counter() - began
+        return Plan(found.inputs, found.states, cost, status, residuals, violation, duration, found.name)
+
+    def shifted(self, plan: Plan, given: Given) -> Plan:
+        """A plan one sample later; its last input is the linear law's, held in U."""
+        error, effort = self.programs.deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
+        end = plan.states[-1]
+        u = self._admissible(-effort[-1] - self.law.gain @ (end + error[-1]), plan.inputs[-1])
+        w = given["w"].reshape(self.law.horizon, -1)[-1] if "w" in given else np.zeros(self.law.nw)
+        after = finite(self.model.next(end, u, w, self.p))
+        return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))
+
+    def _iterated(
+        self, x: Array, first: _Path, w: Array, given: Given, began: float, *, follow: bool
+    ) -> tuple[_Path, Step | None, Status]:
+        """Where quadratic programs lead from a path, the last of them, and what that is."""
+        real_time = follow and self.effort.iterations is not None
+        at = replace(first, name=CONVERGING if self.effort.iterations is None else REAL_TIME)
+        dear = DEAR * max(cost_of(self.law, at.inputs, at.states, given), TINY) if self._hard else 0.0
+        last: Step | None = None
+        status = Status.FOLLOWED if real_time else Status.INACCURATE
+        relaxed = False
+        gap_price = limit_price = 0.0
+        longest, now = 0.0, time.perf_counter()
+        costates: Array | None = None
+        for count in range(self.effort.iterations or 1 if real_time else self.effort.most):
+            if last is not None and now - began + longest > self.effort.time_limit:
+                return at, last, Status.LATE
+            step = self.programs.step(
+                x, at.states, at.inputs, w, self.p, given, dear, relaxed=relaxed,
+                costates=costates if count >= PATIENT else None,
+            )  # fmt: skip
+            if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
+                return (first, None, Status.REPLACED) if last is None else (at, last, Status.INACCURATE)
+            last = step
+            if not real_time:
+                if max(step.defects, step.stationarity) <= CONVERGED:
+                    break
+                relaxed = step.relaxed  # from now on all violations have their price: one problem to converge on
+                of_gap, of_limit, costates = self.programs.prices(step, at.states, at.inputs, given)
+                gap_price, limit_price = max(gap_price, of_gap), max(limit_price, of_limit)
+                charged = (dear, dear) if relaxed else (limit_price, 0.0)
+                then = self._after(step, x, at, w, given, gap_price, charged)
+                if then is None:
+                    break
+                at = then
+            else:
+                at = at.moved(step)
+            longest, now = max(longest, time.perf_counter() - now), time.perf_counter()
+        assert last is not None
+        if max(last.defects, last.stationarity) <= REPORTED:
+            status = Status.SOLVED
+        return at, last, status
+
+    def _after(self, step: Step, x: Array, at: _Path, w: Array, given: Given, gap_price: float,
+               charged: tuple[float, float]) -> _Path | None:  # fmt: skip
+        """The path after a part of a step that brings the merit down, as planned or on the model; None if none does."""
+
+        def merit(path: _Path) -> float:
+            return self.programs.merit(x, path.states, path.inputs, w, self.p, given, gap_price, charged)
+
+        now = merit(at)
+        promised = now - self.programs.priced_cost(at.states + step.states, at.inputs + step.inputs, given, charged)
+        part = 1.0
+        while part >= SHORTEST:
+            enough = now - ENOUGH * part * max(promised, 0.0) + ROUNDING * abs(now)
+            planned = at.moved(step, part)
+            if merit(planned) <= enough:  # not so of what is no number
+                return planned
+            followed = self._followed(x, planned, w, given)
+            if merit(followed) <= enough:
+                return followed
+            part *= 0.5
+        return None
+
+    def _linear_law(self, x: Array, w: Array, given: Given) -> _Path:
+        """What the linear law does to the model."""
+        states, inputs = np.zeros((self.law.horizon + 1, self.law.nx)), np.zeros((self.law.horizon, self.law.nu))
+        error, effort = self.programs.deviations(states, inputs, given)
+        return self._followed(x, _Path(-error, -effort, self._gains, LINEAR_LAW), w, given)
+
+    def _followed(self, x: Array, path: _Path, w: Array, given: Given) -> _Path:
+        """A path on the model itself, from x, with inputs that keep their limits; finite."""
+        N = self.law.horizon
+        last = given.get("u_prev", np.zeros(self.law.nu))
+        if self._in_box:
+            states, inputs = self.model.followed(x, last, path.states, path.inputs, path.gains, self._limits, w, self.p)
+        else:
+            states, inputs = np.empty((N + 1, self.law.nx)), np.empty((N, self.law.nu))
+            states[0] = x
+            for k in range(N):
+                wanted = path.inputs[k] - path.gains[k] @ (states[k] - path.states[k])
+                inputs[k] = self._admissible(wanted, inputs[k - 1] if k else last)
+                states[k + 1] = finite(self.model.next(states[k], inputs[k], w[k], self.p))
+        return replace(path, states=finite(states), inputs=finite(inputs))
+
+    def _admissible(self, wanted: Array, last: Array) -> Array:
+        """The input nearest to one that is wanted, after the last one."""
+        if not self._in_box:
+            return admissible(self.law, wanted[None], {"u_prev": last})[0]
+        low, high, rate = self._limits
+        return np.clip(np.clip(wanted, low, high), last - rate, last + rate)
+
+    def _best(self, x: Array, found: _Path, first: _Path, w: Array, given: Given) -> tuple[_Path, float]:
+        """The cheapest path and its cost: what was found, what that began at, or the linear law; violations at a price.
+
+        A real-time iteration is replaced only by one that costs far less: it may pay now for what comes.
+        """
+        paths = [found, first if first.name == LINEAR_LAW else self._followed(x, first, w, given)]
+        if found.name != REAL_TIME:  # far from rest the gains at rest may do harm
+            paths.append(self._followed(x, replace(first, gains=np.zeros_like(first.gains)), w, given))
+        worth = [self._worth(path, given) for path in paths]
+        if first.name != LINEAR_LAW and not np.isfinite(worth[1]).all():
+            paths.append(self._linear_law(x, w, given))
+            worth.append(self._worth(paths[-1], given))
+        price = DEAR * max((cost for cost, _ in worth[1:] if np.isfinite(cost)), default=1.0)
+        total = [cost + price * over if np.isfinite([cost, over]).all() else np.inf for cost, over in worth]
+        total[0] /= WORSE if found.name == REAL_TIME else 1.0
+        best = int(np.argmin(total))
+        return paths[best], worth[best][0]
+
+    def _worth(self, path: _Path, given: Given) -> tuple[float, float]:
+        """Cost of a path and, where limits are hard, the sum of its violations."""
+        cost = cost_of(self.law, path.inputs, path.states, given)
+        if self.law.soft is not None:
+            return cost, 0.0
+        return cost, float(relative_violations(self.law, path.states, self.law.price_units).sum())

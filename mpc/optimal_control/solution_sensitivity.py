@@ -1,0 +1,209 @@
+"""How a solution changes with parameters that are held and with a given start: its KKT system, solved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bmat, csc_matrix
+from scipy.sparse.linalg import splu
+
+from mpc.checks import Array
+from mpc.optimal_control.interval import at_points
+from mpc.optimal_control.program import NonlinearProgram, PhasePart, describe_row, describe_unknown
+from mpc.sensitivities.plan_sensitivity import SensitivityStatus
+
+BLURRED = 10.0  # sizes of what an interior point leaves between a bound and its multiplier, within which both may be 0
+RELAXED = 1e-6  # distance from a bound, scaled, that says nothing: Ipopt moves bounds by 1e-8 of their size
+LEVEL = 1e-3  # curvature, beside the largest, that an unknown is taken to have at least
+CONDITION = 1e13  # of the KKT system, in scaled unknowns, above which it is singular but for rounding
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSensitivity:
+    """Derivatives of one phase's trajectory.
+
+    Attributes
+    ----------
+    states_by_parameters, states_by_start : (N + 1, nx, np) and (N + 1, nx, nx) arrays
+        At the points of the mesh, `PhaseSolution.times`, by fraction of the phase where its duration is free.
+    inputs_by_parameters, inputs_by_start : (n, nu, np) and (n, nu, nx) arrays
+        At `PhaseSolution.input_times`.
+    """
+
+    states_by_parameters: Array
+    states_by_start: Array
+    inputs_by_parameters: Array
+    inputs_by_start: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SolutionSensitivity:
+    """Derivatives of a solution by the shared parameters p, held where they are, and by the start of the first phase.
+
+    Attributes
+    ----------
+    status : SensitivityStatus
+        With advice.
+    cost_by_parameters, cost_by_start : (np,) and (nx,) arrays
+        Of the optimal cost; of entries of the start that are not given, NaN.
+    cost_curvature : (np, np) array
+        Second derivatives of the optimal cost by the parameters.
+    phases : tuple of PhaseSensitivity
+    weakly_active : tuple of str
+        Constraints and bounds that are met without a multiplier, or so nearly that the solver does not tell.
+    """
+
+    status: SensitivityStatus
+    cost_by_parameters: Array
+    cost_by_start: Array
+    cost_curvature: Array
+    phases: tuple[PhaseSensitivity, ...]
+    weakly_active: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"SolutionSensitivity({len(self.cost_by_parameters)} parameters, status={self.status.name})"
+
+    @property
+    def smooth(self) -> bool:
+        """Whether the derivatives hold on every side."""
+        return self.status is SensitivityStatus.SMOOTH
+
+
+def solution_sensitivity(
+    program: NonlinearProgram, v: Array, multipliers: dict[str, Array], solved: bool
+) -> SolutionSensitivity:
+    """Derivatives at unknowns v (n,) with multipliers of "rows" and "bounds"; see `Solution.sensitivity`."""
+    held = _held(program)
+    if not solved:
+        return _none(program, held, SensitivityStatus.UNSOLVED, ())
+    gradient, W, J, rows = _derivatives(program, v, multipliers["rows"])
+    softness = np.abs(W.diagonal())
+    softness = 1 / np.maximum(softness, LEVEL * softness.max(initial=np.finfo(float).tiny))
+    on_rows, weak_rows = _acting(
+        (program.row_lower - rows) / program.row_scale, (program.row_upper - rows) / program.row_scale,
+        multipliers["rows"] * program.row_scale / program.cost_scale, J.multiply(J) @ softness,
+    )  # fmt: skip
+    on_bounds, weak_bounds = _acting(
+        (program.lower - v) / program.scale, (program.upper - v) / program.scale,
+        multipliers["bounds"] * program.scale / program.cost_scale, softness,
+    )  # fmt: skip
+    free = np.setdiff1d(np.flatnonzero(~on_bounds), held)
+    of_rows = J[on_rows]
+    reached = np.flatnonzero(np.diff(of_rows[:, free].tocsr().indptr) > 0)
+    of_rows = of_rows[reached]
+    K = bmat([[W[free][:, free], of_rows[:, free].T], [of_rows[:, free], None]], format="csc")
+    right = -np.vstack([W[free][:, held].toarray(), of_rows[:, held].toarray()])
+    found = _solved(K, right)
+    weak = [describe_row(program, int(i), v) for i in np.flatnonzero(weak_rows)]
+    weak += [describe_unknown(program, int(i), v) for i in np.setdiff1d(np.flatnonzero(weak_bounds), held)]
+    if found is None:
+        return _none(program, held, SensitivityStatus.SINGULAR, tuple(weak))
+    moves = np.zeros((len(v), len(held)))
+    moves[held, np.arange(len(held))] = 1.0
+    moves[free] = found[: len(free)]
+    curvature = (W @ moves)[held] + (of_rows[:, held].T @ found[len(free) :])
+    unit = program.cost_scale / program.scale[held]
+    status = SensitivityStatus.ONE_SIDED if weak else SensitivityStatus.SMOOTH
+    moves = moves * program.scale[:, None] / program.scale[held]
+    return _packed(program, held, status, gradient[held] * unit, curvature * unit[:, None] / program.scale[held], moves,
+                   tuple(weak))  # fmt: skip
+
+
+def _held(program: NonlinearProgram) -> NDArray[np.int64]:
+    """Unknowns whose changes are asked for: parameters, then the given entries of the first phase's start."""
+    first = program.parts[0].first + np.arange(program.parts[0].layout.nx)
+    given = first[program.lower[first] == program.upper[first]]
+    return np.concatenate([np.arange(program.parameters.start, program.parameters.stop), given])
+
+
+def _derivatives(program: NonlinearProgram, v: Array, multipliers: Array) -> tuple[Array, Any, Any, Array]:
+    """Gradient and Hessian of the Lagrangian, Jacobian of the rows, all scaled, and the rows."""
+    y = ca.MX.sym("multipliers", program.g.numel())
+    lagrangian = program.f + ca.dot(y, program.g)
+    hessian, gradient = ca.hessian(lagrangian, program.v)
+    outputs = [gradient, hessian, ca.jacobian(program.g, program.v), program.g]
+    found = ca.Function("derivatives", [program.v, y], outputs)(v, multipliers)
+    size, of_cost = program.scale, program.cost_scale
+    W = csc_matrix(found[1].sparse()).multiply(size[:, None]).multiply(size) / of_cost
+    J = csc_matrix(found[2].sparse()).multiply(size).multiply(1 / program.row_scale[:, None])
+    slope = np.asarray(found[0], dtype=float).ravel() * size / of_cost
+    return slope, W.tocsc(), J.tocsr(), np.asarray(found[3], dtype=float).ravel()
+
+
+def _acting(
+    low: Array, high: Array, multiplier: Array, softness: Array
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """What holds with equality (n,), and where an interior point cannot tell.
+
+    Of bounds relative to the value, multipliers, and how far a unit force moves the value, about; all scaled.
+    """
+    room = np.maximum(np.where(multiplier > 0, high, -low), 0.0)
+    equal = low == high
+    passed = np.abs(multiplier) * softness  # how far the value would pass the bound
+    inside = ~equal & np.isfinite(room) & (room > passed)
+    barrier = float(np.median(np.abs(multiplier[inside]) * room[inside])) if inside.any() else 0.0
+    blur = np.maximum(BLURRED * np.sqrt(barrier * softness), RELAXED)
+    weak = ~equal & (np.maximum(room, passed) <= blur)
+    return equal | (~weak & (passed > room)), weak
+
+
+def _solved(K: Any, right: Array) -> Array | None:
+    """Solution of the KKT system; None where it is singular."""
+    try:
+        factor = splu(K)
+    except RuntimeError:
+        return None
+    probe = np.random.default_rng(0).choice([-1.0, 1.0], K.shape[0])
+    size = float(abs(K).sum(axis=0).max()) if K.shape[0] else 0.0
+    if not float(np.abs(factor.solve(probe)).max(initial=0.0)) * size < CONDITION:
+        return None
+    found = factor.solve(right)
+    return np.asarray(found + factor.solve(right - K @ found))
+
+
+def _packed(program: NonlinearProgram, held: NDArray[np.int64], status: SensitivityStatus, gradient: Array,
+            curvature: Array, moves: Array, weak: tuple[str, ...]) -> SolutionSensitivity:  # fmt: skip
+    """The derivatives by name; moves (n, held) of all unknowns."""
+    count = program.parameters.stop - program.parameters.start
+    part = program.parts[0]
+    start = np.full((len(moves), part.layout.nx), np.nan)
+    start[:, held[count:] - part.first] = moves[:, count:]
+    by_start = np.full(part.layout.nx, np.nan)
+    by_start[held[count:] - part.first] = gradient[count:]
+    phases = []
+    for own in program.parts:
+        states, inputs = _along(own, moves[:, :count])
+        from_start, inputs_from_start = _along(own, start)
+        phases.append(PhaseSensitivity(states, from_start, inputs, inputs_from_start))
+    return SolutionSensitivity(
+        status, gradient[:count], by_start, curvature[:count, :count], tuple(phases), weak
+    )  # fmt: skip
+
+
+def _along(part: PhasePart, moves: Array) -> tuple[Array, Array]:
+    """Moves of states (N + 1, nx, m) and inputs (n, nu, m) of a phase, of those (n, m) of all unknowns."""
+    layout = part.layout
+    states = np.empty((part.intervals + 1, layout.nx, moves.shape[1]))
+    inputs = np.empty((part.intervals * len(layout.points), layout.nu, moves.shape[1]))
+    for i, move in enumerate(moves.T):
+        columns, last = part.columns(move)
+        nodes = np.column_stack([columns[: layout.node], last])
+        x, shared = nodes[: layout.nx], nodes[layout.nx :]
+        _, values = at_points(layout, x[:, :-1], shared[:, :-1], columns[layout.node :], x[:, 1:], shared[:, 1:])
+        states[:, :, i] = x.T
+        inputs[:, :, i] = np.stack(values, axis=0).transpose(2, 0, 1).reshape(-1, layout.nu)
+    return states, inputs
+
+
+def _none(
+    program: NonlinearProgram, held: NDArray[np.int64], status: SensitivityStatus, weak: tuple[str, ...]
+) -> SolutionSensitivity:
+    """What there is to say where there are no derivatives."""
+    moves = np.full((len(program.lower), len(held)), np.nan)
+    return _packed(
+        program, held, status, np.full(len(held), np.nan), np.full((len(held), len(held)), np.nan), moves, weak
+    )

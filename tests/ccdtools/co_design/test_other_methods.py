@@ -1,0 +1,124 @@
+"""Simultaneous, sequential and black-box co-design beside nested co-design of the same problem."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from constrained_plants import CASES
+from small_plants import best_design, exact_return, mass, two_valleys
+from test_nested import spring_problem
+
+import ccdtools as cc
+from ccdtools.co_design.status import CoDesignStatus
+
+
+def codesigned(problem, method, seed=0, **given):
+    """The result of a method."""
+    return cc.codesign(problem, method=method, rng=np.random.default_rng(seed), **given)
+
+
+@pytest.mark.parametrize("name", ["a mass budget", "two budgets"])
+def test_trajectory_and_design_in_one_program_are_the_nested_ones(name):
+    case = CASES[name]
+    together, nested = (
+        codesigned(case.problem(), method, design=case.start)
+        for method in (cc.Simultaneous(runs=1, starts=1), cc.Nested("trajectory", runs=1, starts=1))
+    )
+    assert together.objective == pytest.approx(nested.objective, rel=1e-6)
+    np.testing.assert_allclose(together.design, nested.design, rtol=2e-3)
+    assert together.multipliers.keys() == nested.multipliers.keys()
+    for name, value in together.multipliers.items():
+        assert value == pytest.approx(nested.multipliers[name], rel=1e-2)
+
+
+def test_inputs_that_know_the_disturbance_are_better_than_any_controller():
+    problem = mass()
+    ahead, loop = (codesigned(problem, method) for method in (cc.Simultaneous(runs=16), "nested"))
+    assert ahead.objective > loop.closed_loop.summary.mean
+    assert ahead.closed_loop.summary.mean <= loop.closed_loop.summary.mean + 0.002 * abs(loop.objective)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_a_gain_found_with_the_design_is_as_good_as_nested_lqr(unit):
+    problem = spring_problem(unit, U=([-2 * unit], [2 * unit]), limit_tolerance="off")
+    gain, nested = (codesigned(problem, method) for method in (cc.Simultaneous("gain", runs=4, starts=1), "nested"))
+    assert isinstance(gain.controller, cc.LinearFeedback)
+    worst = nested.closed_loop.summary.mean
+    assert gain.closed_loop.summary.mean >= worst - 0.02 * abs(worst)
+
+
+def test_the_plant_first_is_no_better_than_both_together():
+    problem = mass()
+    first, together = (codesigned(problem, method) for method in ("sequential", "nested"))
+    _, value = best_design(problem)
+    assert exact_return(problem, first.design) < exact_return(problem, together.design)
+    assert exact_return(problem, together.design) == pytest.approx(value, rel=0.005)
+    assert first.method == "sequential"
+    assert isinstance(first.controller, cc.LinearFeedback)
+
+
+@pytest.mark.parametrize("library", ["cma", "bayesian"])
+def test_a_search_without_slopes_finds_the_better_valley(library):
+    pytest.importorskip({"cma": "cma", "bayesian": "optuna"}[library])
+    problem = two_valleys()
+    _, value = best_design(problem)
+    method = cc.Search(library, runs=64, evaluations=40 if library == "bayesian" else 150)
+    found = codesigned(problem, method, design=[0.1])
+    assert exact_return(problem, found.design) >= value - 0.005 * abs(value)
+
+
+@pytest.mark.parametrize("name", ["a mass budget", *[name for name, case in CASES.items() if case.whole][:1]])
+def test_a_search_keeps_constraints_and_whole_numbers(name):
+    pytest.importorskip("cma")
+    case = CASES[name]
+    _, cost = case.best()
+    found = codesigned(case.problem(), cc.Search(runs=64, evaluations=200), design=case.start)
+    assert case.problem().design.feasible(found.design)
+    assert case.cost(found.design) <= 1.01 * cost
+
+
+def test_any_function_of_a_design_can_be_searched():
+    pytest.importorskip("cma")
+    problem = mass()
+    found = codesigned(problem, cc.Search(of=lambda p: -((p[0] - 1.3) ** 2), evaluations=80))
+    assert found.design[0] == pytest.approx(1.3, abs=0.01)
+    assert found.objective == pytest.approx(0, abs=1e-3)
+
+
+def test_methods_with_the_same_seed_meet_the_same_scenarios():
+    problem = mass()
+    first, second = (codesigned(problem, method, seed=7, design=[1.0]) for method in ("nested", cc.Nested("riccati")))
+    together = np.corrcoef(first.closed_loop.values, second.closed_loop.values)[0, 1]
+    assert together > 0.99
+
+
+def test_trajectories_refuse_what_they_cannot_honour(illustrative):
+    problem = illustrative.problem()
+    for changed, named in (
+        (replace(problem, risk=cc.CVaR(0.1)), "risk"),
+        (replace(problem, warm_up=10), "warm-up"),
+    ):
+        with pytest.raises(cc.InputError, match=named):
+            codesigned(changed, "simultaneous")
+
+
+def test_limits_that_no_inputs_keep_are_told(illustrative):
+    problem = illustrative.problem()
+    weak = replace(problem, X=([-10, -2], [5, 0.05]), U=([-0.05], [0.05]), steps=20)
+    found = codesigned(replace(weak, scenarios=cc.FixedStart([-1, -0.5], cc.Gaussian([0.1, 0.4]))),
+                       cc.Simultaneous(runs=2, starts=1), design=[0.5])  # fmt: skip
+    assert found.status is CoDesignStatus.INFEASIBLE
+    assert "limit" in found.status.advice
+
+
+def test_a_result_is_pickled_and_told():
+    found = codesigned(mass(), "nested")
+    again = pickle.loads(pickle.dumps(found))
+    np.testing.assert_array_equal(again.design, found.design)
+    np.testing.assert_array_equal(again.closed_loop.values, found.closed_loop.values)
+    text = "\n".join(found.describe())
+    assert "nested LQR: converged" in text
+    assert "in closed loop" in text
+    assert found.seconds > 0
+    assert found.evaluations == len(found.history.iteration) or found.evaluations > 0

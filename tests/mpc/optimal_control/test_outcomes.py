@@ -1,0 +1,196 @@
+"""Every way a solve may end has its own status, which is confirmed a second way and says what to do."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import casadi as ca
+import pytest
+
+from mpc import InputError
+from mpc.optimal_control import (
+    MultipleShooting,
+    OptimalControlProblem,
+    OptimalControlStatus,
+    Phase,
+    Radau,
+    build,
+    refine,
+    solve,
+)
+
+INF = float("inf")
+
+
+def block(k=1.0, **change):
+    """A mass brought over a length k, from rest to rest."""
+    given = {
+        "dynamics": lambda x, u: ca.vertcat(x[1], u), "states": 2, "inputs": 1, "start": [0, 0], "end": [k, 0],
+        "stage_cost": lambda u: u**2,
+    }  # fmt: skip
+    return Phase(**(given | change))
+
+
+@pytest.mark.parametrize("k", [1e-3, 1.0, 1e6])
+def test_what_contradicts_is_named_in_any_unit(k):
+    fast = solve(block(k, u_bounds=(-k, k)))  # k in 1 s needs 4 k/s² at least
+    assert fast.status is OptimalControlStatus.INFEASIBLE
+    assert {f"u1 ≤ {k:.6g}", f"u1 ≥ {-k:.6g}", f"end of x1 = {k:.6g}"} <= set(fast.conflicts)
+    assert solve(block(k, u_bounds=(-4.5 * k, 4.5 * k))).solved  # and no more than that
+
+
+def test_conflicts_of_every_kind_are_named():
+    mixed = solve(block(path=lambda x: 2 - x[0], x_bounds=([-9, -9], [1.5, 9]), start=None, end=None))
+    assert mixed.conflicts[-1] == "x1 ≤ 1.5"
+    assert mixed.conflicts[0].startswith("path 1 at t = ")
+    ends = solve(block(boundary=lambda x0, x: x[0] - 2))
+    assert ends.conflicts == ("boundary 1 at t = 1, by 1", "end of x1 = 1")
+    shared = solve(OptimalControlProblem(block(), p_bounds=(0, 1), p_constraints=lambda p: 2 - p[0]))
+    assert shared.conflicts == ("p_constraints 1, by 1", "p1 ≤ 1")
+    joined = solve(OptimalControlProblem([block(), block(start=[2, 0], end=[3, 0])]))
+    assert joined.conflicts == (
+        "link of x1 of phase 2 at t = 1, by 1", "end of x1 = 1 of phase 1", "start of x1 = 2 of phase 2",
+    )  # fmt: skip
+    assert all(one.status is OptimalControlStatus.INFEASIBLE for one in (mixed, ends, shared, joined))
+
+
+def test_a_problem_that_is_feasible_is_not_called_infeasible_from_a_bad_guess():
+    # through a wall whose only gap is where the guess has no reason to go, in a unit of its own
+    k = 1e3
+    wall = Phase(
+        lambda u: u, 2, 2, start=[-k, 0], end=[k, 0], stage_cost=lambda u: ca.sumsqr(u / k),
+        path=lambda x: 1 - (x[0] / k) ** 2 * 4 - (x[1] / k) ** 2 * 4 + 0.1 * x[1] / k,
+    )  # fmt: skip
+    plain, led = (
+        solve(build(replace(wall, guess=guess), Radau(3), 30))
+        for guess in (None, ([0, 0.5, 1], [[-k, 0], [0, -k], [k, 0]], [[2 * k, 0]] * 3))
+    )
+    assert plain.solved
+    assert led.solved
+    assert plain.cost == pytest.approx(led.cost, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "cost", [lambda x: -x[0], lambda u: -(u**2), lambda u: -ca.exp(u)], ids=["linear", "concave", "exponential"]
+)
+def test_a_cost_without_end_is_called_unbounded(cost):
+    found = solve(block(end=None, stage_cost=cost))
+    assert found.status is OptimalControlStatus.UNBOUNDED
+    assert "Bound" in found.advice
+
+
+def test_a_stationary_guess_that_is_no_minimum_is_left():
+    # two wells, and the guess on the ridge between them
+    wells = block(end=None, stage_cost=lambda u: 0.01 * u**2, terminal_cost=lambda x: (x[0] ** 2 - 1) ** 2)
+    found = solve(wells)
+    assert found.solved
+    assert found.cost == pytest.approx(0.03 - 0.015**2, rel=1e-6)  # 0.03 x² + (x² − 1)², least at x² = 1 − 0.015
+
+
+def test_functions_that_are_not_finite_where_the_solver_goes_say_so():
+    found = solve(block(dynamics=lambda x, u: ca.vertcat(x[1], u - ca.fabs(x[1]) ** 1.5)))
+    assert found.status is OptimalControlStatus.UNDEFINED
+    assert found.conflicts == ("second derivatives",)
+
+
+def test_a_stopped_solve_returns_the_best_feasible_iterate():
+    tight = build(block(path=lambda x: x[1] - 1.2), Radau(3), 20)
+    whole = solve(tight)
+    costs = []
+    for most in range(3, whole.iterations):
+        stopped = solve(tight, max_iterations=most)
+        if stopped.status is OptimalControlStatus.STOPPED and stopped.residuals.primal <= 1e-6:
+            costs.append(stopped.cost)
+    assert len(costs) > 1
+    assert all(after <= before * (1 + 1e-9) for before, after in pairwise(costs))
+    assert whole.cost <= costs[-1] * (1 + 1e-6)
+
+
+def test_a_time_limit_stops_a_solve():
+    late = solve(build(block(path=lambda x: x[1] - 1.2), Radau(3), 400), time_limit=1e-3)
+    assert late.status is OptimalControlStatus.STOPPED
+
+
+def test_dynamics_that_may_jump_are_told():
+    rough = solve(block(dynamics=lambda x, u: ca.vertcat(x[1], u - ca.sign(x[1] - 0.5))))
+    assert "may jump (sign)" in rough.advice
+    pushed = solve(block(dynamics=lambda x, u: ca.vertcat(x[1], u - ca.if_else(x[0] > 0.5, 1.0, 0.0))))
+    assert "if_else" in pushed.advice
+    assert not solve(block()).notes
+
+
+def test_a_duration_that_runs_to_its_bound_is_told():
+    found = solve(block(end=None, duration=(1e-3, 10), stage_cost=lambda u: 1 + u**2))
+    assert "lower bound 0.001" in found.advice
+    kept = solve(block(duration=(1e-3, 10), stage_cost=lambda u: 1 + u**2))
+    assert not kept.notes
+    assert kept.duration == pytest.approx(36**0.25, rel=1e-6)  # t + 12/t³ is least
+
+
+@pytest.mark.parametrize(
+    ("call", "argument"),
+    [
+        ({"start": "x"}, "start"),
+        ({"tolerance": -1}, "tolerance"),
+        ({"options": [1]}, "options"),
+        ({"options": {"nonsense": 1}}, "options"),
+        ({"options": {"linear_solver": "none such"}}, "options"),
+        ({"time_limit": 0}, "time_limit"),
+        ({"max_iterations": 2.5}, "max_iterations"),
+    ],
+)
+def test_bad_calls_are_refused(call, argument):
+    with pytest.raises(InputError) as caught:
+        solve(build(block()), **call)
+    assert caught.value.argument == argument
+
+
+@pytest.mark.parametrize("unit", [1.0, 3600.0, 1 / 3600])
+def test_units_of_time_change_nothing(unit):
+    phase = block(
+        dynamics=lambda x, u: ca.vertcat(x[1], u) / unit, duration=(0.1 * unit, 50 * unit), u_bounds=(-1, 1),
+        stage_cost=None, terminal_cost=lambda t: t / unit,
+    )  # fmt: skip
+    found = solve(phase)
+    assert found.solved
+    assert found.cost == pytest.approx(2.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("k", [1e-3, 1.0, 1e6])
+def test_units_of_length_change_neither_plan_nor_iterations(k):
+    phase = block(k, u_bounds=(-5 * k, 5 * k), path=lambda x: x[1] - 1.4 * k, stage_cost=lambda u: (u / k) ** 2)
+    found = solve(phase)
+    plain = solve(block(u_bounds=(-5, 5), path=lambda x: x[1] - 1.4))
+    assert found.cost == pytest.approx(plain.cost, rel=1e-6)
+    assert found.x([0.3, 0.5]) == pytest.approx(k * plain.x([0.3, 0.5]), rel=1e-4)
+    assert abs(found.iterations - plain.iterations) <= 2
+
+
+def test_a_small_limit_is_kept_as_well_as_a_large_one():
+    # a path limit in units of which all values are 1e-9
+    phase = block(path=lambda x: 1e-9 * (x[1] - 1.2))
+    found = solve(build(phase, Radau(3), 40))
+    assert found.phases[0].stages.states[..., 1].max() <= 1.2 + 1e-6
+
+
+def test_the_largest_cost_of_scenarios_starts_warm_on_another_mesh():
+    problem = OptimalControlProblem([block(1e3), block(2e3)], linked=False, risk="worst")
+    coarse = solve(problem)
+    program = build(problem, intervals=40)
+    warm = solve(program, start=coarse)
+    assert warm.cost == pytest.approx(12 * 4e6, rel=1e-6)
+    assert warm.iterations < solve(program).iterations
+    with pytest.raises(InputError, match="side by side"):
+        coarse.x(0.5)
+
+
+def test_what_cvodes_misses_is_its_own_tolerance():
+    phase = block(dynamics=lambda x, u: ca.vertcat(x[1], u - ca.sin(5 * x[0])))
+    found = solve(build(phase, MultipleShooting(integrator="cvodes", tolerance=1e-8), 4))
+    assert 0 < found.errors[0].max() < 1e-5
+    assert found.errors[0].max() < 0.01 * solve(build(phase, MultipleShooting(), 4)).errors[0].max()
+
+
+def test_refinement_takes_a_start():
+    phase = block(x_bounds=([-INF, -INF], [INF, 1.2]))
+    first = refine(phase)
+    assert refine(phase, start=first).iterations < first.iterations
