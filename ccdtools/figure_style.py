@@ -46,9 +46,16 @@ def styled() -> AbstractContextManager[None]:
     return rc_context(SETTINGS)
 
 
+class Picture(Figure):
+    """A figure that a notebook shows, also before pyplot has made its first one and told the notebook how."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self)
+
+
 def blank(width: float, height: float, *, quick: bool = False) -> Figure:
     """An empty figure of that size [inch], marked in its corner if the run was quick."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Picture(figsize=(width, height), layout="constrained")
     if quick:
         figure.text(0.003, 0.003, "QUICK", ha="left", va="bottom", fontsize=8, weight="bold", color="#B00020")
     return figure

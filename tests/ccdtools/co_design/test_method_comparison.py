@@ -108,6 +108,11 @@ def test_the_picture_is_drawn_for_any_number_of_parameters(found):
     assert png(found.plot()).startswith(b"\x89PNG")
 
 
+def test_a_notebook_shows_the_picture_that_pyplot_knows_nothing_of(found):
+    formatters = pytest.importorskip("IPython.core.formatters")
+    assert formatters.PNGFormatter()(found.plot()).startswith(b"\x89PNG")
+
+
 def test_processes_change_nothing(problem, found):
     names = {name: QUICK[name] for name in ("nested", "plant first")}
     beside = compare_methods(problem, names, seed=3, jobs=2)
