@@ -222,7 +222,9 @@ def _cma(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm)
 
 def _bayesian(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
     """Bayesian optimisation with a Gaussian process; it never knows that it has converged."""
-    import optuna
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="IProgress not found")  # its progress bar is not used
+        import optuna
 
     n = int(box.free.sum())
     verbosity = optuna.logging.get_verbosity()
