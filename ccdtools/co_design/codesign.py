@@ -100,8 +100,9 @@ def codesign(
     ------
     InputError
         If an argument is of the wrong kind, `design` is not feasible, or the method cannot honour what the problem
-        asks for. Of learning: if `agent` does not observe (x, p) over the box of designs or acts within other bounds
-        than U, or the objective does not take torch tensors.
+        asks for, or designs the plant first and finds one that cannot be stabilised. Of learning: if `agent` does not
+        observe (x, p) over the box of designs or acts within other bounds than U, or the objective does not take torch
+        tensors.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     chosen = as_method(method, agent=agent, config=config, judge=judge, limits=limits)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_count, as_flag, as_instance, shown, writable_path
+from ccdtools.co_design.agents import as_agent
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
 from ccdtools.co_design.configuration import METHODS as LEARNING
@@ -311,7 +312,7 @@ def compare_methods(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_count("seed", seed, least=0)
     as_flag("progress", progress)
-    chosen = named_methods(methods, agent)
+    chosen = named_methods(methods, as_agent(agent))
     if reference is None:
         reference = REFERENCE if REFERENCE in chosen else next(iter(chosen))
     elif reference not in chosen:

@@ -101,9 +101,11 @@ class Search:
             def measured(v: Array) -> tuple[float, float]:
                 """Of the user's function."""
                 value = given(problem.design.settled(v))
-                if not np.isscalar(value) and np.size(value) != 1:
-                    raise InputError("of", shown(value), "a function of a design that returns one number")
-                return -float(np.asarray(value)), 0.0
+                try:
+                    (number,) = map(float, np.ravel(value))
+                except (TypeError, ValueError):
+                    raise InputError("of", shown(value), "a function of a design that returns one number") from None
+                return -number, 0.0
 
             return measured
         runs = fewer_runs(self.runs or RUNS[self.of], problem.steps)

@@ -141,7 +141,8 @@ def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> E
         plain = float(-problem.risk.values(seen.total).mean())
         tried = End(cost, replace(found, cost=plain), size, penalty, penalty.violation(seen))
         best = tried if best is None or tried.order < best.order else best
-        if not penalty.active or found.spent:
+        unpriced = not isinstance(cost, LoopCost) or cost.penalty is None
+        if not penalty.active or found.spent or (unpriced and tried.violation <= 0):
             break
         cost = LoopCost(problem, cost.law, cost.scenarios, penalty, cost.rows)
         found = descend(cost, problem.design, found.v, size=size, evaluations=plan.evaluations)
@@ -164,12 +165,13 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
     outcome = None
     if best.penalty is not None and isinstance(best.cost, LoopCost):
         outcome = best.penalty.outcome(best.cost.seen(best.found.v))
+    history = best.cost.history()  # before the status looks at designs beside
     return CoDesignResult(
         design=design, controller=best.cost.controller(design), method=name,
         status=_status(problem, best, held.rest / size, bool(held.multipliers)), objective=-best.found.cost,
         criterion=f"return of {best.cost.words}", active_bounds=space.active_bounds(design),
         active_constraints=space.active_constraints(design), multipliers=held.multipliers, slope=held.rest / size,
-        evaluations=evaluations, history=best.cost.history(), limits=outcome,
+        evaluations=evaluations, history=history, limits=outcome,
     )  # fmt: skip
 
 
