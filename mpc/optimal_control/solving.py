@@ -92,7 +92,7 @@ def _settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Se
     number = as_floats("tolerance", tolerance)
     if number.ndim or not 0 < number < 1:
         raise InputError("tolerance", brief(repr(tolerance)), "a number between 0 and 1")
-    if options is not None and not isinstance(options, dict):
+    if options is not None and not (isinstance(options, dict) and all(isinstance(name, str) for name in options)):
         raise InputError("options", brief(repr(options)), "a dict of options of Ipopt")
     most, limit = as_count("max_iterations", iterations), as_seconds("time_limit", seconds)
     stops = most < USUAL or np.isfinite(limit)
@@ -244,7 +244,8 @@ def _status(found: Found) -> OptimalControlStatus:
 def unknowns_from(program: NonlinearProgram, start: Solution) -> Array:
     """Unknowns (n,) of a program, of a solution of the same phases on any mesh."""
     fits = len(start.phases) == len(program.parts) and len(start.p) == program.problem.parameters
-    if not fits or any(a.states.shape[1] != b.layout.nx for a, b in zip(start.phases, program.parts)):
+    sizes = [(one.states.shape[1], one.inputs.shape[1]) for one in start.phases]
+    if not fits or sizes != [(part.layout.nx, part.layout.nu) for part in program.parts]:
         raise InputError("start", repr(start.program), f"a solution of the same phases: {program!r}")
     if len(start.unknowns) == len(program.lower) and _alike(start.program, program):
         return start.unknowns

@@ -11,6 +11,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.outer import Descent, confirmed, descend, held_by
 from ccdtools.co_design.methods.starting import SAME_PLACE, start_points
@@ -182,7 +183,8 @@ def _status(problem: CoDesignProblem, best: End, rest: float, held: bool) -> CoD
     if best.violation > 0:
         return CoDesignStatus.LIMITS_BROKEN
     if rest > LEVEL:
-        agree = confirmed(best.cost, problem.design, best.found.v, size=best.size)
+        trained = isinstance(best.cost, LearnedCost)  # never twice to the same policy: differences would say nothing
+        agree = trained or confirmed(best.cost, problem.design, best.found.v, size=best.size)
         return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED
     return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 

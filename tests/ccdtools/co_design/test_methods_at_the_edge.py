@@ -9,6 +9,10 @@ from constrained_plants import CASES
 from small_plants import mass
 
 import ccdtools as cc
+from ccdtools.co_design.methods.learned_cost import LearnedCost
+from ccdtools.co_design.methods.outer import Descent
+from ccdtools.co_design.methods.searched import End, _status
+from ccdtools.co_design.status import CoDesignStatus
 
 
 def unreached(weight: float = 1.0) -> cc.CoDesignProblem:
@@ -99,3 +103,10 @@ def test_a_trade_off_over_nothing_is_refused_and_one_over_the_length_of_episodes
     found = cc.trade_off(lambda n: replace(mass(), steps=int(n)), lengths, method=cc.Nested(runs=50, starts=1))
     assert np.isfinite(found.intervals).all()
     assert len({len(result.closed_loop.values) for result in found.results}) == 2
+
+
+def test_policies_trained_anew_are_not_blamed_on_their_slope():
+    problem = mass()
+    cost = LearnedCost(problem, None, (np.zeros((1, 2)), np.zeros((1, 1, 1))), np.random.default_rng(0))
+    found = Descent(np.array([0.5]), 1.0, np.array([1.0]), 12, spent=True)
+    assert _status(problem, End(cost, found, 1.0), rest=1.0, held=False) is CoDesignStatus.BUDGET_SPENT

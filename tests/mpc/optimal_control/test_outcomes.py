@@ -194,3 +194,18 @@ def test_refinement_takes_a_start():
     phase = block(x_bounds=([-INF, -INF], [INF, 1.2]))
     first = refine(phase)
     assert refine(phase, start=first).iterations < first.iterations
+
+
+def test_a_start_with_other_inputs_and_options_without_names_are_refused():
+    def phase(inputs):
+        return Phase(
+            dynamics=lambda x, u: ca.vertcat(x[1], u[0]), states=2, inputs=inputs, start=[0, 0], end=[1, 0],
+            duration=1.0, stage_cost=lambda x, u: ca.sumsqr(u),
+        )  # fmt: skip
+
+    one = solve(phase(1))
+    assert solve(phase(1), start=one).cost == pytest.approx(one.cost)
+    with pytest.raises(InputError, match="start"):
+        solve(phase(2), start=one)
+    with pytest.raises(InputError, match="options"):
+        solve(phase(1), options={3: 1})
