@@ -28,7 +28,7 @@ EQUAL_IN_THEORY = ("nested LQR", "CMA-ES", "Bayesian search")  # one closed loop
 SAME = 0.5  # per cent
 FLYWHEEL = 2e4  # price per kg·m² of flywheel, in units of the return
 WATER = 30.0  # price per cm² of tank
-LENGTH, MASS = 20.0, 8.0  # price of a pole of one metre and of a cart of one kilogram; half as large costs twice as much
+LENGTH, MASS = 20.0, 8.0  # price of a pole of one metre, of a cart of one kilogram; half as large costs twice as much
 
 Start = tuple[CoDesignProblem, np.ndarray]
 
