@@ -214,3 +214,22 @@ def test_solution_starts_another_mesh_near_its_optimum():
     warm, cold = solve(fine, start=coarse, tolerance=1e-10), solve(fine, tolerance=1e-10)
     assert warm.cost == pytest.approx(cold.cost, rel=1e-6)
     assert warm.iterations < cold.iterations
+
+
+def test_scenarios_that_differ_in_their_data_alone_share_their_derivatives():
+    rng = np.random.default_rng(0)
+    phases = [
+        Phase(
+            dynamics=lambda x, u, w, p: ca.vertcat(x[1], u + w - p * x[0]), states=2, inputs=1, start=rng.normal(size=2),
+            duration=1.0, stage_cost=lambda x, u: ca.sumsqr(x) + u**2, signal=rng.normal(size=(5, 1)),
+        )
+        for _ in range(6)
+    ]  # fmt: skip
+    programs = [
+        build(OptimalControlProblem(few, p_bounds=(0, 5), linked=False), Radau(3), 8) for few in (phases[:1], phases)
+    ]
+    assert len(programs[1].derivatives.pieces) == len(programs[0].derivatives.pieces)
+    found = solve(programs[1], p=[2.0])
+    alone = [solve(build(OptimalControlProblem(phase, p_bounds=(0, 5)), Radau(3), 8), p=[2.0]) for phase in phases]
+    assert found.cost == pytest.approx(np.mean([one.cost for one in alone]), rel=1e-8)
+    assert found.p_gradient == pytest.approx(np.mean([one.p_gradient for one in alone]), rel=1e-6)
