@@ -220,8 +220,9 @@ def test_scenarios_that_differ_in_their_data_alone_share_their_derivatives():
     rng = np.random.default_rng(0)
     phases = [
         Phase(
-            dynamics=lambda x, u, w, p: ca.vertcat(x[1], u + w - p * x[0]), states=2, inputs=1, start=rng.normal(size=2),
-            duration=1.0, stage_cost=lambda x, u: ca.sumsqr(x) + u**2, signal=rng.normal(size=(5, 1)),
+            dynamics=lambda x, u, w, p: ca.vertcat(x[1], u + w - p * x[0]), states=2, inputs=1,
+            start=rng.normal(size=2), duration=1.0, stage_cost=lambda x, u: ca.sumsqr(x) + u**2,
+            signal=rng.normal(size=(5, 1)),
         )
         for _ in range(6)
     ]  # fmt: skip
