@@ -118,7 +118,8 @@ def codesign(
     loop = closed_loop_returns(judged, result.controller, result.design, scenarios)
     lost = loop.lost.any() and not isinstance(result, LearnedCoDesign)  # learning has judged that itself
     status = CoDesignStatus.DIVERGING if lost else result.status
-    return replace(result, status=status, closed_loop=loop, seconds=seconds)
+    described = problem.design.describe(result.design)
+    return replace(result, status=status, closed_loop=loop, seconds=seconds, described=described)
 
 
 def as_method(method: str | Method, **learning: Any) -> Method:

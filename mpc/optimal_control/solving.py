@@ -18,7 +18,7 @@ from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram, describe_row, largest_cost, rescaled
+from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, describe_row, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
 from mpc.optimal_control.unknowns import placed
@@ -204,7 +204,7 @@ class _Run:
         cost = float(program.derivatives.values(v)[0])
         p = v[program.parameters]
         weights = program.problem.weights
-        if program.worst >= 0:
+        if program.costs.stop > program.costs.start:
             weights = multipliers["rows"][: len(program.parts)]
         phases = tuple(
             phase_solution(part, v, p, clock, multipliers["rows"], float(weight))
@@ -255,8 +255,8 @@ def unknowns_from(program: NonlinearProgram, start: Solution) -> Array:
         v[part.first : part.last] = placed(part.layout, part.mesh, found.at_fractions)
         if part.duration >= 0:
             v[part.duration] = found.duration
-    if program.worst >= 0:
-        v[program.worst] = largest_cost(program, v)
+    if program.costs.stop > program.costs.start:
+        v[program.costs] = costs_of_scenarios(program, v)
     return v
 
 
