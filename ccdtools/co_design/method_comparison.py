@@ -42,7 +42,7 @@ ALL = (
     "simultaneous gain", "CMA-ES", "Bayesian search", "pathwise",
 )  # fmt: skip
 REFERENCE = "nested LQR"
-REFUSALS = (CCDError, MPCError, LearningError, InvariantSetsError, np.linalg.LinAlgError, ArithmeticError)
+REFUSALS = (CCDError, MPCError, LearningError, InvariantSetsError)
 UNSOUND = (CoDesignStatus.DIVERGING, CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
 HEAD = (
     "method", "design", "return", "95 % interval", "lost", "difference", "own objective", "evals", "time", "status",
@@ -399,6 +399,8 @@ def _run(
         return codesign(problem, method=method, rng=np.random.default_rng(seed), design=design, progress=progress)
     except REFUSALS as error:
         return " ".join(str(error).split()) or type(error).__name__
+    except Exception as error:  # one method that fails must not lose what the others found
+        return f"stopped with {type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _summary(loop: ClosedLoopReturns) -> tuple[float, tuple[float, float], int]:

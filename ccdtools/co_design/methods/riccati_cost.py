@@ -89,6 +89,11 @@ class RiccatiCost:
         share = self.problem.steps / (self.problem.objective.episode or self.problem.steps)
         return float(both[0]) * share, np.asarray(both[1], dtype=float).ravel() * share
 
+    @property
+    def evaluations(self) -> int:
+        """How many there were."""
+        return len(self.rows)
+
     def controller(self, p: Array) -> Controller:
         """The LQR of a design, saturated where it must be."""
         return saturated_lqr(self.problem, p)

@@ -39,6 +39,11 @@ class DesignCost(Protocol):
         """Of the history: one for every evaluation."""
         ...
 
+    @property
+    def evaluations(self) -> int:
+        """How many there were."""
+        ...
+
     def __call__(self, v: Array) -> tuple[float, Array]:
         """Cost and its slope (np,) at a point (np,) of the unit box; infinite where there is none."""
         ...
@@ -123,8 +128,12 @@ def searched(
         got = f"{space.describe(design)} to start from, where there is nothing to search by: {best.cost.words}"
         cure = "Start from a design that can be stabilised and whose runs keep the limits, or check the weights."
         raise InputError("design", got, "a design with a controller", cure)
-    result = _result(plan.name, problem, best, sum(len(end.cost.rows) for end in ends))
-    return replace(result, valleys=_with_ends(problem, found, points, ends))
+    evaluations = sum({id(end.cost): end.cost.evaluations for end in ends}.values())
+    result = _result(plan.name, problem, best, evaluations)
+    status = result.status
+    if space.integer and plan.starts == 1 and status.settled:
+        status = CoDesignStatus.BUDGET_SPENT  # other whole numbers were never looked at
+    return replace(result, status=status, valleys=_with_ends(problem, found, points, ends))
 
 
 def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> End:
@@ -145,7 +154,7 @@ def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> E
         unpriced = not isinstance(cost, LoopCost) or cost.penalty is None
         if not penalty.active or found.spent or (unpriced and tried.violation <= 0):
             break
-        cost = LoopCost(problem, cost.law, cost.scenarios, penalty, cost.rows)
+        cost = LoopCost(problem, cost.law, cost.scenarios, penalty, cost.rows, cost.evaluations)
         found = descend(cost, problem.design, found.v, size=size, evaluations=plan.evaluations)
     assert best is not None
     return best

@@ -73,9 +73,10 @@ class Sequential:
             plant = Simultaneous("trajectory", starts=self.starts).run(problem, design, rng, progress=progress)
         else:
             unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
-            cost = LoopCost(unlimited, PassiveLaw(), scenarios)
             plan = Plan(self.name, self.starts, self.evaluations)
-            plant = searched(plan, unlimited, lambda v: cost, design, rng, progress=progress)
+            plant = searched(
+                plan, unlimited, lambda v: LoopCost(unlimited, PassiveLaw(), scenarios), design, rng, progress=progress
+            )
         controller = controller_of(self.control, problem, plant.design)
         return replace(plant, method=self.name, controller=controller)
 

@@ -110,3 +110,10 @@ def test_policies_trained_anew_are_not_blamed_on_their_slope():
     cost = LearnedCost(problem, None, (np.zeros((1, 2)), np.zeros((1, 1, 1))), np.random.default_rng(0))
     found = Descent(np.array([0.5]), 1.0, np.array([1.0]), 12, spent=True)
     assert _status(problem, End(cost, found, 1.0), rest=1.0, held=False) is CoDesignStatus.BUDGET_SPENT
+
+
+@pytest.mark.parametrize("method", [cc.Nested("riccati", starts=1), cc.Simultaneous(runs=1, starts=1)])
+def test_whole_numbers_that_were_never_compared_are_not_called_settled(method):
+    name = next(name for name, case in CASES.items() if case.whole)
+    found = cc.codesign(CASES[name].problem(), method=method, design=CASES[name].start, rng=np.random.default_rng(0))
+    assert not found.status.settled
