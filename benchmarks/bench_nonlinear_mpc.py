@@ -63,7 +63,7 @@ def cases() -> list[Case]:
 
 def _case(name: str, study: Any, substeps: int, horizon: int, samples: int, starts: np.ndarray) -> Case:
     from ccdtools import discretise
-    from ccdtools.comparison.baselines import nonlinear_mpc
+    from ccdtools.co_design.design_controllers import nonlinear_mpc
 
     law = nonlinear_mpc(study.problem(), study.p0, horizon=horizon)
     model = discretise(replace(study.plant, substeps=substeps))

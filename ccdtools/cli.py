@@ -169,7 +169,7 @@ def codesign(
     own = load_study(options.study)
     with blamed_on_source(options.study), _insisting():
         found = compare_methods(
-            own.problem(), asked, seed=options.seed, design=own.p0, jobs=processes, progress=sys.stderr.isatty()
+            own.problem(), asked, seed=options.seed, design=own.p0, jobs=processes, progress=True
         )
         typer.echo(f"{own.title}, seed {options.seed}\n\n{found}")
         if out is not None:

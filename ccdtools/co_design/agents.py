@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ccdtools.checks import as_instance
@@ -14,9 +16,16 @@ from learning.networks import ActorCritic
 SAME_BOUNDS = 1e-5  # relative difference of the agent's action bounds from U that rounding to float32 explains
 
 
+def as_agent(agent: Any) -> ActorCritic | None:
+    """An agent, or None where a method is to make its own."""
+    if agent is not None:
+        as_instance("agent", agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
+    return agent  # type: ignore[no-any-return]
+
+
 def check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
     """Raise an `InputError` unless `agent` was made for the states, designs and inputs of `problem`."""
-    as_instance("agent", agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
+    as_agent(agent)
     nx = problem.model.nx
     space = problem.design
     observed = len(agent.observation_offset)

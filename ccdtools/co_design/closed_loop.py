@@ -36,7 +36,7 @@ def closed_loop_returns(
     design : (np,) array_like
     rng : numpy.random.Generator
     runs : int, optional
-        By default as many as 1000 of 100 steps, or 200 of a controller with a horizon.
+        At most, and by default, as many as 1000 of 100 steps; by default 200 of a controller with a horizon.
 
     Raises
     ------

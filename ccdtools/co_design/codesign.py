@@ -100,8 +100,9 @@ def codesign(
     ------
     InputError
         If an argument is of the wrong kind, `design` is not feasible, or the method cannot honour what the problem
-        asks for. Of learning: if `agent` does not observe (x, p) over the box of designs or acts within other bounds
-        than U, or the objective does not take torch tensors.
+        asks for, or designs the plant first and finds one that cannot be stabilised. Of learning: if `agent` does not
+        observe (x, p) over the box of designs or acts within other bounds than U, or the objective does not take torch
+        tensors.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     chosen = as_method(method, agent=agent, config=config, judge=judge, limits=limits)
@@ -117,7 +118,8 @@ def codesign(
     loop = closed_loop_returns(judged, result.controller, result.design, scenarios)
     lost = loop.lost.any() and not isinstance(result, LearnedCoDesign)  # learning has judged that itself
     status = CoDesignStatus.DIVERGING if lost else result.status
-    return replace(result, status=status, closed_loop=loop, seconds=seconds)
+    described = problem.design.describe(result.design)
+    return replace(result, status=status, closed_loop=loop, seconds=seconds, described=described)
 
 
 def as_method(method: str | Method, **learning: Any) -> Method:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller, LinearFeedback
+from ccdtools.exceptions import InputError
 from ccdtools.plants.undisturbed_step import undisturbed_step
-from mpc import LinearMPC, lqr
+from mpc import LinearMPC, NotStabilisableError, lqr
 
 if TYPE_CHECKING:
     from mpc.optimal_control import NonlinearMPC
@@ -69,5 +71,18 @@ def nonlinear_mpc(
 
 
 def controller_of(kind: str, problem: CoDesignProblem, design: ArrayLike) -> Controller:
-    """The controller of a design: "lqr" or "mpc"."""
-    return saturated_lqr(problem, design) if kind == "lqr" else linear_mpc(problem, design)
+    """The controller of a design that was found without it: "lqr" or "mpc".
+
+    Raises
+    ------
+    InputError
+        If that design cannot be stabilised.
+    """
+    try:
+        return saturated_lqr(problem, design) if kind == "lqr" else linear_mpc(problem, design)
+    except NotStabilisableError as error:
+        found = problem.design.describe(np.asarray(design, dtype=float))
+        mode = "" if error.eigenvalue is None else f": no input reaches its mode at {error.eigenvalue:.4g}"
+        got = f"{found}, which was found without a controller and cannot be stabilised{mode}"
+        cure = "Keep such designs out by bounds or constraints, or choose a method that closes the loop."
+        raise InputError("design", got, "a design that can be stabilised", cure) from error

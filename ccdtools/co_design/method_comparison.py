@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_count, as_flag, as_instance, shown, writable_path
+from ccdtools.co_design.agents import as_agent
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
 from ccdtools.co_design.configuration import METHODS as LEARNING
@@ -41,7 +42,7 @@ ALL = (
     "simultaneous gain", "CMA-ES", "Bayesian search", "pathwise",
 )  # fmt: skip
 REFERENCE = "nested LQR"
-REFUSALS = (CCDError, MPCError, LearningError, InvariantSetsError, np.linalg.LinAlgError, ArithmeticError)
+REFUSALS = (CCDError, MPCError, LearningError, InvariantSetsError)
 UNSOUND = (CoDesignStatus.DIVERGING, CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
 HEAD = (
     "method", "design", "return", "95 % interval", "lost", "difference", "own objective", "evals", "time", "status",
@@ -311,7 +312,7 @@ def compare_methods(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_count("seed", seed, least=0)
     as_flag("progress", progress)
-    chosen = named_methods(methods, agent)
+    chosen = named_methods(methods, as_agent(agent))
     if reference is None:
         reference = REFERENCE if REFERENCE in chosen else next(iter(chosen))
     elif reference not in chosen:
@@ -398,6 +399,8 @@ def _run(
         return codesign(problem, method=method, rng=np.random.default_rng(seed), design=design, progress=progress)
     except REFUSALS as error:
         return " ".join(str(error).split()) or type(error).__name__
+    except Exception as error:  # one method that fails must not lose what the others found
+        return f"stopped with {type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _summary(loop: ClosedLoopReturns) -> tuple[float, tuple[float, float], int]:

@@ -51,6 +51,8 @@ def _differs(comparison: Any, row: Any) -> bool:
 
 def _equal(comparison: Any, rows: list[Any]) -> str:
     """The methods that are as good as the reference."""
+    if comparison[comparison.reference].closed_loop.lost.all():
+        return f"Every run of {comparison.reference} is lost: there is nothing to compare with."
     same = [row for row in rows if not _differs(comparison, row)]
     names = ", ".join(row.name for row in same)
     if len(same) < 2:
@@ -70,6 +72,8 @@ def _winner(comparison: Any) -> str:
     """The best method, and why, if it is better than the reference."""
     best = comparison.best
     mean, low, _ = _percent(comparison, best)
+    if comparison[comparison.reference].closed_loop.lost.all():
+        return ""
     if best.name == comparison.reference or not mean > SAME:
         return f"No method is better than {comparison.reference} by more than {SAME:g} %."
     certain = "" if low > 0 else " (the interval holds 0)"

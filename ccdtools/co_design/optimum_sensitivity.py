@@ -120,7 +120,8 @@ def optimum_sensitivity(
     Raises
     ------
     InputError
-        If an argument is of the wrong kind, or a problem of another number of parameters is stated.
+        If an argument is of the wrong kind, a problem of another number of parameters is stated, or a design that is
+        started from cannot be stabilised.
     """
     if not callable(problem_of):
         raise InputError("problem_of", shown(problem_of), "a function of a number that gives a CoDesignProblem")
@@ -208,8 +209,12 @@ class _Stated:
     def best(self, v: Array) -> tuple[Array, float]:
         """Where a search from a point of its unit box ends, and how large the cost of control is there."""
         value = self.cost(v)[0]
-        size = float(self.problem.made_by_control(-value, self.space.from_unit(v))) or 1.0
-        return descend(self.cost, self.space, v, size=size, evaluations=EVALUATIONS).v, size
+        size = float(self.problem.made_by_control(-value, self.space.from_unit(v))) if np.isfinite(value) else 1.0
+        found = descend(self.cost, self.space, v, size=size or 1.0, evaluations=EVALUATIONS)
+        if not np.isfinite(found.cost):
+            got = f"{self.space.describe(self.space.from_unit(v))}, which has no LQR to search by"
+            raise InputError("design", got, "a design that can be stabilised, at every value that is looked at")
+        return found.v, size or 1.0
 
 
 @dataclass(eq=False)

@@ -14,6 +14,9 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
 from ccdtools.statistics import Summary, summarise
 
+HEAVY = 2.0  # standard deviation of the runs, in parts of their mean, beyond which a few of them decide
+FAR = 0.5  # of the return in closed loop: an objective that promises more than this did not see what happens
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class History(Immutable):
@@ -153,6 +156,8 @@ class CoDesignResult(Immutable):
         How often and how far X is left, beside what was granted; None where the limits were switched off.
     valleys : tuple of Valley
         The local optima of the landscape, best first; empty where it was not looked at.
+    described : str
+        The design in words, with names and units.
     """
 
     design: Array
@@ -171,6 +176,7 @@ class CoDesignResult(Immutable):
     history: History
     limits: LimitsOutcome | None = None
     valleys: tuple[Valley, ...] = ()
+    described: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", frozen(np.array(self.design, dtype=float)))
@@ -194,7 +200,7 @@ class CoDesignResult(Immutable):
 
     def describe(self) -> list[str]:
         """How it ended, what holds the design, and the other valleys, one line each."""
-        lines = self._ended()
+        lines = ([f"design: {self.described}"] if self.described else []) + self._ended()
         if self.active_constraints:
             values = (f"{name} = {value:.3g}" for name, value in self.active_constraints.items())
             lines.append(f"active constraints, each to be ≤ 0: {', '.join(values)}")
@@ -213,6 +219,7 @@ class CoDesignResult(Immutable):
             low, high = summary.ci95
             lost = f", {self.closed_loop.lost_share:.2%} of the runs lost" if self.closed_loop.lost.any() else ""
             lines.append(f"in closed loop: {summary.mean:.6g} [{low:.6g}, {high:.6g}], {summary.n} runs{lost}")
+            lines += _warnings(self.objective, summary)
         if self.multipliers:
             prices = (f"{name} {value:.3g}" for name, value in self.multipliers.items())
             lines.append(f"gain per unit of what holds the design: {', '.join(prices)}")
@@ -221,6 +228,20 @@ class CoDesignResult(Immutable):
     def _remarks(self) -> list[str]:
         """What else is to be known, one line each."""
         return []
+
+
+def _warnings(objective: float, summary: Summary) -> list[str]:
+    """What a return in closed loop says against the method's own objective."""
+    lines = []
+    size = abs(summary.mean)
+    if summary.std > HEAVY * size:
+        lines.append("a few runs cost far more than the rest: they are nearly lost, and the interval says little")
+    if np.isfinite(objective) and objective - summary.mean > FAR * size:
+        lines.append(
+            "the closed loop brings far less than the method's own objective: what was optimised is not what happens, "
+            "so look for a design in closed loop (nested, search, learning)"
+        )
+    return lines
 
 
 def _short(design: Array) -> str:

@@ -140,6 +140,8 @@ def trade_off(
     1997.
     """
     points = as_vector("values", values)
+    if not len(points):
+        raise InputError("values", "none", "at least one")
     as_count("seed", seed, least=0)
     as_flag("progress", progress)
     if isinstance(method, str):
@@ -207,10 +209,11 @@ def _best(of: ProblemOf, method: Method, seed: int, design: Any, value: float) -
 def _intervals(results: tuple[CoDesignResult, ...], costs: Array, returns: Array) -> Array:
     """Intervals (n, 2) of the returns without design costs, by their pairs with the highest one."""
     loops = [result.closed_loop for result in results if result.closed_loop is not None]
-    kept = ~np.logical_or.reduce([loop.lost for loop in loops])
-    top = int(returns.argmax())
-    best = loops[top].values[kept] + costs[top]
-    gaps = [paired_difference(loop.values[kept] + cost, best) for loop, cost in zip(loops, costs)]
+    runs = min(len(loop.values) for loop in loops)  # of longer episodes fewer are measured
+    kept = ~np.logical_or.reduce([loop.lost[:runs] for loop in loops])
+    top = int(np.where(np.isnan(returns), -np.inf, returns).argmax())
+    best = loops[top].values[:runs][kept] + costs[top]
+    gaps = [paired_difference(loop.values[:runs][kept] + cost, best) for loop, cost in zip(loops, costs)]
     return np.array([np.array(gap.ci95) - gap.mean + value for gap, value in zip(gaps, returns)])
 
 

@@ -85,7 +85,7 @@ class Derivatives:
     """
 
     def __init__(self, pieces: Sequence[Piece], unknowns: int, constraints: int) -> None:
-        self.pieces = tuple(pieces)
+        self.pieces = merged(pieces)
         self.n = unknowns
         self.m = constraints
         self.solvers: dict[Any, Any] = {}
@@ -209,6 +209,28 @@ class Derivatives:
             ),
         }  # fmt: skip
         return {"x": z, "p": given, "f": f / c, "g": g / r}, functions
+
+
+def merged(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
+    """The pieces, with those of one function and the same factors as one: scenarios that differ in their data alone."""
+    alike: dict[Any, list[Piece]] = {}
+    for piece in pieces:
+        alike.setdefault((_written(piece.function), piece.factors.tobytes(), piece.of_cost.tobytes()), []).append(piece)
+    return tuple(group[0] if len(group) == 1 else _joined_pieces(group) for group in alike.values())
+
+
+def _joined_pieces(group: list[Piece]) -> Piece:
+    """One piece at the places of all."""
+    unknowns, data, rows = (np.hstack([getattr(one, name) for one in group]) for name in ("unknowns", "data", "rows"))
+    return Piece(group[0].function, unknowns, data, rows, group[0].factors)
+
+
+def _written(function: ca.Function) -> Any:
+    """What two functions have in common if they are the same."""
+    try:
+        return function.serialize()
+    except RuntimeError:  # of a function that is no expression
+        return id(function)
 
 
 def _compact(name: str, symbols: list[Any], matrix: Any) -> ca.Function:

@@ -37,7 +37,7 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
     g = np.where(np.isfinite(g), g, 0.0)
     above, below = np.maximum(g - program.row_upper, 0.0), np.maximum(program.row_lower - g, 0.0)
     return replace(
-        program, derivatives=derivatives, worst=-1, cost_scale=1.0,
+        program, derivatives=derivatives, costs=slice(0, 0), cost_scale=1.0,
         lower=np.concatenate([program.lower, np.zeros(2 * m)]),
         upper=np.concatenate([program.upper, np.full(2 * m, np.inf)]),
         guess=np.concatenate([start, above, below]),

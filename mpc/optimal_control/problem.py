@@ -17,6 +17,8 @@ from mpc.optimal_control.bounds import Bounds, as_parameter_bounds
 from mpc.optimal_control.functions import Statement, brief, compiled
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 
+RISKS = ("sum", "worst", "spread")
+
 
 @dataclass(frozen=True, eq=False)
 class OptimalControlProblem:
@@ -38,8 +40,12 @@ class OptimalControlProblem:
         The state that a phase begins with, of the one that the phase before ended with; the same by default.
     weights : sequence of float, optional
         Of the costs of the phases; 1 each by default when linked, else equal parts of 1.
-    risk : "sum" or "worst"
-        Whether costs of scenarios are summed with their weights, or the largest counts.
+    risk : "sum", "worst" or "spread"
+        Whether costs of scenarios are summed with their weights, or the largest counts; or their mean and `spread`
+        times their standard deviation. Where a cheap scenario would be made dearer to bring it nearer to the others, it
+        counts as dear as that would be, and is left alone (the monotone hull of the measure). A large `spread` comes to
+        the worst case, with a kink that stops solvers: say "worst".
+    spread : float
 
     Raises
     ------
@@ -55,6 +61,7 @@ class OptimalControlProblem:
     link: Statement | None = None
     weights: Any = None
     risk: str = "sum"
+    spread: float = 1.0
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -71,10 +78,14 @@ class OptimalControlProblem:
         if weights.shape != (count,) or not (np.isfinite(weights) & (weights >= 0)).all():
             raise InputError("weights", brief(repr(self.weights)), f"{count} numbers ≥ 0, one a phase")
         set_(self, "weights", weights)
-        if self.risk not in ("sum", "worst"):
-            raise InputError("risk", repr(self.risk), '"sum" or "worst"')
-        if self.risk == "worst" and self.linked and count > 1:
-            raise InputError("risk", '"worst" of phases that are linked', '"sum", or linked=False')
+        if self.risk not in RISKS:
+            raise InputError("risk", repr(self.risk), '"sum", "worst" or "spread"')
+        if self.risk != "sum" and self.linked and count > 1:
+            raise InputError("risk", f'"{self.risk}" of phases that are linked', '"sum", or linked=False')
+        spread = as_floats("spread", self.spread)
+        if spread.ndim or not (np.isfinite(spread) and spread >= 0):
+            raise InputError("spread", brief(repr(self.spread)), "a number ≥ 0")
+        set_(self, "spread", float(spread))
         sizes = [phase.states for phase in self.phases]
         if self.linked and self.link is None and len(set(sizes)) > 1:
             raise InputError(

@@ -104,8 +104,8 @@ class NonlinearProgram:
     parts : tuple of PhasePart
     parameters : slice
         Of p among the unknowns.
-    worst : int
-        Index of the largest cost of a scenario among the unknowns; −1 where costs are summed.
+    costs : slice
+        Of the largest cost of a scenario, or the costs of all, among the unknowns; empty where they are summed.
     derivatives : Derivatives
         Values and derivatives of f and g as functions of v.
     """
@@ -124,7 +124,7 @@ class NonlinearProgram:
     rows: tuple[Rows, ...]
     parts: tuple[PhasePart, ...]
     parameters: slice
-    worst: int
+    costs: slice
     derivatives: Derivatives
     cost_scale: float = 1.0
 
@@ -186,24 +186,27 @@ def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
     return replace(program, row_scale=row_scale)
 
 
-def with_largest_cost(program: NonlinearProgram) -> NonlinearProgram:
-    """The program whose unknown largest cost starts from what it is at the guess."""
-    if program.worst < 0:
+def with_costs_of_scenarios(program: NonlinearProgram) -> NonlinearProgram:
+    """The program whose unknown costs of scenarios start from what they are at the guess."""
+    own = program.costs
+    if own.stop == own.start:
         return program
     guess, scale = program.guess.copy(), program.scale.copy()
-    guess[program.worst] = largest_cost(program, guess)
+    guess[own] = costs_of_scenarios(program, guess)
     there = np.clip(scale, program.lower, program.upper)
-    there[program.worst] = 0.0
-    large = [abs(guess[program.worst]), abs(largest_cost(program, there))]
-    scale[program.worst] = max([size for size in large if np.isfinite(size)]) or 1.0
+    there[own] = 0.0
+    large = np.abs(np.stack([guess[own], costs_of_scenarios(program, there)]))
+    size = np.where(np.isfinite(large), large, 0.0).max(axis=0)
+    scale[own] = np.where(size > 0, size, 1.0)
     return replace(program, guess=guess, scale=scale)
 
 
-def largest_cost(program: NonlinearProgram, v: Array) -> float:
-    """The largest cost of a scenario at unknowns (n,)."""
+def costs_of_scenarios(program: NonlinearProgram, v: Array) -> Array:
+    """What the unknown costs of scenarios are at unknowns (n,): the largest cost, or each of them."""
     count = len(program.parts)
     g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()
-    return float(g[:count].max() + v[program.worst])
+    each: Array = g[:count] + v[program.costs]
+    return each if program.costs.stop - program.costs.start > 1 else each.max(keepdims=True)
 
 
 def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:

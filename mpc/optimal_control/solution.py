@@ -13,10 +13,13 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.mesh_errors import mesh_errors
+from mpc.optimal_control.path_excess import Excess, path_excess
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.solution_sensitivity import SolutionSensitivity, solution_sensitivity
 from mpc.plan import Residuals
+
+PASSED = 1e-5  # of the size of a path limit: an excess between the points that is told
 
 
 class OptimalControlStatus(Enum):
@@ -98,8 +101,29 @@ class Solution:
 
     @property
     def advice(self) -> str:
-        """What to do about the outcome: that of the status, and the notes."""
-        return " ".join([self.status.advice, *self.notes])
+        """What to do about the outcome: that of the status, the notes, and path limits that are passed on the way."""
+        return " ".join([self.status.advice, *self.notes, *self._passed()])
+
+    @cached_property
+    def path_excess(self) -> tuple[Excess, ...]:
+        """By how much path limits are exceeded between the points of the mesh, (m,) a phase, and when."""
+        return tuple(path_excess(phase, self.p) for phase in self.phases)
+
+    def _passed(self) -> list[str]:
+        """Path limits that are exceeded between the points by more than rounding."""
+        said = []
+        for k, excess in enumerate(self.path_excess):
+            rows = next((one for one in self.program.rows if (one.name, one.phase) == ("path", k)), None)
+            if rows is None:
+                continue
+            sizes = self.program.row_scale[rows.first : rows.last].reshape(-1, len(excess.value))[0]
+            of_phase = f" of phase {k + 1}" if len(self.phases) > 1 else ""
+            said += [
+                f"Between the points of the mesh path {i + 1}{of_phase} is exceeded by {value:.3g} at t = {time:.6g}: "
+                "cut the intervals there, or keep a margin."
+                for i, (value, time) in enumerate(zip(*excess)) if value > PASSED * sizes[i]
+            ]  # fmt: skip
+        return said
 
     @property
     def times(self) -> Array:

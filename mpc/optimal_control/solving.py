@@ -18,7 +18,7 @@ from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram, describe_row, largest_cost, rescaled
+from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, describe_row, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
 from mpc.optimal_control.unknowns import placed
@@ -92,7 +92,7 @@ def _settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Se
     number = as_floats("tolerance", tolerance)
     if number.ndim or not 0 < number < 1:
         raise InputError("tolerance", brief(repr(tolerance)), "a number between 0 and 1")
-    if options is not None and not isinstance(options, dict):
+    if options is not None and not (isinstance(options, dict) and all(isinstance(name, str) for name in options)):
         raise InputError("options", brief(repr(options)), "a dict of options of Ipopt")
     most, limit = as_count("max_iterations", iterations), as_seconds("time_limit", seconds)
     stops = most < USUAL or np.isfinite(limit)
@@ -204,7 +204,7 @@ class _Run:
         cost = float(program.derivatives.values(v)[0])
         p = v[program.parameters]
         weights = program.problem.weights
-        if program.worst >= 0:
+        if program.costs.stop > program.costs.start:
             weights = multipliers["rows"][: len(program.parts)]
         phases = tuple(
             phase_solution(part, v, p, clock, multipliers["rows"], float(weight))
@@ -244,7 +244,8 @@ def _status(found: Found) -> OptimalControlStatus:
 def unknowns_from(program: NonlinearProgram, start: Solution) -> Array:
     """Unknowns (n,) of a program, of a solution of the same phases on any mesh."""
     fits = len(start.phases) == len(program.parts) and len(start.p) == program.problem.parameters
-    if not fits or any(a.states.shape[1] != b.layout.nx for a, b in zip(start.phases, program.parts)):
+    sizes = [(one.states.shape[1], one.inputs.shape[1]) for one in start.phases]
+    if not fits or sizes != [(part.layout.nx, part.layout.nu) for part in program.parts]:
         raise InputError("start", repr(start.program), f"a solution of the same phases: {program!r}")
     if len(start.unknowns) == len(program.lower) and _alike(start.program, program):
         return start.unknowns
@@ -254,8 +255,8 @@ def unknowns_from(program: NonlinearProgram, start: Solution) -> Array:
         v[part.first : part.last] = placed(part.layout, part.mesh, found.at_fractions)
         if part.duration >= 0:
             v[part.duration] = found.duration
-    if program.worst >= 0:
-        v[program.worst] = largest_cost(program, v)
+    if program.costs.stop > program.costs.start:
+        v[program.costs] = costs_of_scenarios(program, v)
     return v
 
 

@@ -27,7 +27,7 @@ from mpc.optimal_control.program import (
     PhasePart,
     Rows,
     describe_row,
-    with_largest_cost,
+    with_costs_of_scenarios,
     with_sizes_of_rows,
 )
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
@@ -85,6 +85,9 @@ def _meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> list
         checked.append(mesh)
     return checked
 
+ROUND = 1e-12  # of the squares: where all scenarios cost the same, their spread has a slope all the same
+TINY = 1e-300
+
 
 class _Builder:
     """Collects unknowns, constraints and pieces, phase by phase."""
@@ -115,17 +118,11 @@ class _Builder:
         self.p = np.arange(parameters.start, parameters.stop)
         low, high = problem.p_bounds
         self._unknown(low, high, np.asarray(problem.p_guess))
-        worst = self.width if problem.risk == "worst" and len(problem.phases) > 1 else -1
-        if worst >= 0:
-            self._unknown(np.array([-np.inf]), np.array([np.inf]), np.zeros(1))
         count = len(problem.phases)
-        targets = np.arange(1, count + 1) if worst >= 0 else np.zeros(count, dtype=int)
-        weights = np.ones(count) if worst >= 0 else problem.weights
-        if worst >= 0:
-            self._rows("cost of a scenario", -1, count, -np.inf, 0.0, 1.0, 0.0)
-            at = np.full((1, count), worst)
-            self._piece(_itself(), at, targets[None], -np.ones(1))
-            self._piece(_itself(), at[:, :1], np.zeros((1, 1), dtype=int), np.ones(1))
+        costs = self._costs_of_scenarios()
+        alone = costs.stop > costs.start
+        targets = np.arange(1, count + 1) if alone else np.zeros(count, dtype=int)
+        weights = np.ones(count) if alone else problem.weights
         parts: list[PhasePart] = []
         for k in range(count):
             clock = self._clock(k, durations)
@@ -134,14 +131,30 @@ class _Builder:
                 self._link(k, parts[-1], part)
             parts.append(part)
         self._of_parameters()
-        return self._assembled(tuple(parts), parameters, worst)
+        return self._assembled(tuple(parts), parameters, costs)
+
+    def _costs_of_scenarios(self) -> slice:
+        """Append what the costs of scenarios are known by, where these are not summed: the largest, or each of them."""
+        problem = self.problem
+        count = len(problem.phases)
+        first = self.width
+        if problem.risk == "sum" or count == 1:
+            return slice(first, first)
+        many = count if problem.risk == "spread" else 1
+        self._unknown(np.full(many, -np.inf), np.full(many, np.inf), np.zeros(many))
+        self._rows("cost of a scenario", -1, count, -np.inf, 0.0, 1.0, 0.0)
+        places = np.broadcast_to(np.arange(first, first + many), (count,))
+        self._piece(_itself(), places[None], np.arange(1, count + 1)[None], -np.ones(1))
+        objective = _itself() if many == 1 else _mean_and_spread(problem.weights, problem.spread)
+        self._piece(objective, places[:many, None], np.zeros((1, 1), dtype=int), np.ones(1))
+        return slice(first, first + many)
 
     @property
     def width(self) -> int:
         """Unknowns so far."""
         return sum(map(len, self.lower))
 
-    def _assembled(self, parts: tuple[PhasePart, ...], parameters: slice, worst: int) -> NonlinearProgram:
+    def _assembled(self, parts: tuple[PhasePart, ...], parameters: slice, costs: slice) -> NonlinearProgram:
         """The program of what was collected, sized by what it is at the guess."""
         none = [np.zeros(0)]
         low, high, scale = (np.concatenate([sides[i] for sides in self.bounds] + none) for i in range(3))
@@ -163,11 +176,11 @@ class _Builder:
             rows=tuple(self.rows),
             parts=parts,
             parameters=parameters,
-            worst=worst,
+            costs=costs,
             derivatives=derivatives,
         )
         check_at_guess(program)
-        return with_sizes_of_rows(with_largest_cost(program))
+        return with_sizes_of_rows(with_costs_of_scenarios(program))
 
     def _unknown(self, lower: Array, upper: Array, guess: Array, scale: Array | None = None) -> None:
         """Append unknowns."""
@@ -369,6 +382,18 @@ class _Builder:
 def _itself() -> ca.Function:
     """A number, as a piece."""
     return piece_function(lambda z, data: [z], True, {"z": 1}, 0)
+
+
+def _mean_and_spread(weights: Array, spread: float) -> ca.Function:
+    """The weighted mean of numbers and so many times their standard deviation, as a piece."""
+    parts = ca.DM(weights / weights.sum())
+
+    def value(z: Any, data: Any) -> list[Any]:
+        mean = ca.dot(parts, z)
+        variance = ca.dot(parts, (z - mean) ** 2)
+        return [mean + spread * ca.sqrt(variance + ROUND * ca.dot(parts, z**2) + TINY)]
+
+    return piece_function(value, True, {"z": len(weights)}, 0)
 
 
 def _depends_on_input(path: ca.Function) -> Array:

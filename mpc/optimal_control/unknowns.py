@@ -13,6 +13,7 @@ from mpc.optimal_control.interval import Layout
 from mpc.optimal_control.phase import Phase
 
 Trajectory = Callable[[Array], tuple[Array, Array]]
+RISING = "rising fractions of the duration, from 0 to 1"
 
 
 def placed(layout: Layout, mesh: Array, trajectory: Trajectory) -> Array:
@@ -82,7 +83,9 @@ def _given(phase: Phase) -> tuple[Array, Array, Array]:
             "guess", got, f"(n,) fractions, (n, {phase.states}) states and (n, {phase.inputs}) inputs, finite"
         )
     if (np.diff(times) < 0).any():
-        raise InputError("guess", "times that fall", "rising fractions of the duration, from 0 to 1")
+        raise InputError("guess", "times that fall", RISING)
+    if times[0] < 0 or times[-1] > 1:
+        raise InputError("guess", f"times from {times[0]:g} to {times[-1]:g}", RISING, "Divide them by the duration.")
     return times, x, u
 
 

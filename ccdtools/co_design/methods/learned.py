@@ -10,7 +10,7 @@ import torch
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, has_method
-from ccdtools.co_design.agents import check_agent
+from ccdtools.co_design.agents import as_agent, check_agent
 from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.episodes import episode_at
@@ -58,6 +58,7 @@ class Learned:
 
     def __post_init__(self) -> None:
         as_choice("method", self.by, METHODS)
+        as_agent(self.agent)
         config = CoDesignConfig() if self.config is None else self.config
         object.__setattr__(self, "config", as_instance("config", config, CoDesignConfig, "a CoDesignConfig"))
         if self.judge is not None:

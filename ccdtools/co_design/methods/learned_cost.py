@@ -73,6 +73,11 @@ class LearnedCost:
         self.rows.append((count, count * ITERATIONS, p, -cost.item(), 0.0, lost))
         return cost.item(), slope.double().numpy()
 
+    @property
+    def evaluations(self) -> int:
+        """How many there were."""
+        return len(self.rows)
+
     def controller(self, p: Array) -> Controller:
         """The policy that was trained nearest to a design, at that design."""
         space = self.problem.design

@@ -40,6 +40,8 @@ class LoopCost:
     ----------
     rows : list
         Of the history: one for every evaluation.
+    evaluations : int
+        Closed loops on all scenarios, those of differences included.
     """
 
     problem: CoDesignProblem
@@ -47,6 +49,7 @@ class LoopCost:
     scenarios: ScenarioTensors
     penalty: LimitPenalty | None = None
     rows: list[tuple] = field(default_factory=list)
+    evaluations: int = 0
 
     def __post_init__(self) -> None:
         self.problem = in_double(self.problem)
@@ -90,6 +93,7 @@ class LoopCost:
 
     def _cost(self, point: Tensor, v: Array | None) -> Tensor | None:
         """The cost at a point; None where the law has no gain there. A point `v` is a row of the history."""
+        self.evaluations += 1
         try:
             seen = self._episode(point)
         except (MPCError, InputError):

@@ -16,6 +16,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
+from ccdtools.co_design.agents import as_agent
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, NonlinearMPCLaw
@@ -49,12 +50,13 @@ class Nested:
         ("riccati"). In open loop: the best inputs of every scenario, its disturbance known ahead ("trajectory"; slopes
         exact, by multipliers).
     runs : int, optional
-        Scenarios of 100 steps; of longer ones fewer are taken. By default 1000 of LQR, 32 of MPC, 16 of nonlinear MPC,
-        8 of trajectories, 256 of learning.
+        Scenarios of 100 steps; of longer ones fewer are taken, except of trajectories. By default 1000 of LQR, 32 of
+        MPC, 16 of nonlinear MPC, 8 of trajectories, 256 of learning.
     starts : int
         Designs to start from: the given one, and the best valleys of the landscape of saturated LQR.
     evaluations : int, optional
-        With their slopes, at most, of each start; 100 by default, 12 of learning, which starts once.
+        With their slopes, at most, of each start; 100 by default, 12 of learning, which starts once. Where the limits
+        of the problem have to be priced, every round of prices has as many.
     horizon : int
         Steps of an MPC.
     control : {"lqr", "mpc"}
@@ -83,6 +85,7 @@ class Nested:
         for name in ("runs", "evaluations"):
             if getattr(self, name) is not None:
                 as_count(name, getattr(self, name))
+        as_agent(self.agent)
 
     @property
     def name(self) -> str:

@@ -14,7 +14,7 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.risk import Mean, WorstCase
+from ccdtools.co_design.risk import Mean, MeanSpread, WorstCase
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
@@ -50,7 +50,8 @@ def open_loop_problem(
     ------
     InputError
         If the problem asks for what trajectories cannot honour: a learned error, a cost without a symbolic form, a
-        warm-up, or a risk other than the mean and the worst case.
+        warm-up, or a risk other than the mean, with or without
+        its spread, and the worst case.
     """
     check_open_loop(problem)
     x0, w = scenarios
@@ -75,7 +76,7 @@ def open_loop_problem(
         given["p_constraints"] = lambda p: limits(p[: sizes[2]])
     return OptimalControlProblem(
         phases, p_bounds=(lower, upper), p_guess=first, linked=False,
-        risk="worst" if isinstance(problem.risk, WorstCase) else "sum", **given,
+        **_risk(problem), **given,
     )  # fmt: skip
 
 
@@ -116,6 +117,13 @@ class Feedback:
         return (lower + upper + ca.sqrt((asked - lower) ** 2 + soft**2) - ca.sqrt((asked - upper) ** 2 + soft**2)) / 2
 
 
+def _risk(problem: CoDesignProblem) -> dict[str, Any]:
+    """What of the costs of the scenarios counts."""
+    if isinstance(problem.risk, MeanSpread):
+        return {"risk": "spread", "spread": problem.risk.weight}
+    return {"risk": "worst" if isinstance(problem.risk, WorstCase) else "sum"}
+
+
 def check_open_loop(problem: CoDesignProblem) -> None:
     """Raise an `InputError` if trajectories cannot honour what a problem asks for."""
     objective = problem.objective
@@ -126,7 +134,7 @@ def check_open_loop(problem: CoDesignProblem) -> None:
         "a problem with a learned error of its model": problem.discrepancy is not None,
         f"a {type(objective).__name__} whose rewards are no CasADi expression": not symbolic,
         "a problem with a warm-up": problem.warm_up > 0,
-        f"the risk {problem.risk!r}": not isinstance(problem.risk, Mean | WorstCase),
+        f"the risk {problem.risk!r}": not isinstance(problem.risk, Mean | MeanSpread | WorstCase),
     }
     for got, is_so in refused.items():
         if is_so:
@@ -238,7 +246,9 @@ def _outputs(limits: Any, sizes: tuple[int, int, int]) -> Any:
 
 
 def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Scenarios as arrays (n, nx) and (n, T, nw)."""
+    """Scenarios as arrays (n, nx) and (n, T, nw); of a worst case one of every case."""
+    if isinstance(problem.risk, WorstCase):
+        runs = problem.risk.cases or runs
     x0, w = scenario_tensors(problem, runs, rng)
     return x0.double().numpy(), w.double().numpy()
 

@@ -32,7 +32,7 @@ class RiccatiCost:
     Raises
     ------
     InputError
-        If the problem has a learned error, a risk other than the mean, or rewards of its own.
+        If the problem has a learned error, a warm-up, a risk other than the mean, or rewards of its own.
     """
 
     problem: CoDesignProblem
@@ -45,15 +45,14 @@ class RiccatiCost:
         own = isinstance(objective, QuadraticObjective) and type(objective).rewards is not QuadraticObjective.rewards
         refused = {"a learned error of its model": problem.discrepancy is not None,
                    f"the risk {problem.risk!r}": not isinstance(problem.risk, Mean),
-                   "an objective with rewards of its own": own}  # fmt: skip
+                   "an objective with rewards of its own": own, "a warm-up": problem.warm_up > 0}  # fmt: skip
         for got, is_so in refused.items():
             if is_so:
                 cure = "Nested('lqr') simulates the problem as it is."
                 raise InputError("method", f"the Riccati equation for a problem with {got}", "one of mean costs", cure)
         x0, w = problem.scenarios.sample(SAMPLES, problem.steps, np.random.default_rng(SEED))
-        flat = w.reshape(-1, w.shape[-1])
         self._starts = x0.T @ x0 / len(x0)
-        self._noise = flat.T @ flat / len(flat)
+        self._noise = np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
     def __call__(self, v: Array) -> tuple[float, Array]:
         """Cost and its slope (np,) at a point (np,) of the unit box; infinite where there is no LQR."""
@@ -89,6 +88,11 @@ class RiccatiCost:
         both = ca.Function("cost", [symbol], [value, ca.densify(ca.gradient(value, symbol))])(p)
         share = self.problem.steps / (self.problem.objective.episode or self.problem.steps)
         return float(both[0]) * share, np.asarray(both[1], dtype=float).ravel() * share
+
+    @property
+    def evaluations(self) -> int:
+        """How many there were."""
+        return len(self.rows)
 
     def controller(self, p: Array) -> Controller:
         """The LQR of a design, saturated where it must be."""

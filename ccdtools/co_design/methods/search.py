@@ -101,9 +101,11 @@ class Search:
             def measured(v: Array) -> tuple[float, float]:
                 """Of the user's function."""
                 value = given(problem.design.settled(v))
-                if not np.isscalar(value) and np.size(value) != 1:
-                    raise InputError("of", shown(value), "a function of a design that returns one number")
-                return -float(np.asarray(value)), 0.0
+                try:
+                    (number,) = map(float, np.ravel(value))
+                except (TypeError, ValueError):
+                    raise InputError("of", shown(value), "a function of a design that returns one number") from None
+                return -number, 0.0
 
             return measured
         runs = fewer_runs(self.runs or RUNS[self.of], problem.steps)
@@ -202,12 +204,25 @@ class _BlackBox:
 
 
 def _cma(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
-    """CMA-ES; whether it has converged."""
+    """CMA-ES from the start, then from random points while evaluations are left; whether it has converged."""
+    settled = False
+    start = box.first
+    while len(box.rows) < budget:
+        before = len(box.rows)
+        settled = _one_strategy(box, start, budget - before, rng, shown_bar) or settled
+        start = rng.random(len(start))
+        if len(box.rows) == before:  # nothing feasible was near: there is nothing to look at
+            break
+    return settled
+
+
+def _one_strategy(box: _BlackBox, first: Array, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
+    """One run of CMA-ES; whether it has converged."""
     import cma
 
-    n = int(box.free.sum())
-    start = np.full(max(n, 2), 0.5)  # a covariance needs two entries: of a single parameter the second is idle
-    start[:n] = box.first
+    n = len(first)
+    start = np.full(max(n, 2), 0.5)  # a covariance needs two entries: of one parameter the second idles, and costs
+    start[:n] = first
     options = {
         "bounds": [0.0, 1.0], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "maxfevals": budget, "tolx": SETTLED,
         "tolfun": 0.0, "tolfunhist": 0.0,
@@ -215,7 +230,8 @@ def _cma(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm)
     strategy = cma.CMAEvolutionStrategy(start, FIRST_STEP, options)
     while not strategy.stop():
         points = strategy.ask()
-        strategy.tell(points, [box(np.asarray(z)[:n]) for z in points])
+        idle = [float(np.sum((np.asarray(z)[n:] - 0.5) ** 2)) for z in points]
+        strategy.tell(points, [box(np.asarray(z)[:n]) + box.size * away for z, away in zip(points, idle)])
         shown_bar.update(len(points))
     return "maxfevals" not in strategy.stop()
 

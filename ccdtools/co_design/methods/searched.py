@@ -11,6 +11,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.outer import Descent, confirmed, descend, held_by
 from ccdtools.co_design.methods.starting import SAME_PLACE, start_points
@@ -36,6 +37,11 @@ class DesignCost(Protocol):
     @property
     def rows(self) -> list[tuple]:
         """Of the history: one for every evaluation."""
+        ...
+
+    @property
+    def evaluations(self) -> int:
+        """How many there were."""
         ...
 
     def __call__(self, v: Array) -> tuple[float, Array]:
@@ -122,8 +128,12 @@ def searched(
         got = f"{space.describe(design)} to start from, where there is nothing to search by: {best.cost.words}"
         cure = "Start from a design that can be stabilised and whose runs keep the limits, or check the weights."
         raise InputError("design", got, "a design with a controller", cure)
-    result = _result(plan.name, problem, best, sum(len(end.cost.rows) for end in ends))
-    return replace(result, valleys=_with_ends(problem, found, points, ends))
+    evaluations = sum({id(end.cost): end.cost.evaluations for end in ends}.values())
+    result = _result(plan.name, problem, best, evaluations)
+    status = result.status
+    if space.integer and plan.starts == 1 and status.settled:
+        status = CoDesignStatus.BUDGET_SPENT  # other whole numbers were never looked at
+    return replace(result, status=status, valleys=_with_ends(problem, found, points, ends))
 
 
 def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> End:
@@ -141,9 +151,10 @@ def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> E
         plain = float(-problem.risk.values(seen.total).mean())
         tried = End(cost, replace(found, cost=plain), size, penalty, penalty.violation(seen))
         best = tried if best is None or tried.order < best.order else best
-        if not penalty.active or found.spent:
+        unpriced = not isinstance(cost, LoopCost) or cost.penalty is None
+        if not penalty.active or found.spent or (unpriced and tried.violation <= 0):
             break
-        cost = LoopCost(problem, cost.law, cost.scenarios, penalty, cost.rows)
+        cost = LoopCost(problem, cost.law, cost.scenarios, penalty, cost.rows, cost.evaluations)
         found = descend(cost, problem.design, found.v, size=size, evaluations=plan.evaluations)
     assert best is not None
     return best
@@ -164,12 +175,13 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
     outcome = None
     if best.penalty is not None and isinstance(best.cost, LoopCost):
         outcome = best.penalty.outcome(best.cost.seen(best.found.v))
+    history = best.cost.history()  # before the status looks at designs beside
     return CoDesignResult(
         design=design, controller=best.cost.controller(design), method=name,
         status=_status(problem, best, held.rest / size, bool(held.multipliers)), objective=-best.found.cost,
         criterion=f"return of {best.cost.words}", active_bounds=space.active_bounds(design),
         active_constraints=space.active_constraints(design), multipliers=held.multipliers, slope=held.rest / size,
-        evaluations=evaluations, history=best.cost.history(), limits=outcome,
+        evaluations=evaluations, history=history, limits=outcome,
     )  # fmt: skip
 
 
@@ -180,7 +192,8 @@ def _status(problem: CoDesignProblem, best: End, rest: float, held: bool) -> CoD
     if best.violation > 0:
         return CoDesignStatus.LIMITS_BROKEN
     if rest > LEVEL:
-        agree = confirmed(best.cost, problem.design, best.found.v, size=best.size)
+        trained = isinstance(best.cost, LearnedCost)  # never twice to the same policy: differences would say nothing
+        agree = trained or confirmed(best.cost, problem.design, best.found.v, size=best.size)
         return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED
     return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 

@@ -15,7 +15,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of
-from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.laws import PassiveLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
@@ -26,6 +26,7 @@ from ccdtools.co_design.result import CoDesignResult
 
 CRITERIA = ("auto", "passive", "open_loop")
 RUNS = 1000  # scenarios of 100 steps
+STABLE = 1e-6  # an eigenvalue this far beyond the unit circle is unstable, not rounded
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Sequential:
     ----------
     criterion : {"auto", "passive", "open_loop"}
         What the plant is designed by: its return without any input; or the best return that given inputs can have,
-        feedback left out. "auto": the first, unless runs of the passive plant are lost at the given design.
+        feedback left out. "auto": the first where the plant is stable, the second where it is not, or runs are lost
+        without an input.
     control : {"lqr", "mpc"}
         What the plant is then given.
     starts, evaluations : int
@@ -66,14 +68,23 @@ class Sequential:
         scenarios = scenario_tensors(problem, fewer_runs(RUNS, problem.steps), rng)
         criterion = self.criterion
         if criterion == "auto":
-            lost = LoopCost(problem, PassiveLaw(), scenarios).seen(problem.design.to_unit(design)).diverged
-            criterion = "open_loop" if bool(lost.any()) else "passive"
+            criterion = "passive" if _stands_alone(problem, design, scenarios) else "open_loop"
         if criterion == "open_loop":
             plant = Simultaneous("trajectory", starts=self.starts).run(problem, design, rng, progress=progress)
         else:
             unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
-            cost = LoopCost(unlimited, PassiveLaw(), scenarios)
             plan = Plan(self.name, self.starts, self.evaluations)
-            plant = searched(plan, unlimited, lambda v: cost, design, rng, progress=progress)
+            plant = searched(
+                plan, unlimited, lambda v: LoopCost(unlimited, PassiveLaw(), scenarios), design, rng, progress=progress
+            )
         controller = controller_of(self.control, problem, plant.design)
         return replace(plant, method=self.name, controller=controller)
+
+
+def _stands_alone(problem: CoDesignProblem, design: Array, scenarios: ScenarioTensors) -> bool:
+    """Whether a plant is stable at a design without an input, and none of its runs is lost."""
+    A, _, _ = problem.model.matrices(design)
+    if np.abs(np.linalg.eigvals(A)).max() > 1 + STABLE:
+        return False
+    lost = LoopCost(problem, PassiveLaw(), scenarios).seen(problem.design.to_unit(design)).diverged
+    return not bool(lost.any())

@@ -104,7 +104,8 @@ class Simultaneous:
         bounds, constraints = space.active_bounds(design), space.active_constraints(design)
         return CoDesignResult(
             design=design, controller=self._controller(problem, best, design), method=self.name,
-            status=_status(best, bool(bounds or constraints)), objective=-best.cost,
+            status=_status(best, bool(bounds or constraints), bool(space.integer) and self.starts == 1),
+            objective=-best.cost,
             criterion=f"return of {self._words(best)}", active_bounds=bounds, active_constraints=constraints,
             multipliers={name: best.multipliers(space)[name] for name in {**bounds, **constraints}},
             slope=float(best.solution.residuals.worst), evaluations=iterations,
@@ -162,11 +163,11 @@ def _first_gain(problem: CoDesignProblem, design: Array) -> Array:
         return np.zeros((problem.model.nu, problem.model.nx))
 
 
-def _status(best: _End, held: bool) -> CoDesignStatus:
-    """How the program ended."""
+def _status(best: _End, held: bool, numbers: bool) -> CoDesignStatus:
+    """How the program ended; with whole numbers that one start kept, others were never looked at."""
     if not best.feasible:
         return CoDesignStatus.INFEASIBLE
-    if not best.solution.solved:
+    if not best.solution.solved or numbers:
         return CoDesignStatus.BUDGET_SPENT
     return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 

@@ -64,6 +64,11 @@ class TrajectoryCost:
         self.rows.append((count, count, p, -float(solution.cost), 0.0, 0.0))
         return float(solution.cost), solution.p_gradient * self.problem.design.allowed.width
 
+    @property
+    def evaluations(self) -> int:
+        """How many there were."""
+        return len(self.rows)
+
     def controller(self, p: Array) -> Controller:
         """What closes the loop at a design."""
         return controller_of(self.control, self.problem, p)

@@ -63,7 +63,7 @@ def test_a_search_without_slopes_finds_the_better_valley(library):
     pytest.importorskip({"cma": "cma", "bayesian": "optuna"}[library])
     problem = two_valleys()
     _, value = best_design(problem)
-    method = cc.Search(library, runs=64, evaluations=40 if library == "bayesian" else 150)
+    method = cc.Search(library, runs=64, evaluations=40 if library == "bayesian" else 300)
     found = codesigned(problem, method, design=[0.1])
     assert exact_return(problem, found.design) >= value - 0.005 * abs(value)
 
@@ -122,3 +122,16 @@ def test_a_result_is_pickled_and_told():
     assert "in closed loop" in text
     assert found.seconds > 0
     assert found.evaluations == len(found.history.iteration) or found.evaluations > 0
+
+
+def test_an_unstable_plant_is_not_designed_by_what_it_does_alone(illustrative):
+    problem = replace(illustrative.problem(), steps=8)  # too short for a run to be lost
+    assert "known ahead" in codesigned(problem, "sequential").criterion
+    assert "passive" in codesigned(mass(), "sequential").criterion
+
+
+def test_a_search_of_one_parameter_knows_that_it_has_converged():
+    pytest.importorskip("cma")
+    found = codesigned(mass(), cc.Search(of=lambda p: -((p[0] - 1.3) ** 2)))
+    assert found.status is CoDesignStatus.CONVERGED
+    assert found.design[0] == pytest.approx(1.3, abs=1e-3)

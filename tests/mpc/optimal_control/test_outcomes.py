@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import casadi as ca
+import numpy as np
 import pytest
 
 from mpc import InputError
@@ -13,6 +14,7 @@ from mpc.optimal_control import (
     OptimalControlStatus,
     Phase,
     Radau,
+    Trapezoidal,
     build,
     refine,
     solve,
@@ -194,3 +196,37 @@ def test_refinement_takes_a_start():
     phase = block(x_bounds=([-INF, -INF], [INF, 1.2]))
     first = refine(phase)
     assert refine(phase, start=first).iterations < first.iterations
+
+
+def test_a_start_with_other_inputs_and_options_without_names_are_refused():
+    def phase(inputs):
+        return Phase(
+            dynamics=lambda x, u: ca.vertcat(x[1], u[0]), states=2, inputs=inputs, start=[0, 0], end=[1, 0],
+            duration=1.0, stage_cost=lambda x, u: ca.sumsqr(u),
+        )  # fmt: skip
+
+    one = solve(phase(1))
+    assert solve(phase(1), start=one).cost == pytest.approx(one.cost)
+    with pytest.raises(InputError, match="start"):
+        solve(phase(2), start=one)
+    with pytest.raises(InputError, match="options"):
+        solve(phase(1), options={3: 1})
+
+
+def test_a_limit_that_is_passed_between_the_points_is_told():
+    # a wall about t = 0.5 that one mesh of few intervals jumps over, and one of many does not
+    over = Phase(
+        dynamics=lambda u: u, states=1, inputs=1, start=[0.0], end=[0.0], duration=1.0, stage_cost=lambda u: u**2,
+        path=lambda x, t: ca.exp(-(((t - 0.47) / 0.02) ** 2)) - 0.1 - x,
+    )  # fmt: skip
+    coarse, fine = (solve(build(over, Trapezoidal(), n)) for n in (10, 400))
+    assert coarse.solved
+    assert coarse.path_excess[0].value[0] > 0.1
+    assert coarse.path_excess[0].time[0] == pytest.approx(0.47, abs=0.03)
+    assert "path 1 is exceeded by" in coarse.advice
+    assert fine.path_excess[0].value[0] < 1e-2
+def test_a_guess_in_seconds_is_not_taken_for_fractions():
+    guess = ([0, 1, 2], np.zeros((3, 1)), np.zeros((3, 1)))
+    phase = Phase(dynamics=lambda u: u, states=1, inputs=1, start=[0.0], end=[1.0], duration=2.0, guess=guess)
+    with pytest.raises(InputError, match="fractions of the duration"):
+        build(phase, Trapezoidal(), 4)

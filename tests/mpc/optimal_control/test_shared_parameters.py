@@ -1,9 +1,11 @@
 """Parameters, scenarios and phases: what several trajectories share and what joins them."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq, minimize, minimize_scalar
 
 from mpc.optimal_control import MultipleShooting, OptimalControlProblem, Phase, Radau, build, refine, solve
 
@@ -98,6 +100,29 @@ def test_worst_scenario_is_made_least():
     assert worst.cost == pytest.approx(largest.fun, rel=1e-4)
 
 
+@pytest.mark.parametrize(("spread", "unit"), [(0.0, 1.0), (0.7, 1.0), (1.2, 1e-6)])
+def test_mean_and_spread_of_scenarios_are_made_least(spread, unit):
+    masses = (1.0, 2.0, 4.0)
+    phases = [replace(pushed(m), stage_cost=lambda u: unit * u**2) for m in masses]
+    together = solve(build(OptimalControlProblem(phases, p_bounds=(0, 60), linked=False, risk="spread", spread=spread),
+                           Radau(3), 12))  # fmt: skip
+    programs = [build(OptimalControlProblem(phase, p_bounds=(0, 60)), Radau(3), 12) for phase in phases]
+
+    def measure(p):
+        costs = np.array([solve(program, p=[p]).cost for program in programs]) / unit
+        counted = minimize(lambda y: y.mean() + spread * y.std(), costs * [1.0, 1.01, 1.02],  # none counts for less
+                           bounds=[(cost, None) for cost in costs], options={"ftol": 1e-15, "gtol": 1e-12})  # fmt: skip
+        return unit * counted.fun
+
+    best = minimize_scalar(measure, bounds=(0, 60), method="bounded", options={"xatol": 1e-6})
+    assert together.solved
+    assert together.cost == pytest.approx(best.fun, rel=1e-6)
+    assert together.p[0] == pytest.approx(best.x, rel=1e-3)
+    held = solve(together.program, p=[20.0], tolerance=1e-10)
+    assert held.cost == pytest.approx(measure(20.0), rel=1e-7)
+    assert held.p_gradient[0] == pytest.approx((measure(20.1) - measure(19.9)) / 0.2, rel=1e-3)
+
+
 def test_two_linked_phases_are_one_cut_in_two():
     whole = Phase(
         dynamics=lambda x, u: ca.vertcat(x[1], u), states=2, inputs=1, start=[0, 0], end=[1, 0], duration=2.0,
@@ -189,3 +214,23 @@ def test_solution_starts_another_mesh_near_its_optimum():
     warm, cold = solve(fine, start=coarse, tolerance=1e-10), solve(fine, tolerance=1e-10)
     assert warm.cost == pytest.approx(cold.cost, rel=1e-6)
     assert warm.iterations < cold.iterations
+
+
+def test_scenarios_that_differ_in_their_data_alone_share_their_derivatives():
+    rng = np.random.default_rng(0)
+    phases = [
+        Phase(
+            dynamics=lambda x, u, w, p: ca.vertcat(x[1], u + w - p * x[0]), states=2, inputs=1,
+            start=rng.normal(size=2), duration=1.0, stage_cost=lambda x, u: ca.sumsqr(x) + u**2,
+            signal=rng.normal(size=(5, 1)),
+        )
+        for _ in range(6)
+    ]  # fmt: skip
+    programs = [
+        build(OptimalControlProblem(few, p_bounds=(0, 5), linked=False), Radau(3), 8) for few in (phases[:1], phases)
+    ]
+    assert len(programs[1].derivatives.pieces) == len(programs[0].derivatives.pieces)
+    found = solve(programs[1], p=[2.0])
+    alone = [solve(build(OptimalControlProblem(phase, p_bounds=(0, 5)), Radau(3), 8), p=[2.0]) for phase in phases]
+    assert found.cost == pytest.approx(np.mean([one.cost for one in alone]), rel=1e-8)
+    assert found.p_gradient == pytest.approx(np.mean([one.p_gradient for one in alone]), rel=1e-6)
