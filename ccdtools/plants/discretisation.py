@@ -59,7 +59,8 @@ def discretise(
         Of a nonlinear plant: largest error of a sample, relative to half the range of each state in X.
     X, U, W : Polytope, or bounds (lower, upper), optional
         Of a nonlinear plant: where the accuracy is asked for. U and W are 0 by default. Each bound is a number for all
-        coordinates, or one number each.
+        coordinates, or one number each. X and U of a problem or study that depend on the design (`problem.X`) are taken
+        at every design as they are there.
     sampling_guard : {"warn", "ignore"}
         Whether a `SamplingWarning` says that some design has an oscillation near or beyond half the sampling rate.
 
@@ -145,7 +146,8 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
         _box("U", U, plant.nu, "one per input"),
         _box("W", W, plant.nw, "one per disturbance"),
     ]
-    region = Region.of(*boxes, (plant.design.lower, plant.design.upper))
+    of_design = tuple(value if _narrows(value) else None for value in (X, U))
+    region = Region.of(*boxes, (plant.design.lower, plant.design.upper), of_design=of_design)  # type: ignore[arg-type]
     flat = np.flatnonzero(region.extent <= 0)
     if len(flat):
         raise InputError("X", f"no width in {plant.state_names[flat[0]]}", "limits with a width for every state")
@@ -156,10 +158,18 @@ def _box(name: str, value: Any, size: int, of: str) -> tuple[Array, Array]:
     """Lower and upper bounds (size,) of a set; zeros where there is none."""
     if value is None or size == 0:
         return np.zeros(size), np.zeros(size)
+    if _narrows(value):
+        lower, upper = value.box
+        return np.asarray(lower), np.asarray(upper)
     limits = as_limits(name, value, size, of)
     if limits.is_empty or not np.isfinite(np.concatenate(limits.bounding_box())).all():
         raise InputError(name, "an empty or unbounded set", "a bounded one with at least one point")
     return limits.bounding_box()
+
+
+def _narrows(value: Any) -> bool:
+    """Whether limits depend on the design."""
+    return hasattr(value, "bounds") and hasattr(value, "box") and not isinstance(value, type)
 
 
 def _accurate(

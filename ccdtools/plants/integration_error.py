@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.stats import qmc
@@ -20,6 +20,19 @@ SAFETY = 3.0  # of the promise over the largest difference: 16/15 if smooth, 2 w
 Step = Callable[[Any, Any, Any, Any], Any]
 
 
+class BoundsOfDesign(Protocol):
+    """Bounds that depend on the design."""
+
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """The widest, each (n,)."""
+        ...
+
+    def bounds(self, p: Any) -> tuple[Any, Any]:
+        """At designs (m, np), each (m, n)."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Region(Immutable):
     """Where an error is measured: states, inputs and disturbances within bounds, and the box of designs.
@@ -29,17 +42,23 @@ class Region(Immutable):
     lower, upper : (nx + nu + nw + np,) arrays
     sizes : tuple of int
         nx, nu, nw and np.
+    of_design : (BoundsOfDesign or None, BoundsOfDesign or None)
+        Bounds of x and u that a design narrows, if any.
     """
 
     lower: Array
     upper: Array
     sizes: tuple[int, int, int, int]
+    of_design: tuple[BoundsOfDesign | None, BoundsOfDesign | None] = (None, None)
 
     @classmethod
-    def of(cls, *boxes: tuple[Array, Array]) -> Region:
+    def of(
+        cls, *boxes: tuple[Array, Array],
+        of_design: tuple[BoundsOfDesign | None, BoundsOfDesign | None] = (None, None),
+    ) -> Region:  # fmt: skip
         """From the bounds of x, u, w and p."""
         lower, upper = (np.concatenate([box[side] for box in boxes]) for side in (0, 1))
-        return cls(lower, upper, tuple(len(box[0]) for box in boxes))  # type: ignore[arg-type]
+        return cls(lower, upper, tuple(len(box[0]) for box in boxes), of_design)  # type: ignore[arg-type]
 
     @property
     def boxes(self) -> list[tuple[Array, Array]]:
@@ -61,8 +80,15 @@ class Region(Immutable):
 
     def parts(self, v: Array) -> tuple[Array, ...]:
         """States, inputs, disturbances and designs (n, ·) of points (n, ·) of the unit box."""
-        z = self.lower + np.clip(v, 0.0, 1.0) * (self.upper - self.lower)
-        return tuple(np.split(z, np.cumsum(self.sizes)[:-1], axis=1))
+        v = np.clip(v, 0.0, 1.0)
+        z = self.lower + v * (self.upper - self.lower)
+        edges = np.cumsum(self.sizes)[:-1]
+        found = np.split(z, edges, axis=1)
+        for i, (own, limits) in enumerate(zip(np.split(v, edges, axis=1), self.of_design)):
+            if limits is not None:
+                low, high = limits.bounds(found[3])
+                found[i] = low + own * (high - low)
+        return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -248,7 +248,7 @@ class Study(Immutable):
             return as_regulated_model("plant", discretise(self.plant, sampling_guard=self.sampling_guard))
         W = extent_of(self.disturbance)
         model = discretise(
-            self.plant, X=widest(self.X), U=widest(self.U), W=W if np.any(W) else None, accuracy=self.accuracy,
+            self.plant, X=self.X, U=self.U, W=W if np.any(W) else None, accuracy=self.accuracy,
             method=self.method, sampling_guard=self.sampling_guard,
         )  # fmt: skip
         return as_regulated_model("plant", model)
