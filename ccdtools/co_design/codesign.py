@@ -116,8 +116,9 @@ def codesign(
     seconds = time.perf_counter() - began
     judged = problem if judge is None else judge
     loop = closed_loop_returns(judged, result.controller, result.design, scenarios)
-    lost = loop.lost.any() and not isinstance(result, LearnedCoDesign)  # learning has judged that itself
-    status = CoDesignStatus.DIVERGING if lost else result.status
+    known = result.status in (CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
+    told = known or isinstance(result, LearnedCoDesign)  # learning has judged that itself
+    status = CoDesignStatus.DIVERGING if loop.lost.any() and not told else result.status
     described = problem.design.describe(result.design)
     return replace(result, status=status, closed_loop=loop, seconds=seconds, described=described)
 

@@ -107,7 +107,7 @@ class Simultaneous:
             status=_status(best, bool(bounds or constraints), bool(space.integer) and self.starts == 1),
             objective=-best.cost,
             criterion=f"return of {self._words(best)}", active_bounds=bounds, active_constraints=constraints,
-            multipliers={name: best.multipliers(space)[name] for name in {**bounds, **constraints}},
+            multipliers={name: best.multipliers(space)[name] for name in {**bounds, **constraints} if best.feasible},
             slope=float(best.solution.residuals.worst), evaluations=iterations,
             history=_history(best, design), valleys=found,
         )  # fmt: skip
