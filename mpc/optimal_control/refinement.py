@@ -11,6 +11,7 @@ import numpy as np
 
 from mpc.checks import Array, as_count
 from mpc.exceptions import InputError
+from mpc.optimal_control.path_excess import intervals_passed
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem
@@ -33,6 +34,8 @@ LEAST_INTERVAL = 1e-9  # of the phase
 def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, *, intervals: Any = 10,
            tolerance: float = 1e-6, rounds: int = 10, **options: Any) -> Solution:  # fmt: skip
     """Solve on meshes that are made finer where the dynamics are missed, until they are met to a tolerance.
+
+    Intervals in which a path limit is passed between the points are halved, too, in as many rounds as there are.
 
     Where an input jumps, intervals are cut to a tenth of the root of the tolerance: the cost feels the square of that,
     parameters the length itself.
@@ -123,7 +126,10 @@ class _Rounds:
 
     def _meshes(self, solution: Solution) -> list[Array] | None:
         """Finer meshes; None where none is asked for."""
-        meshes = [_finer(phase, error, self.tolerance) for phase, error in zip(solution.phases, solution.errors)]
+        meshes = []
+        for k, (phase, error) in enumerate(zip(solution.phases, solution.errors)):
+            passed = intervals_passed(solution.program, k, phase, solution.p) > self.tolerance
+            meshes.append(_finer(phase, error, passed, self.tolerance))
         same = all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases))
         return None if same else meshes
 
@@ -159,14 +165,19 @@ def _worst(solution: Solution) -> float:
     return max(float(error.max(initial=0.0)) for error in solution.errors)
 
 
-def _finer(phase: PhaseSolution, errors: Array, tolerance: float) -> Array:
-    """A mesh whose intervals are cut into as many parts as their errors ask for, and where an input jumps."""
+def _finer(phase: PhaseSolution, errors: Array, passed: Any, tolerance: float) -> Array:
+    """A mesh whose intervals are cut into as many parts as their errors ask for, and where an input jumps.
+
+    Intervals in which a path limit is passed are halved, as long as they are longer than the place of a jump.
+    """
     part = phase.part
     order = part.scheme.stages + 1 if isinstance(part.scheme, Collocation) else 5
     asked = np.ceil((np.maximum(errors, tolerance) / (SAFETY * tolerance)) ** (1 / order)).astype(int)
     steps = np.diff(part.mesh)
     parts = np.where(errors > tolerance, np.clip(asked, 2, MOST_PARTS), 1)
-    parts[_jumps(phase) & (steps > PINNED * np.sqrt(tolerance))] = MOST_PARTS
+    long = steps > PINNED * np.sqrt(tolerance)
+    parts[passed & long] = np.maximum(parts, 2)[passed & long]
+    parts[_jumps(phase) & long] = MOST_PARTS
     parts[steps <= LEAST_INTERVAL] = 1
     if part.phase.discrete:
         return part.mesh

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.mesh_errors import mesh_errors
-from mpc.optimal_control.path_excess import Excess, path_excess
+from mpc.optimal_control.path_excess import Excess, path_excess, path_sizes
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.solution_sensitivity import SolutionSensitivity, solution_sensitivity
@@ -113,15 +113,12 @@ class Solution:
         """Path limits that are exceeded between the points by more than rounding."""
         said = []
         for k, excess in enumerate(self.path_excess):
-            rows = next((one for one in self.program.rows if (one.name, one.phase) == ("path", k)), None)
-            if rows is None:
-                continue
-            sizes = self.program.row_scale[rows.first : rows.last].reshape(-1, len(excess.value))[0]
+            sizes = path_sizes(self.program, k)
             of_phase = f" of phase {k + 1}" if len(self.phases) > 1 else ""
             said += [
                 f"Between the points of the mesh path {i + 1}{of_phase} is exceeded by {value:.3g} at t = {time:.6g}: "
                 "cut the intervals there, or keep a margin."
-                for i, (value, time) in enumerate(zip(*excess)) if value > PASSED * sizes[i]
+                for i, (value, time, size) in enumerate(zip(*excess, sizes)) if value > PASSED * size
             ]  # fmt: skip
         return said
 
