@@ -25,7 +25,7 @@ def as_agent(agent: Any) -> ActorCritic | None:
 
 def check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
     """Raise an `InputError` unless `agent` was made for the states, designs and inputs of `problem`."""
-    as_agent(agent)
+    as_instance("agent", agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
     nx = problem.model.nx
     space = problem.design
     observed = len(agent.observation_offset)

@@ -22,7 +22,7 @@ from ccdtools.figure_style import png
 
 QUICK = {
     "plant first": Sequential(starts=1), "nested": Nested(starts=1, runs=100),
-    "search": Search(evaluations=25, runs=64),
+    "search": Search(evaluations=120, runs=64),
 }  # fmt: skip
 
 
