@@ -27,10 +27,9 @@ def path_excess(phase: PhaseSolution, p: Array) -> Excess:
     Zero where it never is; of discrete dynamics there is nothing between.
     """
     times, beyond = _beyond(phase, p)
-    flat = beyond.reshape(len(beyond), -1)
-    worst = flat.argmax(axis=1) if flat.size else np.zeros(len(beyond), dtype=int)
-    value = flat[np.arange(len(flat)), worst] if flat.size else np.zeros(len(beyond))
-    return Excess(np.maximum(value, 0.0), times.ravel()[worst])
+    flat = beyond.reshape(len(beyond), times.size)
+    worst = flat.argmax(axis=1)
+    return Excess(np.maximum(flat[np.arange(len(flat)), worst], 0.0), times.ravel()[worst])
 
 
 def intervals_passed(program: NonlinearProgram, k: int, phase: PhaseSolution, p: Array) -> Array:
