@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.admissible import admissible_inputs
     from ccdtools.co_design.closed_loop import closed_loop_returns
     from ccdtools.co_design.codesign import codesign
+    from ccdtools.co_design.compare_methods import compare_methods
     from ccdtools.co_design.configuration import CoDesignConfig
     from ccdtools.co_design.custom_objective import CustomObjective, output_objective
     from ccdtools.co_design.design_controllers import linear_mpc, nonlinear_mpc, saturated_lqr
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.expert import expert_dataset, feasible_sets
     from ccdtools.co_design.learned_result import LearnedCoDesign
     from ccdtools.co_design.least_depth import least_depth
-    from ccdtools.co_design.method_comparison import MethodComparison, compare_methods
+    from ccdtools.co_design.method_comparison import MethodComparison
     from ccdtools.co_design.methods.learned import Learned
     from ccdtools.co_design.methods.nested import Nested
     from ccdtools.co_design.methods.search import Search
@@ -267,7 +268,7 @@ _HOMES = {
     "codesign": "co_design.codesign",
     "comfort": "comparison.ride_comfort",
     "compare": "comparison.comparison",
-    "compare_methods": "co_design.method_comparison",
+    "compare_methods": "co_design.compare_methods",
     "deploy": "twin.deployment",
     "deploy_and_update": "twin.deployment",
     "depth_outside": "limits",

@@ -5,11 +5,8 @@ from __future__ import annotations
 import os
 import shlex
 import shutil
-import signal
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -18,16 +15,16 @@ import typer
 import ccdtools
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import CCDError, InputError
+from ccdtools.interruptions import held_back, insisting
 from ccdtools.studies.options import Options, known_studies, located, numbers, one_number, study_names, whole_number
 from ccdtools.studies.run_folder import RunFolder
 
 if TYPE_CHECKING:
+    from ccdtools.co_design.method_comparison import MethodComparison
     from ccdtools.studies.preparation import PreparedRun
 
 MISUSE = 2  # exit codes
 INTERRUPTED = 130
-
-AGAIN = 1.0  # s after which an interruption that nobody has felt comes again
 
 app = typer.Typer(
     help="Control co-design: a plant's physical parameters and its controller, designed together.",
@@ -109,15 +106,16 @@ def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) 
         _output(output).check_new(overwrite=overwrite, argument="--output")
     folder = None
     try:
-        with _held_back():
+        with held_back():
+            import ccdtools.studies.report.report  # noqa: F401  (all that is slow to import)
             from ccdtools.studies.preparation import prepare
 
             prepared = prepare(options)
             folder = _new_folder(output, name, overwrite)
         with folder.locked():
-            with _held_back():
+            with held_back():
                 prepared.begin(folder)
-            with _insisting():
+            with insisting():
                 _complete(folder, prepared)
     except KeyboardInterrupt:
         _stop(folder)
@@ -130,12 +128,13 @@ def resume(folder: Annotated[str, typer.Argument(help="Folder of an interrupted 
     try:
         kept.check_layout()
         with kept.locked():
-            with _held_back():
+            with held_back():
+                import ccdtools.studies.report.report  # noqa: F401  (all that is slow to import)
                 from ccdtools.studies.preparation import prepare_again
 
                 prepared = prepare_again(kept)
                 kept.check_stages()
-            with _insisting():
+            with insisting():
                 _complete(kept, prepared)
     except KeyboardInterrupt:
         _stop(kept)
@@ -152,29 +151,43 @@ def codesign(
 ) -> None:
     """Co-design the model of a study by every method, on common scenarios: one table, and what it says.
 
-    With --out it is kept: methods.csv, methods.png, and methods.html with both.
+    With --out it is kept: methods.csv after every method, methods.png and methods.html at the end. Ctrl-C prints the
+    table of the methods that have ended.
     """
     options = Options(located(study), seed=whole_number("--seed", seed))
     processes = whole_number("--jobs", jobs)
-    folder = None if out is None else _output(out)
-    if folder is not None:
-        folder.check_new(overwrite=overwrite, argument="--out")
-    with _held_back():
-        from ccdtools.co_design.method_comparison import compare_methods, named_methods
+    with held_back():
+        from ccdtools.co_design.compare_methods import compare_methods
+        from ccdtools.co_design.method_names import named_methods
         from ccdtools.studies.loading import blamed_on_source, load_study
-        from ccdtools.studies.report.method_page import write_methods
+        from ccdtools.studies.report.method_page import check_folder, write_methods, write_table
+    folder = None if out is None else check_folder(out, overwrite=overwrite)
     _single_thread()
     asked = "all" if methods == "all" else [name.strip() for name in methods.split(",")]
     named_methods(asked)
     own = load_study(options.study)
-    with blamed_on_source(options.study), _insisting():
-        found = compare_methods(
-            own.problem(), asked, seed=options.seed, design=own.p0, jobs=processes, progress=True
-        )
-        typer.echo(f"{own.title}, seed {options.seed}\n\n{found}")
-        if out is not None:
-            kept = RunFolder.create(_output(out).path, overwrite=overwrite, argument="--out")
-            typer.echo(f"\nTable and picture: {write_methods(own.title, found, kept)}")
+    ended: list[MethodComparison] = []
+
+    def keep(found: MethodComparison) -> None:
+        """Keep what is there by now."""
+        ended[:] = [found]
+        if folder is not None:
+            write_table(found, folder)
+
+    try:
+        with blamed_on_source(options.study), insisting():
+            found = compare_methods(
+                own.problem(), asked, seed=options.seed, design=own.p0, jobs=processes, progress=True, each=keep
+            )
+            typer.echo(f"{own.title}, seed {options.seed}\n\n{found}")
+            if folder is not None:
+                typer.echo(f"\nTable and picture: {write_methods(own.title, found, folder)}")
+    except KeyboardInterrupt:
+        if ended:
+            typer.echo(f"\nInterrupted. The methods that have ended:\n\n{ended[0]}")
+        if ended and folder is not None:
+            typer.echo(f"\nTheir table: {folder.path / 'methods.csv'}")
+        raise
 
 
 @app.command()
@@ -238,51 +251,6 @@ def _errors_of_ours() -> tuple[type[Exception], ...]:
 
     names = ("LearningError", "MPCError")
     return (CCDError, InvariantSetsError, *(getattr(m, n) for m in loaded for n in names if hasattr(m, n)))
-
-
-@contextmanager
-def _held_back() -> Iterator[None]:
-    """Hold Ctrl-C back: an import or a folder interrupted half-way could not be continued."""
-    caught: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: caught.append(number))
-    try:
-        import ccdtools.studies.report.report  # noqa: F401  (everything that is slow to import)
-
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if caught:
-        raise KeyboardInterrupt
-
-
-@contextmanager
-def _insisting() -> Iterator[None]:
-    """Let Ctrl-C arrive: CasADi swallows every second exception that is raised while it reads its arguments.
-
-    What it does not swallow it may turn into an error of its own, which is then no error.
-    """
-    caught: list[int] = []
-
-    def interrupt(number: int, frame: object) -> NoReturn:
-        """Interrupt now, and again unless that was felt."""
-        caught.append(number)
-        if hasattr(signal, "setitimer"):  # not on Windows
-            signal.setitimer(signal.ITIMER_REAL, AGAIN)
-        raise KeyboardInterrupt
-
-    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGALRM") if hasattr(signal, name)]
-    before = [signal.signal(number, interrupt) for number in numbers]
-    try:
-        yield
-    except Exception:
-        if caught:
-            raise KeyboardInterrupt from None
-        raise
-    finally:
-        if hasattr(signal, "setitimer"):
-            signal.setitimer(signal.ITIMER_REAL, 0)
-        for number, handler in zip(numbers, before):
-            signal.signal(number, handler)
 
 
 def _stop(folder: RunFolder | None) -> NoReturn:

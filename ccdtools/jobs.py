@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from ccdtools.checks import as_count, shown
@@ -23,7 +23,20 @@ def as_jobs(value: Any) -> int:
 def in_processes(
     function: Callable[[Any], Any], items: Sequence[Any], *, jobs: int, label: str, progress: bool = False
 ) -> list[Any]:
-    """The values of a function at all items, in their order.
+    """The values of a function at all items, in their order; arguments as of `as_they_end`."""
+    return list(as_they_end(function, items, jobs=jobs, label=label, progress=progress))
+
+
+def as_they_end(
+    function: Callable[[Any], Any],
+    items: Sequence[Any],
+    *,
+    jobs: int,
+    label: str,
+    names: Sequence[str] = (),
+    progress: bool = False,
+) -> Iterator[Any]:
+    """The values of a function at all items, in their order, each as soon as it is there.
 
     Parameters
     ----------
@@ -34,11 +47,19 @@ def in_processes(
         Processes; −1 for all cores.
     label : str
         Of the bar.
+    names : sequence of str
+        Of the items: in one process the bar says which one it is at.
     progress : bool
     """
-    if jobs == 1 or len(items) < 2:
-        return [function(item) for item in bar(items, label=label, total=len(items), progress=progress)]
-    from joblib import Parallel, delayed
+    if jobs != 1 and len(items) > 1:
+        from joblib import Parallel, delayed
 
-    found = Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(item) for item in items)
-    return list(bar(found, label=label, total=len(items), progress=progress))
+        found = Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(item) for item in items)
+        yield from bar(found, label=label, total=len(items), progress=progress)
+        return
+    with bar(label=label, total=len(items), progress=progress) as shown_bar:
+        for i, item in enumerate(items):
+            if names:
+                shown_bar.set_description(f"{label}, now {names[i]}")
+            yield function(item)
+            shown_bar.update()

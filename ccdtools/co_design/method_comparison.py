@@ -3,100 +3,26 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_count, as_flag, as_instance, shown, writable_path
-from ccdtools.co_design.agents import as_agent
-from ccdtools.co_design.closed_loop import closed_loop_returns
-from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
-from ccdtools.co_design.configuration import METHODS as LEARNING
-from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.arrays import Immutable
+from ccdtools.checks import writable_path
+from ccdtools.co_design.method_pairs import MethodRow
 from ccdtools.co_design.method_verdicts import method_verdicts, signed
-from ccdtools.co_design.methods.learned import Learned
-from ccdtools.co_design.methods.nested import NAMES as INNER
-from ccdtools.co_design.methods.nested import Nested
-from ccdtools.co_design.methods.search import LIBRARIES, Search
-from ccdtools.co_design.methods.sequential import Sequential
-from ccdtools.co_design.methods.simultaneous import UNKNOWNS, Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns, CoDesignResult
-from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.exceptions import CCDError, InputError
-from ccdtools.jobs import as_jobs, in_processes
-from ccdtools.statistics import PairedDifference, paired_difference
-from invariant_sets import InvariantSetsError
-from learning.exceptions import LearningError
-from learning.networks import ActorCritic
-from mpc import MPCError
+from ccdtools.exceptions import InputError
 
-ALL = (
-    "sequential", "nested Riccati", "nested LQR", "nested MPC", "nested trajectory", "simultaneous",
-    "simultaneous gain", "CMA-ES", "Bayesian search", "pathwise",
-)  # fmt: skip
-REFERENCE = "nested LQR"
-REFUSALS = (CCDError, MPCError, LearningError, InvariantSetsError)
-UNSOUND = (CoDesignStatus.DIVERGING, CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
 HEAD = (
     "method", "design", "return", "95 % interval", "lost", "difference", "own objective", "evals", "time", "status",
     "held by",
 )  # fmt: skip
 MORE_LOST = 1e-3  # of the runs: a method that loses so many more than the one that loses fewest is not the best
-
-
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class MethodRow(Immutable):
-    """What one method came to.
-
-    Attributes
-    ----------
-    name : str
-    result : CoDesignResult or None
-        None of a method that refused.
-    refused : str
-        Why; empty of one that did not.
-    difference : PairedDifference or None
-        Of its closed-loop return to that of the reference, on the scenarios that both were measured on and where
-        neither run is lost.
-    from_design, from_control : PairedDifference or None
-        The parts of it that are made by its design, as saturated LQR has them at both, and by its controller, beside
-        saturated LQR of the same design; None where there is no LQR.
-    runs : int
-        Scenarios of the differences.
-    violation : float
-        Of the constraints g(p) ≤ 0 at its design, as `DesignSpace.violation` has it; 0 where there are none.
-    """
-
-    name: str
-    result: CoDesignResult | None = None
-    refused: str = ""
-    difference: PairedDifference | None = None
-    from_design: PairedDifference | None = None
-    from_control: PairedDifference | None = None
-    runs: int = 0
-    violation: float = 0.0
-
-    def __repr__(self) -> str:
-        return f"MethodRow({self.name}: {f'refused: {self.refused}' if self.refused else repr(self.result)})"
-
-    @property
-    def closed_loop(self) -> ClosedLoopReturns:
-        """What was measured; only of a method that did not refuse."""
-        assert self.result is not None
-        assert self.result.closed_loop is not None
-        return self.result.closed_loop
-
-    @property
-    def sound(self) -> bool:
-        """Whether it found something, and its own account is not of lost runs, or of limits that are not kept."""
-        return self.result is not None and self.result.status not in UNSOUND
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -266,208 +192,13 @@ class MethodComparison(Immutable):
         return f"{signed(mean)} % [{signed(ends[0])}, {signed(ends[1])}]"
 
 
-def compare_methods(
-    problem: CoDesignProblem,
-    methods: str | Sequence[str] | Mapping[str, str | Method] = "all",
-    *,
-    seed: int = 0,
-    design: ArrayLike | None = None,
-    reference: str | None = None,
-    agent: ActorCritic | None = None,
-    jobs: int = 1,
-    progress: bool = False,
-) -> MethodComparison:
-    """The methods of `codesign` on one problem, measured on the same scenarios.
-
-    Parameters
-    ----------
-    problem : CoDesignProblem
-    methods : "all", sequence of str, or mapping of str to str or Method
-        Names of methods ("nested LQR", "simultaneous gain", "CMA-ES", "ppo", …); or methods with settings of their own
-        by names of yours. "all": sequential; nested Riccati, LQR, MPC and trajectory; simultaneous and simultaneous
-        gain; CMA-ES and Bayesian search; pathwise.
-    seed : int
-        Of every method: each has a generator of its own with this seed.
-    design : (np,) array_like, optional
-        First design of every method; by default the feasible one nearest to the centre of the box.
-    reference : str, optional
-        The method that differences are to: by default "nested LQR", or the first where it is not among them.
-    agent : ActorCritic, optional
-        Warm start of the methods that learn; by default each makes its own.
-    jobs : int
-        Processes; −1 for all cores. Times are longer where processes share a core.
-    progress : bool
-        Show a progress bar.
-
-    Returns
-    -------
-    MethodComparison
-        A method that refuses is a row that says why.
-
-    Raises
-    ------
-    InputError
-        If an argument is of the wrong kind, a method is unknown or `design` is not feasible.
-    """
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    as_count("seed", seed, least=0)
-    as_flag("progress", progress)
-    chosen = named_methods(methods, as_agent(agent))
-    if reference is None:
-        reference = REFERENCE if REFERENCE in chosen else next(iter(chosen))
-    elif reference not in chosen:
-        raise InputError("reference", shown(reference), f"one of {', '.join(chosen)}")
-    first = None if design is None else problem.design.check_feasible(design)
-    run = partial(_run, problem, seed, first, progress and jobs == 1)
-    ends = in_processes(run, list(chosen.values()), jobs=as_jobs(jobs), label="methods", progress=progress)
-    results = {name: end for name, end in zip(chosen, ends) if isinstance(end, CoDesignResult)}
-    if reference not in results and results:
-        reference = next(iter(results))
-    pairs = None if not results else _Pairs(problem, seed, results[reference])
-    rows = []
-    for name, end in zip(chosen, ends):
-        if isinstance(end, str) or pairs is None:
-            rows.append(MethodRow(name=name, refused=str(end)))
-        else:
-            rows.append(pairs.row(name, end))
-    size = np.nan if pairs is None else pairs.size
-    return MethodComparison(rows=tuple(rows), reference=reference, size=size, problem=problem, seed=seed)
-
-
-def named_methods(methods: Any, agent: ActorCritic | None = None) -> dict[str, Method]:
-    """Methods by name, as `compare_methods` takes them.
-
-    Raises
-    ------
-    InputError
-        If there is none of a name, none at all, or one twice.
-    """
-    if isinstance(methods, Mapping):
-        if not all(isinstance(name, str) and name for name in methods):
-            raise InputError("methods", shown(methods), "a mapping of names to methods")
-        chosen = {name: _named(one, agent) if isinstance(one, str) else as_method(one) for name, one in methods.items()}
-    else:
-        names = ALL if methods == "all" else (methods,) if isinstance(methods, str) else methods
-        if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
-            raise InputError("methods", shown(methods), '"all", a list of names, or a mapping of names to methods')
-        found = [_named(name, agent) for name in names]
-        chosen = {method.name: method for method in found}
-        if len(chosen) < len(found):
-            raise InputError("methods", shown(list(names)), "every method once", "Name them in a mapping.")
-    if not chosen:
-        raise InputError("methods", "none", "at least one method")
-    return chosen
-
-
-def known_methods() -> dict[str, Method]:
-    """Every method that has a name, with its usual settings."""
-    searches = [Search(library) for library in LIBRARIES]
-    programs = [Simultaneous(unknowns) for unknowns in UNKNOWNS]
-    learners = [Learned(by=by) for by in LEARNING]
-    every: list[Any] = [Sequential(), *(Nested(inner) for inner in INNER), *programs, *searches, *learners]
-    return {method.name: method for method in every}
-
-
-def _named(name: str, agent: ActorCritic | None) -> Method:
-    """The method of a name, whatever its capitals and hyphens."""
-    known = {_key(one): method for one, method in known_methods().items()}
-    if _key(name) in known:
-        found = known[_key(name)]
-        learns = isinstance(found, Learned) or (isinstance(found, Nested) and found.inner == "rl")
-        return replace(found, agent=agent) if learns else found  # type: ignore[type-var]
-    if name in METHODS:
-        return as_method(name)
-    raise InputError("methods", shown(name), f"one of {', '.join(known_methods())}")
-
-
-def _key(name: str) -> str:
-    """A name as it is looked up."""
-    return " ".join(name.lower().replace("-", " ").replace("_", " ").split())
-
-
 def held(result: CoDesignResult) -> str:
     """What holds a design, in words; empty if nothing does."""
     bounds = [f"{name} {side}" for name, side in result.active_bounds.items()]
     return ", ".join([*bounds, *result.active_constraints])
 
 
-def _run(
-    problem: CoDesignProblem, seed: int, design: Array | None, progress: bool, method: Method
-) -> CoDesignResult | str:
-    """What a method finds, or why it refuses."""
-    try:
-        return codesign(problem, method=method, rng=np.random.default_rng(seed), design=design, progress=progress)
-    except REFUSALS as error:
-        return " ".join(str(error).split()) or type(error).__name__
-    except Exception as error:  # one method that fails must not lose what the others found
-        return f"stopped with {type(error).__name__}: {' '.join(str(error).split())}"
-
-
 def _summary(loop: ClosedLoopReturns) -> tuple[float, tuple[float, float], int]:
     """Mean, interval and number of the runs that are not lost."""
     summary = loop.summary
     return summary.mean, summary.ci95, summary.n
-
-
-class _Pairs:
-    """Differences of results to that of the reference, on the scenarios that both are measured on."""
-
-    def __init__(self, problem: CoDesignProblem, seed: int, reference: CoDesignResult) -> None:
-        self.problem = problem
-        self.seed = seed
-        self.reference = reference
-        assert reference.closed_loop is not None
-        mean = reference.closed_loop.summary.mean
-        self.size = float(problem.made_by_control(mean, reference.design)) or 1.0
-        self._seen: dict[Any, ClosedLoopReturns | None] = {}
-
-    def row(self, name: str, result: CoDesignResult) -> MethodRow:
-        """The row of a result."""
-        assert result.closed_loop is not None
-        assert self.reference.closed_loop is not None
-        runs = min(len(result.closed_loop.values), len(self.reference.closed_loop.values))
-        own = self._first(result, runs)
-        other = self._first(self.reference, runs)
-        here, there = self._lqr(result.design, runs), self._lqr(self.reference.design, runs)
-        loops = [own, other, *(loop for loop in (here, there) if loop is not None)]
-        kept = ~np.logical_or.reduce([loop.lost for loop in loops])
-        pairs = ~(own.lost | other.lost)
-        by_design = by_control = None
-        if here is not None and there is not None:
-            by_design = _difference(here.values[kept], there.values[kept])
-            control = (own.values - here.values)[kept]
-            by_control = _difference(control, (other.values - there.values)[kept])
-        return MethodRow(
-            name=name, result=result, difference=_difference(own.values[pairs], other.values[pairs]),
-            from_design=by_design, from_control=by_control, runs=int(pairs.sum()),
-            violation=float(self.problem.design.violation(result.design)),
-        )  # fmt: skip
-
-    def _first(self, result: CoDesignResult, runs: int) -> ClosedLoopReturns:
-        """A result on the first so many of its scenarios."""
-        assert result.closed_loop is not None
-        if len(result.closed_loop.values) == runs:
-            return result.closed_loop
-        return self._measured((id(result), runs), result.controller, result.design, runs)
-
-    def _lqr(self, design: Array, runs: int) -> ClosedLoopReturns | None:
-        """Saturated LQR of a design on them; None where there is none."""
-        try:
-            controller = saturated_lqr(self.problem, design)
-        except (MPCError, InputError):
-            return None
-        return self._measured((tuple(design), runs), controller, design, runs)
-
-    def _measured(self, key: Any, controller: Any, design: Array, runs: int) -> ClosedLoopReturns:
-        """Returns on the scenarios that `codesign` measures on, once each."""
-        if key not in self._seen:
-            scenarios = np.random.default_rng(self.seed).spawn(1)[0]  # as `codesign` draws them
-            self._seen[key] = closed_loop_returns(self.problem, controller, design, scenarios, runs=runs)
-        found = self._seen[key]
-        assert found is not None
-        return found
-
-
-def _difference(a: Array, b: Array) -> PairedDifference | None:
-    """The paired difference; None of no pairs."""
-    return paired_difference(a, b) if len(a) else None

@@ -1,6 +1,5 @@
 """The command line as a stranger uses it, in processes of its own."""
 
-import contextlib
 import json
 import os
 import re
@@ -12,8 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from ccdtools import cli
 
 CCDTOOLS = [sys.executable, "-m", "ccdtools"]
 
@@ -145,36 +142,6 @@ def test_interrupted_run_keeps_what_it_finished_and_its_command_continues_it(tmp
     # The same seed gives the same run, interrupted or not; only times differ.
     whole, resumed = (results_of(f) for f in (quick_run[0] / "out", tmp_path / "my run"))
     assert resumed["generations"] == whole["generations"]
-
-
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer that interrupts")
-def test_an_interruption_arrives_even_where_a_library_swallows_it(monkeypatch):
-    monkeypatch.setattr(cli, "AGAIN", 0.05)
-    before = signal.getsignal(signal.SIGINT)
-
-    def swallow():
-        with contextlib.suppress(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(1.0)
-        time.sleep(60.0)
-
-    with pytest.raises(KeyboardInterrupt), cli._insisting():
-        swallow()
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_an_error_that_an_interruption_caused_is_an_interruption():
-    def confuse():
-        try:
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(1.0)
-        except KeyboardInterrupt:
-            raise NotImplementedError("Wrong number or type of arguments") from None
-
-    with pytest.raises(KeyboardInterrupt), cli._insisting():
-        confuse()
-    with pytest.raises(NotImplementedError), cli._insisting():
-        raise NotImplementedError("not of an interruption")
 
 
 def test_the_template_runs_as_it_is_written(tmp_path):

@@ -1,8 +1,10 @@
 """`ccdtools codesign` as a stranger uses it."""
 
 import csv
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -27,9 +29,43 @@ def test_the_table_is_printed_and_kept(tmp_path):
     page = (tmp_path / "kept" / "methods.html").read_text(encoding="utf-8")
     assert "data:image/png;base64," in page
     assert "<td>nested LQR</td>" in page
-    again = command("illustrative", "--methods", "nested-lqr", "--out", "kept", cwd=tmp_path)
-    assert again.returncode == 2
-    assert "--out" in again.stderr
+    again = ("illustrative", "--methods", "nested-lqr", "--out", "kept")
+    refused = command(*again, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "--out" in refused.stderr
+    assert "resume" not in refused.stderr  # a comparison is not a run
+    assert command(*again, "--overwrite", cwd=tmp_path).returncode == 0
+    with (tmp_path / "kept" / "methods.csv").open(encoding="utf-8") as file:
+        assert [row["method"] for row in csv.DictReader(file)] == ["nested LQR"]
+
+
+def test_a_folder_of_something_else_is_not_overwritten(tmp_path):
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter.tex").write_text("x")
+    refused = command("illustrative", "--methods", "nested-lqr", "--out", "thesis", "--overwrite", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "holds no methods.csv" in refused.stderr
+    assert [file.name for file in (tmp_path / "thesis").iterdir()] == ["chapter.tex"]
+
+
+def test_an_interruption_loses_only_the_method_that_it_falls_in(tmp_path):
+    asked = ("illustrative", "--methods", "sequential,nested-lqr,pathwise", "--out", "kept")
+    process = subprocess.Popen(
+        [*CCDTOOLS, *asked], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    table = tmp_path / "kept" / "methods.csv"
+    deadline = time.monotonic() + 300
+    while not (table.is_file() and "nested LQR" in table.read_text()) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert "now pathwise: 2 of 3" in err
+    assert "Interrupted. The methods that have ended:" in out
+    assert "Equal within 0.5 %" in out
+    with table.open(encoding="utf-8") as file:
+        assert [row["method"] for row in csv.DictReader(file)] == ["sequential", "nested LQR"]
 
 
 @pytest.mark.parametrize(

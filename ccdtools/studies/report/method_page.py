@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import base64
+import os
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from ccdtools import figure_style as style
+from ccdtools.exceptions import InputError
 from ccdtools.studies.run_folder import RunFolder
 
+TABLE, PICTURE, PAGE = "methods.csv", "methods.png", "methods.html"
 LOOK = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:75em;margin:2em auto;padding:0 1em;color:#222}"
     "table{border-collapse:collapse;font-size:13px;font-variant-numeric:tabular-nums}"
@@ -18,12 +21,42 @@ LOOK = (
 )
 
 
+def check_folder(path: str | Path, *, overwrite: bool = False) -> RunFolder:
+    """The folder of a comparison, not made yet.
+
+    Raises
+    ------
+    InputError
+        If there is something at the path, unless it is a comparison's folder that is to be overwritten.
+    """
+    folder = Path(path)
+    if not str(path).strip():
+        raise InputError("--out", repr(str(path)), "the path of a new folder")
+    if os.path.lexists(folder) and not overwrite:
+        raise InputError("--out", f"{folder}, which exists", "a new folder", "Choose another, or add --overwrite.")
+    if os.path.lexists(folder) and not (folder / TABLE).is_file():
+        raise InputError("--out", f"{folder}, which holds no {TABLE}", "a comparison's folder to overwrite")
+    return RunFolder(folder)
+
+
+def write_table(found: Any, folder: RunFolder) -> None:
+    """Write methods.csv of a `MethodComparison`, and make the folder where there is none."""
+    try:
+        folder.path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("--out", f"{folder.path} ({error.strerror})", "a folder that can be made") from None
+    with folder.writing("--out"):
+        found.to_csv(folder.path / TABLE)
+        for name in (PICTURE, PAGE):  # of another table
+            (folder.path / name).unlink(missing_ok=True)
+
+
 def write_methods(title: str, found: Any, folder: RunFolder) -> Path:
     """Write methods.csv, methods.png and methods.html of a `MethodComparison`; the path of the page."""
-    found.to_csv(folder.path / "methods.csv")
+    write_table(found, folder)
     image = style.png(found.plot())
-    folder.write_bytes("methods.png", image)
-    return folder.write_text("methods.html", page(title, found, image))
+    folder.write_bytes(PICTURE, image)
+    return folder.write_text(PAGE, page(title, found, image))
 
 
 def page(title: str, found: Any, image: bytes) -> str:

@@ -17,7 +17,7 @@ from ccdtools import (
     compare_methods,
     simulate,
 )
-from ccdtools.co_design.method_comparison import known_methods, named_methods
+from ccdtools.co_design.method_names import known_methods, named_methods
 from ccdtools.figure_style import png
 
 QUICK = {
@@ -121,6 +121,16 @@ def test_processes_change_nothing(problem, found):
         np.testing.assert_array_equal(beside[name].closed_loop.values, found[name].closed_loop.values)
 
 
+def test_what_is_there_is_told_after_every_method(problem, found):
+    told = []
+    chosen = {name: QUICK[name] for name in ("plant first", "nested")}
+    last = compare_methods(problem, chosen, seed=3, reference="nested", each=told.append)
+    assert [[row.name for row in one] for one in told] == [["plant first"], ["plant first", "nested"]]
+    assert told[0].reference == "plant first"  # the reference is not there yet
+    assert told[1] is last
+    assert last["plant first"].difference.mean == found["plant first"].difference.mean
+
+
 def test_other_units_change_neither_order_nor_per_cent(problem, found):
     # costs in cents instead of euros: all that is relative stays
     priced = replace(problem, objective=QuadraticObjective(100 * problem.objective.Q, 100 * problem.objective.R))
@@ -156,7 +166,8 @@ def test_wrong_methods_are_refused_by_name(problem, methods, word):
 
 @pytest.mark.parametrize(
     ("change", "argument"),
-    [({"seed": -1}, "seed"), ({"jobs": 0}, "jobs"), ({"reference": "x"}, "reference"), ({"design": [99.0]}, "design")],
+    [({"seed": -1}, "seed"), ({"jobs": 0}, "jobs"), ({"reference": "x"}, "reference"), ({"design": [99.0]}, "design"),
+     ({"each": 3}, "each")],
 )
 def test_wrong_arguments_are_refused_before_anything_runs(problem, change, argument):
     with pytest.raises(InputError) as error:

@@ -1,0 +1,132 @@
+"""Every way to co-design, tried on one problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_count, as_flag, as_instance, shown
+from ccdtools.co_design.agents import as_agent
+from ccdtools.co_design.codesign import Method, codesign
+from ccdtools.co_design.method_comparison import MethodComparison
+from ccdtools.co_design.method_names import named_methods
+from ccdtools.co_design.method_pairs import MethodRow, Pairs
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import CoDesignResult
+from ccdtools.exceptions import CCDError, InputError
+from ccdtools.jobs import as_jobs, as_they_end
+from invariant_sets import InvariantSetsError
+from learning.exceptions import LearningError
+from learning.networks import ActorCritic
+from mpc import MPCError
+
+REFERENCE = "nested LQR"
+REFUSALS = (CCDError, MPCError, LearningError, InvariantSetsError)
+
+
+def compare_methods(
+    problem: CoDesignProblem,
+    methods: str | Sequence[str] | Mapping[str, str | Method] = "all",
+    *,
+    seed: int = 0,
+    design: ArrayLike | None = None,
+    reference: str | None = None,
+    agent: ActorCritic | None = None,
+    jobs: int = 1,
+    progress: bool = False,
+    each: Callable[[MethodComparison], object] | None = None,
+) -> MethodComparison:
+    """The methods of `codesign` on one problem, measured on the same scenarios.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    methods : "all", sequence of str, or mapping of str to str or Method
+        Names of methods ("nested LQR", "simultaneous gain", "CMA-ES", "ppo", …); or methods with settings of their own
+        by names of yours. "all": sequential; nested Riccati, LQR, MPC and trajectory; simultaneous and simultaneous
+        gain; CMA-ES and Bayesian search; pathwise.
+    seed : int
+        Of every method: each has a generator of its own with this seed.
+    design : (np,) array_like, optional
+        First design of every method; by default the feasible one nearest to the centre of the box.
+    reference : str, optional
+        The method that differences are to: by default "nested LQR", or the first where it is not among them.
+    agent : ActorCritic, optional
+        Warm start of the methods that learn; by default each makes its own.
+    jobs : int
+        Processes; −1 for all cores. Times are longer where processes share a core.
+    progress : bool
+        Show a progress bar, which names the method that runs.
+    each : callable of MethodComparison, optional
+        Called after every method with what is there by then, to show or keep it. Until the reference is there,
+        differences are to the first method that found something.
+
+    Returns
+    -------
+    MethodComparison
+        A method that refuses is a row that says why.
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind, a method is unknown or `design` is not feasible.
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_count("seed", seed, least=0)
+    as_flag("progress", progress)
+    chosen = named_methods(methods, as_agent(agent))
+    if reference is None:
+        reference = REFERENCE if REFERENCE in chosen else next(iter(chosen))
+    elif reference not in chosen:
+        raise InputError("reference", shown(reference), f"one of {', '.join(chosen)}")
+    first = None if design is None else problem.design.check_feasible(design)
+    if each is not None and not callable(each):
+        raise InputError("each", shown(each), "a function of a MethodComparison")
+    run = partial(_run, problem, seed, first, progress and jobs == 1)
+    ends: dict[str, CoDesignResult | str] = {}
+    pairs: dict[str, Pairs] = {}
+    found = as_they_end(
+        run, list(chosen.values()), jobs=as_jobs(jobs), label="methods", names=list(chosen), progress=progress
+    )
+    for name, end in zip(chosen, found):
+        ends[name] = end
+        if each is not None and len(ends) < len(chosen):
+            each(_compared(problem, seed, ends, reference, pairs))
+    comparison = _compared(problem, seed, ends, reference, pairs)
+    if each is not None:
+        each(comparison)
+    return comparison
+
+
+def _compared(
+    problem: CoDesignProblem, seed: int, ends: Mapping[str, CoDesignResult | str], reference: str,
+    known: dict[str, Pairs],
+) -> MethodComparison:  # fmt: skip
+    """The comparison of the methods that have ended; `known` keeps what was measured for each reference."""
+    results = {name: end for name, end in ends.items() if isinstance(end, CoDesignResult)}
+    if reference not in results and results:
+        reference = next(iter(results))
+    if results and reference not in known:
+        known[reference] = Pairs(problem, seed, results[reference])
+    rows = [
+        MethodRow(name=name, refused=end) if isinstance(end, str) else known[reference].row(name, end)
+        for name, end in ends.items()
+    ]
+    size = known[reference].size if results else np.nan
+    return MethodComparison(rows=tuple(rows), reference=reference, size=size, problem=problem, seed=seed)
+
+
+def _run(
+    problem: CoDesignProblem, seed: int, design: Array | None, progress: bool, method: Method
+) -> CoDesignResult | str:
+    """What a method finds, or why it refuses."""
+    try:
+        return codesign(problem, method=method, rng=np.random.default_rng(seed), design=design, progress=progress)
+    except REFUSALS as error:
+        return " ".join(str(error).split()) or type(error).__name__
+    except Exception as error:  # one method that fails must not lose what the others found
+        return f"stopped with {type(error).__name__}: {' '.join(str(error).split())}"
