@@ -19,10 +19,10 @@ from ccdtools.checks import as_choice, as_count, as_number, as_share, shown
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.methods.descent import ON_EDGE, Cost, descend
 from ccdtools.co_design.methods.laws import LQRLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.nested import RUNS, Nested
-from ccdtools.co_design.methods.outer import ON_EDGE, Cost, descend
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.trade_off import ProblemOf, stated

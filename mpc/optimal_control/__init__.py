@@ -7,6 +7,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.refinement import refine
+from mpc.optimal_control.sampled import sampled
 from mpc.optimal_control.schemes import Collocation, HermiteSimpson, MultipleShooting, Radau, Trapezoidal
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.solution_sensitivity import PhaseSensitivity, SolutionSensitivity
@@ -31,5 +32,6 @@ __all__ = [
     "Trapezoidal",
     "build",
     "refine",
+    "sampled",
     "solve",
 ]

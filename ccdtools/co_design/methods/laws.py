@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -87,7 +88,7 @@ class MPCLaw:
 
     def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
         """A program for every state."""
-        return _on_line(self.controller(problem, p.detach().numpy()))
+        return _on_line(self.controller(problem, p.detach().numpy()), problem.limit)
 
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
         """The MPC of a design."""
@@ -108,16 +109,23 @@ class NonlinearMPCLaw:
 
     def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
         """A program for every state, each run with a plan of its own."""
-        return _on_line(self.controller(problem, p.detach().numpy()))
+        return _on_line(self.controller(problem, p.detach().numpy()), problem.limit)
 
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
         """The MPC of a design."""
         return nonlinear_mpc(problem, p, horizon=self.horizon)
 
 
-def _on_line(controller: Controller) -> Law:
-    """A controller of the state as a law."""
-    return lambda x: x.new_tensor(controller(x.detach().numpy()))
+def _on_line(controller: Controller, limit: Array) -> Law:
+    """A controller of the state as a law; a run beyond the divergence limit (nx,) is lost and costs no program."""
+
+    def law(x: Tensor) -> Tensor:
+        """The inputs."""
+        states = x.detach().numpy()
+        lost = (np.abs(states) > limit).any(axis=1)
+        return x.new_tensor(controller(np.where(lost[:, None], 0.0, states)))
+
+    return law
 
 
 class _Gain(torch.autograd.Function):

@@ -63,8 +63,8 @@ class LoopCost:
 
     def __call__(self, v: Array) -> tuple[float, Array]:
         """Cost and its slope (np,) at a point (np,); infinite where the law has no gain there."""
-        if not self.law.differentiable:
-            return self._value(v), self._differences(v)
+        if self.apart:
+            return self.value(v), self.slope(v)
         point = torch.tensor(v, dtype=torch.float64, requires_grad=True)
         cost = self._cost(point, v)
         if cost is None or not cost.requires_grad:
@@ -72,13 +72,18 @@ class LoopCost:
         (slope,) = torch.autograd.grad(cost, point)
         return float(cost.detach()), slope.numpy()
 
+    @property
+    def apart(self) -> bool:
+        """Whether slopes are differences of whole closed loops."""
+        return not self.law.differentiable
+
     @torch.no_grad()
-    def _value(self, v: Array, *, remember: bool = True) -> float:
+    def value(self, v: Array, *, remember: bool = True) -> float:
         """The cost alone."""
         cost = self._cost(torch.tensor(v, dtype=torch.float64), v if remember else None)
         return np.inf if cost is None else float(cost)
 
-    def _differences(self, v: Array) -> Array:
+    def slope(self, v: Array) -> Array:
         """Slopes (np,) of the closed loops themselves: central, at a bound one-sided."""
         slope = np.zeros(len(v))
         for i in np.flatnonzero(self.problem.design.allowed.free):
@@ -86,7 +91,7 @@ class LoopCost:
             for side in (STEP, -STEP):
                 at = v.copy()
                 at[i] = np.clip(v[i] + side, 0.0, 1.0)
-                ends.append((at[i], self._value(at, remember=False)))
+                ends.append((at[i], self.value(at, remember=False)))
             (high, above), (low, below) = ends
             slope[i] = (above - below) / (high - low)
         return slope

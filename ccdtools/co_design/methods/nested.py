@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from learning.networks import ActorCritic
+from mpc import NotStabilisableError
 
 RUNS = {"lqr": 1000, "mpc": 32, "nmpc": 16, "riccati": 1, "trajectory": 8, "rl": 256}  # scenarios of 100 steps
 NAMES = {"lqr": "LQR", "mpc": "MPC", "nmpc": "NMPC", "riccati": "Riccati", "trajectory": "trajectory", "rl": "RL"}
@@ -99,7 +101,8 @@ class Nested:
         starts = 1 if self.inner == "rl" else self.starts
         plan = Plan(self.name, starts, self.evaluations or OUTER.get(self.inner, ALL))
         cost_from = self._cost_from(problem, rng, progress)
-        return searched(plan, problem, cost_from, design, rng, progress=progress)
+        hopeful = partial(_keeps_its_runs, problem, cost_from) if self.inner in ("mpc", "nmpc") else None
+        return searched(plan, problem, cost_from, design, rng, hopeful=hopeful, progress=progress)
 
     def _cost_from(
         self, problem: CoDesignProblem, rng: np.random.Generator, progress: bool
@@ -119,3 +122,13 @@ class Nested:
             "lqr": LQRLaw(), "mpc": MPCLaw(self.horizon), "nmpc": NonlinearMPCLaw(self.horizon)
         }  # fmt: skip
         return lambda v: LoopCost(problem, laws[self.inner], scenarios)
+
+
+def _keeps_its_runs(problem: CoDesignProblem, cost_from: Callable[[Array], DesignCost], v: Array) -> bool:
+    """Whether saturated LQR, which costs nothing beside MPC, loses no run at a point of the unit box."""
+    cost = cost_from(v)
+    assert isinstance(cost, LoopCost)
+    try:
+        return not bool(LoopCost(problem, LQRLaw(), cost.scenarios).seen(v).diverged.any())
+    except NotStabilisableError:
+        return False

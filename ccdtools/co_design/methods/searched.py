@@ -11,9 +11,10 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.methods.descent import Descent, descend, value_of
+from ccdtools.co_design.methods.holding import confirmed, held_by
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
-from ccdtools.co_design.methods.outer import Descent, confirmed, descend, held_by
 from ccdtools.co_design.methods.starting import SAME_PLACE, start_points
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, Valley
@@ -96,7 +97,7 @@ class End:
 
 def searched(
     plan: Plan, problem: CoDesignProblem, cost_from: Callable[[Array], DesignCost], design: Array,
-    rng: np.random.Generator, *, progress: bool = False,
+    rng: np.random.Generator, *, hopeful: Callable[[Array], bool] | None = None, progress: bool = False,
 ) -> CoDesignResult:  # fmt: skip
     """The best design found from a feasible design (np,) and other valleys.
 
@@ -109,6 +110,8 @@ def searched(
     design : (np,) array
     rng : numpy.random.Generator
         Draws the landscape.
+    hopeful : callable, optional
+        Whether a point is worth a start, for a cost that is dear: the others are left out where there is such a point.
 
     Raises
     ------
@@ -118,6 +121,8 @@ def searched(
     space = problem.design
     found = valleys(problem, design, rng=rng) if plan.starts > 1 else ()
     points = start_points(space, design, found, plan.starts)
+    if hopeful is not None and len(points) > 1:
+        points = [v for v in points if hopeful(v)] or points
     ends = []
     with bar(label=plan.name, total=len(points), progress=progress) as shown:
         for v in points:
@@ -138,7 +143,7 @@ def searched(
 
 def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> End:
     """The search from one start; again and again while leaving the limits is priced too low."""
-    size = _size(problem, cost(v)[0], v)
+    size = _size(problem, value_of(cost, v), v)
     found = descend(cost, problem.design, v, size=size, evaluations=plan.evaluations)
     if not isinstance(cost, LoopCost) or problem.limit_tolerance == "off" or not np.isfinite(found.cost):
         return End(cost, found, size)

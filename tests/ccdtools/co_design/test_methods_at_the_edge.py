@@ -9,8 +9,8 @@ from constrained_plants import CASES
 from small_plants import mass
 
 import ccdtools as cc
+from ccdtools.co_design.methods.descent import Descent
 from ccdtools.co_design.methods.learned_cost import LearnedCost
-from ccdtools.co_design.methods.outer import Descent
 from ccdtools.co_design.methods.searched import End, _status
 from ccdtools.co_design.status import CoDesignStatus
 

@@ -1,0 +1,206 @@
+"""The search over the designs of one start: least cost within bounds and constraints, along exact slopes.
+
+References
+----------
+Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28, 1988 (SLSQP, in SciPy).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from scipy.optimize import minimize
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.feasible import DesignRegion
+from ccdtools.plants.design_space import DesignSpace
+
+Cost = Callable[[Array], tuple[float, Array]]
+
+TALL = 2.0  # relative cost from which on it counts by its logarithm: into lost runs it grows by 1e7 within one step
+LOST = 1e3  # relative cost of a design where there is none
+AGAIN = 3  # searches that follow one another while they gain
+GAINED = 1e-7  # of the cost
+FEASIBLE = 1e-9  # violation of a point that counts as feasible, in the unit box
+INSIDE = 1e-10  # how far inside the edges the search keeps
+ON_EDGE = 1e-9  # of the unit box: a point this close to a bound is on it
+
+
+class _SpentError(Exception):
+    """No evaluation is left."""
+
+
+@runtime_checkable
+class CostBySlopes(Protocol):
+    """A cost whose slope may be dear: `apart`, it is asked for only where the search has taken a step."""
+
+    @property
+    def apart(self) -> bool:
+        """Whether it is."""
+        ...
+
+    def value(self, v: Array) -> float:
+        """The cost alone."""
+        ...
+
+    def slope(self, v: Array) -> Array:
+        """Its slope (np,) alone."""
+        ...
+
+
+@dataclass(eq=False)
+class Descent:
+    """Where a search ended.
+
+    Attributes
+    ----------
+    v : (np,) array
+        The best feasible point of the unit box that was evaluated.
+    cost : float
+    slope : (np,) array
+        Of the cost there, per unit-box length.
+    evaluations : int
+    path : list of (v, cost)
+        The points that were better than all before.
+    spent : bool
+        Whether the evaluations ran out.
+    """
+
+    v: Array
+    cost: float
+    slope: Array
+    evaluations: int = 0
+    path: list[tuple[Array, float]] = field(default_factory=list)
+    spent: bool = False
+
+
+def value_of(cost: Cost, v: Array) -> float:
+    """The cost at a point, without its slope where that is dear."""
+    return cost.value(v) if isinstance(cost, CostBySlopes) and cost.apart else cost(v)[0]
+
+
+def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> Descent:
+    """From a feasible point of the unit box to the least cost that is found, fixed entries and whole numbers held.
+
+    Parameters
+    ----------
+    cost : callable
+        Point (np,) of the unit box → cost and its slope (np,); infinite where there is none.
+    v : (np,) array
+    size : float
+        Of costs: what gains are compared with.
+    evaluations : int
+        At most.
+    """
+    region = DesignRegion(space, v)
+    limits = space.allowed.limits
+    free = region.free
+    if not free.any():
+        value, slope = cost(v)
+        return Descent(v, value, slope, 1, [(v, value)])
+    watched = _Watched(cost, space, v, size, evaluations)
+    found = watched.found
+    constraints = [] if limits is None else [{
+        "type": "ineq", "fun": lambda z: -limits.values(watched.at(z)) - INSIDE,
+        "jac": lambda z: -limits.jacobian(watched.at(z))[:, free],
+    }]  # fmt: skip
+    try:
+        for _ in range(AGAIN):
+            before = found.cost
+            minimize(watched.value, found.v[free], jac=watched.slope, method="SLSQP",
+                     bounds=[(0.0, 1.0)] * int(free.sum()), constraints=constraints,
+                     options={"maxiter": evaluations, "ftol": 1e-10})  # fmt: skip
+            if not found.cost < before - GAINED * size:
+                break
+    except _SpentError:
+        pass
+    watched.complete()
+    return found
+
+
+@dataclass(eq=False)
+class _Point:
+    """A point of the unit box that was looked at; no slope as long as nobody asked for it."""
+
+    v: Array
+    cost: float
+    slope: Array | None
+
+
+class _Watched:
+    """A cost as a search sees it, of the free entries z alone; what is best so far is kept in `found`."""
+
+    def __init__(self, cost: Cost, space: DesignSpace, v: Array, size: float, evaluations: int) -> None:
+        self.cost = cost
+        self.apart = cost if isinstance(cost, CostBySlopes) and cost.apart else None
+        self.space = space
+        self.start = v
+        self.size = size
+        self.evaluations = evaluations
+        self.free = DesignRegion(space, v).free
+        self.found = Descent(v, np.inf, np.zeros(len(v)))
+        self._last: _Point | None = None
+        self._best: _Point | None = None
+
+    def at(self, z: Array) -> Array:
+        """The whole point with the free entries `z`."""
+        point = self.start.copy()
+        point[self.free] = np.where(z < ON_EDGE, 0.0, np.where(z > 1 - ON_EDGE, 1.0, z))
+        return point
+
+    def value(self, z: Array) -> float:
+        """Relative cost, beyond `TALL` its logarithm."""
+        point = self._point(z)
+        relative = point.cost / self.size
+        if not np.isfinite(relative) or (point.slope is not None and not np.isfinite(point.slope).all()):
+            return LOST
+        return float(relative) if relative <= TALL else TALL * (1 + float(np.log(relative / TALL)))
+
+    def slope(self, z: Array) -> Array:
+        """Its slope along the free entries."""
+        point = self._point(z)
+        relative = point.cost / self.size
+        if not np.isfinite(relative):
+            return np.zeros(len(z))
+        slope = self._slope(point)[self.free]
+        if not np.isfinite(slope).all():
+            return np.zeros(len(z))
+        return slope / self.size * (TALL / relative if relative > TALL else 1.0)
+
+    def complete(self) -> None:
+        """Have the slope at the best point."""
+        if self._best is not None:
+            self.found.slope = self._slope(self._best)
+
+    def _slope(self, point: _Point) -> Array:
+        """The slope at a point, looked for at most once."""
+        if point.slope is None:
+            assert self.apart is not None
+            point.slope = self.apart.slope(point.v)
+        return point.slope
+
+    def _point(self, z: Array) -> _Point:
+        """What is known at a point; the last one is remembered.
+
+        Raises
+        ------
+        _SpentError
+            If that would be an evaluation too many.
+        """
+        v = self.at(z)
+        if self._last is not None and np.array_equal(v, self._last.v):
+            return self._last
+        found = self.found
+        if found.evaluations >= self.evaluations:
+            found.spent = True
+            raise _SpentError
+        point = _Point(v, *self.cost(v)) if self.apart is None else _Point(v, self.apart.value(v), None)
+        found.evaluations += 1
+        self._last = point
+        if point.cost < found.cost and self.space.allowed.violation(v) <= FEASIBLE:
+            found.v, found.cost, self._best = v, point.cost, point
+            found.path.append((v, point.cost))
+        return point
