@@ -16,7 +16,7 @@ from ccdtools.co_design.result import History
 from ccdtools.co_design.risk import Mean
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
-from mpc import MPCError
+from mpc import NotStabilisableError
 
 SAMPLES = 4096  # starts and disturbances that their second moments are taken from
 SEED = 0
@@ -60,7 +60,7 @@ class RiccatiCost:
         p = problem.design.from_unit(v)
         try:
             found = regulator_of(problem, p)
-        except MPCError:
+        except NotStabilisableError:
             return np.inf, np.zeros(len(v))
         E, dE = problem.model.matrices(p)[2], problem.model.derivatives(p)[2]
         spread = self._starts + problem.steps * (E @ self._noise @ E.T)

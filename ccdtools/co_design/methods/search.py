@@ -31,7 +31,7 @@ from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
-from mpc import MPCError
+from mpc import NotStabilisableError
 
 LIBRARIES = {"cma": "cma", "bayesian": "optuna"}
 BUDGET = {"cma": 300, "bayesian": 60}  # evaluations
@@ -153,7 +153,7 @@ class _ClosedLoop:
                 seen = self.cost.seen(v)
             else:
                 seen, self.penalty = self.cost.updated(self.penalty, v)
-        except (MPCError, InputError):
+        except NotStabilisableError:
             return np.inf, 0.0
         value = float(-self.cost.problem.risk.values(seen.total).mean())
         return value, 0.0 if self.penalty is None else self.penalty.violation(seen)

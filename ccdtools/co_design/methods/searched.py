@@ -14,7 +14,9 @@ from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.outer import Descent, confirmed, descend, held_by
+from ccdtools.co_design.methods.simultaneous import OTHERS
 from ccdtools.co_design.methods.starting import SAME_PLACE, start_points
+from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, Valley
 from ccdtools.co_design.status import CoDesignStatus
@@ -124,21 +126,29 @@ def searched(
             ends.append(_from(plan, problem, cost_from(v), v))
             shown.update()
     best = min(ends, key=lambda end: end.order)
+    if isinstance(best.cost, TrajectoryCost) and not np.isfinite(best.found.cost):
+        return _without_trajectory(plan.name, problem, best.cost, points[0], found)
     if not np.isfinite(best.found.cost):
         got = f"{space.describe(design)} to start from, where there is nothing to search by: {best.cost.words}"
         cure = "Start from a design that can be stabilised and whose runs keep the limits, or check the weights."
         raise InputError("design", got, "a design with a controller", cure)
     evaluations = sum({id(end.cost): end.cost.evaluations for end in ends}.values())
     result = _result(plan.name, problem, best, evaluations)
-    status = result.status
-    if space.integer and plan.starts == 1 and status.settled:
-        status = CoDesignStatus.BUDGET_SPENT  # other whole numbers were never looked at
-    return replace(result, status=status, valleys=_with_ends(problem, found, points, ends))
+    if space.integer and plan.starts == 1:
+        status = CoDesignStatus.BUDGET_SPENT if result.status.settled else result.status
+        result = replace(result, status=status, notes=(*result.notes, OTHERS))
+    return replace(result, valleys=_with_ends(problem, found, points, ends))
 
 
 def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> End:
     """The search from one start; again and again while leaving the limits is priced too low."""
-    size = _size(problem, cost(v)[0], v)
+    first = cost(v)[0]
+    if isinstance(cost, TrajectoryCost) and not np.isfinite(first):
+        v = cost.within_limits(v)
+        if cost.failed is not None:
+            return End(cost, Descent(v, np.inf, np.zeros(len(v))), 1.0)
+        first = cost(v)[0]
+    size = _size(problem, first, v)
     found = descend(cost, problem.design, v, size=size, evaluations=plan.evaluations)
     if not isinstance(cost, LoopCost) or problem.limit_tolerance == "off" or not np.isfinite(found.cost):
         return End(cost, found, size)
@@ -182,6 +192,22 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
         criterion=f"return of {best.cost.words}", active_bounds=space.active_bounds(design),
         active_constraints=space.active_constraints(design), multipliers=held.multipliers, slope=held.rest / size,
         evaluations=evaluations, history=history, limits=outcome,
+    )  # fmt: skip
+
+
+def _without_trajectory(
+    name: str, problem: CoDesignProblem, cost: TrajectoryCost, v: Array, found: tuple[Valley, ...]
+) -> CoDesignResult:
+    """What there is to say where no design has trajectories within the limits: that, at the given one."""
+    space = problem.design
+    design = space.settled(v)
+    row = (np.ones(1), np.ones(1), design[None], np.full(1, np.nan), np.zeros(1), np.zeros(1))
+    return CoDesignResult(
+        design=design, controller=cost.controller(design), method=name,
+        status=CoDesignStatus.INFEASIBLE if cost.impossible else CoDesignStatus.BUDGET_SPENT,
+        criterion=f"return of {cost.words}", active_bounds=space.active_bounds(design),
+        active_constraints=space.active_constraints(design), evaluations=cost.evaluations, history=History(*row),
+        valleys=found, notes=cost.notes,
     )  # fmt: skip
 
 
