@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -15,12 +16,12 @@ from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.methods.path_limits import path_limits, state_names
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.risk import Mean, MeanSpread, WorstCase
+from ccdtools.co_design.risk import MEAN, Mean, MeanSpread, WorstCase
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from mpc import NotStabilisableError
-from mpc.optimal_control import OptimalControlProblem, Phase
+from mpc.optimal_control import OptimalControlProblem, Phase, Solution, build, solve
 
 SOFT = 1e-3  # of the range of an input: how far from a bound its saturation is rounded off
 CURE = "Nested or learned co-design simulates the problem as it is."
@@ -79,6 +80,19 @@ def open_loop_problem(
         phases, p_bounds=(lower, upper), p_guess=first, linked=False,
         **_risk(problem), **given,
     )  # fmt: skip
+
+
+def at_the_mean(
+    problem: CoDesignProblem, stated: Callable[[CoDesignProblem], OptimalControlProblem], **given: Any
+) -> Solution | None:
+    """Where to start a program that counts the spread of costs: its optimum for their mean; None if it counts none.
+
+    From elsewhere a solver begins far from the limits, where costs are best all alike: at the kink of no spread.
+    """
+    if not isinstance(problem.risk, MeanSpread):
+        return None
+    found = solve(build(stated(replace(problem, risk=MEAN))), **given)
+    return found if found.solved else None
 
 
 @dataclass(frozen=True, eq=False)

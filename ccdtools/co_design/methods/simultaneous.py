@@ -9,7 +9,6 @@ Design 136, 2014; Herber and Allison, Journal of Mechanical Design 141, 2019.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,14 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of, saturated_lqr
 from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.methods.open_loop import Feedback, check_open_loop, drawn, followed, open_loop_problem
+from ccdtools.co_design.methods.open_loop import (
+    Feedback,
+    at_the_mean,
+    check_open_loop,
+    drawn,
+    followed,
+    open_loop_problem,
+)
 from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.methods.starting import start_points
 from ccdtools.co_design.problem import CoDesignProblem
@@ -27,6 +33,7 @@ from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import bar
 from mpc import NotStabilisableError
+from mpc.optimal_control import OptimalControlProblem, OptimalControlStatus, Solution, build, solve
 
 UNKNOWNS = ("trajectory", "gain")
 RUNS = {"trajectory": 8, "gain": 16}  # scenarios, each with trajectories of its own
@@ -89,13 +96,16 @@ class Simultaneous:
 
     def _from(self, problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> _End:
         """Where one start leads to."""
-        from mpc.optimal_control import build, solve
-
         feedback = Feedback(problem, _first_gain(problem, design)) if self.unknowns == "gain" else None
         guess = followed(problem, scenarios, design)
-        statement = open_loop_problem(problem, scenarios, design=design, guess=guess, feedback=feedback)
-        program = build(statement)
-        return _End(solve(program, max_iterations=self.iterations))
+
+        def stated(problem: CoDesignProblem) -> OptimalControlProblem:
+            """The program of a problem from here."""
+            return open_loop_problem(problem, scenarios, design=design, guess=guess, feedback=feedback)
+
+        first = at_the_mean(problem, stated, max_iterations=self.iterations)
+        solution = solve(build(stated(problem)), start=first, max_iterations=self.iterations)
+        return _End(solution, solution.iterations + (0 if first is None else first.iterations))
 
     def _result(
         self, problem: CoDesignProblem, best: _End, iterations: int, found: tuple[Valley, ...]
@@ -132,9 +142,10 @@ class Simultaneous:
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """Where a program ended."""
+    """Where a program ended, and after how many iterations of Ipopt."""
 
-    solution: Any
+    solution: Solution
+    iterations: int
 
     @property
     def feasible(self) -> bool:
@@ -149,7 +160,7 @@ class _End:
     @property
     def impossible(self) -> bool:
         """Whether no inputs keep them."""
-        return bool(self.solution.status.name == "INFEASIBLE")
+        return self.solution.status is OptimalControlStatus.INFEASIBLE
 
     def notes(self, problem: CoDesignProblem, *, fed_back: bool) -> tuple[str, ...]:
         """What there is to say of an end that is no optimum."""
@@ -169,11 +180,6 @@ class _End:
     def cost(self) -> float:
         """Of the program."""
         return float(self.solution.cost)
-
-    @property
-    def iterations(self) -> int:
-        """Of Ipopt."""
-        return int(self.solution.iterations)
 
 
 def _first_gain(problem: CoDesignProblem, design: Array) -> Array:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import controller_of
-from ccdtools.co_design.methods.open_loop import followed, open_loop_problem
+from ccdtools.co_design.methods.open_loop import at_the_mean, followed, open_loop_problem
 from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
 from ccdtools.co_design.risk import MEAN, WorstCase
 from ccdtools.controllers.controllers import Controller
-from mpc.optimal_control import NonlinearProgram, OptimalControlProblem, Solution, build, solve
+from mpc.optimal_control import NonlinearProgram, OptimalControlProblem, OptimalControlStatus, Solution, build, solve
 
 
 @dataclass(eq=False)
@@ -51,8 +50,7 @@ class TrajectoryCost:
     control: str = "lqr"
     rows: list[tuple] = field(default_factory=list)
     evaluations: int = 0
-    failed: Any = None
-    _last: list[Any] = field(init=False)
+    failed: Solution | None = None
 
     def __post_init__(self) -> None:
         parts = [self.scenarios]
@@ -61,7 +59,9 @@ class TrajectoryCost:
             parts = [(x0[None], w[None]) for x0, w in zip(*self.scenarios)]
             problem = replace(problem, risk=MEAN)
         self._programs = [build(_stated(problem, part, self.start, constrained=False)) for part in parts]
-        self._last = [None] * len(parts)
+        p = self.start
+        first = at_the_mean(problem, lambda one: _stated(one, self.scenarios, p, constrained=False), p=p)
+        self._last: list[Solution | None] = [first] * len(parts)
 
     @property
     def words(self) -> str:
@@ -72,10 +72,10 @@ class TrajectoryCost:
         """Cost and its slope (np,) at a point (np,) of the unit box; infinite where no inputs keep the limits."""
         p = self.problem.design.settled(v)
         self.evaluations += 1
-        found = [_solved(program, p, last) for program, last in zip(self._programs, self._last)]
+        found: list[Solution] = [_solved(program, p, last) for program, last in zip(self._programs, self._last)]
         if not all(solution.solved for solution in found):
             return np.inf, np.zeros(len(v))
-        self._last = found
+        self._last = list(found)
         cost, slope = self._counted(np.array([solution.cost for solution in found]),
                                     np.array([solution.p_gradient for solution in found]))  # fmt: skip
         count = len(self.rows) + 1
@@ -98,7 +98,13 @@ class TrajectoryCost:
         """
         space = self.problem.design
         self.evaluations += 1
-        solution = solve(build(_stated(self.problem, self.scenarios, space.settled(v), constrained=True)))
+        start = space.settled(v)
+
+        def stated(problem: CoDesignProblem) -> OptimalControlProblem:
+            """The program of a problem from here."""
+            return _stated(problem, self.scenarios, start, constrained=True)
+
+        solution = solve(build(stated(self.problem)), start=at_the_mean(self.problem, stated))
         if not solution.solved:
             self.failed = solution
             return v
@@ -107,7 +113,7 @@ class TrajectoryCost:
     @property
     def impossible(self) -> bool:
         """Whether no design was found whose inputs keep the limits."""
-        return self.failed is not None and bool(self.failed.status.name == "INFEASIBLE")
+        return self.failed is not None and self.failed.status is OptimalControlStatus.INFEASIBLE
 
     @property
     def notes(self) -> tuple[str, ...]:
