@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
-from ccdtools.co_design.methods.outer import Descent, confirmed, descend, held_by
+from ccdtools.co_design.methods.outer import FEASIBLE, Descent, confirmed, descend, held_by
 from ccdtools.co_design.methods.simultaneous import OTHERS
 from ccdtools.co_design.methods.starting import SAME_PLACE, start_points
 from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
@@ -24,7 +25,11 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
 
-ROUNDS = 30  # of the multipliers of limits
+ROUNDS = 30  # of the multipliers of limits, at most;
+QUIET = 2  # that gain nothing more among designs that keep the limits,
+STILL = 10  # or that bring no other design where none keeps them, are enough
+LITTLE = 1e-3  # of the return that control makes: a gain of a round without consequence
+HALVINGS = 8  # of the way from a design that keeps the limits to one that does not
 LEVEL = 1e-3  # of the return that control makes, per length of the unit box: a slope without consequence
 
 
@@ -152,21 +157,65 @@ def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> E
     found = descend(cost, problem.design, v, size=size, evaluations=plan.evaluations)
     if not isinstance(cost, LoopCost) or problem.limit_tolerance == "off" or not np.isfinite(found.cost):
         return End(cost, found, size)
+    return _within_limits(plan, problem, cost, found, size)
+
+
+def _within_limits(plan: Plan, problem: CoDesignProblem, cost: LoopCost, found: Descent, size: float) -> End:
+    """The search again and again, while leaving the limits is priced too low; from where it ended without a price."""
     penalty = StateLimitPenalty(problem)
-    best: End | None = None
+    ends: list[End] = []
     for _ in range(ROUNDS):
         seen, penalty = cost.updated(penalty, found.v)
         if bool(seen.diverged.any()):
-            return End(cost, found, size) if best is None else best
+            break
         plain = float(-problem.risk.values(seen.total).mean())
-        tried = End(cost, replace(found, cost=plain), size, penalty, penalty.violation(seen))
-        best = tried if best is None or tried.order < best.order else best
-        unpriced = not isinstance(cost, LoopCost) or cost.penalty is None
-        if not penalty.active or found.spent or (unpriced and tried.violation <= 0):
+        ends.append(End(cost, replace(found, cost=plain), size, penalty, penalty.violation(seen)))
+        unpriced = cost.penalty is None
+        if not penalty.active or found.spent or (unpriced and ends[-1].violation <= 0) or _settled(ends):
             break
         cost = LoopCost(problem, cost.law, cost.scenarios, penalty, cost.rows, cost.evaluations)
         found = descend(cost, problem.design, found.v, size=size, evaluations=plan.evaluations)
-    assert best is not None
+    if not ends:
+        return End(cost, found, size)
+    best = replace(min(ends, key=lambda end: end.order), cost=cost)
+    broken = [end for end in ends if end.violation > 0 and end.found.cost < best.found.cost]
+    if best.violation > 0 or not broken:
+        return best
+    return _nearer(best, min(broken, key=lambda end: end.violation))
+
+
+def _settled(ends: list[End]) -> bool:
+    """Whether further rounds of prices are expected to change nothing."""
+    kept = [end.violation <= 0 for end in ends]
+    if any(kept):
+        costs = np.minimum.accumulate([end.found.cost if keeps else np.inf for end, keeps in zip(ends, kept)])
+        return len(ends) > QUIET and bool(costs[-1 - QUIET] - costs[-1] <= QUIET * LITTLE * ends[-1].size)
+    last = [end.found.v for end in ends[-STILL:]]
+    return len(last) == STILL and all(np.array_equal(v, last[0]) for v in last)
+
+
+def _nearer(best: End, broken: End) -> End:
+    """Of the designs on the way from one that keeps the limits to a cheaper one that does not, the cheapest that does.
+
+    Prices aim a little within the limits, so that something of the way is left.
+    """
+    cost, begin = best.cost, best.found.v
+    assert isinstance(cost, LoopCost)
+    assert best.penalty is not None
+    near, far = 0.0, 1.0
+    for _ in range(HALVINGS):
+        share = (near + far) / 2
+        v = begin + share * (broken.found.v - begin)
+        seen = cost.seen(v)
+        cost.evaluations += 1
+        plain = float(-cost.problem.risk.values(seen.total).mean())
+        penalty = replace(best.penalty, v=torch.tensor(v, dtype=torch.float32))
+        impossible = bool(seen.diverged.any()) or cost.problem.design.allowed.violation(v) > FEASIBLE
+        if impossible or penalty.violation(seen) > 0 or plain >= best.found.cost:
+            far = share
+        else:
+            near = share
+            best = replace(best, found=replace(best.found, v=v, cost=plain), penalty=penalty)
     return best
 
 
