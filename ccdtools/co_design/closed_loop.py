@@ -15,6 +15,7 @@ from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.limit_tolerance import measured
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns
+from ccdtools.co_design.risk import fewest_runs
 from ccdtools.controllers.signals import Driver, Surroundings
 
 RUNS = 1000  # scenarios of 100 steps; of longer ones fewer are taken,
@@ -36,7 +37,8 @@ def closed_loop_returns(
     design : (np,) array_like
     rng : numpy.random.Generator
     runs : int, optional
-        At most, and by default, as many as 1000 of 100 steps; by default 200 of a controller with a horizon.
+        At most, and by default, as many as 1000 of 100 steps; by default 200 of a controller with a horizon. Of a worst
+        case at least one of every case.
 
     Raises
     ------
@@ -50,7 +52,7 @@ def closed_loop_returns(
     x0, w = (part.double() for part in scenario_tensors(problem, all_runs, rng))
     chosen = ONLINE_RUNS if hasattr(controller, "horizon") else RUNS
     n = fewer_runs(chosen, problem.steps) if runs is None else as_count("runs", runs)
-    n = min(n, len(x0))
+    n = min(max(n, fewest_runs(problem.risk)), len(x0))
     driver = Driver(controller, Surroundings(np.zeros((n, 0, 0)), None, None, recorded=False), n, problem.model.nu)
     sample = iter(range(problem.steps * 2))
 

@@ -114,7 +114,7 @@ def codesign(
     began = time.perf_counter()
     result = chosen.run(problem, np.asarray(first), rng, progress=progress)
     seconds = time.perf_counter() - began
-    judged = problem if judge is None else judge
+    judged = getattr(chosen, "judge", None) or problem
     loop = closed_loop_returns(judged, result.controller, result.design, scenarios)
     known = result.status in (CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
     told = known or isinstance(result, LearnedCoDesign)  # learning has judged that itself

@@ -60,8 +60,8 @@ class DesignSensitivity(Immutable):
 
     @property
     def elasticities(self) -> Array:
-        """By how many per cent J* changes with each design parameter per per cent, (np,)."""
-        return self.cost_by_design * self.design / self.cost
+        """By how many per cent J* changes with each design parameter per per cent, (np,); 0 where J* is nothing."""
+        return self.cost_by_design * self.design / self.cost if self.cost else np.zeros_like(self.design)
 
 
 def design_sensitivity(

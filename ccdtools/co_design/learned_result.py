@@ -166,10 +166,10 @@ class LearnedCoDesign(CoDesignResult):
         assert isinstance(self.controller, LearnedPolicy)
         return self.controller
 
-    def as_dict(self) -> dict[str, Any]:
-        """How it ended, as plain values for a file."""
+    def _values(self) -> dict[str, Any]:
+        """How it ended, and what it rests on."""
         convergence = None if self.convergence is None else asdict(self.convergence)
-        return super().as_dict() | {"gains": dict(self.gains), "convergence": convergence}
+        return super()._values() | {"gains": dict(self.gains), "convergence": convergence}
 
     def _ended(self) -> list[str]:
         """How it ended, and what did the work, one line each."""
@@ -178,10 +178,10 @@ class LearnedCoDesign(CoDesignResult):
         if self.gains:
             parts = (f"{gain:+.4g} from the {what}" for what, gain in self.gains.items())
             lines.append(f"gain on the model: {', '.join(parts)}")
-        return lines
+        return lines + self._of_loop()
 
     def _remarks(self) -> list[str]:
         """What else is to be known, one line each."""
         if self.convergence is not None and self.convergence.by_differences:
-            return ["the design followed finite differences: the gradient through the model was wrong"]
-        return []
+            return [*self.notes, "the design followed finite differences: the gradient through the model was wrong"]
+        return list(self.notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +12,7 @@ from ccdtools.co_design.design_controllers import HORIZON, linear_mpc
 from ccdtools.co_design.differentiable_model import Stepper, to_design
 from ccdtools.co_design.episodes import Episode, fewer_runs, simulated
 from ccdtools.co_design.problem import CoDesignProblem
+from mpc import NotStabilisableError
 
 BY_MPC = f"a quarter more than MPC of the same design does, N = {HORIZON}"
 MPC_RUNS = 32  # episodes of 100 steps that it is measured on
@@ -77,8 +79,13 @@ def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tenso
         ends = [v.clone() for _ in range(2)]
         for end, side in zip(ends, (-1, 1)):
             end[i] = (v[i] + side * TILT).clamp(0.0, 1.0)
-        low, high = (_granted(problem, end, scenarios).log() for end in ends)
-        slopes.append((high - low) / (ends[1][i] - ends[0][i]).double())
+        known = []
+        for end in ends:
+            with suppress(NotStabilisableError):  # there is no MPC beside it: the slope is one-sided
+                known.append((end[i], _granted(problem, end, scenarios)))
+        known = known if len(known) == 2 else [(v[i], middle), *known]
+        (low, behind), (high, ahead) = known[0], known[-1]
+        slopes.append((ahead / behind).log() / (high - low).double() if high != low else torch.zeros_like(middle))
     fraction, depth = middle.tolist()
     return Tolerance(Pair(fraction, depth), BY_MPC, v.clone(), torch.stack(slopes, dim=1))
 

@@ -24,7 +24,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
-from mpc import MPCError, lqr
+from mpc import NotStabilisableError, lqr
 
 LONGEST = 2000  # steps of a loop; one that is not in its ellipsoid by then counts as outside
 NEARLY_LINEAR = 0.1  # of the ellipsoid of a linearisation
@@ -175,7 +175,7 @@ def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> A
     """LQR gains (n, nu, nx) of designs (n, np) with their A and B; NaN where a design cannot be stabilised."""
     K = np.full((len(B), B.shape[2], B.shape[1]), np.nan)
     for i, (pair, p) in enumerate(zip(zip(A, B), designs)):
-        with suppress(MPCError):
+        with suppress(NotStabilisableError):
             K[i] = lqr(*pair, **problem.weights(p).keywords())[0]
     return K
 

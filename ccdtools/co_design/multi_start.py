@@ -15,6 +15,7 @@ from ccdtools.checks import as_choice, as_count, as_flag, as_floats, as_instance
 from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.exceptions import InputError
 from ccdtools.jobs import as_jobs, in_processes
 from ccdtools.plants.design_space import DesignSpace
@@ -47,7 +48,10 @@ class MultiStart(Immutable):
 
     @property
     def best(self) -> CoDesignResult:
-        """The one of the highest return in closed loop on the common scenarios, of those that lose fewest runs."""
+        """The one of the highest return in closed loop on the common scenarios.
+
+        Of those that keep the limits, as far as methods say so; and of these, of those that lose fewest runs.
+        """
         return min(self.results, key=_rank)
 
     @property
@@ -143,7 +147,9 @@ def _value(result: CoDesignResult) -> float:
     return result.closed_loop.summary.mean
 
 
-def _rank(result: CoDesignResult) -> tuple[float, float]:
+def _rank(result: CoDesignResult) -> tuple[float, float, float]:
     """What the best one is the least of."""
     assert result.closed_loop is not None
-    return result.closed_loop.lost_share, -_value(result)
+    broken = result.status in (CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
+    value = _value(result)
+    return broken, result.closed_loop.lost_share, np.inf if np.isnan(value) else -value

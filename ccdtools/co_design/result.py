@@ -12,6 +12,7 @@ from ccdtools.checks import as_vector
 from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
+from ccdtools.plain_values import jsonable
 from ccdtools.statistics import Summary, summarise
 
 HEAVY = 2.0  # standard deviation of the runs, in parts of their mean, beyond which a few of them decide
@@ -135,7 +136,7 @@ class CoDesignResult(Immutable):
     closed_loop : ClosedLoopReturns or None
         On fresh scenarios of the problem, the same for every method that is given the same seed.
     objective : float
-        What the method itself brought to its largest, as a return.
+        What the method itself brought to its largest, as a return; NaN where the limits were not kept.
     criterion : str
         What that is, in words.
     active_bounds : dict
@@ -158,6 +159,8 @@ class CoDesignResult(Immutable):
         The local optima of the landscape, best first; empty where it was not looked at.
     described : str
         The design in words, with names and units.
+    notes : tuple of str
+        What else is to be known of how it ended: limits that no inputs keep, what was never looked at.
     """
 
     design: Array
@@ -177,6 +180,7 @@ class CoDesignResult(Immutable):
     limits: LimitsOutcome | None = None
     valleys: tuple[Valley, ...] = ()
     described: str = ""
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", frozen(np.array(self.design, dtype=float)))
@@ -190,12 +194,18 @@ class CoDesignResult(Immutable):
         return f"{type(self).__name__}({self.method}: {found}{loop}, {self.history!r})"
 
     def as_dict(self) -> dict[str, Any]:
-        """How it ended, as plain values for a file."""
+        """How it ended, as plain values for a file: JSON has what is not finite as null."""
+        plain: dict[str, Any] = jsonable(self._values())
+        return plain
+
+    def _values(self) -> dict[str, Any]:
+        """How it ended."""
         return {
             "status": self.status.name, "meaning": self.status.value, "advice": self.status.advice,
             "method": self.method, "valleys": [asdict(valley) for valley in self.valleys],
             "active_constraints": dict(self.active_constraints), "multipliers": dict(self.multipliers),
             "criterion": self.criterion, "objective": self.objective, "evaluations": self.evaluations,
+            "notes": self.notes,
         }  # fmt: skip
 
     def describe(self) -> list[str]:
@@ -212,22 +222,27 @@ class CoDesignResult(Immutable):
     def _ended(self) -> list[str]:
         """How it ended, one line each."""
         lines = [f"{self.method}: {self.status.value} after {self.evaluations} evaluations. {self.status.advice}"]
-        if self.criterion:
+        if self.criterion and np.isfinite(self.objective):
             lines.append(f"{self.criterion}: {self.objective:.6g}")
-        if self.closed_loop is not None:
-            summary = self.closed_loop.summary
-            low, high = summary.ci95
-            lost = f", {self.closed_loop.lost_share:.2%} of the runs lost" if self.closed_loop.lost.any() else ""
-            lines.append(f"in closed loop: {summary.mean:.6g} [{low:.6g}, {high:.6g}], {summary.n} runs{lost}")
-            lines += _warnings(self.objective, summary)
+        lines += self._of_loop()
         if self.multipliers:
             prices = (f"{name} {value:.3g}" for name, value in self.multipliers.items())
             lines.append(f"gain per unit of what holds the design: {', '.join(prices)}")
         return lines
 
+    def _of_loop(self) -> list[str]:
+        """What it brings in closed loop, one line each."""
+        if self.closed_loop is None:
+            return []
+        summary = self.closed_loop.summary
+        low, high = summary.ci95
+        lost = f", {self.closed_loop.lost_share:.2%} of the runs lost" if self.closed_loop.lost.any() else ""
+        told = f"in closed loop: {summary.mean:.6g} [{low:.6g}, {high:.6g}], {summary.n} runs{lost}"
+        return [told, *_warnings(self.objective, summary)]
+
     def _remarks(self) -> list[str]:
         """What else is to be known, one line each."""
-        return []
+        return list(self.notes)
 
 
 def _warnings(objective: float, summary: Summary) -> list[str]:

@@ -40,8 +40,8 @@ _ADVICE = {
     ),
     CoDesignStatus.STILL_IMPROVING: "Raise CoDesignConfig.iterations: the last block still gained significantly.",
     CoDesignStatus.BUDGET_SPENT: (
-        "Raise the budget (CoDesignConfig.iterations of learning, evaluations of other methods): the return still "
-        "rises along the design, or nobody knows that it does not."
+        "Raise the budget (CoDesignConfig.iterations of learning, Simultaneous.iterations, evaluations or starts of "
+        "other methods): the return still rises along the design, or nobody knows that it does not."
     ),
     CoDesignStatus.GRADIENT_UNTRUSTED: (
         "Check that the objective is differentiable, or raise the number of runs: neither the gradient through the "

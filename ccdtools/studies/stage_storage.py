@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import math
 import os
 import shutil
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.plain_values import jsonable
 
 Network = Any
 MANIFEST = "manifest.json"
@@ -94,23 +94,6 @@ def saved(path: Path, write: Callable[[Path], None]) -> None:
         write(path)
     except CheckpointError as error:
         raise OSError(str(error.got)) from None
-
-
-def jsonable(value: Any) -> Any:
-    """`value` with plain Python types only; what is not finite becomes None."""
-    if isinstance(value, dict):
-        return {str(key): jsonable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [jsonable(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return jsonable(value.tolist())
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 def json_text(values: dict[str, Any]) -> str:

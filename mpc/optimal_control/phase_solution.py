@@ -65,7 +65,8 @@ class PhaseSolution:
     @property
     def inputs(self) -> Array:
         """Inputs (n, nu) at `input_times`."""
-        return self.stages.inputs.reshape(-1, self.part.layout.nu)
+        N, d, nu = self.stages.inputs.shape  # nu may be 0
+        return self.stages.inputs.reshape(N * d, nu)
 
     @property
     def input_times(self) -> Array:

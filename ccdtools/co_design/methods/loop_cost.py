@@ -17,8 +17,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
 from ccdtools.co_design.task import LimitPenalty
 from ccdtools.controllers.controllers import Controller
-from ccdtools.exceptions import InputError
-from mpc import MPCError
+from mpc import NotStabilisableError
 
 STEP = 1e-4  # of the unit box: of differences
 
@@ -101,7 +100,7 @@ class LoopCost:
         self.evaluations += 1
         try:
             seen = self._episode(point)
-        except (MPCError, InputError):
+        except NotStabilisableError:  # any other error is a mistake in what was stated
             return None
         values = self.problem.risk.values(seen.total)
         if v is not None:

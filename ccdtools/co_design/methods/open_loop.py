@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -12,14 +13,15 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.methods.path_limits import path_limits, state_names
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.risk import Mean, MeanSpread, WorstCase
+from ccdtools.co_design.risk import MEAN, Mean, MeanSpread, WorstCase
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
-from mpc import MPCError
-from mpc.optimal_control import OptimalControlProblem, Phase
+from mpc import NotStabilisableError
+from mpc.optimal_control import OptimalControlProblem, Phase, Solution, build, solve
 
 SOFT = 1e-3  # of the range of an input: how far from a bound its saturation is rounded off
 CURE = "Nested or learned co-design simulates the problem as it is."
@@ -78,6 +80,19 @@ def open_loop_problem(
         phases, p_bounds=(lower, upper), p_guess=first, linked=False,
         **_risk(problem), **given,
     )  # fmt: skip
+
+
+def at_the_mean(
+    problem: CoDesignProblem, stated: Callable[[CoDesignProblem], OptimalControlProblem], **given: Any
+) -> Solution | None:
+    """Where to start a program that counts the spread of costs: its optimum for their mean; None if it counts none.
+
+    From elsewhere a solver begins far from the limits, where costs are best all alike: at the kink of no spread.
+    """
+    if not isinstance(problem.risk, MeanSpread):
+        return None
+    found = solve(build(stated(replace(problem, risk=MEAN))), **given)
+    return found if found.solved else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +161,7 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
     nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
     step = problem.model.step
     stage, terminal = costs(problem)
-    limits = _limits(problem, feedback is not None)
+    limits = path_limits(problem, fed_back=feedback is not None)
     lower, upper = problem.input_bounds
     if guess is not None and feedback is not None:
         guess = (guess[0], guess[1], np.zeros((len(guess[0]), 0)))
@@ -162,13 +177,14 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
 
     def path(x: Any, u: Any, p: Any) -> Any:
         """Limits, each to be ≤ 0."""
-        return limits(x, u if feedback is None else feedback.inputs(x, p, size), p[:size])
+        applied = u if feedback is None else feedback.inputs(x, p, size)
+        return ca.vertcat(*(limit.values(x, applied, p[:size]) for limit in limits))
 
     return Phase(
         dynamics=next_state, states=nx, inputs=0 if feedback is not None else nu, stage_cost=stage_cost,
         terminal_cost=lambda x, p: terminal(x, p[:size]) - first_cost(problem, x0), start=x0, duration=len(w),
         discrete=True, u_bounds=(None, None) if feedback is not None else (lower, upper),
-        path=None if limits is None else path, signal=signal, guess=guess,
+        path=path if limits else None, signal=signal, guess=guess, state_names=state_names(problem),
     )  # fmt: skip
 
 
@@ -199,52 +215,6 @@ def first_cost(problem: CoDesignProblem, x0: Array) -> float:
     return float(x0 @ objective.Q @ x0) if isinstance(objective, QuadraticObjective) else 0.0
 
 
-def _limits(problem: CoDesignProblem, fed_back: bool) -> Any:
-    """(x, u, p) → limits on states, inputs and outputs that are no bounds of the inputs, each ≤ 0; None if none."""
-    parts: list[Any] = []
-    nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
-    if isinstance(problem.U, DesignLimits) and not fed_back:
-        parts.append(_beyond(problem.U, size, lambda x, u: u))
-    if problem.limit_tolerance != "off":
-        if isinstance(problem.X, DesignLimits):
-            parts.append(_beyond(problem.X, size, lambda x, u: x))
-        else:
-            F, g = ca.DM(problem.X.A), ca.DM(problem.X.b)
-            parts.append(lambda x, u, p: F @ x - g)
-        if problem.output_limits is not None:
-            parts.append(_outputs(problem.output_limits, (nx, nu, size)))
-    if not parts:
-        return None
-    return lambda x, u, p: ca.vertcat(*(part(x, u, p) for part in parts))
-
-
-def _beyond(limits: DesignLimits, size: int, of: Any) -> Any:
-    """How far bounds that depend on the design are exceeded."""
-    both = limits.both.function(size)
-
-    def beyond(x: Any, u: Any, p: Any) -> Any:
-        """Each ≤ 0."""
-        lower, upper = ca.vertsplit(both(p), limits.dim)
-        return ca.vertcat(of(x, u) - upper, lower - of(x, u))
-
-    return beyond
-
-
-def _outputs(limits: Any, sizes: tuple[int, int, int]) -> Any:
-    """How far limits of outputs are exceeded."""
-    function = limits.outputs.function(*sizes)
-    ny = function.numel_out(0)
-    low, high = (np.broadcast_to(bound, (ny,)) for bound in (limits.lower, limits.upper))
-    above, below = np.flatnonzero(np.isfinite(high)).tolist(), np.flatnonzero(np.isfinite(low)).tolist()
-
-    def beyond(x: Any, u: Any, p: Any) -> Any:
-        """Each ≤ 0."""
-        y = function(x, u, p)
-        return ca.vertcat(y[above] - ca.DM(high[above]), ca.DM(low[below]) - y[below])
-
-    return beyond
-
-
 def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Scenarios as arrays (n, nx) and (n, T, nw); of a worst case one of every case."""
     if isinstance(problem.risk, WorstCase):
@@ -258,7 +228,7 @@ def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: A
     x0, w = scenarios
     try:
         law: Any = saturated_lqr(problem, design)
-    except MPCError:
+    except NotStabilisableError:
         law = LinearFeedback(np.zeros((problem.model.nu, problem.model.nx)))
     step = problem.model.stepper(design, batch=len(x0))
     states, inputs = [x0], []

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.design_sensitivity import regulator_of
 from ccdtools.co_design.objective import QuadraticObjective
@@ -16,7 +17,7 @@ from ccdtools.co_design.result import History
 from ccdtools.co_design.risk import Mean
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
-from mpc import MPCError
+from mpc import NotStabilisableError
 
 SAMPLES = 4096  # starts and disturbances that their second moments are taken from
 SEED = 0
@@ -27,12 +28,14 @@ class RiccatiCost:
     """E[x0ᵀ P x0] + T tr(P E W Eᵀ) and the cost of the design, with its exact slope.
 
     What the episodes of a linear model cost to the end of time, if inputs never saturate and the disturbance is white
-    with covariance W. Of a model that is not linear it is that of its linearisation at rest.
+    with covariance W. Of a model that is not linear it is that of its linearisation at rest, and of a cost that is not
+    quadratic that of its expansion there, with what rest itself costs.
 
     Raises
     ------
     InputError
-        If the problem has a learned error, a warm-up, a risk other than the mean, or rewards of its own.
+        If the problem has a learned error, a warm-up, a risk other than the mean, or an objective whose rewards are not
+        those of the weights that LQR takes.
     """
 
     problem: CoDesignProblem
@@ -43,9 +46,12 @@ class RiccatiCost:
         problem = self.problem
         objective = problem.objective
         own = isinstance(objective, QuadraticObjective) and type(objective).rewards is not QuadraticObjective.rewards
+        given = isinstance(objective, CustomObjective) and objective.Q is not None
         refused = {"a learned error of its model": problem.discrepancy is not None,
                    f"the risk {problem.risk!r}": not isinstance(problem.risk, Mean),
-                   "an objective with rewards of its own": own, "a warm-up": problem.warm_up > 0}  # fmt: skip
+                   "an objective with rewards of its own": own,
+                   "weights Q and R in the place of those of its cost": given,
+                   "a warm-up": problem.warm_up > 0}  # fmt: skip
         for got, is_so in refused.items():
             if is_so:
                 cure = "Nested('lqr') simulates the problem as it is."
@@ -60,34 +66,38 @@ class RiccatiCost:
         p = problem.design.from_unit(v)
         try:
             found = regulator_of(problem, p)
-        except MPCError:
+        except NotStabilisableError:
             return np.inf, np.zeros(len(v))
         E, dE = problem.model.matrices(p)[2], problem.model.derivatives(p)[2]
         spread = self._starts + problem.steps * (E @ self._noise @ E.T)
         cost = float(np.sum(found.P * spread)) - self._first()
         slope = np.einsum("xyp,xy->p", found.dP, spread)
         slope = slope + 2 * problem.steps * np.einsum("xy,ywp,wv,xv->p", found.P, dE, self._noise, E)
-        design_cost, design_slope = self._of_design(p)
-        value = cost + design_cost
+        at_rest, rest_slope = self._at_rest(p)
+        value = cost + at_rest
         count = len(self.rows) + 1
         self.rows.append((count, count, p, -value, 0.0, 0.0))
-        return value, (slope + design_slope) * problem.design.allowed.width
+        return value, (slope + rest_slope) * problem.design.allowed.width
 
     def _first(self) -> float:
         """What the first states cost, which rewards of next states leave out."""
         objective = self.problem.objective
         return float(np.sum(objective.Q * self._starts)) if isinstance(objective, QuadraticObjective) else 0.0
 
-    def _of_design(self, p: Array) -> tuple[float, Array]:
-        """What the design costs, and its slope (np,)."""
-        given = self.problem.objective.design_cost
-        if given is None:
-            return 0.0, np.zeros(len(p))
-        symbol = ca.SX.sym("p", len(p))
-        value = given.function(len(p))(symbol)
+    def _at_rest(self, p: Array) -> tuple[float, Array]:
+        """What the design costs, and an episode at rest, with its slope (np,)."""
+        nx, nu, size = self.problem.model.nx, self.problem.model.nu, len(p)
+        objective, steps = self.problem.objective, self.problem.steps
+        symbol = ca.SX.sym("p", size)
+        value = ca.SX(0.0)
+        if objective.design_cost is not None:
+            value += objective.design_cost.function(size)(symbol) * (steps / (objective.episode or steps))
+        if isinstance(objective, CustomObjective):
+            value += steps * objective.stage_cost.function(nx, nu, size)(ca.DM.zeros(nx), ca.DM.zeros(nu), symbol)
+            if objective.terminal_cost is not None:
+                value += objective.terminal_cost.function(nx, size)(ca.DM.zeros(nx), symbol)
         both = ca.Function("cost", [symbol], [value, ca.densify(ca.gradient(value, symbol))])(p)
-        share = self.problem.steps / (self.problem.objective.episode or self.problem.steps)
-        return float(both[0]) * share, np.asarray(both[1], dtype=float).ravel() * share
+        return float(both[0]), np.asarray(both[1], dtype=float).ravel()
 
     @property
     def evaluations(self) -> int:

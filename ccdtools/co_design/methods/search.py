@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, shown
-from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.design_controllers import controller_of
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.limit_tolerance import FLOOR
@@ -31,7 +31,7 @@ from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
-from mpc import MPCError
+from mpc import NotStabilisableError
 
 LIBRARIES = {"cma": "cma", "bayesian": "optuna"}
 BUDGET = {"cma": 300, "bayesian": 60}  # evaluations
@@ -89,6 +89,8 @@ class Search:
         box = _BlackBox(problem, self._value(problem, rng), problem.design.to_unit(design))
         budget = self.evaluations or BUDGET[self.library]
         with bar(label=self.name, total=budget, progress=progress) as shown_bar:
+            box.begin(budget, rng)
+            shown_bar.update(len(box.rows))
             ask = _cma if self.library == "cma" else _bayesian
             settled = ask(box, budget, rng, shown_bar)
         return self._result(problem, box, settled)
@@ -130,7 +132,7 @@ class Search:
             outcome = loop.outcome(box.best_v)
             status = status if outcome.kept else CoDesignStatus.LIMITS_BROKEN
         words = "the given function" if loop is None else loop.cost.words
-        controller = saturated_lqr(problem, design) if loop is None else law.controller(problem, design)
+        controller = controller_of("lqr", problem, design) if loop is None else law.controller(problem, design)
         return CoDesignResult(
             design=design, controller=controller, method=self.name, status=status, objective=-box.best[1],
             criterion=f"return of {words}", active_bounds=bounds,
@@ -153,15 +155,15 @@ class _ClosedLoop:
                 seen = self.cost.seen(v)
             else:
                 seen, self.penalty = self.cost.updated(self.penalty, v)
-        except (MPCError, InputError):
+        except NotStabilisableError:
             return np.inf, 0.0
         value = float(-self.cost.problem.risk.values(seen.total).mean())
         return value, 0.0 if self.penalty is None else self.penalty.violation(seen)
 
     def outcome(self, v: Array) -> Any:
-        """How the limits are kept at a point."""
-        assert self.penalty is not None
-        return self.penalty.outcome(self.cost.seen(v))
+        """How the limits are kept at a point, beside what is granted there itself: on the way it is extrapolated."""
+        seen, penalty = self.cost.updated(StateLimitPenalty(self.cost.problem), v)
+        return penalty.outcome(seen)
 
 
 class _BlackBox:
@@ -175,12 +177,22 @@ class _BlackBox:
         self.best: tuple[float, float] = (np.inf, np.inf)  # violation and cost
         self.best_v = self.start
         self.rows: list[tuple] = []
+        self.looked: list[tuple[Array, float]] = []  # before a strategy asks
         self.size = 1.0
 
     @property
     def first(self) -> Array:
         """The start's free entries."""
         return np.asarray(self.start[self.free])
+
+    def begin(self, budget: int, rng: np.random.Generator) -> None:
+        """Look at the start, and at random points until one of them says how large costs are."""
+        z = self.first
+        for _ in range(budget):
+            self.looked.append((z, self(z)))
+            if np.isfinite(self.best[1]):
+                break
+            z = rng.random(len(z))
 
     def __call__(self, z: Array) -> float:
         """What is to be small at free entries `z`."""
@@ -192,7 +204,7 @@ class _BlackBox:
             return LOST * self.size
         cost, violation = self.value(v)
         count = len(self.rows) + 1
-        if count == 1 and np.isfinite(cost) and cost != 0:
+        if not np.isfinite(self.best[1]) and np.isfinite(cost) and cost != 0:
             self.size = abs(cost)
         self.rows.append((count, count, self.problem.design.settled(v), -cost, 0.0, 0.0))
         if np.isfinite(cost) and (violation, cost) < self.best:
@@ -206,7 +218,7 @@ class _BlackBox:
 def _cma(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
     """CMA-ES from the start, then from random points while evaluations are left; whether it has converged."""
     settled = False
-    start = box.first
+    start = box.looked[-1][0]
     while len(box.rows) < budget:
         before = len(box.rows)
         settled = _one_strategy(box, start, budget - before, rng, shown_bar) or settled
@@ -217,23 +229,29 @@ def _cma(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm)
 
 
 def _one_strategy(box: _BlackBox, first: Array, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
-    """One run of CMA-ES; whether it has converged."""
+    """One run of CMA-ES of so many evaluations at most; whether it has converged."""
     import cma
 
     n = len(first)
     start = np.full(max(n, 2), 0.5)  # a covariance needs two entries: of one parameter the second idles, and costs
     start[:n] = first
     options = {
-        "bounds": [0.0, 1.0], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "maxfevals": budget, "tolx": SETTLED,
-        "tolfun": 0.0, "tolfunhist": 0.0,
+        "bounds": [0.0, 1.0], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "tolx": SETTLED, "tolfun": 0.0,
+        "tolfunhist": 0.0,
     }  # fmt: skip
     strategy = cma.CMAEvolutionStrategy(start, FIRST_STEP, options)
     while not strategy.stop():
         points = strategy.ask()
+        left, budget = budget, budget - len(points)
+        if budget < 0:  # less than a generation is left: it is looked at, and nothing learned from it
+            for z in points[:left]:
+                box(np.asarray(z)[:n])
+            shown_bar.update(left)
+            return False
         idle = [float(np.sum((np.asarray(z)[n:] - 0.5) ** 2)) for z in points]
         strategy.tell(points, [box(np.asarray(z)[:n]) + box.size * away for z, away in zip(points, idle)])
         shown_bar.update(len(points))
-    return "maxfevals" not in strategy.stop()
+    return True
 
 
 def _bayesian(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
@@ -250,7 +268,10 @@ def _bayesian(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: 
         sampler = optuna.samplers.GPSampler(seed=int(rng.integers(1, 2**31)))
     study = optuna.create_study(sampler=sampler)
     names = [f"v{i}" for i in range(n)]
-    study.enqueue_trial(dict(zip(names, map(float, box.first))))
+    ranges: dict[str, Any] = {name: optuna.distributions.FloatDistribution(0.0, 1.0) for name in names}
+    for z, cost in box.looked:
+        params = dict(zip(names, map(float, z)))
+        study.add_trial(optuna.trial.create_trial(params=params, distributions=ranges, value=cost))
 
     def value(trial: Any) -> float:
         """Of the point that a trial asks for."""
@@ -258,7 +279,7 @@ def _bayesian(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: 
         return box(np.array([trial.suggest_float(name, 0.0, 1.0) for name in names]))
 
     try:
-        study.optimize(value, n_trials=budget)
+        study.optimize(value, n_trials=budget - len(box.looked))
     finally:
         optuna.logging.set_verbosity(verbosity)
     return False

@@ -7,15 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.descent import Descent, descend, value_of
+from ccdtools.co_design.methods.descent import FEASIBLE, Descent, descend, value_of
 from ccdtools.co_design.methods.holding import confirmed, held_by
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.methods.simultaneous import OTHERS
 from ccdtools.co_design.methods.starting import SAME_PLACE, start_points
+from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, Valley
 from ccdtools.co_design.status import CoDesignStatus
@@ -23,7 +26,11 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
 
-ROUNDS = 30  # of the multipliers of limits
+ROUNDS = 30  # of the multipliers of limits, at most;
+QUIET = 2  # that gain nothing more among designs that keep the limits,
+STILL = 10  # or that bring no other design where none keeps them, are enough
+LITTLE = 1e-3  # of the return that control makes: a gain of a round without consequence
+HALVINGS = 8  # of the way from a design that keeps the limits to one that does not
 LEVEL = 1e-3  # of the return that control makes, per length of the unit box: a slope without consequence
 
 
@@ -129,39 +136,91 @@ def searched(
             ends.append(_from(plan, problem, cost_from(v), v))
             shown.update()
     best = min(ends, key=lambda end: end.order)
+    if isinstance(best.cost, TrajectoryCost) and not np.isfinite(best.found.cost):
+        return _without_trajectory(plan.name, problem, best.cost, points[0], found)
     if not np.isfinite(best.found.cost):
         got = f"{space.describe(design)} to start from, where there is nothing to search by: {best.cost.words}"
         cure = "Start from a design that can be stabilised and whose runs keep the limits, or check the weights."
         raise InputError("design", got, "a design with a controller", cure)
     evaluations = sum({id(end.cost): end.cost.evaluations for end in ends}.values())
     result = _result(plan.name, problem, best, evaluations)
-    status = result.status
-    if space.integer and plan.starts == 1 and status.settled:
-        status = CoDesignStatus.BUDGET_SPENT  # other whole numbers were never looked at
-    return replace(result, status=status, valleys=_with_ends(problem, found, points, ends))
+    if space.integer and plan.starts == 1:
+        status = CoDesignStatus.BUDGET_SPENT if result.status.settled else result.status
+        result = replace(result, status=status, notes=(*result.notes, OTHERS))
+    return replace(result, valleys=_with_ends(problem, found, points, ends))
 
 
 def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> End:
     """The search from one start; again and again while leaving the limits is priced too low."""
-    size = _size(problem, value_of(cost, v), v)
+    first = value_of(cost, v)
+    if isinstance(cost, TrajectoryCost) and not np.isfinite(first):
+        v = cost.within_limits(v)
+        if cost.failed is not None:
+            return End(cost, Descent(v, np.inf, np.zeros(len(v))), 1.0)
+        first = value_of(cost, v)
+    size = _size(problem, first, v)
     found = descend(cost, problem.design, v, size=size, evaluations=plan.evaluations)
     if not isinstance(cost, LoopCost) or problem.limit_tolerance == "off" or not np.isfinite(found.cost):
         return End(cost, found, size)
+    return _within_limits(plan, problem, cost, found, size)
+
+
+def _within_limits(plan: Plan, problem: CoDesignProblem, cost: LoopCost, found: Descent, size: float) -> End:
+    """The search again and again, while leaving the limits is priced too low; from where it ended without a price."""
     penalty = StateLimitPenalty(problem)
-    best: End | None = None
+    ends: list[End] = []
     for _ in range(ROUNDS):
         seen, penalty = cost.updated(penalty, found.v)
         if bool(seen.diverged.any()):
-            return End(cost, found, size) if best is None else best
+            break
         plain = float(-problem.risk.values(seen.total).mean())
-        tried = End(cost, replace(found, cost=plain), size, penalty, penalty.violation(seen))
-        best = tried if best is None or tried.order < best.order else best
-        unpriced = not isinstance(cost, LoopCost) or cost.penalty is None
-        if not penalty.active or found.spent or (unpriced and tried.violation <= 0):
+        ends.append(End(cost, replace(found, cost=plain), size, penalty, penalty.violation(seen)))
+        unpriced = cost.penalty is None
+        if not penalty.active or found.spent or (unpriced and ends[-1].violation <= 0) or _settled(ends):
             break
         cost = LoopCost(problem, cost.law, cost.scenarios, penalty, cost.rows, cost.evaluations)
         found = descend(cost, problem.design, found.v, size=size, evaluations=plan.evaluations)
-    assert best is not None
+    if not ends:
+        return End(cost, found, size)
+    best = replace(min(ends, key=lambda end: end.order), cost=cost)
+    broken = [end for end in ends if end.violation > 0 and end.found.cost < best.found.cost]
+    if best.violation > 0 or not broken:
+        return best
+    return _nearer(best, min(broken, key=lambda end: end.violation))
+
+
+def _settled(ends: list[End]) -> bool:
+    """Whether further rounds of prices are expected to change nothing."""
+    kept = [end.violation <= 0 for end in ends]
+    if any(kept):
+        costs = np.minimum.accumulate([end.found.cost if keeps else np.inf for end, keeps in zip(ends, kept)])
+        return len(ends) > QUIET and bool(costs[-1 - QUIET] - costs[-1] <= QUIET * LITTLE * ends[-1].size)
+    last = [end.found.v for end in ends[-STILL:]]
+    return len(last) == STILL and all(np.array_equal(v, last[0]) for v in last)
+
+
+def _nearer(best: End, broken: End) -> End:
+    """Of the designs on the way from one that keeps the limits to a cheaper one that does not, the cheapest that does.
+
+    Prices aim a little within the limits, so that something of the way is left.
+    """
+    cost, begin = best.cost, best.found.v
+    assert isinstance(cost, LoopCost)
+    assert best.penalty is not None
+    near, far = 0.0, 1.0
+    for _ in range(HALVINGS):
+        share = (near + far) / 2
+        v = begin + share * (broken.found.v - begin)
+        seen = cost.seen(v)
+        cost.evaluations += 1
+        plain = float(-cost.problem.risk.values(seen.total).mean())
+        penalty = replace(best.penalty, v=torch.tensor(v, dtype=torch.float32))
+        impossible = bool(seen.diverged.any()) or cost.problem.design.allowed.violation(v) > FEASIBLE
+        if impossible or penalty.violation(seen) > 0 or plain >= best.found.cost:
+            far = share
+        else:
+            near = share
+            best = replace(best, found=replace(best.found, v=v, cost=plain), penalty=penalty)
     return best
 
 
@@ -187,6 +246,22 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
         criterion=f"return of {best.cost.words}", active_bounds=space.active_bounds(design),
         active_constraints=space.active_constraints(design), multipliers=held.multipliers, slope=held.rest / size,
         evaluations=evaluations, history=history, limits=outcome,
+    )  # fmt: skip
+
+
+def _without_trajectory(
+    name: str, problem: CoDesignProblem, cost: TrajectoryCost, v: Array, found: tuple[Valley, ...]
+) -> CoDesignResult:
+    """What there is to say where no design has trajectories within the limits: that, at the given one."""
+    space = problem.design
+    design = space.settled(v)
+    row = (np.ones(1), np.ones(1), design[None], np.full(1, np.nan), np.zeros(1), np.zeros(1))
+    return CoDesignResult(
+        design=design, controller=cost.controller(design), method=name,
+        status=CoDesignStatus.INFEASIBLE if cost.impossible else CoDesignStatus.BUDGET_SPENT,
+        criterion=f"return of {cost.words}", active_bounds=space.active_bounds(design),
+        active_constraints=space.active_constraints(design), evaluations=cost.evaluations, history=History(*row),
+        valleys=found, notes=cost.notes,
     )  # fmt: skip
 
 

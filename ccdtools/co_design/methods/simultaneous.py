@@ -9,7 +9,6 @@ Design 136, 2014; Herber and Allison, Journal of Mechanical Design 141, 2019.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,15 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of, saturated_lqr
 from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.methods.open_loop import Feedback, check_open_loop, drawn, followed, open_loop_problem
+from ccdtools.co_design.methods.open_loop import (
+    Feedback,
+    at_the_mean,
+    check_open_loop,
+    drawn,
+    followed,
+    open_loop_problem,
+)
+from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.methods.starting import start_points
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, Valley
@@ -25,11 +32,12 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import bar
-from mpc import MPCError
+from mpc import NotStabilisableError
+from mpc.optimal_control import OptimalControlProblem, OptimalControlStatus, Solution, build, solve
 
 UNKNOWNS = ("trajectory", "gain")
 RUNS = {"trajectory": 8, "gain": 16}  # scenarios, each with trajectories of its own
-ITERATIONS = 500
+OTHERS = "other whole numbers were never looked at: raise starts"
 
 
 @dataclass(frozen=True)
@@ -44,20 +52,24 @@ class Simultaneous:
     control : {"lqr", "mpc"}
         What closes the loop where inputs were found: they themselves hold for their disturbances alone.
     runs : int, optional
-        Scenarios: 8 of inputs, 16 of a gain by default.
+        Scenarios: 8 of inputs, 16 of a gain by default; of a worst case always one of every case.
     starts : int
         Designs to start from: the given one, and the best valleys of the landscape of saturated LQR.
+    iterations : int
+        Of Ipopt, at most, from each start.
     """
 
     unknowns: str = "trajectory"
     control: str = "lqr"
     runs: int | None = None
     starts: int = 2
+    iterations: int = 500
 
     def __post_init__(self) -> None:
         as_choice("unknowns", self.unknowns, UNKNOWNS)
         as_choice("control", self.control, CONTROL)
-        as_count("starts", self.starts)
+        for name in ("starts", "iterations"):
+            as_count(name, getattr(self, name))
         if self.runs is not None:
             as_count("runs", self.runs)
 
@@ -84,32 +96,33 @@ class Simultaneous:
 
     def _from(self, problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> _End:
         """Where one start leads to."""
-        from mpc.optimal_control import OptimalControlStatus, build, solve
-
         feedback = Feedback(problem, _first_gain(problem, design)) if self.unknowns == "gain" else None
         guess = followed(problem, scenarios, design)
-        statement = open_loop_problem(problem, scenarios, design=design, guess=guess, feedback=feedback)
-        program = build(statement)
-        solution = solve(program, max_iterations=ITERATIONS)
-        feasible = solution.status is not OptimalControlStatus.INFEASIBLE and not solution.conflicts
-        return _End(solution, feasible)
+
+        def stated(problem: CoDesignProblem) -> OptimalControlProblem:
+            """The program of a problem from here."""
+            return open_loop_problem(problem, scenarios, design=design, guess=guess, feedback=feedback)
+
+        first = at_the_mean(problem, stated, max_iterations=self.iterations)
+        solution = solve(build(stated(problem)), start=first, max_iterations=self.iterations)
+        return _End(solution, solution.iterations + (0 if first is None else first.iterations))
 
     def _result(
         self, problem: CoDesignProblem, best: _End, iterations: int, found: tuple[Valley, ...]
     ) -> CoDesignResult:
         """The result of the best start."""
         space = problem.design
-        own = np.clip(best.solution.p[: space.dim], space.lower, space.upper)
-        design = space.check_feasible(space.settled(space.to_unit(own))) if best.solution.solved else own
+        design = space.project(best.solution.p[: space.dim])
         bounds, constraints = space.active_bounds(design), space.active_constraints(design)
+        others = (OTHERS,) if space.integer and self.starts == 1 else ()
         return CoDesignResult(
             design=design, controller=self._controller(problem, best, design), method=self.name,
-            status=_status(best, bool(bounds or constraints), bool(space.integer) and self.starts == 1),
-            objective=-best.cost,
+            status=_status(best, bool(bounds or constraints), bool(others)), objective=best.objective,
             criterion=f"return of {self._words(best)}", active_bounds=bounds, active_constraints=constraints,
             multipliers={name: best.multipliers(space)[name] for name in {**bounds, **constraints} if best.feasible},
             slope=float(best.solution.residuals.worst), evaluations=iterations,
             history=_history(best, design), valleys=found,
+            notes=(*best.notes(problem, fed_back=self.unknowns == "gain"), *others),
         )  # fmt: skip
 
     def _controller(self, problem: CoDesignProblem, best: _End, design: Array) -> Controller:
@@ -129,10 +142,29 @@ class Simultaneous:
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """Where a program ended: its solution, and whether limits are kept."""
+    """Where a program ended, and after how many iterations of Ipopt."""
 
-    solution: Any
-    feasible: bool
+    solution: Solution
+    iterations: int
+
+    @property
+    def feasible(self) -> bool:
+        """Whether all limits are kept."""
+        return not (self.impossible or self.solution.conflicts)
+
+    @property
+    def objective(self) -> float:
+        """As a return; NaN where limits are not kept."""
+        return -self.cost if self.feasible else float("nan")
+
+    @property
+    def impossible(self) -> bool:
+        """Whether no inputs keep them."""
+        return self.solution.status is OptimalControlStatus.INFEASIBLE
+
+    def notes(self, problem: CoDesignProblem, *, fed_back: bool) -> tuple[str, ...]:
+        """What there is to say of an end that is no optimum."""
+        return told(problem, self.solution, fed_back=fed_back)
 
     def multipliers(self, space: DesignSpace) -> dict[str, float]:
         """By how much the return would rise per unit of every constraint and bound of the design, by name."""
@@ -149,23 +181,18 @@ class _End:
         """Of the program."""
         return float(self.solution.cost)
 
-    @property
-    def iterations(self) -> int:
-        """Of Ipopt."""
-        return int(self.solution.iterations)
-
 
 def _first_gain(problem: CoDesignProblem, design: Array) -> Array:
     """The gain of the LQR, or none where there is none."""
     try:
         return np.asarray(saturated_lqr(problem, design).K)
-    except MPCError:
+    except NotStabilisableError:
         return np.zeros((problem.model.nu, problem.model.nx))
 
 
 def _status(best: _End, held: bool, numbers: bool) -> CoDesignStatus:
     """How the program ended; with whole numbers that one start kept, others were never looked at."""
-    if not best.feasible:
+    if best.impossible:
         return CoDesignStatus.INFEASIBLE
     if not best.solution.solved or numbers:
         return CoDesignStatus.BUDGET_SPENT

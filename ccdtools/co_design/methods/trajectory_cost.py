@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import controller_of
-from ccdtools.co_design.methods.open_loop import followed, open_loop_problem
+from ccdtools.co_design.methods.open_loop import at_the_mean, followed, open_loop_problem
+from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
+from ccdtools.co_design.risk import MEAN, WorstCase
 from ccdtools.controllers.controllers import Controller
+from mpc.optimal_control import NonlinearProgram, OptimalControlProblem, OptimalControlStatus, Solution, build, solve
 
 
 @dataclass(eq=False)
 class TrajectoryCost:
-    """Mean cost of the best inputs of every scenario at a design, with its exact slope by the multipliers.
+    """What of the costs of the best inputs of every scenario counts at a design, with its exact slope by multipliers.
+
+    The cases of a worst case have programs of their own, as nothing but the design ties them together: their costs are
+    then counted, and rounded off where two are alike, as those of closed loops are.
 
     Parameters
     ----------
@@ -27,6 +33,15 @@ class TrajectoryCost:
         The design that the program is built at.
     control : {"lqr", "mpc"}
         What closes the loop in use.
+
+    Attributes
+    ----------
+    rows : list
+        Of the history: one for every design with trajectories.
+    evaluations : int
+        How many designs were looked at.
+    failed : mpc.optimal_control.Solution or None
+        Of the program that looked for a design within the limits and found none.
     """
 
     problem: CoDesignProblem
@@ -34,15 +49,19 @@ class TrajectoryCost:
     start: Array
     control: str = "lqr"
     rows: list[tuple] = field(default_factory=list)
-    _last: Any = None
+    evaluations: int = 0
+    failed: Solution | None = None
 
     def __post_init__(self) -> None:
-        from mpc.optimal_control import build
-
-        guess = followed(self.problem, self.scenarios, self.start)
-        self._program = build(
-            open_loop_problem(self.problem, self.scenarios, design=self.start, guess=guess, constrained=False)
-        )
+        parts = [self.scenarios]
+        problem = self.problem
+        if isinstance(problem.risk, WorstCase):
+            parts = [(x0[None], w[None]) for x0, w in zip(*self.scenarios)]
+            problem = replace(problem, risk=MEAN)
+        self._programs = [build(_stated(problem, part, self.start, constrained=False)) for part in parts]
+        p = self.start
+        first = at_the_mean(problem, lambda one: _stated(one, self.scenarios, p, constrained=False), p=p)
+        self._last: list[Solution | None] = [first] * len(parts)
 
     @property
     def words(self) -> str:
@@ -51,23 +70,55 @@ class TrajectoryCost:
 
     def __call__(self, v: Array) -> tuple[float, Array]:
         """Cost and its slope (np,) at a point (np,) of the unit box; infinite where no inputs keep the limits."""
-        from mpc.optimal_control import solve
-
-        p = self.problem.design.from_unit(v)
-        solution = solve(self._program, p=p, start=self._last)
-        if not solution.solved and self._last is not None:
-            solution = solve(self._program, p=p)
-        if not solution.solved:
+        p = self.problem.design.settled(v)
+        self.evaluations += 1
+        found: list[Solution] = [_solved(program, p, last) for program, last in zip(self._programs, self._last)]
+        if not all(solution.solved for solution in found):
             return np.inf, np.zeros(len(v))
-        self._last = solution
+        self._last = list(found)
+        cost, slope = self._counted(np.array([solution.cost for solution in found]),
+                                    np.array([solution.p_gradient for solution in found]))  # fmt: skip
         count = len(self.rows) + 1
-        self.rows.append((count, count, p, -float(solution.cost), 0.0, 0.0))
-        return float(solution.cost), solution.p_gradient * self.problem.design.allowed.width
+        self.rows.append((count, count, p, -cost, 0.0, 0.0))
+        return cost, slope * self.problem.design.allowed.width
+
+    def _counted(self, costs: Array, slopes: Array) -> tuple[float, Array]:
+        """What of the costs (n,) of programs counts, and its slope (np,) of theirs (n, np)."""
+        if len(costs) == 1:
+            return float(costs[0]), slopes[0]
+        returns = torch.tensor(-costs, requires_grad=True)
+        counted = self.problem.risk.values(returns).mean()
+        (weights,) = torch.autograd.grad(counted, returns)
+        return -float(counted.detach()), weights.numpy() @ slopes
+
+    def within_limits(self, v: Array) -> Array:
+        """A point (np,) of the unit box whose inputs can keep the limits, found from another; that itself if none is.
+
+        By trajectories and design in one program, whole numbers held.
+        """
+        space = self.problem.design
+        self.evaluations += 1
+        start = space.settled(v)
+
+        def stated(problem: CoDesignProblem) -> OptimalControlProblem:
+            """The program of a problem from here."""
+            return _stated(problem, self.scenarios, start, constrained=True)
+
+        solution = solve(build(stated(self.problem)), start=at_the_mean(self.problem, stated))
+        if not solution.solved:
+            self.failed = solution
+            return v
+        return space.to_unit(space.project(solution.p))
 
     @property
-    def evaluations(self) -> int:
-        """How many there were."""
-        return len(self.rows)
+    def impossible(self) -> bool:
+        """Whether no design was found whose inputs keep the limits."""
+        return self.failed is not None and self.failed.status is OptimalControlStatus.INFEASIBLE
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What there is to say where no trajectory was found."""
+        return () if self.failed is None else told(self.problem, self.failed)
 
     def controller(self, p: Array) -> Controller:
         """What closes the loop at a design."""
@@ -76,3 +127,17 @@ class TrajectoryCost:
     def history(self) -> History:
         """All evaluations so far."""
         return History(*(np.array(column) for column in zip(*self.rows)))
+
+
+def _stated(
+    problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array, *, constrained: bool
+) -> OptimalControlProblem:
+    """The problem with the design among its unknowns."""
+    guess = followed(problem, scenarios, design)
+    return open_loop_problem(problem, scenarios, design=design, guess=guess, constrained=constrained)
+
+
+def _solved(program: NonlinearProgram, p: Array, last: Solution | None) -> Solution:
+    """A program at a design, from the solution before, or if that leads nowhere from its guess."""
+    solution = solve(program, p=p, start=last)
+    return solution if solution.solved or last is None else solve(program, p=p)

@@ -1,0 +1,143 @@
+"""The limits of a problem along a trajectory: as expressions that are ≤ 0, and in words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.design_limits import DesignLimits
+from ccdtools.limits import StateLimits
+from ccdtools.output_limits import OutputLimits
+
+ROW = re.compile(r"path (\d+)")
+PLACE = re.compile(r"( of phase \d+)|( at t = [^,]+)|(, by .*)")
+GIVEN = ("dynamics", "start of")
+CONSTRAINT = re.compile(r"p_constraints (\d+)")
+PARAMETER = re.compile(r"\bp(\d+) ([≤≥=])")
+
+
+@dataclass(frozen=True)
+class PathLimit:
+    """Some limits along a trajectory.
+
+    Attributes
+    ----------
+    values : function of x, u, p
+        Each to be ≤ 0.
+    texts : tuple of str
+        Each in words.
+    """
+
+    values: Callable[[Any, Any, Any], Any]
+    texts: tuple[str, ...]
+
+
+def path_limits(problem: CoDesignProblem, *, fed_back: bool) -> tuple[PathLimit, ...]:
+    """Those on states, inputs and outputs that are no bounds of the inputs; those of inputs are not if `fed_back`."""
+    size = problem.design.dim
+    found = []
+    if isinstance(problem.U, DesignLimits) and not fed_back:
+        found.append(_beyond(problem.U, size, lambda x, u: u, input_names(problem)))
+    if problem.limit_tolerance == "off":
+        return tuple(found)
+    names = state_names(problem)
+    if isinstance(problem.X, DesignLimits):
+        found.append(_beyond(problem.X, size, lambda x, u: x, names))
+    else:
+        limits = StateLimits(problem.X)
+        F, g = ca.DM(limits.rows), ca.DM(limits.bounds)
+        texts = tuple(_kept(limits.row_text(row, names)) for row in range(len(limits.bounds)))
+        found.append(PathLimit(lambda x, u, p: F @ x - g, texts))
+    if problem.output_limits is not None:
+        found.append(_outputs(problem.output_limits, (problem.model.nx, problem.model.nu, size)))
+    return tuple(found)
+
+
+def told(problem: CoDesignProblem, solution: Any, *, fed_back: bool = False) -> tuple[str, ...]:
+    """What there is to say of the solution of a program of trajectories that is no optimum."""
+    if solution.solved:
+        return ()
+    broken = in_words(problem, solution.conflicts, fed_back=fed_back)
+    of_limits = (f"not kept together: {', '.join(broken)}",) if broken else ()
+    return (*of_limits, *([] if solution.status.name == "INFEASIBLE" else [solution.status.advice]))
+
+
+def in_words(problem: CoDesignProblem, conflicts: tuple[str, ...], *, fed_back: bool) -> tuple[str, ...]:
+    """What contradicts itself in a program of trajectories, in the names of its problem, each limit once.
+
+    Dynamics and starts are named where nothing else is: they are given.
+    """
+    texts = [text for limit in path_limits(problem, fed_back=fed_back) for text in limit.texts]
+    space = problem.design
+
+    def constraint(found: re.Match[str]) -> str:
+        """The name of a constraint on the design."""
+        return str(space.constraint_names[int(found[1]) - 1])
+
+    def parameter(found: re.Match[str]) -> str:
+        """The name of a design parameter; gains come after them."""
+        i = int(found[1]) - 1
+        return f"{space.names[i] if i < space.dim else f'gain {i - space.dim + 1}'} {found[2]}"
+
+    words = []
+    for text in conflicts:
+        named = ROW.sub(lambda found: texts[int(found[1]) - 1], PLACE.sub("", text))
+        words.append(PARAMETER.sub(parameter, CONSTRAINT.sub(constraint, named)))
+    chosen = [word for word in words if not word.startswith(GIVEN)] or words
+    return tuple(dict.fromkeys(chosen))
+
+
+def state_names(problem: CoDesignProblem) -> tuple[str, ...]:
+    """Those of its plant, else x1, x2, …."""
+    return _names(problem, "state_names", "x", problem.model.nx)
+
+
+def input_names(problem: CoDesignProblem) -> tuple[str, ...]:
+    """Those of its plant, else u1, u2, …."""
+    return _names(problem, "input_names", "u", problem.model.nu)
+
+
+def _names(problem: CoDesignProblem, which: str, letter: str, size: int) -> tuple[str, ...]:
+    """So many names."""
+    given = getattr(getattr(problem.model, "plant", None), which, None)
+    return tuple(given) if given else tuple(f"{letter}{i + 1}" for i in range(size))
+
+
+def _beyond(limits: DesignLimits, size: int, of: Any, names: tuple[str, ...]) -> PathLimit:
+    """How far bounds that depend on the design are exceeded."""
+    both = limits.both.function(size)
+
+    def beyond(x: Any, u: Any, p: Any) -> Any:
+        """Each ≤ 0."""
+        lower, upper = ca.vertsplit(both(p), limits.dim)
+        return ca.vertcat(of(x, u) - upper, lower - of(x, u))
+
+    letter = limits.argument
+    texts = [f"{name} ≤ upper {letter}(p)" for name in names] + [f"{name} ≥ lower {letter}(p)" for name in names]
+    return PathLimit(beyond, tuple(texts))
+
+
+def _outputs(limits: OutputLimits, sizes: tuple[int, int, int]) -> PathLimit:
+    """How far limits of outputs are exceeded."""
+    function = limits.outputs.function(*sizes)
+    ny = function.numel_out(0)
+    low, high = (np.broadcast_to(bound, (ny,)) for bound in (limits.lower, limits.upper))
+    above, below = np.flatnonzero(np.isfinite(high)).tolist(), np.flatnonzero(np.isfinite(low)).tolist()
+
+    def beyond(x: Any, u: Any, p: Any) -> Any:
+        """Each ≤ 0."""
+        y = function(x, u, p)
+        return ca.vertcat(y[above] - ca.DM(high[above]), ca.DM(low[below]) - y[below])
+
+    return PathLimit(beyond, tuple(_kept(limits.row_text(row)) for row in range(len(above) + len(below))))
+
+
+def _kept(exceeded: str) -> str:
+    """What keeping a limit means, of the words for exceeding it."""
+    return exceeded.replace(" > ", " ≤ ").replace(" < ", " ≥ ")
