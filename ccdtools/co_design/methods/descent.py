@@ -82,6 +82,11 @@ def value_of(cost: Cost, v: Array) -> float:
     return cost.value(v) if isinstance(cost, CostBySlopes) and cost.apart else cost(v)[0]
 
 
+def tamed(relative: float) -> float:
+    """A relative cost, beyond `TALL` as a logarithm."""
+    return float(relative) if relative <= TALL else TALL * (1 + float(np.log(relative / TALL)))
+
+
 def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> Descent:
     """From a feasible point of the unit box to the least cost that is found, fixed entries and whole numbers held.
 
@@ -157,7 +162,7 @@ class _Watched:
         relative = point.cost / self.size
         if not np.isfinite(relative) or (point.slope is not None and not np.isfinite(point.slope).all()):
             return LOST
-        return float(relative) if relative <= TALL else TALL * (1 + float(np.log(relative / TALL)))
+        return tamed(relative)
 
     def slope(self, z: Array) -> Array:
         """Its slope along the free entries."""

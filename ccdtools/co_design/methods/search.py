@@ -22,8 +22,7 @@ from ccdtools.checks import as_choice, as_count, shown
 from ccdtools.co_design.design_controllers import controller_of
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.limit_tolerance import FLOOR
-from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.methods.black_box import FIRST, BlackBox, ClosedLoop, Look
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
@@ -31,16 +30,12 @@ from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
-from mpc import NotStabilisableError
 
 LIBRARIES = {"cma": "cma", "bayesian": "optuna"}
 BUDGET = {"cma": 300, "bayesian": 60}  # evaluations
 RUNS = {"lqr": 256, "mpc": 32}  # scenarios of 100 steps
 FIRST_STEP = 0.25  # of CMA-ES, in the unit box
 SETTLED = 1e-3  # of the unit box: spread of CMA-ES at which it has converged
-OUTSIDE = 10.0  # of the cost, per unit-box length squared: what a point loses for its distance from the feasible ones
-BROKEN = 0.05  # of the cost: what exceeding the tolerance of limits by the least that counts costs
-LOST = 1e3  # relative cost of a design where nothing works
 
 
 @dataclass(frozen=True)
@@ -86,7 +81,7 @@ class Search:
         if find_spec(package) is None:
             raise InputError("method", f"a search by {package}, which is not installed", "the extra ccdtools[search]",
                              f"pip install {package}")  # fmt: skip
-        box = _BlackBox(problem, self._value(problem, rng), problem.design.to_unit(design))
+        box = BlackBox(problem, self._value(problem, rng), problem.design.to_unit(design))
         budget = self.evaluations or BUDGET[self.library]
         with bar(label=self.name, total=budget, progress=progress) as shown_bar:
             box.begin(budget, rng)
@@ -112,15 +107,15 @@ class Search:
             return measured
         runs = fewer_runs(self.runs or RUNS[self.of], problem.steps)
         law: DesignLaw = LQRLaw() if self.of == "lqr" else MPCLaw()
-        return _ClosedLoop(problem, LoopCost(problem, law, scenario_tensors(problem, runs, rng)))
+        return ClosedLoop(problem, LoopCost(problem, law, scenario_tensors(problem, runs, rng)))
 
-    def _result(self, problem: CoDesignProblem, box: _BlackBox, settled: bool) -> CoDesignResult:
+    def _result(self, problem: CoDesignProblem, box: BlackBox, settled: bool) -> CoDesignResult:
         """The best that was looked at."""
         space = problem.design
         if not np.isfinite(box.best[1]):
             raise InputError("of", "no return at any design", "one at some design", "Check the bounds of the design.")
         design = space.settled(box.best_v)
-        loop = box.value if isinstance(box.value, _ClosedLoop) else None
+        loop = box.value if isinstance(box.value, ClosedLoop) else None
         law = LQRLaw() if loop is None else loop.cost.law
         bounds = space.active_bounds(design)
         held = bounds or space.active_constraints(design)
@@ -141,84 +136,10 @@ class Search:
         )  # fmt: skip
 
 
-class _ClosedLoop:
-    """A law in closed loop: cost and by how much limits are left."""
-
-    def __init__(self, problem: CoDesignProblem, cost: LoopCost) -> None:
-        self.cost = cost
-        self.penalty = None if problem.limit_tolerance == "off" else StateLimitPenalty(problem)
-
-    def __call__(self, v: Array) -> tuple[float, float]:
-        """At a point of the unit box."""
-        try:
-            if self.penalty is None:
-                seen = self.cost.seen(v)
-            else:
-                seen, self.penalty = self.cost.updated(self.penalty, v)
-        except NotStabilisableError:
-            return np.inf, 0.0
-        value = float(-self.cost.problem.risk.values(seen.total).mean())
-        return value, 0.0 if self.penalty is None else self.penalty.violation(seen)
-
-    def outcome(self, v: Array) -> Any:
-        """How the limits are kept at a point, beside what is granted there itself: on the way it is extrapolated."""
-        seen, penalty = self.cost.updated(StateLimitPenalty(self.cost.problem), v)
-        return penalty.outcome(seen)
-
-
-class _BlackBox:
-    """Values at any point of the unit box: that of the nearest feasible design, less a little for the distance."""
-
-    def __init__(self, problem: CoDesignProblem, value: Any, start: Array) -> None:
-        self.problem = problem
-        self.value = value
-        self.start = problem.design.allowed.rounded(start)
-        self.free = problem.design.free
-        self.best: tuple[float, float] = (np.inf, np.inf)  # violation and cost
-        self.best_v = self.start
-        self.rows: list[tuple] = []
-        self.looked: list[tuple[Array, float]] = []  # before a strategy asks
-        self.size = 1.0
-
-    @property
-    def first(self) -> Array:
-        """The start's free entries."""
-        return np.asarray(self.start[self.free])
-
-    def begin(self, budget: int, rng: np.random.Generator) -> None:
-        """Look at the start, and at random points until one of them says how large costs are."""
-        z = self.first
-        for _ in range(budget):
-            self.looked.append((z, self(z)))
-            if np.isfinite(self.best[1]):
-                break
-            z = rng.random(len(z))
-
-    def __call__(self, z: Array) -> float:
-        """What is to be small at free entries `z`."""
-        asked = self.start.copy()
-        asked[self.free] = np.clip(z, 0.0, 1.0)
-        allowed = self.problem.design.allowed
-        v = allowed.near(allowed.rounded(asked))
-        if v is None:
-            return LOST * self.size
-        cost, violation = self.value(v)
-        count = len(self.rows) + 1
-        if not np.isfinite(self.best[1]) and np.isfinite(cost) and cost != 0:
-            self.size = abs(cost)
-        self.rows.append((count, count, self.problem.design.settled(v), -cost, 0.0, 0.0))
-        if np.isfinite(cost) and (violation, cost) < self.best:
-            self.best, self.best_v = (violation, cost), v
-        if not np.isfinite(cost):
-            return LOST * self.size
-        away = float(np.sum((asked - v) ** 2))
-        return float(cost + self.size * (OUTSIDE * away + BROKEN * violation / FLOOR))
-
-
-def _cma(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
+def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
     """CMA-ES from the start, then from random points while evaluations are left; whether it has converged."""
     settled = False
-    start = box.looked[-1][0]
+    start = box.looks[-1].z
     while len(box.rows) < budget:
         before = len(box.rows)
         settled = _one_strategy(box, start, budget - before, rng, shown_bar) or settled
@@ -228,7 +149,7 @@ def _cma(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm)
     return settled
 
 
-def _one_strategy(box: _BlackBox, first: Array, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
+def _one_strategy(box: BlackBox, first: Array, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
     """One run of CMA-ES of so many evaluations at most; whether it has converged."""
     import cma
 
@@ -254,32 +175,46 @@ def _one_strategy(box: _BlackBox, first: Array, budget: int, rng: np.random.Gene
     return True
 
 
-def _bayesian(box: _BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
+def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
     """Bayesian optimisation with a Gaussian process; it never knows that it has converged."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="IProgress not found")  # its progress bar is not used
         import optuna
 
-    n = int(box.free.sum())
     verbosity = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         sampler = optuna.samplers.GPSampler(seed=int(rng.integers(1, 2**31)))
-    study = optuna.create_study(sampler=sampler)
-    names = [f"v{i}" for i in range(n)]
-    ranges: dict[str, Any] = {name: optuna.distributions.FloatDistribution(0.0, 1.0) for name in names}
-    for z, cost in box.looked:
-        params = dict(zip(names, map(float, z)))
-        study.add_trial(optuna.trial.create_trial(params=params, distributions=ranges, value=cost))
+    space = box.problem.design
+    ranges: dict[str, Any] = {
+        name: optuna.distributions.IntDistribution(round(low), round(high)) if whole
+        else optuna.distributions.FloatDistribution(0.0, 1.0)
+        for name, low, high, whole, free in zip(space.names, *space.outermost, space.whole, box.free) if free
+    }  # fmt: skip
+    whole = space.whole[box.free]
+    low, high = space.lower[box.free], space.upper[box.free]
+
+    def known(look: Look) -> Any:
+        """What was seen, as a trial."""
+        asked = np.where(whole, np.round(low + look.z * (high - low)), look.z)
+        params = {name: int(a) if w else float(a) for name, a, w in zip(ranges, asked, whole)}
+        return optuna.trial.create_trial(params=params, distributions=ranges, value=box.merit(look))
 
     def value(trial: Any) -> float:
         """Of the point that a trial asks for."""
         shown_bar.update()
-        return box(np.array([trial.suggest_float(name, 0.0, 1.0) for name in names]))
+        asked = np.array([
+            trial.suggest_int(name, of.low, of.high) if w else trial.suggest_float(name, 0.0, 1.0)
+            for (name, of), w in zip(ranges.items(), whole)
+        ])  # fmt: skip
+        return box(np.where(whole, (asked - low) / (high - low), asked))
 
     try:
-        study.optimize(value, n_trials=budget - len(box.looked))
+        for until in (min(FIRST, budget), budget):  # then it is known how large costs are: they are told anew
+            study = optuna.create_study(sampler=sampler)
+            study.add_trials([known(look) for look in box.looks])
+            study.optimize(value, n_trials=max(until - len(box.looks), 0))
     finally:
         optuna.logging.set_verbosity(verbosity)
     return False

@@ -78,6 +78,33 @@ def test_a_search_keeps_constraints_and_whole_numbers(name):
     assert case.cost(found.design) <= 1.01 * cost
 
 
+@pytest.mark.parametrize("library", ["cma", "bayesian"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_search_finds_the_best_whole_number_among_many(library, seed):
+    pytest.importorskip({"cma": "cma", "bayesian": "optuna"}[library])
+    own = mass()
+    space = cc.DesignSpace(["m"], [0.4], [40.6], integer=["m"])
+    counted = replace(own, model=replace(own.model, design=space))
+    best = max(range(1, 41), key=lambda m: -abs(m - 23.3) - 2 * np.cos(m))  # one number after the other
+    method = cc.Search(library, of=lambda p: -abs(p[0] - 23.3) - 2 * np.cos(p[0]), evaluations=60)
+    found = codesigned(counted, method, seed=seed, design=[2.0])
+    assert found.design[0] == best
+
+
+@pytest.mark.parametrize("library", ["cma", "bayesian"])
+@pytest.mark.parametrize("worst", [1e2, 1e9])
+def test_how_bad_the_first_design_is_does_not_matter(library, worst):
+    # a loop that loses its runs costs 1e9 beside 1: nothing of the search may be measured by that
+    pytest.importorskip({"cma": "cma", "bayesian": "optuna"}[library])
+
+    def measured(p):
+        return -worst if p[0] < 0.9 else -1 - (p[0] - 1.6) ** 2
+
+    for seed in range(2):
+        found = codesigned(mass(), cc.Search(library, of=measured, evaluations=60), seed=seed, design=[0.6])
+        assert found.objective >= -1.002
+
+
 def test_any_function_of_a_design_can_be_searched():
     pytest.importorskip("cma")
     problem = mass()
