@@ -192,6 +192,16 @@ def test_of_many_starts_one_that_breaks_the_limits_is_not_the_best():
     assert starts.best is good
 
 
+def test_a_design_whose_runs_are_all_lost_is_not_efficient_and_hides_no_other():
+    one = codesigned(mass(), cc.Nested(runs=50, starts=1))
+    found = cc.TradeOff(
+        values=np.array([1.0, 2.0, 3.0]), results=(one,) * 3, designs=np.ones((3, 1)), priced=False,
+        space=mass().design, design_costs=np.array([1.0, 2.0, 0.5]), control_returns=np.array([-10.0, -20.0, np.nan]),
+        intervals=np.zeros((3, 2)),
+    )  # fmt: skip
+    np.testing.assert_array_equal(found.efficient, [True, False, False])
+
+
 @pytest.mark.parametrize("terminal", [None, lambda x, p: p + 2 * x[0] ** 2])
 def test_the_riccati_equation_counts_what_rest_costs(terminal):
     def stage(x, u, p):
