@@ -64,9 +64,7 @@ class Descent:
     spent: bool = False
 
 
-def descend(
-    cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int, first: tuple[float, Array] | None = None
-) -> Descent:
+def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> Descent:
     """From a feasible point of the unit box to the least cost that is found, fixed entries and whole numbers held.
 
     Parameters
@@ -78,8 +76,6 @@ def descend(
         Of costs: what gains are compared with.
     evaluations : int
         At most.
-    first : (float, (np,) array), optional
-        Cost and slope at `v`, where they are known.
     """
     region = DesignRegion(space, v)
     limits = space.allowed.limits
@@ -98,7 +94,7 @@ def descend(
             found.spent = True
             raise _SpentError
         point = at(z)
-        value, slope = first if first is not None and np.array_equal(point, v) else cost(point)
+        value, slope = cost(point)
         found.evaluations += 1
         if value < found.cost and space.allowed.violation(point) <= FEASIBLE:
             found.v, found.cost, found.slope = point, value, slope
@@ -116,7 +112,7 @@ def descend(
         "jac": lambda z: -limits.jacobian(at(z))[:, free],
     }]  # fmt: skip
     if not free.any():
-        value, slope = cost(v) if first is None else first
+        value, slope = cost(v)
         return Descent(v, value, slope, 1, [(v, value)])
     try:
         for _ in range(AGAIN):

@@ -148,14 +148,14 @@ def searched(
 
 def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> End:
     """The search from one start; again and again while leaving the limits is priced too low."""
-    first = cost(v)
-    if isinstance(cost, TrajectoryCost) and not np.isfinite(first[0]):
+    first = cost(v)[0]
+    if isinstance(cost, TrajectoryCost) and not np.isfinite(first):
         v = cost.within_limits(v)
         if cost.failed is not None:
             return End(cost, Descent(v, np.inf, np.zeros(len(v))), 1.0)
-        first = cost(v)
-    size = _size(problem, first[0], v)
-    found = descend(cost, problem.design, v, size=size, evaluations=plan.evaluations, first=first)
+        first = cost(v)[0]
+    size = _size(problem, first, v)
+    found = descend(cost, problem.design, v, size=size, evaluations=plan.evaluations)
     if not isinstance(cost, LoopCost) or problem.limit_tolerance == "off" or not np.isfinite(found.cost):
         return End(cost, found, size)
     return _within_limits(plan, problem, cost, found, size)

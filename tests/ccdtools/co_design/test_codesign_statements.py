@@ -141,15 +141,6 @@ def test_a_search_is_not_led_by_designs_without_a_value_however_large_costs_are(
     assert found.design[0] == pytest.approx(2.0, abs=0.15)
 
 
-@pytest.mark.parametrize("inner", ["lqr", "riccati", "trajectory"])
-def test_a_nested_search_looks_at_its_start_once_and_at_no_more_designs_than_it_may(inner):
-    found = codesigned(mass(), cc.Nested(inner, runs=2, starts=1, evaluations=3), design=[2.5])
-    designs = found.history.design
-    assert len(designs) <= 3
-    assert len(np.unique(designs)) == len(designs)
-    np.testing.assert_allclose(designs[0], [2.5])
-
-
 def test_a_result_is_ready_for_json():
     lqr = codesigned(mass(), cc.Nested(runs=50))
     assert lqr.valleys
