@@ -160,6 +160,12 @@ class StateLimitPenalty:
         spread = depth if depth > RESOLVED else self.spread
         return replace(self, tolerance=tolerance, v=v, seen=seen, multipliers=Pair(*multipliers), spread=spread)
 
+    def dearer(self, factor: float) -> StateLimitPenalty:
+        """The same with the price of what was last left further than granted multiplied."""
+        broken = (value > granted for value, granted in zip(self.seen.values(), self._granted.values()))
+        prices = (price * factor if is_so else price for price, is_so in zip(self.multipliers.values(), broken))
+        return replace(self, multipliers=Pair(*prices))
+
     def outcome(self, episode: Episode) -> LimitsOutcome:
         """How the iterate of these episodes keeps the limits."""
         outputs = self.judge.output_limits is not None

@@ -55,12 +55,18 @@ class TradeOff(Immutable):
 
     @property
     def efficient(self) -> Mask:
-        """The designs (n,) that no other one beats in both cost and return by more than a thousandth of their range."""
+        """The designs (n,) that no other one beats in both cost and return by more than a thousandth of their range.
+
+        None whose runs are all lost.
+        """
         cost, gain = self.design_costs, self.control_returns
-        slack = 1e-3 * np.array([np.ptp(cost), np.ptp(gain)])
+        known = np.isfinite(gain)
+        if not known.any():
+            return known
+        slack = 1e-3 * np.array([np.ptp(cost), np.ptp(gain[known])])
         cheaper = cost[None] < cost[:, None] - slack[0]
         better = gain[None] > gain[:, None] + slack[1]
-        return np.asarray(~(cheaper & better).any(axis=1))
+        return np.asarray(known & ~(cheaper & better).any(axis=1))
 
     @property
     def word(self) -> str:

@@ -28,8 +28,9 @@ from ccdtools.progress import bar
 
 ROUNDS = 30  # of the multipliers of limits, at most;
 QUIET = 2  # that gain nothing more among designs that keep the limits,
-STILL = 10  # or that bring no other design where none keeps them, are enough
+STILL = 6  # or that bring no other design where none keeps them, are enough
 LITTLE = 1e-3  # of the return that control makes: a gain of a round without consequence
+DEARER = 2.0  # times the price of limits, beside what it grows by anyway, where a round has not led within them
 HALVINGS = 8  # of the way from a design that keeps the limits to one that does not
 LEVEL = 1e-3  # of the return that control makes, per length of the unit box: a slope without consequence
 
@@ -178,6 +179,8 @@ def _within_limits(plan: Plan, problem: CoDesignProblem, cost: LoopCost, found: 
         unpriced = cost.penalty is None
         if not penalty.active or found.spent or (unpriced and ends[-1].violation <= 0) or _settled(ends):
             break
+        if not unpriced and ends[-1].violation > 0:
+            penalty = penalty.dearer(DEARER)
         cost = LoopCost(problem, cost.law, cost.scenarios, penalty, cost.rows, cost.evaluations)
         found = descend(cost, problem.design, found.v, size=size, evaluations=plan.evaluations)
     if not ends:
