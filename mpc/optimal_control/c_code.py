@@ -12,6 +12,7 @@ from mpc.exceptions import InputError
 from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
+from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.planner import DEAR, TINY
 
 SOLVER = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False, "max_iter": 1000}
@@ -71,8 +72,7 @@ def write_c(law: LinearMPC, model: DiscreteModel, folder: Any) -> Path:
 
 def _of_columns(function: ca.Function) -> ca.Function:
     """A function of (x, u, w, p) as one of those that have entries: generated C knows no empty arguments."""
-    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
-    columns = {name: kind.sym(name, function.numel_in(i)) for i, name in enumerate("xuwp")}
+    columns = symbols_of(function)
     kept = {name: column for name, column in columns.items() if not column.is_empty()}
     results = function.call(list(columns.values()))
     names = ["next", "A", "B"][: len(results)]

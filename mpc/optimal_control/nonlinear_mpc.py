@@ -242,7 +242,7 @@ class NonlinearMPC:
 
     @cached_property
     def _model_derivatives(self) -> ModelDerivatives:
-        return ModelDerivatives(self.model.step, self.horizon)
+        return ModelDerivatives(self.model)
 
     def _check_start(self, start: Any) -> None:
         """Raise an `InputError` unless it is None or a plan of this controller."""

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_array
 from mpc.exceptions import InputError
+from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
 from mpc.problem import MPCProblem
 from mpc.targets import Target, nearest_target, sizes_of
@@ -34,12 +35,8 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
     ----------
     mpc : NonlinearMPC
         The regulator. Its w is what is estimated; without one, what is added to each next state.
-    C : (ny, nx) array
-        Tracked outputs.
-    gain : float
-        Share of the newest one-step error taken into the estimate, in (0, 1].
-    disturbance : (nw,) array, optional
-        Estimate w; zero at first.
+    C, gain, disturbance
+        See `OffsetFreeMPC`.
 
     Raises
     ------
@@ -117,10 +114,8 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
 
 def _with_additive(mpc: NonlinearMPC) -> NonlinearMPC:
     """The same controller of a model with a disturbance added to every next state."""
-    step: Any = mpc.model.step
-    kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
-    x, u, w, p = (
-        kind.sym(name, n) for name, n in (("x", mpc.states), ("u", mpc.inputs), ("w", mpc.states), ("p", len(mpc.p)))
-    )
-    disturbed = ca.Function("step", [x, u, w, p], [step(x, u, kind(0, 1), p) + w], ["x", "u", "w", "p"], ["next"])
+    step = mpc.model.step
+    x, u, none, p = symbols_of(step).values()
+    w = type(x).sym("w", mpc.states)
+    disturbed = ca.Function("step", [x, u, w, p], [step(x, u, none, p) + w], ["x", "u", "w", "p"], ["next"])
     return replace(mpc, step=disturbed, disturbances=mpc.states)
