@@ -110,22 +110,21 @@ class Conditions:
         value = rows[:, at["value"]].ravel()
         if problem.rate_limit is not None:
             value = value + rows[:, at["u_prev"]] @ self.given["u_prev"]
-        kinds = [(label.kind, label.row) for label in labels]
-        moved = {kind: change for kind, change in self.changes.bounds.items() if change.any()}
-        for i, (kind, row) in enumerate(kinds):
-            if kind in moved:
-                rows[i, at["p"]] -= moved[kind][row]
+        for kind, change in self.changes.bounds.items():
+            of_kind = [i for i, label in enumerate(labels) if label.kind == kind]
+            rows[of_kind, at["p"]] -= change[[labels[i].row for i in of_kind]]
         if problem.soft is None:
             return rows, value - bounds, labels
         rows, bounds, labels, _, _ = soften(problem, rows, bounds, labels, np.zeros((0, 0)))
         value = np.concatenate([value, np.zeros(problem.horizon)]) + rows[:, at["z"].stop :] @ point.slacks
-        units = problem.price_units
-        sets = {"state": problem.state_rows[1], "terminal": problem.terminal_rows[1]}
-        for i, (kind, row) in enumerate(kinds):  # a price is counted in units of the bound
-            if kind in moved and kind in sets and units[kind][row] == abs(sets[kind][row]):
-                change = np.sign(sets[kind][row]) * moved[kind][row]
-                rows[i, at["p"]] -= point.slacks[labels[i].step - 1] * change
+        for i, change in self.priced(labels):  # the price of a violation is counted in units that may change
+            rows[i, at["p"]] -= point.slacks[labels[i].step - 1] * change
         return rows, value - bounds, labels
+
+    def priced(self, labels: list[Constraint]) -> list[tuple[int, Array]]:
+        """Rows that a slack relaxes by units that change, and how these do (np,)."""
+        units = {kind: change for kind, change in self.changes.units.items() if change.any()}
+        return [(i, units[label.kind][label.row]) for i, label in enumerate(labels) if label.kind in units]
 
     def none(self, plan: Plan, status: SensitivityStatus) -> PlanSensitivity:
         """What there is to say where there are no derivatives."""

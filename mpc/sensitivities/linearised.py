@@ -60,6 +60,9 @@ class Linearised:
         free = slice(at["z"].start, at["z"].stop)
         drawn = np.einsum("kia,kip->ap", forms[:, :, free], mixed) + self.X[-1][:, free].T @ end_mixed
         whole[: free.stop - free.start, at["p"]] += drawn
+        if slacks:  # what a slack is worth changes with the unit that it is counted in
+            for i, change in conditions.priced(self.labels):
+                whole[free.stop - free.start + self.labels[i].step - 1, at["p"]] -= self.multipliers[i] * change
         self.H = whole[:, -n:]
         self.F = whole[:, : conditions.nt]
         self.F_gap = whole[:, at["gap"]].ravel()

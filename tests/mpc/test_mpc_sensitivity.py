@@ -294,3 +294,44 @@ def test_bad_input_is_named(arguments, message):
 def test_directions_of_another_size_are_named():
     with pytest.raises(InputError, match=r"dp: got shape \(2,\)"):
         LinearMPC(A, B, **STATEMENT).sensitivity(START, dA=family(0)["dA"]).along(dp=[1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "U", "rate"),
+    [
+        ([-2.0, -0.2], [2.0, 0.2], 1.0, None),
+        ([-2.0, 0.0], [2.0, 0.2], 1.0, None),
+        ([-np.inf, 0.0], [np.inf, np.inf], 0.6, None),
+        ([-np.inf, 0.0], [np.inf, np.inf], 9.0, 0.3),
+    ],
+    ids=["bounds", "a bound of zero beside others", "a bound of zero alone", "a bound of zero and a rate"],
+)
+@pytest.mark.parametrize(("length", "force"), [(1.0, 1.0), (1e3, 1e-3)])
+def test_prices_of_soft_limits_change_with_their_units(lower, upper, U, rate, length, force):
+    lower, upper = np.array(lower), np.array(upper)
+    rng = np.random.default_rng(5)
+    dB = 0.05 * rng.normal(size=(2, 1, 2))
+    moves = {"upper": rng.normal(size=(2, 2)), "lower": rng.normal(size=(2, 2)), "U": rng.normal(size=2)}
+    moves["lower"][lower == 0] = 0.0
+    moves = {name: 0.2 * move for name, move in moves.items()}
+    finite = [np.isfinite(upper), np.isfinite(lower)]
+    weights = {"Q": np.array([1.0, 0.1]) / length**2, "R": 0.1 / force**2, "horizon": 12, "soft": (0.05, 2.0)}
+
+    def make(p):
+        limit = {} if rate is None else {"rate_limit": force * (rate + 0.05 * p[0])}
+        room, low, high = force * (U + moves["U"] @ p), length * (lower - moves["lower"] @ p), length * upper
+        X = (low, high + length * moves["upper"] @ p)
+        return LinearMPC(A, length / force * (B + dB @ p), X=X, U=(-room, room), **weights, **limit)
+
+    start = length * START
+    signals = {} if rate is None else {"u_prev": [0.1 * force]}
+    d_rate = {} if rate is None else {"d_rate_limit": [[0.05 * force, 0.0]]}
+    found = make(np.zeros(2)).sensitivity(
+        start, **d_rate, dB=length / force * dB, dU=force * np.array([moves["U"]] * 2),
+        dX=length * np.vstack([moves["upper"][finite[0]], moves["lower"][finite[1]]]), **signals,
+    )  # fmt: skip
+    assert found.smooth
+    assert found.plan.violation > 1e-3 * length
+    for name, of in (("cost_by_parameters", "cost"), ("inputs_by_parameters", "inputs")):
+        expected = slopes(lambda p, of=of: getattr(make(p).solve(start, **signals), of), np.zeros(2), [1e-4] * 2)
+        assert distance(getattr(found, name), expected) < REQUIRED, name
