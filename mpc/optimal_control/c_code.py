@@ -13,6 +13,7 @@ from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import symbols_of
+from mpc.optimal_control.linear_law import gain_at_rest
 from mpc.optimal_control.planner import DEAR, TINY
 
 SOLVER = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False, "max_iter": 1000}
@@ -36,7 +37,7 @@ def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
         }.items()
     }  # fmt: skip
     x, states, inputs, w, p, x_ref, u_ref, last = arguments.values()
-    end = u_ref[:, -1] - ca.DM(law.gain) @ (states[:, -1] - x_ref[:, -1])
+    end = u_ref[:, -1] - ca.DM(gain_at_rest(law)) @ (states[:, -1] - x_ref[:, -1])
     now = ca.horzcat(inputs[:, 1:], _held(law, end, inputs[:, -1]))
     at = ca.horzcat(states[:, 1:], model.step(states[:, -1], now[:, -1], w[:, -1], p))
     columns = [column for column in (at[:, :-1], now, w, ca.repmat(p, 1, N)) if not column.is_empty()]
