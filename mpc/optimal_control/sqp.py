@@ -16,6 +16,7 @@ from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, relative_violations
 
 TINY = float(np.finfo(float).tiny)
+SETTLED = 1e-6  # gradients, beside those of references themselves, below which their difference is rounding
 DEFINITE = 1e-6  # least eigenvalue of a Hessian with curvature, relative to one without
 
 
@@ -57,11 +58,17 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class _Program:
-    """Minimise ½ z'Hz + (by_state + by_input)'z subject to rows z <= bounds."""
+    """Minimise ½ z'Hz + (by_state + by_input)'z subject to rows z <= bounds.
+
+    Where states and inputs are at their references, only rounding is left of a linear cost of the size `lost` and of a
+    cost of `lost_cost`.
+    """
 
     H: Array
     by_state: Array
     by_input: Array
+    lost: Array
+    lost_cost: float
     rows: Array
     bounds: Array
 
@@ -125,13 +132,13 @@ class Sequential:
         curvature = program.H @ z
         unit = 1 / np.sqrt(np.diag(program.H))  # so that inputs of any units count alike
         parts = (program.by_state, program.by_input, program.gradient + curvature)
-        balance = max(*(_largest(part * unit) for part in parts), TINY)
+        balance = max(*(_largest(part * unit) for part in parts), _largest(program.lost * unit), TINY)
         stationarity = _largest(curvature * unit) / balance
         still = _largest(change / self._extent) if np.isfinite(self._extent).all() else np.inf
         if still < stationarity:
             gain = -float(program.gradient @ z + 0.5 * z @ curvature)
-            cost = cost_of(self.problem, inputs + lead, states + drift, given)
-            stationarity = min(stationarity, max(still, abs(gain) / max(abs(cost), TINY)))
+            cost = max(abs(cost_of(self.problem, inputs + lead, states + drift, given)), program.lost_cost, TINY)
+            stationarity = min(stationarity, max(still, abs(gain) / cost))
         return Step(
             states=moved, inputs=change, gains=gains, defects=defects,
             stationarity=stationarity,
@@ -160,8 +167,13 @@ class Sequential:
             H = H + 2 * (cross + cross.T)
             by_state = by_state + 2 * error[:-1].ravel() @ across
             by_input = by_input + 2 * (effort @ problem.S.T).ravel() @ flat[: len(across)]
+        lost, lost_cost = np.zeros(n), 0.0
+        if "x_ref" in given or "u_ref" in given:
+            x_ref, u_ref = states - error, inputs - effort
+            lost = SETTLED * (np.abs(x_ref).ravel() @ np.abs(weighted) + np.abs(u_ref).ravel() @ np.abs(efforts))
+            lost_cost = SETTLED**2 * cost_of(problem, u_ref, x_ref, {})
         rows, bounds = self._limits(states, inputs, G, F, given)
-        return _Program((H + H.T) / 2, by_state, by_input, rows, bounds)
+        return _Program((H + H.T) / 2, by_state, by_input, lost, lost_cost, rows, bounds)
 
     def deviations(self, states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
         """States and inputs from their references, where there are some."""
