@@ -21,4 +21,5 @@ def gain_at_rest(law: LinearMPC) -> Array:
         A, B = (np.tile(matrix, (law.horizon, 1, 1)) for matrix in (law.A, law.B))
         S = np.zeros((law.nx, law.nu)) if law.S is None else law.S
         weights = (np.array(weight, order="C") for weight in (law.Q, law.R, S, law.P))
-        return np.asarray(gains_along(A, B, *weights)[0])
+        gains, _ = gains_along(A, B, *weights)
+        return np.asarray(gains[0])
