@@ -19,6 +19,7 @@ from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.model_derivatives import ModelDerivatives
 from mpc.optimal_control.planner import Effort, Planner
+from mpc.optimal_control.steady_state import SteadyStates
 from mpc.optimal_control.terminal import INVARIANT, invariant_set
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
@@ -176,7 +177,7 @@ class NonlinearMPC:
         """The same controller for other parameters p (np,), without building the model anew."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
-        for name in ("linear", "_planner"):
+        for name in ("linear", "_planner", "steady_states"):
             other.__dict__.pop(name, None)
         object.__setattr__(other, "p", value)
         _ = other._planner
@@ -198,7 +199,8 @@ class NonlinearMPC:
 
     def __getstate__(self) -> dict[str, Any]:
         """The model is stored as CasADi has it: a Python function within another could not be."""
-        return self.__dict__ | {"step": self.model.step}
+        kept = {name: value for name, value in self.__dict__.items() if name != "steady_states"}
+        return kept | {"step": self.model.step}
 
     def solve(
         self, x: ArrayLike, *, start: Plan | None = None, u_prev: ArrayLike | None = None,
@@ -259,6 +261,11 @@ class NonlinearMPC:
     @cached_property
     def _model_derivatives(self) -> ModelDerivatives:
         return ModelDerivatives(self.model)
+
+    @cached_property
+    def steady_states(self) -> SteadyStates:
+        """The steady states of the model in X and U."""
+        return SteadyStates(self.linear, self.model)
 
     def _check_start(self, start: Any) -> None:
         """Raise an `InputError` unless it is None or a plan of this controller."""
