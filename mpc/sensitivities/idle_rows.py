@@ -49,7 +49,7 @@ class IdleRows:
         worth = linear.worth(linear.multipliers)
         pushing = worth > WEAKLY_ACTIVE
         room = np.where(pushing, worth, -linear.values / linear.units)
-        counts = pushing | ~(point.acting | idle)
+        counts = pushing | (linear.own & ~(point.acting | idle))
         counts &= np.array([label.kind != "slack" for label in linear.labels], dtype=bool) | pushing
         if (idle & ~point.acting).any() and not counts.any():
             return 0.0

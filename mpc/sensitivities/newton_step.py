@@ -10,7 +10,7 @@ from mpc.checks import Array
 from mpc.sensitivities.conditions import Point
 from mpc.sensitivities.linearised import Linearised
 from mpc.sensitivities.plan_sensitivity import null_directions
-from mpc.tolerances import ACTIVE, DEFINITE
+from mpc.tolerances import DEFINITE, WEAKLY_ACTIVE
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class NewtonStep:
         at = linear.conditions.columns
         move = self.moves[:, -1]
         values = linear.values + linear.rows[:, at["gap"]].ravel() + linear.rows[:, linear.free] @ move
-        passed = (values > ACTIVE * linear.units) & ~point.acting & linear.own
+        passed = (values > WEAKLY_ACTIVE * linear.units) & ~point.acting & linear.own
         acting = linear.acting(multipliers) | passed
         slacks = point.slacks + move[at["z"].stop - at["z"].start :]
         return Point(point.inputs + inputs, point.states + states, slacks, np.where(acting, multipliers, 0.0), acting)

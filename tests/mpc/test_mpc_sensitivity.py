@@ -217,6 +217,32 @@ def test_margin_says_how_near_the_next_active_set_is(side):
     assert bool(near.active) == (side > 0)
 
 
+def test_held_inputs_do_not_hide_how_near_the_next_active_set_is():
+    controller = LinearMPC(A, B, **STATEMENT, U=(-0.3, 0.3), blocks=(1, 2, 3, 6))
+    x = 1.2 * START
+    found = controller.sensitivity(x)
+    assert found.smooth
+    assert {label.kind for label in found.active} == {"input"}
+    assert found.margin > 1e-3
+    for side in (-1, 1):
+        near = controller.sensitivity(x * (1 + 0.1 * side * found.margin))
+        assert set(near.active) == set(found.active)
+        assert near.input_by_state == pytest.approx(found.input_by_state, abs=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e3])
+def test_where_derivatives_are_called_smooth_no_limit_is_passed(scale):
+    # near these states an input begins or ceases to act while a soft limit is violated
+    weights = {"Q": np.array([1.0, 0.1]) / scale**2, "R": 0.1, "horizon": 2, "soft": (1.0, 5.0)}
+    controller = LinearMPC(
+        A, scale * B, **weights, U=(-0.3, 0.3), X=(scale * np.array([-2, -0.3]), scale * np.array([2, 0.3]))
+    )
+    for switch in (1.2941188235294252, 1.3871071633238965):
+        for off in np.concatenate([-np.logspace(-8, -4, 13), np.logspace(-8, -4, 13)]):
+            found = controller.sensitivity(scale * switch * (1 + off) * START)
+            assert found.margin > 0 or not found.smooth
+
+
 def test_dependent_constraints_that_part_are_flagged():
     # full braking for two steps just keeps the speed at its limit: a little more speed, and there is no plan
     A, B = double_integrator()
