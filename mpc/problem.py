@@ -25,8 +25,8 @@ from mpc.checks import (
 )
 from mpc.exceptions import InputError
 from mpc.halfspaces import along_axes, is_empty
+from mpc.limits import Limits, first_positive
 from mpc.lqr import lqr
-from mpc.tolerances import SMALL_BOUND
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,27 +136,22 @@ class MPCProblem:
             return self.riccati_gain
         return lqr(self.A, self.B, Q=self.Q, R=self.R, S=self.S)[0]
 
+    @property
+    def limits(self) -> Limits:
+        """Sets and rates, with the sizes that they say."""
+        sets = self.state_rows, self.terminal_rows, self.input_rows
+        return Limits(self.B, *sets, self.rate_limit, self.horizon)
+
     @cached_property
     def input_extent(self) -> Array:
         """Size (nu,) of each input: the distance to its bound, or what the rate limit lets it move; 0 without limit."""
-        extent = along_axes(*self.input_rows)
-        if self.rate_limit is None:
-            return extent
-        return np.where(extent > 0, np.minimum(extent, self.horizon * self.rate_limit), self.rate_limit)
+        return self.limits.input_extent()
 
     @cached_property
     def state_extent(self) -> Array:
         """Size (nx,) of each state: the distance to a bound of X or of the terminal set, else what the inputs move."""
         moved = np.abs(self.B) @ np.where(self.input_extent > 0, self.input_extent, 1.0)
-        return _first_positive(self._limited_extent, moved, np.ones(self.nx))
-
-    @property
-    def _limited_extent(self) -> Array:
-        """As `state_extent`, 0 where no limit says a size."""
-        limited = (self.input_extent > 0) | ~self.B.any(axis=0)
-        moved = np.abs(self.B) @ self.input_extent
-        moved[self.B[:, ~limited].any(axis=1)] = 0.0
-        return _first_positive(along_axes(*self.state_rows), along_axes(*self.terminal_rows), moved)
+        return first_positive(self.limits.state_extent(), moved, np.ones(self.nx))
 
     @cached_property
     def state_size(self) -> Array:
@@ -184,7 +179,7 @@ class MPCProblem:
         itself does not count.
         """
         radius = max(1.0, float(np.abs(np.linalg.eigvals(self.A)).max()))
-        limit = _first_positive(along_axes(*self.state_rows), along_axes(*self.terminal_rows))
+        limit = first_positive(along_axes(*self.state_rows), along_axes(*self.terminal_rows))
         size = np.full(self.nu, np.inf)
         for response in self._responses(self.A / radius):
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -209,19 +204,7 @@ class MPCProblem:
         Where a bound is zero (or vanishes beside the set) the extent of the set along the row takes its place; where
         the set has none, what inputs with limits move in one step, else 1.
         """
-        states = self._limited_extent
-        units = {}
-        for kind, (H, h), extent in (
-            ("state", self.state_rows, states),
-            ("terminal", self.terminal_rows, _first_positive(along_axes(*self.terminal_rows), states)),
-            ("input", self.input_rows, self.input_extent),
-        ):
-            reach = np.abs(H) @ extent
-            reach[reach == 0] = 1.0
-            units[kind] = np.where(np.abs(h) > SMALL_BOUND * reach, np.abs(h), reach)
-        if self.rate_limit is not None:
-            units["rate"] = np.tile(self.rate_limit, 2)
-        return units
+        return self.limits.price_units()
 
     @cached_property
     def row_units(self) -> dict[str, Array]:
@@ -254,14 +237,6 @@ class MPCProblem:
             By default the one that was given to this problem; where none was, the Riccati solution of the new model.
         """
         return replace(self, A=A, B=B, E=self.E if E is None else E, P=self.given_P if P is None else P)
-
-
-def _first_positive(*sizes: Array) -> Array:
-    """The first of several sizes that is positive, entry by entry; 0 where none is."""
-    first = np.zeros_like(sizes[0])
-    for size in sizes:
-        first = np.where(first > 0, first, size)
-    return first
 
 
 def _refuse_empty(name: str, H: Array, h: Array) -> None:

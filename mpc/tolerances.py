@@ -168,10 +168,6 @@ NEAR_OPTIMUM = 1e-2
 NEWTON = 1e-9
 """Newton step, in sizes of inputs and states, from which on derivatives are taken [-]; their error is of this size."""
 
-BALANCED = 1e-5
-"""Slope of the Lagrangian by the inputs, relative to its parts, beyond which the multipliers are not those of the plan
-[-]."""
-
 INDEPENDENT = 1e-9
 """Part of a row outside the span of the acting ones below which it depends on them [-]."""
 

@@ -12,6 +12,8 @@ from mpc.exceptions import InputError
 from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
+from mpc.optimal_control.functions import symbols_of
+from mpc.optimal_control.linear_law import gain_at_rest
 from mpc.optimal_control.planner import DEAR, TINY
 
 SOLVER = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False, "max_iter": 1000}
@@ -35,7 +37,7 @@ def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
         }.items()
     }  # fmt: skip
     x, states, inputs, w, p, x_ref, u_ref, last = arguments.values()
-    end = u_ref[:, -1] - ca.DM(law.gain) @ (states[:, -1] - x_ref[:, -1])
+    end = u_ref[:, -1] - ca.DM(gain_at_rest(law)) @ (states[:, -1] - x_ref[:, -1])
     now = ca.horzcat(inputs[:, 1:], _held(law, end, inputs[:, -1]))
     at = ca.horzcat(states[:, 1:], model.step(states[:, -1], now[:, -1], w[:, -1], p))
     columns = [column for column in (at[:, :-1], now, w, ca.repmat(p, 1, N)) if not column.is_empty()]
@@ -71,8 +73,7 @@ def write_c(law: LinearMPC, model: DiscreteModel, folder: Any) -> Path:
 
 def _of_columns(function: ca.Function) -> ca.Function:
     """A function of (x, u, w, p) as one of those that have entries: generated C knows no empty arguments."""
-    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
-    columns = {name: kind.sym(name, function.numel_in(i)) for i, name in enumerate("xuwp")}
+    columns = symbols_of(function)
     kept = {name: column for name, column in columns.items() if not column.is_empty()}
     results = function.call(list(columns.values()))
     names = ["next", "A", "B"][: len(results)]

@@ -14,7 +14,7 @@ TINY = 1e-12  # of the diagonal of a matrix to be divided by: gains need not be 
 def compile_kernels() -> None:
     """Compile them before a clock runs: seconds after an installation, once; numba keeps them on disk."""
     one, column = np.ones((1, 1, 1)), np.ones((1, 1))
-    gains = gains_along(one, one, column, column, column, column)
+    gains, _ = gains_along(one, one, column, column, column, column)
     responses(one, one, gains, column, np.ones(1))
     costates_along(one, one, gains, np.ones((2, 1)), column)
 
@@ -23,10 +23,12 @@ def compile_kernels() -> None:
 def gains_along(A, B, Q, R, S, P):
     """Gains (N, nu, nx) of the regulator of dx⁺ = A dx + B du, by the Riccati recursion backwards from P.
 
-    A (N, nx, nx) and B (N, nx, nu); weights as of a quadratic cost x'Qx + 2 x'Su + u'Ru.
+    A (N, nx, nx) and B (N, nx, nu); weights as of a quadratic cost x'Qx + 2 x'Su + u'Ru. With them what a deviation v
+    from the regulator, du = v - K dx, costs at every step whatever the others: v'Mv, the M (N, nu, nu).
     """
     N, nx, nu = B.shape
     gains = np.zeros((N, nu, nx))
+    prices = np.zeros((N, nu, nu))
     V = P.copy()
     for k in range(N - 1, -1, -1):
         VA, VB = _product(V, A[k]), _product(V, B[k])
@@ -39,7 +41,8 @@ def gains_along(A, B, Q, R, S, P):
             for j in range(i):
                 V[i, j] = V[j, i] = 0.5 * (V[i, j] + V[j, i])
         gains[k] = K
-    return gains
+        prices[k] = M
+    return gains, prices
 
 
 @njit(cache=True)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array
+from mpc.optimal_control.functions import symbols_of
 
 
 class Buffered:
@@ -73,8 +74,7 @@ class DiscreteModel:
     def __init__(self, step: ca.Function, horizon: int) -> None:
         self.step = step
         self.horizon = horizon
-        kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
-        columns = [kind.sym(name, step.numel_in(i)) for i, name in enumerate("xuwp")]
+        columns = list(symbols_of(step).values())
         value = ca.densify(step(*columns))
         derivatives = [ca.densify(ca.jacobian(value, column)) for column in columns[:3]]
         names = ["x", "u", "w", "p"]
@@ -87,7 +87,7 @@ class DiscreteModel:
         self._linearised = Buffered(self.derivatives.map("linearised", "serial", horizon, [3], []))
         self._along = Buffered(step.map("along", "serial", horizon, [3], []))
         self._one = Buffered(step)
-        self._followed = Buffered(_following(step, kind).mapaccum("followed", horizon))
+        self._followed = Buffered(_following(step).mapaccum("followed", horizon))
 
     def linearised(self, states: Array, inputs: Array, w: Array, p: Array) -> tuple[Array, Array, Array]:
         """Next states (N, nx), A (N, nx, nx) and B (N, nx, nu) at states (N, nx), inputs (N, nu), signals (N, nw)."""
@@ -113,8 +113,8 @@ class DiscreteModel:
     @cached_property
     def _curvature(self) -> Buffered:
         """Built when first asked for: few plans need it."""
-        kind: Any = ca.SX if self.step.is_a("SXFunction") else ca.MX
-        columns = [kind.sym(name, self.step.numel_in(i)) for i, name in enumerate("xuwp")]
+        columns = list(symbols_of(self.step).values())
+        kind = type(columns[0])
         costate = kind.sym("costate", self.step.numel_out(0))
         both = kind.sym("both", columns[0].numel() + columns[1].numel())
         state, action = both[: columns[0].numel()], both[columns[0].numel() :]
@@ -153,14 +153,16 @@ class DiscreteModel:
         return np.vstack([x, found[:, :nx]]), found[:, nx:]
 
 
-def _following(step: ca.Function, kind: Any) -> ca.Function:
+def _following(step: ca.Function) -> ca.Function:
     """One step of (x, u) → (x⁺, u⁺) with u⁺ = v - K(x - s), held within bounds and changes."""
     nx, nu = step.numel_in(0), step.numel_in(1)
+    own = symbols_of(step)
+    w, p = own["w"], own["p"]
+    kind = type(w)
     now = kind.sym("now", nx + nu)
     v, s = kind.sym("v", nu), kind.sym("s", nx)
     gain = kind.sym("gain", nx * nu)
     low, high, rate = (kind.sym(name, nu) for name in ("low", "high", "rate"))
-    w, p = kind.sym("w", step.numel_in(2)), kind.sym("p", step.numel_in(3))
     x, last = now[:nx], now[nx:]
     u = v - ca.reshape(gain, nu, nx) @ (x - s)
     u = ca.fmax(ca.fmax(low, last - rate), ca.fmin(ca.fmin(high, last + rate), u))

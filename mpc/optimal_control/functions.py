@@ -74,6 +74,12 @@ def _traced(argument: str, given: Any, wanted: tuple[str, ...], sizes: dict[str,
     return ca.Function(argument, list(columns.values()), [ca.densify(expression)], list(sizes), ["value"])
 
 
+def symbols_of(function: ca.Function) -> dict[str, Any]:
+    """Symbols for the arguments of a function by their names, scalar (SX) where its instructions are."""
+    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
+    return {name: kind.sym(name, function.numel_in(i)) for i, name in enumerate(function.name_in())}
+
+
 class _Named:
     """Stands for a column that the problem does not have: any use of it names what is missing."""
 

@@ -9,22 +9,22 @@ import casadi as ca
 import numpy as np
 
 from mpc.checks import Array
+from mpc.optimal_control.discrete_model import DiscreteModel
+from mpc.optimal_control.functions import symbols_of
 
 
 class ModelDerivatives:
-    """Derivatives of x⁺ = f(x, u, w, p) by x, u and p, of all steps of a plan in one call.
+    """Derivatives of a model by x, u and p, of all steps of a plan in one call.
 
     Parameters
     ----------
-    step : casadi.Function
-        (x, u, w, p) → next state.
-    horizon : int
-        N.
+    model : DiscreteModel
     """
 
-    def __init__(self, step: ca.Function, horizon: int) -> None:
-        kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
-        x, u, w, p = (kind.sym(name, step.numel_in(i)) for i, name in enumerate("xuwp"))
+    def __init__(self, model: DiscreteModel) -> None:
+        step, horizon = model.step, model.horizon
+        x, u, w, p = symbols_of(step).values()
+        kind = type(x)
         costate = kind.sym("costate", x.numel())
         value = step(x, u, w, p)
         A, B, F = (ca.densify(ca.jacobian(value, column)) for column in (x, u, p))

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
-from mpc.exceptions import InputError
+from mpc.exceptions import InputError, NotStabilisableError
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.model_derivatives import ModelDerivatives
 from mpc.optimal_control.planner import Effort, Planner
+from mpc.optimal_control.steady_state import SteadyStates
 from mpc.optimal_control.terminal import INVARIANT, invariant_set
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
@@ -66,6 +67,8 @@ class NonlinearMPC:
     ------
     InputError
         Besides those of `LinearMPC`: if the model does not rest at x = 0, u = 0, w = 0.
+    NotStabilisableError
+        No P is given, and the linearisation at rest has no regulator.
 
     Attributes
     ----------
@@ -132,11 +135,17 @@ class NonlinearMPC:
         E = None
         if self.disturbances:
             E = self.model.by_disturbance(x, u, w, self.p)
-        law = LinearMPC(
-            A, B, Q=self.Q, R=self.R, S=self.S, horizon=self.horizon, P=self.P, X=self.X, U=self.U, E=E,
-            terminal_set=None if self._invariant else self.terminal_set, rate_limit=self.rate_limit, soft=self.soft,
-            uses=self.uses,
-        )  # fmt: skip
+        try:
+            law = LinearMPC(
+                A, B, Q=self.Q, R=self.R, S=self.S, horizon=self.horizon, P=self.P, X=self.X, U=self.U, E=E,
+                terminal_set=None if self._invariant else self.terminal_set, rate_limit=self.rate_limit, soft=self.soft,
+                uses=self.uses,
+            )  # fmt: skip
+        except NotStabilisableError as error:
+            if self.P is not None:
+                raise
+            cure = "Or give P, if only the linearisation at rest is the trouble."
+            raise NotStabilisableError(f"{error.message} {cure}", error.eigenvalue) from None
         return replace(law, P=law.given_P, terminal_set=invariant_set(law)) if self._invariant else law
 
     @property
@@ -168,10 +177,9 @@ class NonlinearMPC:
         """The same controller for other parameters p (np,), without building the model anew."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
-        for name in ("linear", "_planner"):
+        for name in ("linear", "_planner", "steady_states"):
             other.__dict__.pop(name, None)
         object.__setattr__(other, "p", value)
-        object.__setattr__(other, "_last", [])
         _ = other._planner
         return other
 
@@ -179,10 +187,20 @@ class NonlinearMPC:
         """Forget the plans of the last sample: what comes next are other runs, `n` of them."""
         self._last.clear()
 
-    def __deepcopy__(self, memo: Any) -> NonlinearMPC:
-        other = copy.copy(self)
-        object.__setattr__(other, "_last", [])
+    def __copy__(self) -> NonlinearMPC:
+        """The same controller without plans of a last sample: copies control runs of their own."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other.__dict__["_last"] = []
         return other
+
+    def __deepcopy__(self, memo: Any) -> NonlinearMPC:
+        return copy.copy(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The model is stored as CasADi has it: a Python function within another could not be."""
+        kept = {name: value for name, value in self.__dict__.items() if name != "steady_states"}
+        return kept | {"step": self.model.step}
 
     def solve(
         self, x: ArrayLike, *, start: Plan | None = None, u_prev: ArrayLike | None = None,
@@ -242,7 +260,12 @@ class NonlinearMPC:
 
     @cached_property
     def _model_derivatives(self) -> ModelDerivatives:
-        return ModelDerivatives(self.model.step, self.horizon)
+        return ModelDerivatives(self.model)
+
+    @cached_property
+    def steady_states(self) -> SteadyStates:
+        """The steady states of the model in X and U."""
+        return SteadyStates(self.linear, self.model)
 
     def _check_start(self, start: Any) -> None:
         """Raise an `InputError` unless it is None or a plan of this controller."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_array
 from mpc.exceptions import InputError
+from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
 from mpc.problem import MPCProblem
 from mpc.targets import Target, nearest_target, sizes_of
 from mpc.tracking import OffsetFreeMPC
 
 NEWTON = 1e-10  # change of a target, in sizes of states and inputs, that is rounding
-MOST = 50  # Newton steps towards a target
+MOST = 20  # Newton steps towards a target
 DRIFT = 1e-8  # of a target that is steady, in sizes of the states
 
 
@@ -26,20 +27,17 @@ DRIFT = 1e-8  # of a target that is steady, in sizes of the states
 class OffsetFreeNonlinearMPC(OffsetFreeMPC):
     """A nonlinear MPC whose tracked outputs y = Cx settle on their reference in spite of what its model misses.
 
-    The disturbance that explains the last transitions is estimated, the steady state of the nonlinear model under it
-    whose outputs meet the reference is found by Newton's method, and the plan goes there. Used as `OffsetFreeMPC`:
-    `observe` returns the controller with the new estimate, `loop` one with memory for a closed loop.
+    The whole state must be measured: there is no observer of states. The disturbance that explains the last transitions
+    is estimated, the steady state of the nonlinear model under it whose outputs come nearest to the reference is found,
+    and the plan goes there. Used as `OffsetFreeMPC`: `observe` returns the controller with the new estimate, `loop` one
+    with memory for a closed loop.
 
     Parameters
     ----------
     mpc : NonlinearMPC
         The regulator. Its w is what is estimated; without one, what is added to each next state.
-    C : (ny, nx) array
-        Tracked outputs.
-    gain : float
-        Share of the newest one-step error taken into the estimate, in (0, 1].
-    disturbance : (nw,) array, optional
-        Estimate w; zero at first.
+    C, gain, disturbance
+        See `OffsetFreeMPC`.
 
     Raises
     ------
@@ -58,7 +56,6 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
     """
 
     mpc: Any
-    _aimed: list[Array] = field(init=False, default_factory=list)
 
     def _disturbed(self) -> NonlinearMPC:
         """The regulator, checked, of a model with disturbances."""
@@ -89,38 +86,44 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         return replace(self, disturbance=self.disturbance + self.gain * seen)
 
     def nearest_target(self, reference: ArrayLike) -> Target:
-        """Steady state (x, u) in X and U that brings Cx nearest to the reference (ny,), by Newton's method.
+        """Steady state (x, u) in X and U that brings Cx nearest to the reference (ny,).
 
-        Where none is found, what drifts least under the last linearisation; its drift is that of the model.
+        By Newton's method, and by Ipopt where that leads nowhere, as beyond the top of a curve of steady states. Where
+        neither finds one, what drifts least under the last linearisation; its drift is that of the model.
         """
         problem, model, p, w = self._problem, self.mpc.model, self.mpc.p, self.disturbance
         r = as_array("reference", reference, (len(self.C),))
+        found, settled = self._by_newton(r)
+        if not settled:
+            other = self.mpc.steady_states.nearest(self.C, r, w, p)
+            found = found if other is None else other
+        x, u = np.split(found, [problem.nx])
+        drift = model.next(x, u, w, p) - x
+        return Target(x, u, drift, bool(np.abs(drift / problem.state_extent).max() <= DRIFT))
+
+    def _by_newton(self, r: Array) -> tuple[Array, bool]:
+        """State and input (nx + nu,) that linearised targets lead to, and whether they settle on a steady one."""
+        problem, model, p, w = self._problem, self.mpc.model, self.mpc.p, self.disturbance
         size = sizes_of(problem)
-        at = self._aimed[0] if self._aimed else np.zeros(len(size))
+        at = np.zeros(len(size))
         for _ in range(MOST):
             x, u = np.split(at, [problem.nx])
             after, A, B = model.linearised_at(x, u, w, p)
             if not (np.isfinite(after).all() and np.isfinite(A).all() and np.isfinite(B).all()):
-                at = np.zeros(len(size))
-                break
+                return np.zeros(len(size)), False
             found = nearest_target(problem, A, B, after - A @ x - B @ u, self.C, r)
             then = np.concatenate([found.state, found.input])
             moved = float(np.abs((then - at) / size).max())
             at = then
             if moved <= NEWTON:
-                break
-        self._aimed[:] = [at]
-        x, u = np.split(at, [problem.nx])
-        drift = model.next(x, u, w, p) - x
-        return Target(x, u, drift, bool(np.abs(drift / problem.state_extent).max() <= DRIFT))
+                return at, found.steady
+        return at, False
 
 
 def _with_additive(mpc: NonlinearMPC) -> NonlinearMPC:
     """The same controller of a model with a disturbance added to every next state."""
-    step: Any = mpc.model.step
-    kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
-    x, u, w, p = (
-        kind.sym(name, n) for name, n in (("x", mpc.states), ("u", mpc.inputs), ("w", mpc.states), ("p", len(mpc.p)))
-    )
-    disturbed = ca.Function("step", [x, u, w, p], [step(x, u, kind(0, 1), p) + w], ["x", "u", "w", "p"], ["next"])
+    step = mpc.model.step
+    x, u, none, p = symbols_of(step).values()
+    w = type(x).sym("w", mpc.states)
+    disturbed = ca.Function("step", [x, u, w, p], [step(x, u, none, p) + w], ["x", "u", "w", "p"], ["next"])
     return replace(mpc, step=disturbed, disturbances=mpc.states)

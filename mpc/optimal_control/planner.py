@@ -11,6 +11,7 @@ from mpc.checks import Array
 from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
+from mpc.optimal_control.linear_law import gain_at_rest
 from mpc.optimal_control.sqp import Sequential, Step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, admissible, cost_of, finite, relative_violations, violation_of
@@ -62,7 +63,8 @@ class Planner:
         self.p = p
         self.effort = effort
         self.programs = Sequential(law, model)
-        self._gains = np.tile(law.gain, (law.horizon, 1, 1))
+        self._gain = gain_at_rest(law)
+        self._gains = np.tile(self._gain, (law.horizon, 1, 1))
         box = box_of(*law.input_rows)
         self._in_box = box is not None
         self._hard = law.soft is None and len(law.state_rows[1]) + len(law.terminal_rows[1]) > 0
@@ -104,7 +106,7 @@ class Planner:
         """A plan one sample later; its last input is the linear law's, held in U."""
         error, effort = self.programs.deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
         end = plan.states[-1]
-        u = self._admissible(-effort[-1] - self.law.gain @ (end + error[-1]), plan.inputs[-1])
+        u = self._admissible(-effort[-1] - self._gain @ (end + error[-1]), plan.inputs[-1])
         w = given["w"].reshape(self.law.horizon, -1)[-1] if "w" in given else np.zeros(self.law.nw)
         after = finite(self.model.next(end, u, w, self.p))
         return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))

@@ -16,6 +16,7 @@ from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, relative_violations
 
 TINY = float(np.finfo(float).tiny)
+SETTLED = 1e-6  # gradients, beside those of references themselves, below which their difference is rounding
 DEFINITE = 1e-6  # least eigenvalue of a Hessian with curvature, relative to one without
 
 
@@ -57,11 +58,17 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class _Program:
-    """Minimise ½ z'Hz + (by_state + by_input)'z subject to rows z <= bounds."""
+    """Minimise ½ z'Hz + (by_state + by_input)'z subject to rows z <= bounds.
+
+    Where states and inputs are at their references, only rounding is left of a linear cost of the size `lost` and of a
+    cost of `lost_cost`.
+    """
 
     H: Array
     by_state: Array
     by_input: Array
+    lost: Array
+    lost_cost: float
     rows: Array
     bounds: Array
 
@@ -84,6 +91,9 @@ class Sequential:
         self.n = problem.horizon * problem.nu
         N = problem.horizon
         self._regulated = tuple(np.array(weight, order="C") for weight in stabilising_weights(problem))
+        none = np.zeros((problem.nx, problem.nu))
+        own = (problem.Q, problem.R, none if problem.S is None else problem.S, problem.P)
+        self._separate = all(np.array_equal(one, other) for one, other in zip(own, self._regulated))
         self._weights = np.concatenate([np.tile(problem.Q, (N, 1, 1)), problem.P[None]])
         self._extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
         self.size = problem.state_extent
@@ -114,9 +124,10 @@ class Sequential:
         if not (np.isfinite(after).all() and np.isfinite(A).all() and np.isfinite(B).all()):
             none = np.zeros((self.problem.horizon, self.problem.nu, self.problem.nx))
             return Step(states, inputs, none, defects, np.inf, np.zeros(0), (A, B), False, False)
-        gains = gains_along(A, B, *self._regulated)
+        gains, deviating = gains_along(A, B, *self._regulated)
         G, F, drift, lead = responses(A, B, gains, gaps, x - states[0])
-        program = self._program(states + drift, inputs + lead, G, F, given)
+        curved = _diagonal(2 * deviating) if self._separate else self._hessian(G, F)
+        program = self._program(states + drift, inputs + lead, G, F, curved, given)
         if costates is not None:
             bent = self.model.curvature(states[:-1], inputs, w, p, costates[1:])
             program = _bent(program, np.concatenate([G[:-1], F], axis=1), bent, np.hstack([drift[:-1], lead]))
@@ -125,13 +136,13 @@ class Sequential:
         curvature = program.H @ z
         unit = 1 / np.sqrt(np.diag(program.H))  # so that inputs of any units count alike
         parts = (program.by_state, program.by_input, program.gradient + curvature)
-        balance = max(*(_largest(part * unit) for part in parts), TINY)
+        balance = max(*(_largest(part * unit) for part in parts), _largest(program.lost * unit), TINY)
         stationarity = _largest(curvature * unit) / balance
         still = _largest(change / self._extent) if np.isfinite(self._extent).all() else np.inf
         if still < stationarity:
             gain = -float(program.gradient @ z + 0.5 * z @ curvature)
-            cost = cost_of(self.problem, inputs + lead, states + drift, given)
-            stationarity = min(stationarity, max(still, abs(gain) / max(abs(cost), TINY)))
+            cost = max(abs(cost_of(self.problem, inputs + lead, states + drift, given)), program.lost_cost, TINY)
+            stationarity = min(stationarity, max(still, abs(gain) / cost))
         return Step(
             states=moved, inputs=change, gains=gains, defects=defects,
             stationarity=stationarity,
@@ -146,22 +157,41 @@ class Sequential:
         along = np.bincount(self._step_of, own, minlength=1).astype(float)
         return 2.0 * _largest(found * self.size), 2.0 * _largest(along), found
 
-    def _program(self, states: Array, inputs: Array, G: Array, F: Array, given: Given) -> _Program:
-        """The program in v, of a plan that v = 0 leads to; states answer by G, inputs by F."""
+    def _hessian(self, G: Array, F: Array) -> Array:
+        """Hessian by v of the cost of states that answer by G and inputs that answer by F."""
         problem, n = self.problem, self.n
-        error, effort = self.deviations(states, inputs, given)
-        flat, weighted = G.reshape(-1, n), (self._weights @ G).reshape(-1, n)
-        acting, efforts = F.reshape(-1, n), (problem.R @ F).reshape(-1, n)
-        H = 2 * (flat.T @ weighted + acting.T @ efforts)
-        by_state, by_input = 2 * error.ravel() @ weighted, 2 * effort.ravel() @ efforts
+        flat, acting = G.reshape(-1, n), F.reshape(-1, n)
+        H = 2 * (flat.T @ (self._weights @ G).reshape(-1, n) + acting.T @ (problem.R @ F).reshape(-1, n))
         if problem.S is not None:
             across = (problem.S @ F).reshape(-1, n)
             cross = flat[: len(across)].T @ across
             H = H + 2 * (cross + cross.T)
-            by_state = by_state + 2 * error[:-1].ravel() @ across
-            by_input = by_input + 2 * (effort @ problem.S.T).ravel() @ flat[: len(across)]
+        return np.asarray((H + H.T) / 2)
+
+    def _program(self, states: Array, inputs: Array, G: Array, F: Array, H: Array, given: Given) -> _Program:
+        """The program in v, of a plan that v = 0 leads to; states answer by G, inputs by F."""
+        problem, n = self.problem, self.n
+        error, effort = self.deviations(states, inputs, given)
+        flat, acting = G.reshape(-1, n), F.reshape(-1, n)
+        by_state, by_input = self._slopes(error, effort)
+        lost, lost_cost = np.zeros(n), 0.0
+        if "x_ref" in given or "u_ref" in given:
+            x_ref, u_ref = states - error, inputs - effort
+            of_states, of_inputs = self._slopes(x_ref, u_ref)
+            lost = SETTLED * (np.abs(of_states).ravel() @ np.abs(flat) + np.abs(of_inputs).ravel() @ np.abs(acting))
+            lost_cost = SETTLED**2 * cost_of(problem, u_ref, x_ref, {})
         rows, bounds = self._limits(states, inputs, G, F, given)
-        return _Program((H + H.T) / 2, by_state, by_input, rows, bounds)
+        return _Program(H, by_state.ravel() @ flat, by_input.ravel() @ acting, lost, lost_cost, rows, bounds)
+
+    def _slopes(self, error: Array, effort: Array) -> tuple[Array, Array]:
+        """Slopes of the cost by states (N + 1, nx) and inputs (N, nu), at these deviations from the references."""
+        problem = self.problem
+        by_state = 2 * (self._weights @ error[:, :, None])[:, :, 0]
+        by_input = 2 * effort @ problem.R
+        if problem.S is not None:
+            by_state[:-1] += 2 * effort @ problem.S.T
+            by_input += 2 * error[:-1] @ problem.S
+        return by_state, by_input
 
     def deviations(self, states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
         """States and inputs from their references, where there are some."""
@@ -189,12 +219,7 @@ class Sequential:
     def _forces(self, states: Array, inputs: Array, multipliers: Array, given: Given) -> tuple[Array, Array]:
         """Slopes of the Lagrangian by states (N + 1, nx) and inputs (N, nu), without those of the dynamics."""
         problem, N, nu = self.problem, self.problem.horizon, self.problem.nu
-        error, effort = self.deviations(states, inputs, given)
-        by_state = 2 * (self._weights @ error[:, :, None])[:, :, 0]
-        by_input = 2 * effort @ problem.R
-        if problem.S is not None:
-            by_state[:-1] += 2 * effort @ problem.S.T
-            by_input += 2 * error[:-1] @ problem.S
+        by_state, by_input = self._slopes(*self.deviations(states, inputs, given))
         end = len(problem.terminal_rows[1])
         on_inputs, rest = np.split(multipliers, [N * len(problem.input_rows[1])])
         along = len(rest) - end
@@ -250,6 +275,14 @@ class Sequential:
             return cost
         over = relative_violations(self.problem, states, self.problem.price_units)
         return cost + limit_prices[0] * float(over.sum()) + limit_prices[1] * float(over @ over)
+
+
+def _diagonal(blocks: Array) -> Array:
+    """The matrix (N m, N m) with blocks (N, m, m) along its diagonal."""
+    N, m, _ = blocks.shape
+    whole = np.zeros((N, m, N, m))
+    whole[np.arange(N), :, np.arange(N)] = blocks
+    return whole.reshape(N * m, N * m)
 
 
 def _bent(program: _Program, answers: Array, curvature: Array, lead: Array) -> _Program:

@@ -10,9 +10,12 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array
 from mpc.exceptions import InputError
+from mpc.limits import Limits
 from mpc.problem import MPCProblem
 from mpc.sensitivities.derivatives import as_derivatives
 from mpc.sensitivities.regulator import lqr_sensitivity
+
+UNIT_STEP = 1e-5  # of differences of units, relative to what they are made of
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +27,8 @@ class Changes:
     Q, R, S, P : (·, ·, np) arrays
     bounds : dict of str to (rows, np) array
         Of h in {v : Hv <= h}, by kind of constraint.
+    units : dict of str to (rows, np) array
+        Of the units in which violations of soft limits have a price.
     model : dict of str to (·, ·, np) array
         dA, dB and dE of a linear model.
     """
@@ -33,6 +38,7 @@ class Changes:
     S: Array
     P: Array
     bounds: dict[str, Array]
+    units: dict[str, Array]
     model: dict[str, Array]
 
     @property
@@ -73,4 +79,45 @@ def as_changes(problem: MPCProblem, given: Mapping[str, ArrayLike | None], count
     bounds = {"state": found["dX"], "input": found["dU"], "terminal": found["d_terminal_set"],
               "rate": np.tile(found["d_rate_limit"], (2, 1))}  # fmt: skip
     model = {name: found[name] for name in ("dA", "dB", "dE")}
-    return Changes(found["dQ"], found["dR"], found["dS"], found["dP"], bounds, model)
+    units = {} if problem.soft is None else _unit_changes(problem.limits, bounds, found["dB"])
+    return Changes(found["dQ"], found["dR"], found["dS"], found["dP"], bounds, units, model)
+
+
+def _unit_changes(limits: Limits, bounds: dict[str, Array], dB: Array) -> dict[str, Array]:
+    """How the units of soft limits change with parameters, by kind, (rows, np).
+
+    A unit is the size of a bound, or a reach; reaches are products of at most two numbers that change, piece by piece,
+    of which central differences are exact. The unit of a bound that is zero does not change with that bound.
+    """
+    own, units = limits.own(), limits.price_units()
+    sets = {"state": limits.state, "terminal": limits.terminal}
+    change = {kind: np.sign(h)[:, None] * np.where(own[kind][:, None], bounds[kind], 0.0)
+              for kind, (_, h) in sets.items()}  # fmt: skip
+    if all(own[kind].all() for kind in sets):
+        return change
+    for j in range(dB.shape[-1]):
+        moves = {kind: np.where(own[kind], bounds[kind][:, j], 0.0) for kind in own}
+        sizes = [(moves[kind], units[kind]) for kind in own]
+        sizes.append((dB[:, :, j], np.asarray(np.abs(limits.B).max() or 1.0)))
+        rate = None
+        if limits.rate is not None:
+            rate = bounds["rate"][: len(limits.rate), j]
+            sizes.append((rate, limits.rate))
+        largest = max(float(np.abs(move / size).max(initial=0.0)) for move, size in sizes)
+        if largest == 0:
+            continue
+        step = UNIT_STEP / largest
+        up, down = (_moved(limits, moves, dB[:, :, j], rate, part).reaches() for part in (step, -step))
+        for kind in sets:
+            change[kind][:, j] += np.where(own[kind], 0.0, (up[kind] - down[kind]) / (2 * step))
+    return change
+
+
+def _moved(limits: Limits, moves: dict[str, Array], dB: Array, rate: Array | None, part: float) -> Limits:
+    """The limits after a part of a move."""
+    state, terminal, actions = (
+        (H, h + part * moves[kind])
+        for kind, (H, h) in (("state", limits.state), ("terminal", limits.terminal), ("input", limits.input))
+    )
+    rates = None if limits.rate is None or rate is None else limits.rate + part * rate
+    return Limits(limits.B + part * dB, state, terminal, actions, rates, limits.horizon)

@@ -217,6 +217,32 @@ def test_margin_says_how_near_the_next_active_set_is(side):
     assert bool(near.active) == (side > 0)
 
 
+def test_held_inputs_do_not_hide_how_near_the_next_active_set_is():
+    controller = LinearMPC(A, B, **STATEMENT, U=(-0.3, 0.3), blocks=(1, 2, 3, 6))
+    x = 1.2 * START
+    found = controller.sensitivity(x)
+    assert found.smooth
+    assert {label.kind for label in found.active} == {"input"}
+    assert found.margin > 1e-3
+    for side in (-1, 1):
+        near = controller.sensitivity(x * (1 + 0.1 * side * found.margin))
+        assert set(near.active) == set(found.active)
+        assert near.input_by_state == pytest.approx(found.input_by_state, abs=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e3])
+def test_where_derivatives_are_called_smooth_no_limit_is_passed(scale):
+    # near these states an input begins or ceases to act while a soft limit is violated
+    weights = {"Q": np.array([1.0, 0.1]) / scale**2, "R": 0.1, "horizon": 2, "soft": (1.0, 5.0)}
+    controller = LinearMPC(
+        A, scale * B, **weights, U=(-0.3, 0.3), X=(scale * np.array([-2, -0.3]), scale * np.array([2, 0.3]))
+    )
+    for switch in (1.2941188235294252, 1.3871071633238965):
+        for off in np.concatenate([-np.logspace(-8, -4, 13), np.logspace(-8, -4, 13)]):
+            found = controller.sensitivity(scale * switch * (1 + off) * START)
+            assert found.margin > 0 or not found.smooth
+
+
 def test_dependent_constraints_that_part_are_flagged():
     # full braking for two steps just keeps the speed at its limit: a little more speed, and there is no plan
     A, B = double_integrator()
@@ -294,3 +320,44 @@ def test_bad_input_is_named(arguments, message):
 def test_directions_of_another_size_are_named():
     with pytest.raises(InputError, match=r"dp: got shape \(2,\)"):
         LinearMPC(A, B, **STATEMENT).sensitivity(START, dA=family(0)["dA"]).along(dp=[1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "U", "rate"),
+    [
+        ([-2.0, -0.2], [2.0, 0.2], 1.0, None),
+        ([-2.0, 0.0], [2.0, 0.2], 1.0, None),
+        ([-np.inf, 0.0], [np.inf, np.inf], 0.6, None),
+        ([-np.inf, 0.0], [np.inf, np.inf], 9.0, 0.3),
+    ],
+    ids=["bounds", "a bound of zero beside others", "a bound of zero alone", "a bound of zero and a rate"],
+)
+@pytest.mark.parametrize(("length", "force"), [(1.0, 1.0), (1e3, 1e-3)])
+def test_prices_of_soft_limits_change_with_their_units(lower, upper, U, rate, length, force):
+    lower, upper = np.array(lower), np.array(upper)
+    rng = np.random.default_rng(5)
+    dB = 0.05 * rng.normal(size=(2, 1, 2))
+    moves = {"upper": rng.normal(size=(2, 2)), "lower": rng.normal(size=(2, 2)), "U": rng.normal(size=2)}
+    moves["lower"][lower == 0] = 0.0
+    moves = {name: 0.2 * move for name, move in moves.items()}
+    finite = [np.isfinite(upper), np.isfinite(lower)]
+    weights = {"Q": np.array([1.0, 0.1]) / length**2, "R": 0.1 / force**2, "horizon": 12, "soft": (0.05, 2.0)}
+
+    def make(p):
+        limit = {} if rate is None else {"rate_limit": force * (rate + 0.05 * p[0])}
+        room, low, high = force * (U + moves["U"] @ p), length * (lower - moves["lower"] @ p), length * upper
+        X = (low, high + length * moves["upper"] @ p)
+        return LinearMPC(A, length / force * (B + dB @ p), X=X, U=(-room, room), **weights, **limit)
+
+    start = length * START
+    signals = {} if rate is None else {"u_prev": [0.1 * force]}
+    d_rate = {} if rate is None else {"d_rate_limit": [[0.05 * force, 0.0]]}
+    found = make(np.zeros(2)).sensitivity(
+        start, **d_rate, dB=length / force * dB, dU=force * np.array([moves["U"]] * 2),
+        dX=length * np.vstack([moves["upper"][finite[0]], moves["lower"][finite[1]]]), **signals,
+    )  # fmt: skip
+    assert found.smooth
+    assert found.plan.violation > 1e-3 * length
+    for name, of in (("cost_by_parameters", "cost"), ("inputs_by_parameters", "inputs")):
+        expected = slopes(lambda p, of=of: getattr(make(p).solve(start, **signals), of), np.zeros(2), [1e-4] * 2)
+        assert distance(getattr(found, name), expected) < REQUIRED, name

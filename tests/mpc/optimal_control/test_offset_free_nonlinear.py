@@ -88,6 +88,28 @@ def test_a_reference_that_no_input_holds_gets_the_nearest_one():
     assert target.input[0] == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(("sx", "su"), [(1.0, 1.0), (1e3, 1e-2), (1e-4, 3.6e3)])
+@pytest.mark.parametrize("limits", [{}, {"X": 2.0}], ids=["inputs", "states, too"])
+@pytest.mark.parametrize("reference", [0.27, 0.3, 1.0])
+def test_beyond_the_top_of_a_curve_of_steady_states_the_top_is_held(reference, limits, sx, su):
+    def brewed(x, u):  # at rest x = u - u², at most 0.25
+        return x + 0.1 * (-x + u - u**2)
+
+    law = NonlinearMPC(
+        lambda x, u: sx * brewed(x / sx, u / su), 1, 1, Q=1 / sx**2, R=0.01 / su**2, horizon=20, U=(-su, 3 * su),
+        **{name: (-sx * value, sx * value) for name, value in limits.items()},
+    )  # fmt: skip
+    target = OffsetFreeNonlinearMPC(law, [[1]]).nearest_target([sx * reference])
+    assert target.steady
+    assert target.state / sx == pytest.approx([0.25], abs=1e-8)
+    assert target.input / su == pytest.approx([0.5], abs=1e-4)
+    loop, x, u = OffsetFreeNonlinearMPC(law, [[1]]).loop(), np.zeros(1), np.zeros(1)
+    for _ in range(150):
+        u = loop(sx * x, reference=[sx * reference], u_prev=u)
+        x = brewed(x, u / su) + 0.001
+    assert x == pytest.approx([0.26], abs=1e-6)  # which the disturbance of 0.01 raises
+
+
 def test_on_a_linear_model_it_is_the_linear_one():
     A, B = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.0], [0.1]])
     weights = {"Q": [1.0, 0.1], "R": 0.1, "horizon": 12, "U": (-1, 1)}

@@ -1,0 +1,141 @@
+"""The optimality conditions of a plan: how inputs, states and rows move with its first state, parameters and inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mpc.checks import Array
+from mpc.condensing import constraints_of, soften
+from mpc.feedback import block_lengths
+from mpc.parametric_qp import Constraint
+from mpc.plan import Plan
+from mpc.problem import MPCProblem
+from mpc.rollout import Given, relative_violations
+from mpc.sensitivities.changes import Changes
+from mpc.sensitivities.plan_sensitivity import PlanSensitivity, SensitivityStatus
+
+Mask = NDArray[np.bool_]
+
+SOFTENED = ("state", "terminal")  # kinds of constraints that a slack may relax
+
+
+class PlanModel(Protocol):
+    """Derivatives of x⁺ = f(x, u, p) along a plan, p (np,)."""
+
+    def first(self, states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
+        """f (N, nx), ∂f/∂x (N, nx, nx), ∂f/∂u (N, nx, nu), ∂f/∂p (N, nx, np) at states and inputs of N steps."""
+        ...
+
+    def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
+        """Of Σ λ_i f_i with costates λ (N, nx): Hessians by (x, u) and mixed with p, (N, nx + nu, nx + nu | np)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Inputs (N, nu), states (N + 1, nx), slacks (N,) of soft limits, multipliers (m,) if known, which rows act."""
+
+    inputs: Array
+    states: Array
+    slacks: Array
+    multipliers: Array | None
+    acting: Mask
+
+    @classmethod
+    def of(cls, problem: MPCProblem, plan: Plan) -> Point:
+        """A plan, whose multipliers are not known."""
+        slacks = np.zeros(0)
+        if problem.soft is not None:
+            slacks = relative_violations(problem, plan.states, problem.price_units)
+        return cls(np.array(plan.inputs), np.array(plan.states), slacks, None, np.zeros(0, dtype=bool))
+
+
+class Conditions:
+    """The optimality conditions of a problem, to be linearised at points.
+
+    Columns of every form are ξ = (x, p, u_prev, gap, value, z): what moves with θ = (x, p, u_prev), what closes the
+    gaps of the dynamics, the value itself, and what moves with the free inputs.
+    """
+
+    def __init__(self, problem: MPCProblem, model: PlanModel, changes: Changes, given: Given) -> None:
+        self.problem, self.model, self.changes, self.given = problem, model, changes, given
+        last = problem.nu if problem.rate_limit is not None else 0
+        ends = np.cumsum([0, problem.nx, changes.parameters, last, 1, 1, len(block_lengths(problem)) * problem.nu])
+        names = ("x", "p", "u_prev", "gap", "value", "z")
+        self.columns = {name: slice(int(a), int(b)) for name, a, b in zip(names, ends[:-1], ends[1:])}
+        self.nt = int(ends[3])
+        self.stage = np.block([[problem.Q, np.zeros((problem.nx, problem.nu))],
+                               [np.zeros((problem.nu, problem.nx)), problem.R]])  # fmt: skip
+        if problem.S is not None:
+            self.stage[: problem.nx, problem.nx :] = problem.S
+            self.stage[problem.nx :, : problem.nx] = problem.S.T
+        cross = changes.S
+        self.stage_change = np.block([[changes.Q.transpose(2, 0, 1), cross.transpose(2, 0, 1)],
+                                      [cross.transpose(2, 1, 0), changes.R.transpose(2, 0, 1)]])  # fmt: skip
+
+    def forms(
+        self, point: Point, model: tuple[Array, Array, Array], after: Array, feedback: Array | None
+    ) -> tuple[Array, Array]:
+        """Inputs (N, nu, ·) and states (N + 1, nx, ·) as they move with ξ."""
+        A, B, F = model
+        problem, at = self.problem, self.columns
+        N, width = problem.horizon, at["z"].stop
+        U, X = np.zeros((N, problem.nu, width)), np.zeros((N + 1, problem.nx, width))
+        X[0, :, at["x"]] = np.eye(problem.nx)
+        first = 0
+        for b, length in enumerate(block_lengths(problem)):
+            column = at["z"].start + b * problem.nu
+            form = np.zeros((problem.nu, width))
+            form[:, column : column + problem.nu] = np.eye(problem.nu)
+            if feedback is not None:
+                form -= feedback[b] @ X[first]
+            for k in range(first, first + length):
+                U[k] = form
+                X[k + 1] = A[k] @ X[k] + B[k] @ form
+                X[k + 1, :, at["p"]] += F[k]
+                X[k + 1, :, at["gap"]] += (after[k] - point.states[k + 1])[:, None]
+            first += length
+        U[:, :, at["value"]] = point.inputs[:, :, None]
+        X[:, :, at["value"]] = point.states[:, :, None]
+        return U, X
+
+    def rows(self, point: Point, U: Array, X: Array) -> tuple[Array, Array, list[Constraint]]:
+        """Rows (m, ·) of ξ and the slacks, their values g <= 0 (m,) at the point, and their labels."""
+        problem, at = self.problem, self.columns
+        rows, bounds, labels = constraints_of(problem, U, X, at)
+        value = rows[:, at["value"]].ravel()
+        if problem.rate_limit is not None:
+            value = value + rows[:, at["u_prev"]] @ self.given["u_prev"]
+        for kind, change in self.changes.bounds.items():
+            of_kind = [i for i, label in enumerate(labels) if label.kind == kind]
+            rows[of_kind, at["p"]] -= change[[labels[i].row for i in of_kind]]
+        if problem.soft is None:
+            return rows, value - bounds, labels
+        rows, bounds, labels, _, _ = soften(problem, rows, bounds, labels, np.zeros((0, 0)))
+        value = np.concatenate([value, np.zeros(problem.horizon)]) + rows[:, at["z"].stop :] @ point.slacks
+        for i, change in self.priced(labels):  # the price of a violation is counted in units that may change
+            rows[i, at["p"]] -= point.slacks[labels[i].step - 1] * change
+        return rows, value - bounds, labels
+
+    def priced(self, labels: list[Constraint]) -> list[tuple[int, Array]]:
+        """Rows that a slack relaxes by units that change, and how these do (np,)."""
+        units = {kind: change for kind, change in self.changes.units.items() if change.any()}
+        return [(i, units[label.kind][label.row]) for i, label in enumerate(labels) if label.kind in units]
+
+    def none(self, plan: Plan, status: SensitivityStatus) -> PlanSensitivity:
+        """What there is to say where there are no derivatives."""
+        N, nx, nu, count = self.problem.horizon, self.problem.nx, self.problem.nu, self.changes.parameters
+        last = self.columns["u_prev"].stop - self.columns["u_prev"].start
+        shapes = {
+            "cost_by_state": (nx,), "cost_by_parameters": (count,), "inputs_by_state": (N, nu, nx),
+            "inputs_by_parameters": (N, nu, count), "states_by_state": (N + 1, nx, nx),
+            "states_by_parameters": (N + 1, nx, count), "inputs_by_last_input": (N, nu, last),
+        }  # fmt: skip
+        unknown = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
+        return PlanSensitivity(
+            plan=plan, status=status, **unknown, active={}, weakly_active=(), dependent=(), margin=np.nan, local=None
+        )
