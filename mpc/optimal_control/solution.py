@@ -35,7 +35,7 @@ class OptimalControlStatus(Enum):
         "Functions or their derivatives are not finite where the solver went, see `conflicts`. "
         "Bound the states away from there, or give a guess away from it."
     )
-    STOPPED = "Stopped before the optimum: the best iterate is returned. Raise the limit, or start from this solution."
+    STOPPED = "Stopped early: the best that was found is returned. Raise the limit, or start from this solution."
     INACCURATE = (
         "The solver ended, but the optimality conditions do not hold to the tolerance. Rescale, or refine the mesh."
     )
