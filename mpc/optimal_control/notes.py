@@ -8,7 +8,9 @@ import casadi as ca
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.program import NonlinearProgram, describe_row
+from mpc.optimal_control.descriptions import describe_row
+from mpc.optimal_control.program import NonlinearProgram
+from mpc.optimal_control.undefined import functions_not_finite
 
 JUMPS = {
     ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==",
@@ -69,6 +71,9 @@ def operations(function: ca.Function | None) -> set[int]:
 def undefined(program: NonlinearProgram, v: Array) -> tuple[str, ...]:
     """Constraints whose values or derivatives are not finite at unknowns (n,), or at the guess."""
     for at in (v, program.guess):
+        named = tuple(functions_not_finite(program, at))
+        if named:
+            return named
         g, slope = program.derivatives.jacobian[1](at)
         f, of_cost = program.derivatives.jacobian[0](at)
         values = np.asarray(g, dtype=float).ravel()

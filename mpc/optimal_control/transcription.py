@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -26,11 +27,11 @@ from mpc.optimal_control.program import (
     NonlinearProgram,
     PhasePart,
     Rows,
-    describe_row,
     with_costs_of_scenarios,
     with_sizes_of_rows,
 )
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
+from mpc.optimal_control.undefined import check_at_guess
 from mpc.optimal_control.unknowns import between, first_duration, first_guess, placed, size_of
 
 
@@ -142,7 +143,8 @@ class _Builder:
             return slice(first, first)
         many = count if problem.risk == "spread" else 1
         self._unknown(np.full(many, -np.inf), np.full(many, np.inf), np.zeros(many))
-        self._rows("cost of a scenario", -1, count, -np.inf, 0.0, 1.0, 0.0)
+        named = [f"cost of scenario {k + 1}" for k in range(count)]
+        self._rows("cost of a scenario", -1, named, 1, -np.inf, 0.0, 1.0, 0.0)
         places = np.broadcast_to(np.arange(first, first + many), (count,))
         self._piece(_itself(), places[None], np.arange(1, count + 1)[None], -np.ones(1))
         objective = _itself() if many == 1 else _mean_and_spread(problem.weights, problem.spread)
@@ -269,13 +271,15 @@ class _Builder:
         after = [c for c in layout.points if c > 0] or [1.0]
         size = np.tile(self.scale[k][: layout.nx], N * of_defects // layout.nx)
         places = times_of(after, mesh).ravel().repeat(layout.nx)
-        defects = self._rows("dynamics", k, N * of_defects, 0.0, 0.0, size, places, phase.state_names)
+        named = [f"dynamics of {name}" for name in phase.state_names]
+        defects = self._rows("dynamics", k, named, len(size) // layout.nx, 0.0, 0.0, size, places)
         low, high = functions.path_bounds
         held = isinstance(self.scheme, MultipleShooting) or phase.discrete
         kept_at = [c for c in layout.points if held or c > 0]
         times = N * len(kept_at)
         places = times_of(kept_at, mesh).ravel().repeat(len(low))
-        path = self._rows("path", k, N * of_path, np.tile(low, times), np.tile(high, times), 1.0, places)
+        low, high = np.tile(low, times), np.tile(high, times)
+        path = self._rows("path", k, functions.path_names, times, low, high, 1.0, places)
         signals = signal_at(phase, phase.start_time + phase.duration[0] * times_of(layout.signals, mesh).ravel())
         w = signals.reshape(N, -1).T
         self._piece(
@@ -302,7 +306,7 @@ class _Builder:
                 factors.append(np.array([weight]))
             if functions.boundary is not None:
                 count = functions.boundary.numel_out(0)
-                rows = self._rows("boundary", k, count, *functions.boundary_bounds, 1.0, 1.0)
+                rows = self._rows("boundary", k, functions.boundary_names, 1, *functions.boundary_bounds, 1.0, 1.0)
                 targets.append(1 + np.arange(rows.start, rows.stop))
                 factors.append(np.ones(count))
             ends = np.concatenate([first + np.arange(layout.nx), last - layout.node + np.arange(layout.nx), shared])
@@ -332,7 +336,8 @@ class _Builder:
             signal = w[: layout.nw, 0]
         if not len(kept):
             return
-        rows = self._rows("path", k, len(kept), low[kept], high[kept], 1.0, fraction)
+        names = [functions.path_names[i] for i in kept]
+        rows = self._rows("path", k, names, 1, low[kept], high[kept], 1.0, fraction)
         function = path_piece(functions, clock, layout, self.problem.parameters, fraction, kept)
         at = np.concatenate([node + np.arange(layout.nx), inputs, shared])
         self._piece(function, at[:, None], 1 + np.arange(rows.start, rows.stop)[:, None], np.ones(len(kept)),
@@ -343,7 +348,8 @@ class _Builder:
         link = None if self.problem.link is None else self.problem.link_function(k - 1)
         end, begin = before.layout.nx, after.layout.nx
         size = self.scale[k][:begin]
-        rows = self._rows("link", k, begin, 0.0, 0.0, size, 0.0, self.problem.phases[k].state_names)
+        named = [f"link of {name}" for name in self.problem.phases[k].state_names]
+        rows = self._rows("link", k, named, 1, 0.0, 0.0, size, 0.0)
         at = np.concatenate([before.last - before.layout.node + np.arange(end), after.first + np.arange(begin), self.p])
         function = link_piece(link, end, begin, self.problem.parameters)
         self._piece(function, at[:, None], 1 + np.arange(rows.start, rows.stop)[:, None], np.ones(begin))
@@ -354,7 +360,7 @@ class _Builder:
         count = 0 if constraints is None else constraints.numel_out(0)
         if cost is None and not count:
             return
-        rows = self._rows("p_constraints", -1, count, -np.inf, 0.0, 1.0, 0.0)
+        rows = self._rows("p_constraints", -1, self.problem.p_constraint_names, 1, -np.inf, 0.0, 1.0, 0.0)
         targets = np.concatenate([np.zeros(0 if cost is None else 1), 1 + np.arange(rows.start, rows.stop)]).astype(int)
         function = parameter_piece((cost, constraints), self.problem.parameters)
         self._piece(function, self.p[:, None], targets[:, None], np.ones(len(targets)))
@@ -365,9 +371,10 @@ class _Builder:
         given = np.zeros((0, unknowns.shape[1])) if data is None else data
         self.pieces.append(Piece(function, unknowns, given, rows, factors))
 
-    def _rows(self, name: str, phase: int, count: int, low: Any, high: Any, scale: Any, fractions: Any,
-              entries: tuple[str, ...] = ()) -> slice:  # fmt: skip
-        """Append constraints; their places."""
+    def _rows(self, name: str, phase: int, entries: Sequence[str], points: int, low: Any, high: Any, scale: Any,
+              fractions: Any) -> slice:  # fmt: skip
+        """Append constraints, those called `entries` at so many points; their places."""
+        count = len(entries) * points
         first, last = self.height, self.height + count
         low, high, scale, places = (
             np.array(np.broadcast_to(np.asarray(b, dtype=float), (count,))) for b in (low, high, scale, fractions)
@@ -402,16 +409,3 @@ def _depends_on_input(path: ca.Function) -> Array:
     depends = np.zeros(path.numel_out(0), dtype=bool)
     depends[list(pattern.row())] = True
     return depends
-
-
-def check_at_guess(program: NonlinearProgram) -> None:
-    """Raise an `InputError` unless cost and constraints are finite at the guess: it says which, and when."""
-    f, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(program.guess))
-    wrong = np.flatnonzero(~np.isfinite(g))
-    if len(wrong):
-        got = f"{g[wrong[0]]:g} in {describe_row(program, int(wrong[0]), program.guess)}"
-        raise InputError(
-            "guess", got, "finite values where the solution starts from", "Give a `guess` away from the singular point."
-        )
-    if not np.isfinite(f[0]):
-        raise InputError("guess", f"a cost of {f[0]:g}", "a finite one where the solution starts from")

@@ -225,8 +225,9 @@ def test_a_limit_that_is_passed_between_the_points_is_told():
     assert coarse.path_excess[0].time[0] == pytest.approx(0.47, abs=0.03)
     assert "path 1 is exceeded by" in coarse.advice
     assert fine.path_excess[0].value[0] < 1e-2
+
+
 def test_a_guess_in_seconds_is_not_taken_for_fractions():
     guess = ([0, 1, 2], np.zeros((3, 1)), np.zeros((3, 1)))
-    phase = Phase(dynamics=lambda u: u, states=1, inputs=1, start=[0.0], end=[1.0], duration=2.0, guess=guess)
     with pytest.raises(InputError, match="fractions of the duration"):
-        build(phase, Trapezoidal(), 4)
+        Phase(dynamics=lambda u: u, states=1, inputs=1, start=[0.0], end=[1.0], duration=2.0, guess=guess)
