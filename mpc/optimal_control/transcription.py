@@ -10,9 +10,10 @@ import numpy as np
 
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.derivatives import Derivatives, Numbers, Piece
+from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout, interval_function, layout_of, times_of
 from mpc.optimal_control.phase import Phase, signal_at
+from mpc.optimal_control.piece import Numbers, Piece
 from mpc.optimal_control.pieces import (
     Clock,
     end_piece,
