@@ -119,7 +119,8 @@ def scenario(a, b, c, **change):
         return ca.vertcat(x[1] * a, u - ca.pi * p[0] * ca.if_else(x[0] > b, x[0] ** c, -b * x[0]))
 
     given = {
-        "dynamics": rates, "states": 2, "inputs": 1, "stage_cost": lambda x, u: a * x[0] ** 2 + (u - b) ** 2 - 3e-9 * x[1] * c,
+        "dynamics": rates, "states": 2, "inputs": 1,
+        "stage_cost": lambda x, u: a * x[0] ** 2 + (u - b) ** 2 - 3e-9 * x[1] * c,
         "terminal_cost": lambda x: c * ca.exp(b * x[1]), "start": [1.0, 0.5], "path": lambda x: a * x[1] ** 2 - 9 - b,
     }  # fmt: skip
     return Phase(**(given | change))
