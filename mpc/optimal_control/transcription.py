@@ -115,7 +115,8 @@ class _Builder:
         if not phase.free_duration:
             return -1
         low, high = phase.duration
-        self.into.unknown(np.array([low]), np.array([high]), np.array([first_duration(phase)]))
+        guess = np.array([first_duration(phase)])  # its size, too: bounds of durations are often far away
+        self.into.unknown(np.array([low]), np.array([high]), guess, guess)
         return self.into.width - 1
 
     def _clock(self, k: int, durations: list[int]) -> Clock:

@@ -231,3 +231,15 @@ def test_a_guess_in_seconds_is_not_taken_for_fractions():
     guess = ([0, 1, 2], np.zeros((3, 1)), np.zeros((3, 1)))
     with pytest.raises(InputError, match="fractions of the duration"):
         Phase(dynamics=lambda u: u, states=1, inputs=1, start=[0.0], end=[1.0], duration=2.0, guess=guess)
+
+
+def test_a_bound_of_the_duration_that_is_far_away_costs_no_iterations():
+    from classical_problems import CLASSICAL
+
+    counts = []
+    for most in (100.0, 1e3, 1e5):
+        phase = replace(CLASSICAL["robot arm"].phase, duration=(0.1, most), duration_guess=8.0)
+        found = solve(build(phase, Radau(3), 20))
+        assert found.duration == pytest.approx(9.14093, rel=1e-3)
+        counts.append(found.iterations)
+    assert max(counts) <= min(counts) + 3
