@@ -136,9 +136,9 @@ class Derivatives:
         (_, slope), (_, whole) = (function(v) for function in self.jacobian)
         curvature = self.hessian(v, of_cost / c, multipliers / r)
         rows, columns = whole.sparsity().get_triplet()
-        jacobian = ca.MX(whole.sparsity(), whole.nz[:] * s[columns] / r[rows])
+        jacobian = ca.MX(whole.sparsity(), ca.vec(whole.nz[:]) * ca.vec(s[columns]) / ca.vec(r[rows]))
         first, second = curvature.sparsity().get_triplet()
-        hessian = ca.MX(curvature.sparsity(), curvature.nz[:] * s[first] * s[second])
+        hessian = ca.MX(curvature.sparsity(), ca.vec(curvature.nz[:]) * ca.vec(s[first]) * ca.vec(s[second]))
         names = ["x", "p"]
         functions = {
             "grad_f": ca.Function("nlp_grad_f", [z, given], [f / c, slope * s / c], names, ["f", "grad_f_x"]),

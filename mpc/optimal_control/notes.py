@@ -21,8 +21,16 @@ AT_BOUND = 1e-4  # of a duration, of its lower bound
 
 
 def notes_of(program: NonlinearProgram, v: Array, solved: bool) -> tuple[str, ...]:
-    """Durations that came down to their least; functions that may jump; and, if not solved, those with kinks."""
-    return (*_shortest(program, v), *_rough(program, not solved))
+    """Durations that came down to their least; functions that may jump; and, if not solved, kinks and coarse meshes."""
+    return (*_shortest(program, v), *_rough(program, not solved), *(() if solved else _too_coarse(program)))
+
+
+def _too_coarse(program: NonlinearProgram) -> Iterator[str]:
+    """Meshes with more equations than unknowns."""
+    free = int((program.lower < program.upper).sum())
+    equations = int((program.row_lower == program.row_upper).sum())
+    if equations > free:
+        yield f"The mesh has {equations} equations for {free} free unknowns: take more intervals or a higher degree."
 
 
 def _shortest(program: NonlinearProgram, v: Array) -> Iterator[str]:

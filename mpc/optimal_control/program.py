@@ -16,7 +16,7 @@ from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
 from mpc.optimal_control.unknowns import coordinates
 
-VANISHING = 1e-9  # size of an unknown, beside the one it was given, that tells nothing
+VANISHING = 1e-6  # size of an unknown, beside the one it was given, that is what a solver leaves of 0
 
 
 @dataclass(frozen=True)
@@ -152,13 +152,14 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
         coordinate, _ = coordinates(layout, part.mesh)
         for i in range(layout.nx + layout.nu):
             largest = np.abs(own[coordinate == i]).max()
-            sizes[coordinate == i] = largest if largest > VANISHING * sizes[coordinate == i].max() else 1.0
+            if largest > VANISHING * sizes[coordinate == i].max():
+                sizes[coordinate == i] = largest
         rows = part.defects.stop - part.defects.start
         row_scale[part.defects] = np.tile(sizes[: layout.nx], rows // layout.nx)
     loose = np.setdiff1d(np.arange(len(v)), np.concatenate([np.arange(p.first, p.last) for p in program.parts]))
     loose = loose[~(np.isfinite(program.lower) & np.isfinite(program.upper))[loose]]
     large = np.abs(v[loose])
-    scale[loose] = np.where(large > VANISHING * scale[loose], large, 1.0)
+    scale[loose] = np.where(large > VANISHING * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
     size = float(np.abs(slope * scale).max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0

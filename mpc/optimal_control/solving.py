@@ -120,15 +120,21 @@ class _Run:
         """Solve, again where the first sizes were off."""
         if warm:
             self.program = rescaled(self.program, guess)
+        kept: tuple[NonlinearProgram, Found] | None = None
         for _ in range(RESCALINGS):
             found = once(self.program, guess, multipliers, self.lower, self.upper, self._left(warm))
             self.iterations += found.iterations
+            if kept is not None and _status(found) is not OptimalControlStatus.SOLVED:
+                self.program, found = kept  # sizes of what vanishes at the optimum were no better
+                break
             if not found.ended:
                 break
             sized = rescaled(self.program, found.v)
             ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])
             if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
                 break
+            if _status(found) is OptimalControlStatus.SOLVED:
+                kept = self.program, found
             self.program, guess, multipliers, warm = sized, found.v, found.multipliers, True
         return found
 
@@ -219,7 +225,7 @@ class _Run:
 
 def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -> None:
     """Set bounds of the parameters to one value."""
-    value = as_floats("p", p)
+    value = np.atleast_1d(as_floats("p", p))
     low, high = program.problem.p_bounds
     if value.shape != low.shape or not ((low <= value) & (value <= high)).all():
         raise InputError("p", value, f"({len(low)},) within p_bounds")
