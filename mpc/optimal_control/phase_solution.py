@@ -65,7 +65,8 @@ class PhaseSolution:
     @property
     def inputs(self) -> Array:
         """Inputs (n, nu) at `input_times`."""
-        return self.stages.inputs.reshape(-1, self.part.layout.nu)
+        inputs = self.stages.inputs
+        return inputs.reshape(inputs.shape[0] * inputs.shape[1], self.part.layout.nu)
 
     @property
     def input_times(self) -> Array:
