@@ -3,75 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 
-from mpc.checks import Array
-
-Numbers = NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """One function of a few unknowns, at M places; each of its values is added to one row of [f; g].
-
-    Attributes
-    ----------
-    function : casadi.Function
-        (z (n,), data (d,)) → values (k,).
-    unknowns : (n, M) array
-        Which of all they are.
-    data : (d, M) array
-    rows : (k, M) array
-        Where the values go: 0 is the cost f, 1 + i constraint i.
-    factors : (k,) array
-        That they are multiplied by.
-    """
-
-    function: ca.Function
-    unknowns: Numbers
-    data: Array
-    rows: Numbers
-    factors: Array
-
-    @property
-    def places(self) -> int:
-        """M."""
-        return int(self.unknowns.shape[1])
-
-    @property
-    def of_cost(self) -> NDArray[np.bool_]:
-        """Which values (k,) are added to the cost."""
-        return np.asarray(self.rows[:, 0] == 0)
-
-    @cached_property
-    def parts(self) -> dict[bool, ca.Function]:
-        """Functions of the values that are added to the cost, and of the others."""
-        z, data = self.symbols
-        value = self.function(z, data)
-        found = {of_cost: value[_listed(self.of_cost == of_cost)] for of_cost in (True, False)}
-        return {key: ca.Function("part", [z, data], [part], {"cse": True}) for key, part in found.items()}
-
-    @property
-    def symbols(self) -> tuple[Any, Any]:
-        """z and data, of the kind of the function."""
-        kind: Any = ca.SX if self.function.is_a("SXFunction") else ca.MX
-        return kind.sym("z", self.unknowns.shape[0]), kind.sym("data", self.data.shape[0])
-
-    def mapped(self, function: ca.Function, *columns: Any) -> Sequence[Any]:
-        """Results of a function of columns, one a place."""
-        found = function.map(self.places)(*columns) if self.places > 1 else function(*columns)
-        return found if isinstance(found, list | tuple) else [found]
-
-    def gathered(self, v: Any) -> Any:
-        """Unknowns (n, M) out of those of all."""
-        return ca.reshape(v[self.unknowns.ravel(order="F").tolist()], *self.unknowns.shape)
+from mpc.optimal_control.merging import merged
+from mpc.optimal_control.piece import Numbers, Piece, listed
 
 
 class Derivatives:
@@ -138,7 +78,7 @@ class Derivatives:
                 if not chosen.any():
                     continue
                 z, data = piece.symbols
-                value = piece.function(z, data)[_listed(chosen)]
+                value = piece.function(z, data)[listed(chosen)]
                 slope: Any = ca.jacobian(value * ca.DM(piece.factors[chosen]), z)
                 function = _compact("slope", [z, data], slope)
                 (found,) = piece.mapped(function, piece.gathered(v), piece.data)
@@ -196,9 +136,9 @@ class Derivatives:
         (_, slope), (_, whole) = (function(v) for function in self.jacobian)
         curvature = self.hessian(v, of_cost / c, multipliers / r)
         rows, columns = whole.sparsity().get_triplet()
-        jacobian = ca.MX(whole.sparsity(), whole.nz[:] * s[columns] / r[rows])
+        jacobian = ca.MX(whole.sparsity(), ca.vec(whole.nz[:]) * ca.vec(s[columns]) / ca.vec(r[rows]))
         first, second = curvature.sparsity().get_triplet()
-        hessian = ca.MX(curvature.sparsity(), curvature.nz[:] * s[first] * s[second])
+        hessian = ca.MX(curvature.sparsity(), ca.vec(curvature.nz[:]) * ca.vec(s[first]) * ca.vec(s[second]))
         names = ["x", "p"]
         functions = {
             "grad_f": ca.Function("nlp_grad_f", [z, given], [f / c, slope * s / c], names, ["f", "grad_f_x"]),
@@ -211,28 +151,6 @@ class Derivatives:
         return {"x": z, "p": given, "f": f / c, "g": g / r}, functions
 
 
-def merged(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
-    """The pieces, with those of one function and the same factors as one: scenarios that differ in their data alone."""
-    alike: dict[Any, list[Piece]] = {}
-    for piece in pieces:
-        alike.setdefault((_written(piece.function), piece.factors.tobytes(), piece.of_cost.tobytes()), []).append(piece)
-    return tuple(group[0] if len(group) == 1 else _joined_pieces(group) for group in alike.values())
-
-
-def _joined_pieces(group: list[Piece]) -> Piece:
-    """One piece at the places of all."""
-    unknowns, data, rows = (np.hstack([getattr(one, name) for one in group]) for name in ("unknowns", "data", "rows"))
-    return Piece(group[0].function, unknowns, data, rows, group[0].factors)
-
-
-def _written(function: ca.Function) -> Any:
-    """What two functions have in common if they are the same."""
-    try:
-        return function.serialize()
-    except RuntimeError:  # of a function that is no expression
-        return id(function)
-
-
 def _compact(name: str, symbols: list[Any], matrix: Any) -> ca.Function:
     """The nonzeros of a matrix as a function, common expressions once."""
     dense = ca.densify(matrix.nz[:]) if matrix.nnz() else type(matrix)(0, 1)
@@ -243,11 +161,6 @@ def _places(matrix: Any) -> tuple[Numbers, Numbers]:
     """Rows and columns of its nonzeros."""
     rows, columns = matrix.sparsity().get_triplet()
     return np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
-
-
-def _listed(chosen: NDArray[np.bool_]) -> list[int]:
-    """The numbers of what is chosen."""
-    return [int(i) for i in np.flatnonzero(chosen)]
 
 
 def _joined(parts: list[Any]) -> Numbers:

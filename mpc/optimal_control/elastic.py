@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.derivatives import Derivatives, Piece
+from mpc.optimal_control.derivatives import Derivatives
+from mpc.optimal_control.piece import Piece
 from mpc.optimal_control.pieces import piece_function
-from mpc.optimal_control.program import NonlinearProgram, describe_row
+from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.unknowns import coordinates
 
-HOLDS = 0.01  # multiplier, beside the largest, of a limit that stands in the way
 SHAKEN = 0.3  # part of the sizes of unknowns by which a second start is moved
-NEARLY = 1e-6  # of an unknown's size: what two bounds that count as one differ by
 
 
 def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
@@ -62,64 +61,3 @@ def shaken(program: NonlinearProgram, lower: Array, upper: Array) -> Array:
         of = numbers.astype(int)
         move[part.first : part.last] = begin[of] + rise[of] * fractions
     return np.clip(program.guess + move * program.scale, lower, upper)
-
-
-def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds: Array, violations: Array,
-                  feasible: float, shown: int) -> tuple[str, ...]:  # fmt: skip
-    """What cannot hold together, of the unknowns with the least violations and the multipliers there.
-
-    First the constraints that are violated most, then those and the bounds whose multipliers hold against them.
-    """
-    worst = [int(i) for i in np.argsort(-violations)[:shown] if violations[i] > feasible]
-    found = [f"{describe_row(program, i, v)}, by {violations[i] * program.row_scale[i]:.3g}" for i in worst]
-    pushing = np.abs(on_rows * program.row_scale)
-    for rows in program.rows:
-        own = pushing[rows.first : rows.last]
-        if rows.name == "dynamics" or set(range(rows.first, rows.last)) & set(worst):
-            continue
-        if own.max(initial=0.0) > HOLDS * pushing.max(initial=0.0):
-            found.append(describe_row(program, rows.first + int(own.argmax()), v))
-    return (*found, *_bounds_in_the_way(program, v, on_bounds))
-
-
-def _bounds_in_the_way(program: NonlinearProgram, v: Array, on_bounds: Array) -> Iterator[str]:
-    """Bounds that a violation would fall with, in words: each limit of each entry once."""
-    weights = on_bounds[: len(v)] * program.scale
-    groups: dict[str, float] = {}
-    for i, text in _texts(program, v, weights):
-        groups[text] = groups.get(text, 0.0) + abs(weights[i])
-    largest = max(groups.values(), default=0.0)
-    yield from (text for text, weight in groups.items() if weight > HOLDS * largest)
-
-
-def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tuple[int, str]]:
-    """What the bound of each unknown with a multiplier is called."""
-    for k, part in enumerate(program.parts):
-        of_phase = f" of phase {k + 1}" if len(program.parts) > 1 else ""
-        numbers, _ = coordinates(part.layout, part.mesh)
-        names = (*part.phase.state_names, *part.phase.input_names)
-        ends = {part.first: "start of ", part.last - part.layout.node: "end of "}
-        whole = part.phase.x_bounds
-        for i in range(part.first, part.last):
-            entry = int(numbers[i - part.first])
-            where = next((ends[i - n] for n in (entry,) if i - n in ends and entry < part.layout.nx), "")
-            if where and (program.lower[i], program.upper[i]) == (whole[0][entry], whole[1][entry]):
-                where = ""
-            if weights[i]:
-                yield i, f"{where}{names[entry]} {_side(program, i, weights[i], v[i])}{of_phase}"
-        if part.duration >= 0:
-            i = part.duration
-            yield i, f"duration {_side(program, i, weights[i], v[i])}{of_phase}"
-    for number, i in enumerate(range(program.parameters.start, program.parameters.stop)):
-        yield i, f"p{number + 1} {_side(program, i, weights[i], v[i])}"
-
-
-def _side(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
-    """Which bound of an unknown a multiplier is of, and the bound; where one is held besides, its value."""
-    low, high = program.lower[i], program.upper[i]
-    if high - low <= NEARLY * program.scale[i]:
-        return f"= {high:.6g}"
-    bound = high if weight > 0 else low
-    if abs(bound - value) > HOLDS * program.scale[i]:
-        return f"= {value:.6g}"
-    return f"{'≤' if weight > 0 else '≥'} {bound:.6g}"

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import re
+import traceback
 from collections.abc import Callable
+from math import isnan
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -12,6 +16,21 @@ from mpc.exceptions import InputError
 
 Statement = Callable[..., Any]
 LONGEST = 120  # characters of a value or a message that is shown
+CASADI = re.compile(r'^\.\.\./casadi/\S+:\d+: (?:Assertion ".*?" failed:\s)?')
+KNOWN = (
+    (r"Slice \(start=(\d+), stop=\d+, step=1\) out of bounds with supplied length of (\d+)",
+     "index {0} beyond a column of {1}", "Entries are counted from 0."),
+    (r"getScalar: out of bounds", "an index beyond a column",
+     "Entries are counted from 0, and from the end by −1, −2, …"),
+    (r"Got elements in range \[(\S+)\], which is outside the range \[\S+,(\d+)\)",
+     "indices {0} beyond a column of {1}", "Entries are counted from 0."),
+    (r"incompatible dimensions. Lhs is (\S+) and rhs is (\S+?)\.?$", "a product of {0} and {1}",
+     "A product of two columns is ca.dot(a, b), a square ca.sumsqr(x)."),
+    (r"truth value", "a choice by the value of a symbol (if, and, or, min, max, abs)",
+     "Use ca.if_else, ca.logic_and, ca.fmin, ca.fmax, ca.fabs."),
+    (r"Notify the CasADi developers|must be real number, not (?:SX|MX)|__float__",
+     "float(), or a function of math, of a symbol", "Use ca.sin and the like instead of math.sin."),
+)  # fmt: skip
 
 
 def compiled(argument: str, given: Any, sizes: dict[str, int], rows: int | None = None) -> ca.Function:
@@ -39,39 +58,50 @@ def compiled(argument: str, given: Any, sizes: dict[str, int], rows: int | None 
     InputError
         If it asks for another name, stops, or returns no expression of these columns alone with so many rows.
     """
-    wanted = _wanted(argument, given, tuple(sizes))
+    own = wanted(argument, given, tuple(sizes))
     try:
-        return _traced(argument, given, wanted, sizes, rows, ca.SX)
-    except InputError:
-        if not isinstance(given, ca.Function):
+        return _traced(argument, given, own, sizes, rows, ca.SX)
+    except InputError as first:
+        if first.__cause__ is None:  # the function itself ran
             raise
-        return _traced(argument, given, wanted, sizes, rows, ca.MX)  # interpolants, integrators and the like
+        try:
+            return _traced(argument, given, own, sizes, rows, ca.MX)  # interpolants, integrators and the like
+        except InputError:
+            raise first from first.__cause__
 
 
-def _traced(argument: str, given: Any, wanted: tuple[str, ...], sizes: dict[str, int], rows: int | None,
+def _traced(argument: str, given: Any, own: tuple[str, ...], sizes: dict[str, int], rows: int | None,
             kind: Any) -> ca.Function:  # fmt: skip
     """`compiled`, with expressions of one kind: `casadi.SX` or `casadi.MX`."""
     columns = {name: kind.sym(name, size) for name, size in sizes.items()}
-    expected = f"a function of {', '.join(sizes)} (any of them) that returns a CasADi expression"
-    arguments = [columns[name] for name in wanted]
+    told = ", ".join(f"{name} ({size} rows)" if size > 1 else name for name, size in sizes.items() if size)
+    expected = f"a function of {told} (any of them) that returns a CasADi expression"
+    arguments = [columns[name] for name in own]
     if not isinstance(given, ca.Function):
-        arguments = [_Named(column, name) if column.is_empty() else column for name, column in zip(wanted, arguments)]
+        arguments = [_Named(column, name) if column.is_empty() else column for name, column in zip(own, arguments)]
     try:
         value = given(*arguments)
     except InputError:
         raise
     except Exception as error:  # the function is the user's: whatever it raises is told with what is expected
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InputError(argument, f"one that stops with {brief(reason)}", expected) from error
+        reason, cure = in_words(error)
+        raise InputError(argument, f"one that stops with {reason}{_line(given, error)}", expected, cure) from error
     expression = _as_column(argument, value, kind, expected)
+    missing = [name for name in own if not sizes[name]]
+    cure = f"There is no {missing[0]} in this problem." if missing else ""
     if rows is not None and expression.numel() != rows:
-        raise InputError(argument, f"{expression.numel()} rows", f"{rows}, a column ({rows}, 1)")
-    known = {symbol.name() for column in columns.values() for symbol in ca.symvar(column)} if kind is ca.MX else None
-    strangers = [s for s in ca.symvar(expression) if not _is_of(s, columns, known)]
+        raise InputError(argument, f"{expression.numel()} rows", f"{rows}, a column ({rows}, 1)", cure)
+    if not expression.numel():
+        raise InputError(argument, "one that returns nothing", expected, cure)
+    strangers = [s for s in ca.symvar(expression) if not _is_of(s, columns)]
     if strangers:
         got = f"an expression of {', '.join(str(s) for s in strangers[:5])} besides"
         raise InputError(argument, got, f"an expression of {', '.join(sizes)} alone")
-    return ca.Function(argument, list(columns.values()), [ca.densify(expression)], list(sizes), ["value"])
+    function = ca.Function(argument, list(columns.values()), [ca.densify(expression)], list(sizes), ["value"])
+    if _has_nan(function):
+        cure = "float(), math.sin and the like of a symbol are no number: use ca.sin and the like."
+        raise InputError(argument, "an expression with a constant that is NaN", expected, cure)
+    return function
 
 
 def symbols_of(function: ca.Function) -> dict[str, Any]:
@@ -94,7 +124,7 @@ class _Named:
         raise IndexError(f"there is no {self._name} in this problem")
 
 
-def _wanted(argument: str, given: Any, names: tuple[str, ...]) -> tuple[str, ...]:
+def wanted(argument: str, given: Any, names: tuple[str, ...]) -> tuple[str, ...]:
     """The columns that a function asks for, in its own order."""
     expected = f"a function whose arguments are named after what it needs of {', '.join(names)}"
     if isinstance(given, ca.Function):
@@ -118,16 +148,43 @@ def _as_column(argument: str, value: Any, kind: Any, expected: str) -> Any:
     """A value as a column of expressions."""
     try:
         parts = list(value) if isinstance(value, list | tuple) else [value]
-        return ca.vertcat(*(ca.vec(kind(part)) for part in parts))
+        return ca.vertcat(kind(0, 1), *(ca.vec(kind(part)) for part in parts))
     except Exception as error:
         raise InputError(argument, f"one that returns {brief(repr(value))}", expected) from error
 
 
-def _is_of(symbol: Any, columns: dict[str, Any], known: set[str] | None) -> bool:
+def _is_of(symbol: Any, columns: dict[str, Any]) -> bool:
     """Whether a symbol is one of these columns'."""
-    if known is not None:
-        return symbol.name() in known
+    if isinstance(symbol, ca.MX):
+        return any(ca.is_equal(symbol, column) for column in columns.values())
     return any(ca.depends_on(column, symbol) for column in columns.values() if not column.is_empty())
+
+
+def _has_nan(function: ca.Function) -> bool:
+    """Whether a function of scalar instructions contains a constant that is no number."""
+    if not function.is_a("SXFunction"):
+        return False
+    constants = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
+    return any(isnan(function.instruction_constant(i)) for i in constants)
+
+
+def _line(given: Any, error: Exception) -> str:
+    """Where in the file of a function an error arose."""
+    code = getattr(given, "__code__", None)
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
+    return f" (line {own[-1].lineno} of {Path(own[-1].filename).name})" if own else ""
+
+
+def in_words(error: Exception) -> tuple[str, str]:
+    """What an error of CasADi says without the names of its files, and what to do about it where that is known."""
+    text = " ".join(CASADI.sub("", str(error), count=1).split())
+    for pattern, words, cure in KNOWN:
+        found = re.search(pattern, text)
+        if found:
+            return brief(words.format(*found.groups())), cure
+    plain = isinstance(error, RuntimeError)
+    return brief(text if plain else f"{type(error).__name__}: {text}"), ""
 
 
 def brief(text: str) -> str:

@@ -16,7 +16,7 @@ from mpc.plan import Residuals
 
 FEASIBLE = 1e-6  # violation, in scaled rows, of what passes for feasible
 ENDLESS = 1e13  # of a scaled unknown
-LEAST_FILL = 2  # approximate minimum fill; what MUMPS chooses by itself grows faster than the mesh
+NEARLY_FULL = 6  # QAMD, for rows that are nearly full: parameters and durations reach every interval of every scenario
 QUIET = {"print_level": 0, "sb": "yes"}
 ENDED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
@@ -97,7 +97,7 @@ def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIte
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
     if np.isfinite(settings.seconds):
         limits["max_wall_time"] = settings.seconds
-    ipopt = QUIET | {"diverging_iterates_tol": ENDLESS, "mumps_pivot_order": LEAST_FILL} | limits | settings.options
+    ipopt = QUIET | {"diverging_iterates_tol": ENDLESS, "mumps_pivot_order": NEARLY_FULL} | limits | settings.options
     made = program.derivatives.solvers
     key = repr((sorted(ipopt.items()), settings.keep_best))
     if key in made:

@@ -24,7 +24,7 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Array:
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
     or with CVODES a hundredth of its tolerance.
-    Zero for discrete dynamics.
+    Zero for discrete dynamics; infinite where the dynamics are not finite between the points.
 
     References
     ----------
@@ -41,7 +41,8 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Array:
         missed = _by_tighter_steps(phase, replace(scheme, tolerance=TIGHTER * scheme.tolerance), p)
     else:
         missed = _by_half_steps(phase, scheme.substeps, p)
-    return np.asarray((missed / np.where(size > 0, size, 1.0)).max(axis=1))
+    relative = missed / np.where(size > 0, size, 1.0)
+    return np.asarray(np.where(np.isfinite(relative), relative, np.inf).max(axis=1))
 
 
 def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Array:

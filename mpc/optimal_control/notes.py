@@ -8,7 +8,9 @@ import casadi as ca
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.program import NonlinearProgram, describe_row
+from mpc.optimal_control.descriptions import describe_row
+from mpc.optimal_control.program import NonlinearProgram
+from mpc.optimal_control.undefined import functions_not_finite
 
 JUMPS = {
     ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==",
@@ -19,8 +21,16 @@ AT_BOUND = 1e-4  # of a duration, of its lower bound
 
 
 def notes_of(program: NonlinearProgram, v: Array, solved: bool) -> tuple[str, ...]:
-    """Durations that came down to their least; functions that may jump; and, if not solved, those with kinks."""
-    return (*_shortest(program, v), *_rough(program, not solved))
+    """Durations that came down to their least; functions that may jump; and, if not solved, kinks and coarse meshes."""
+    return (*_shortest(program, v), *_rough(program, not solved), *(() if solved else _too_coarse(program)))
+
+
+def _too_coarse(program: NonlinearProgram) -> Iterator[str]:
+    """Meshes with more equations than unknowns."""
+    free = int((program.lower < program.upper).sum())
+    equations = int((program.row_lower == program.row_upper).sum())
+    if equations > free:
+        yield f"The mesh has {equations} equations for {free} free unknowns: take more intervals or a higher degree."
 
 
 def _shortest(program: NonlinearProgram, v: Array) -> Iterator[str]:
@@ -69,6 +79,9 @@ def operations(function: ca.Function | None) -> set[int]:
 def undefined(program: NonlinearProgram, v: Array) -> tuple[str, ...]:
     """Constraints whose values or derivatives are not finite at unknowns (n,), or at the guess."""
     for at in (v, program.guess):
+        named = tuple(functions_not_finite(program, at))
+        if named:
+            return named
         g, slope = program.derivatives.jacobian[1](at)
         f, of_cost = program.derivatives.jacobian[0](at)
         values = np.asarray(g, dtype=float).ravel()

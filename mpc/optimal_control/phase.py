@@ -12,8 +12,13 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import INF, Bounds, as_bounds
-from mpc.optimal_control.functions import Statement, brief, compiled
+from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_duration, as_end
+from mpc.optimal_control.functions import Statement, brief, compiled, wanted
+from mpc.optimal_control.guess import as_guess
+from mpc.optimal_control.names import as_names
+
+COSTED = ("dynamics", "stage_cost", "terminal_cost")
+LIMITED = ("path", "boundary")  # functions whose values have bounds and names
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +62,14 @@ class Phase:
     discrete : bool
     state_names, input_names : sequence of str, optional
         With units, for messages and figures.
+    path_names, boundary_names : sequence of str, optional
+        What conflicts and advice call each value of `path` and `boundary`: "path 1", … by default.
 
     Raises
     ------
     InputError
         If a function has another signature, other free symbols or another shape; bounds cross; numbers are not finite.
+        Functions of p, and of a signal that is a function, are tried when the problem is stated.
     """
 
     dynamics: Statement
@@ -85,6 +93,8 @@ class Phase:
     discrete: bool = False
     state_names: Sequence[str] = ()
     input_names: Sequence[str] = ()
+    path_names: Sequence[str] = ()
+    boundary_names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -94,19 +104,14 @@ class Phase:
         for name, size in (("x_bounds", self.states), ("u_bounds", self.inputs)):
             set_(self, name, as_bounds(name, getattr(self, name), size))
         for name in ("start", "end"):
-            set_(self, name, self._at_an_end(name, getattr(self, name)))
-        set_(self, "duration", self._as_duration())
+            set_(self, name, as_end(name, getattr(self, name), self.x_bounds))
+        set_(self, "duration", as_duration(self.duration, bool(self.discrete)))
         time = as_floats("start_time", self.start_time)
         if time.ndim or not np.isfinite(time):
             raise InputError("start_time", brief(repr(self.start_time)), "a finite number")
         set_(self, "start_time", float(time))
         for name, letter, size in (("state_names", "x", self.states), ("input_names", "u", self.inputs)):
-            if isinstance(getattr(self, name), str):
-                raise InputError(name, brief(repr(getattr(self, name))), f"a list of {size} names")
-            names = tuple(getattr(self, name)) or tuple(f"{letter}{i + 1}" for i in range(size))
-            if len(names) != size or not all(isinstance(entry, str) for entry in names):
-                raise InputError(name, f"{len(names)} names", f"{size}, one each")
-            set_(self, name, names)
+            set_(self, name, as_names(name, getattr(self, name), letter, size))
         if self.duration_guess is not None:
             number = as_floats("duration_guess", self.duration_guess)
             if number.ndim or not np.isfinite(number) or not number > 0:
@@ -119,45 +124,31 @@ class Phase:
         if self.signal is not None and self.duration[0] != self.duration[1]:
             cure = "State what is known over time as an expression of t in the dynamics."
             raise InputError("signal", "a duration that is free", "a given duration", cure)
+        if self.guess is not None:
+            set_(self, "guess", as_guess(self.guess, self.states, self.inputs))
+        self._try_functions()
 
-    def _at_an_end(self, name: str, value: Any) -> tuple[Array, Array]:
-        """Bounds of the states at an end, within those of the phase."""
-        low, high = self.x_bounds
-        if value is None:
-            return low, high
-        if isinstance(value, tuple) and len(value) == 2:
-            own = as_bounds(name, value, self.states)
-        else:
-            try:
-                given = as_floats(name, [np.nan if entry is None else entry for entry in np.atleast_1d(value).tolist()])
-            except TypeError:
-                given = as_floats(name, value)
-            if given.shape != (self.states,):
-                raise InputError(
-                    name, f"shape {given.shape}", f"({self.states},), one number a state, or bounds as a tuple"
-                )
-            if np.isinf(given).any():
-                raise InputError(name, given, "finite numbers; None where a state is free")
-            own = np.where(np.isnan(given), -INF, given), np.where(np.isnan(given), INF, given)
-        both = np.maximum(low, own[0]), np.minimum(high, own[1])
-        cross = np.flatnonzero(both[0] > both[1])
-        if len(cross):
-            i = int(cross[0])
-            got = f"[{own[0][i]:g}, {own[1][i]:g}] for state {i + 1}"
-            raise InputError(name, got, f"a value within x_bounds [{low[i]:g}, {high[i]:g}]")
-        return both
+    def _try_functions(self) -> None:
+        """Raise an `InputError` for functions that cannot be meant, as far as their arguments are known by now."""
+        width = 0 if self.signal is None or callable(self.signal) else int(np.shape(self.signal)[1])
+        for name, (sizes, rows) in _columns(self, width, 0).items():
+            given = getattr(self, name)
+            if given is None:
+                self._check_nothing_limits(name)
+                continue
+            asked = wanted(name, given, tuple(sizes))
+            if "p" not in asked and not ("w" in asked and callable(self.signal)):
+                _with_limits(self, name, compiled(name, given, sizes, rows))
 
-    def _as_duration(self) -> tuple[float, float]:
-        """Least and largest duration."""
-        raw = as_floats("duration", self.duration)
-        if raw.ndim == 0:
-            raw = np.array([raw, raw])
-        if raw.shape != (2,) or not np.isfinite(raw[0]) or not 0 < raw[0] <= raw[1]:
-            cure = "A duration that may come to nothing has no mesh: bound it from below." if raw.size == 2 else ""
-            raise InputError("duration", brief(repr(self.duration)), "a number > 0, or bounds 0 < lower ≤ upper", cure)
-        if self.discrete and (raw[0] != raw[1] or raw[0] % 1):
-            raise InputError("duration", brief(repr(self.duration)), "a whole number of steps, for discrete dynamics")
-        return float(raw[0]), float(raw[1])
+    def _check_nothing_limits(self, name: str) -> None:
+        """Raise an `InputError` for bounds or names of the values of a function that is not there."""
+        if name not in LIMITED:
+            return
+        usual = repr(type(self).__dataclass_fields__[f"{name}_bounds"].default)
+        for own, given in ((f"{name}_bounds", repr(getattr(self, f"{name}_bounds")) != usual),
+                           (f"{name}_names", len(getattr(self, f"{name}_names")) > 0)):  # fmt: skip
+            if given:
+                raise InputError(own, brief(repr(getattr(self, own))), f"a function `{name}`, whose values they are of")
 
     @property
     def free_duration(self) -> bool:
@@ -173,30 +164,41 @@ class PhaseFunctions:
     dynamics, stage_cost, path : (x, u, w, p, t) → value, or None
     terminal_cost : (x, p, t) → scalar, or None
     boundary : (x0, x, t0, t, p) → value, or None
+    path_bounds, boundary_bounds : (lower, upper)
+        Arrays, one entry a value.
+    path_names, boundary_names : tuple of str
     """
 
     def __init__(self, phase: Phase, parameters: int) -> None:
         self.nw = _width(phase)
-        running = {"x": phase.states, "u": phase.inputs, "w": self.nw, "p": parameters, "t": 1}
-        at_end = {"x": phase.states, "p": parameters, "t": 1}
-        ends = {"x0": phase.states, "x": phase.states, "t0": 1, "t": 1, "p": parameters}
-        self.dynamics = compiled("dynamics", phase.dynamics, running, phase.states)
-        self.stage_cost = _optional("stage_cost", phase.stage_cost, running, 1)
-        self.path = _optional("path", phase.path, running, None)
-        self.terminal_cost = _optional("terminal_cost", phase.terminal_cost, at_end, 1)
-        self.boundary = _optional("boundary", phase.boundary, ends, None)
-        self.path_bounds = _of_values("path_bounds", phase.path_bounds, self.path)
-        self.boundary_bounds = _of_values("boundary_bounds", phase.boundary_bounds, self.boundary)
+        made: dict[str, Any] = {
+            name: None if getattr(phase, name) is None else compiled(name, getattr(phase, name), sizes, rows)
+            for name, (sizes, rows) in _columns(phase, self.nw, parameters).items()
+        }
+        self.dynamics, self.stage_cost, self.terminal_cost = (made[name] for name in COSTED)
+        self.path, self.boundary = (made[name] for name in LIMITED)
+        self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)
+        self.boundary_bounds, self.boundary_names = _with_limits(phase, "boundary", self.boundary)
 
 
-def _optional(name: str, given: Any, sizes: dict[str, int], rows: int | None) -> ca.Function | None:
-    """A function, where there is one."""
-    return None if given is None else compiled(name, given, sizes, rows)
+def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[str, int], int | None]]:
+    """What each function of a phase is a function of, with lengths, and the length of its value, where that is set."""
+    running = {"x": phase.states, "u": phase.inputs, "w": width, "p": parameters, "t": 1}
+    at_end = {"x": phase.states, "p": parameters, "t": 1}
+    ends = {"x0": phase.states, "x": phase.states, "t0": 1, "t": 1, "p": parameters}
+    return {
+        "dynamics": (running, phase.states), "stage_cost": (running, 1), "path": (running, None),
+        "terminal_cost": (at_end, 1), "boundary": (ends, None),
+    }  # fmt: skip
 
 
-def _of_values(name: str, bounds: Any, function: ca.Function | None) -> tuple[Array, Array]:
-    """Bounds for every value of a function; none for none."""
-    return as_bounds(name, bounds, 0 if function is None else function.numel_out(0))
+def _with_limits(phase: Phase, name: str, function: ca.Function | None) -> tuple[tuple[Array, Array], tuple[str, ...]]:
+    """Bounds and names of the values of a function, none for none; of functions without limits nothing."""
+    size = 0 if function is None or name not in LIMITED else function.numel_out(0)
+    if not size:
+        return (np.zeros(0), np.zeros(0)), ()
+    bounds = as_bounds(f"{name}_bounds", getattr(phase, f"{name}_bounds"), size)
+    return bounds, as_names(f"{name}_names", getattr(phase, f"{name}_names"), f"{name} ", size)
 
 
 def _width(phase: Phase) -> int:

@@ -9,9 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mpc.optimal_control.derivatives import Numbers
 from mpc.optimal_control.interval import Layout
 from mpc.optimal_control.phase import PhaseFunctions
+from mpc.optimal_control.piece import Numbers
 
 
 @dataclass(frozen=True, eq=False)

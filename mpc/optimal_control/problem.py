@@ -15,6 +15,7 @@ from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import Bounds, as_parameter_bounds
 from mpc.optimal_control.functions import Statement, brief, compiled
+from mpc.optimal_control.names import as_names
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 
 RISKS = ("sum", "worst", "spread")
@@ -46,10 +47,13 @@ class OptimalControlProblem:
         counts as dear as that would be, and is left alone (the monotone hull of the measure). A large `spread` comes to
         the worst case, with a kink that stops solvers: say "worst".
     spread : float
+    p_names, p_constraint_names : sequence of str, optional
+        What conflicts and advice call the parameters and the values of `p_constraints`: "p1", "p_constraints 1", …
 
     Raises
     ------
     InputError
+        If a function of any phase or of the parameters cannot be meant, or bounds cross, or sizes do not fit.
     """
 
     phases: Any
@@ -62,6 +66,8 @@ class OptimalControlProblem:
     weights: Any = None
     risk: str = "sum"
     spread: float = 1.0
+    p_names: Sequence[str] = ()
+    p_constraint_names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -77,11 +83,15 @@ class OptimalControlProblem:
         weights = usual if self.weights is None else as_floats("weights", self.weights)
         if weights.shape != (count,) or not (np.isfinite(weights) & (weights >= 0)).all():
             raise InputError("weights", brief(repr(self.weights)), f"{count} numbers ≥ 0, one a phase")
+        if self.risk == "worst" and np.ptp(weights) > 0:
+            raise InputError("weights", weights, 'none with risk="worst": the largest cost counts, whatever its weight')
         set_(self, "weights", weights)
         if self.risk not in RISKS:
             raise InputError("risk", repr(self.risk), '"sum", "worst" or "spread"')
         if self.risk != "sum" and self.linked and count > 1:
             raise InputError("risk", f'"{self.risk}" of phases that are linked', '"sum", or linked=False')
+        if self.risk == "spread" and not weights.any():
+            raise InputError("weights", weights, "numbers ≥ 0, not all of them 0")
         spread = as_floats("spread", self.spread)
         if spread.ndim or not (np.isfinite(spread) and spread >= 0):
             raise InputError("spread", brief(repr(self.spread)), "a number ≥ 0")
@@ -91,7 +101,14 @@ class OptimalControlProblem:
             raise InputError(
                 "link", f"phases of {sizes} states", "a link function from one phase's end to the next start"
             )
-        _ = self.functions
+        if self.link is not None and not self.linked:
+            raise InputError("link", "a function, with linked=False", "none: scenarios run side by side")
+        _ = self.functions, [self.link_function(k) for k in range(count - 1 if self.link is not None else 0)]
+        constraints = self.of_parameters[1]
+        set_(self, "p_names", as_names("p_names", self.p_names, "p", self.parameters))
+        rows = 0 if constraints is None else constraints.numel_out(0)
+        names = as_names("p_constraint_names", self.p_constraint_names, "p_constraints ", rows)
+        set_(self, "p_constraint_names", names)
 
     def _as_guess(self) -> Array:
         """The parameters to begin with, within their bounds."""
@@ -112,7 +129,16 @@ class OptimalControlProblem:
     @cached_property
     def functions(self) -> tuple[PhaseFunctions, ...]:
         """The functions of every phase, checked."""
-        return tuple(PhaseFunctions(phase, self.parameters) for phase in self.phases)
+        found = []
+        for k, phase in enumerate(self.phases):
+            try:
+                found.append(PhaseFunctions(phase, self.parameters))
+            except InputError as error:
+                if len(self.phases) == 1:
+                    raise
+                argument = f"{error.argument} of phase {k + 1}"
+                raise InputError(argument, error.got, error.expected, error.cure) from error
+        return tuple(found)
 
     @cached_property
     def of_parameters(self) -> tuple[ca.Function | None, ca.Function | None]:
@@ -130,9 +156,11 @@ class OptimalControlProblem:
 def _on_one_clock(phases: Sequence[Phase]) -> tuple[Phase, ...]:
     """Linked phases, each with its own start time where that is known."""
     found = list(phases)
+    free = False
     for k in range(1, len(found)):
         before = found[k - 1]
-        if not (before.free_duration or np.isnan(before.start_time)):
+        free = free or before.free_duration
+        if not free:
             found[k] = replace(found[k], start_time=before.start_time + before.duration[0])
         elif found[k].signal is not None:
             raise InputError(

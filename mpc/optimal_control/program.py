@@ -16,7 +16,7 @@ from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
 from mpc.optimal_control.unknowns import coordinates
 
-VANISHING = 1e-9  # size of an unknown, beside the one it was given, that tells nothing
+VANISHING = 1e-6  # size of an unknown, beside the one it was given, that is what a solver leaves of 0
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Rows:
     fractions : (last − first,) array
         Of the phase at which each stands.
     entries : tuple of str
-        What each row of one point is called.
+        What each row of one point is called, after which they repeat.
     """
 
     name: str
@@ -152,13 +152,14 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
         coordinate, _ = coordinates(layout, part.mesh)
         for i in range(layout.nx + layout.nu):
             largest = np.abs(own[coordinate == i]).max()
-            sizes[coordinate == i] = largest if largest > VANISHING * sizes[coordinate == i].max() else 1.0
+            if largest > VANISHING * sizes[coordinate == i].max():
+                sizes[coordinate == i] = largest
         rows = part.defects.stop - part.defects.start
         row_scale[part.defects] = np.tile(sizes[: layout.nx], rows // layout.nx)
     loose = np.setdiff1d(np.arange(len(v)), np.concatenate([np.arange(p.first, p.last) for p in program.parts]))
     loose = loose[~(np.isfinite(program.lower) & np.isfinite(program.upper))[loose]]
     large = np.abs(v[loose])
-    scale[loose] = np.where(large > VANISHING * scale[loose], large, 1.0)
+    scale[loose] = np.where(large > VANISHING * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
     size = float(np.abs(slope * scale).max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
@@ -177,12 +178,10 @@ def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
     slope = program.derivatives.jacobian[1](program.guess)[1].sparse()
     steepest = abs(slope.multiply(program.scale[None])).max(axis=1).toarray().ravel()
     for rows in chosen:
-        repeats = program.problem.functions[rows.phase].path if rows.name == "path" else None
-        own = steepest[rows.first : rows.last]
-        width = repeats.numel_out(0) if repeats is not None and len(own) % repeats.numel_out(0) == 0 else len(own)
-        size = own.reshape(-1, width).max(axis=0)
+        own = steepest[rows.first : rows.last].reshape(-1, len(rows.entries))
+        size = own.max(axis=0)
         size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
-        row_scale[rows.first : rows.last] = np.tile(size, len(own) // width)
+        row_scale[rows.first : rows.last] = np.tile(size, len(own))
     return replace(program, row_scale=row_scale)
 
 
@@ -207,34 +206,3 @@ def costs_of_scenarios(program: NonlinearProgram, v: Array) -> Array:
     g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()
     each: Array = g[:count] + v[program.costs]
     return each if program.costs.stop - program.costs.start > 1 else each.max(keepdims=True)
-
-
-def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
-    """What a constraint is, and when: "path 2 at t = 0.31"."""
-    found = next(rows for rows in program.rows if rows.first <= row < rows.last)
-    index = row - found.first
-    if found.phase < 0:
-        return f"{found.name} {index + 1}"
-    start, length = program.times(v)[found.phase]
-    path = program.problem.functions[found.phase].path
-    if found.entries:
-        entry = f" of {found.entries[index % len(found.entries)]}"
-    else:
-        entry = f" {(index % path.numel_out(0) if found.name == 'path' and path else index) + 1}"
-    phase = f" of phase {found.phase + 1}" if len(program.parts) > 1 else ""
-    return f"{found.name}{entry}{phase} at t = {start + length * found.fractions[index]:.6g}"
-
-
-def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
-    """What an unknown is, and when: "bound of input 1 at t = 0.31"."""
-    for k, (part, (start, length)) in enumerate(zip(program.parts, program.times(v))):
-        if not part.first <= index < part.last:
-            continue
-        own = index - part.first
-        layout = part.layout
-        numbers, fraction = coordinates(layout, part.mesh)
-        coordinate = int(numbers[own])
-        name = f"state {coordinate + 1}" if coordinate < layout.nx else f"input {coordinate - layout.nx + 1}"
-        phase = f" of phase {k + 1}" if len(program.parts) > 1 else ""
-        return f"bound of {name}{phase} at t = {start + length * fraction[own]:.6g}"
-    return "bound of a duration" if index < program.parameters.start else "bound of a parameter"

@@ -10,8 +10,7 @@ import casadi as ca
 
 from mpc.checks import as_array, as_count
 from mpc.exceptions import InputError
-from mpc.optimal_control.functions import Statement
-from mpc.optimal_control.functions import _wanted as wanted
+from mpc.optimal_control.functions import Statement, wanted
 from mpc.optimal_control.interval import runge_kutta
 
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
-from numpy.polynomial import Polynomial
+from scipy.special import roots_jacobi
 
-from mpc.checks import Array, as_count
+from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
+
+HIGHEST = 50  # degree: matrices of that many points still have twelve digits
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,10 @@ class Collocation:
     order: int = 1
 
     def __post_init__(self) -> None:
-        c = np.asarray(self.points, dtype=float)
-        if c.ndim != 1 or not len(c) or c[-1] != 1 or (np.diff(c) <= 0).any() or c[0] < 0:
-            raise InputError("points", list(self.points), "rising numbers in [0, 1], the last of which is 1")
+        c = as_floats("points", self.points)
+        if c.ndim != 1 or not len(c) or c[-1] != 1 or not (np.diff(c) > 0).all() or c[0] < 0 or np.isnan(c).any():
+            raise InputError("points", c, "rising numbers in [0, 1], the last of which is 1")
+        object.__setattr__(self, "points", tuple(c.tolist()))
 
     @property
     def continuous_inputs(self) -> bool:
@@ -49,25 +51,20 @@ class Collocation:
         """Number of points."""
         return len(self.points)
 
-    @cached_property
-    def _lagrange(self) -> list[Polynomial]:
-        """The Lagrange polynomials of the points."""
-        c = self.points
-        basis = []
-        for j in range(len(c)):
-            roots = [c[i] for i in range(len(c)) if i != j]
-            basis.append(
-                Polynomial.fromroots(roots) / np.prod([c[j] - r for r in roots]) if roots else Polynomial([1.0])
-            )
-        return basis
-
     def basis(self, tau: Any) -> Array:
         """Lagrange polynomials (n, stages) at fractions (n,) of the interval."""
-        return np.stack([polynomial(np.asarray(tau, dtype=float)) for polynomial in self._lagrange], axis=-1)
+        c = np.asarray(self.points)
+        away = np.asarray(tau, dtype=float)[..., None] - c
+        others = ~np.eye(len(c), dtype=bool)
+        over = np.array([np.prod(c[j] - c[own]) for j, own in enumerate(others)])
+        return np.stack([np.prod(away[..., own], axis=-1) for own in others], axis=-1) / over
 
     def integrals(self, tau: Any) -> Array:
-        """Their integrals (n, stages) from 0 to fractions (n,) of the interval."""
-        return np.stack([polynomial.integ()(np.asarray(tau, dtype=float)) for polynomial in self._lagrange], axis=-1)
+        """Their integrals (n, stages) from 0 to fractions (n,) of the interval, by a quadrature that is exact."""
+        at, weights = np.polynomial.legendre.leggauss(self.stages // 2 + 1)
+        given = np.asarray(tau, dtype=float)[..., None]
+        values = self.basis(given * (at + 1) / 2)
+        return np.asarray(given * np.einsum("g,...gj->...j", weights / 2, values))
 
     @cached_property
     def matrix(self) -> Array:
@@ -88,8 +85,11 @@ def HermiteSimpson() -> Collocation:
 def Radau(degree: int = 3) -> Collocation:
     """Legendre–Gauss–Radau points, the end of the interval among them: order 2·degree − 1."""
     d = as_count("degree", degree)
-    points = [*map(float, ca.collocation_points(d, "radau")[:-1]), 1.0]
-    return Collocation(tuple(points), f"Radau of degree {d}", 2 * d - 1)
+    if d > HIGHEST:
+        cure = "Take more intervals instead."
+        raise InputError("degree", degree, f"an integer from 1 to {HIGHEST}", cure)
+    inner = roots_jacobi(d - 1, 1, 0)[0] if d > 1 else np.zeros(0)
+    return Collocation((*(0.5 * (inner + 1)).tolist(), 1.0), f"Radau of degree {d}", 2 * d - 1)
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,9 @@ class MultipleShooting:
         object.__setattr__(self, "substeps", as_count("substeps", self.substeps))
         if self.integrator not in ("rk4", "cvodes"):
             raise InputError("integrator", repr(self.integrator), '"rk4" or "cvodes"')
+        tolerance = as_floats("tolerance", self.tolerance)
+        if tolerance.ndim or not 0 < tolerance < 1:
+            raise InputError("tolerance", repr(self.tolerance), "a number between 0 and 1")
 
     order = 4
     stages = 1

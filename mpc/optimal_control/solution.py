@@ -35,7 +35,7 @@ class OptimalControlStatus(Enum):
         "Functions or their derivatives are not finite where the solver went, see `conflicts`. "
         "Bound the states away from there, or give a guess away from it."
     )
-    STOPPED = "Stopped before the optimum: the best iterate is returned. Raise the limit, or start from this solution."
+    STOPPED = "Stopped early: the best that was found is returned. Raise the limit, or start from this solution."
     INACCURATE = (
         "The solver ended, but the optimality conditions do not hold to the tolerance. Rescale, or refine the mesh."
     )
@@ -113,12 +113,12 @@ class Solution:
         """Path limits that are exceeded between the points by more than rounding."""
         said = []
         for k, excess in enumerate(self.path_excess):
-            sizes = path_sizes(self.program, k)
+            sizes, names = path_sizes(self.program, k), self.program.problem.functions[k].path_names
             of_phase = f" of phase {k + 1}" if len(self.phases) > 1 else ""
             said += [
-                f"Between the points of the mesh path {i + 1}{of_phase} is exceeded by {value:.3g} at t = {time:.6g}: "
+                f"Between the points of the mesh {name}{of_phase} is exceeded by {value:.3g} at t = {time:.6g}: "
                 "cut the intervals there, or keep a margin."
-                for i, (value, time, size) in enumerate(zip(*excess, sizes)) if value > PASSED * size
+                for name, value, time, size in zip(names, *excess, sizes) if value > PASSED * size
             ]  # fmt: skip
         return said
 

@@ -12,8 +12,9 @@ from scipy.sparse import bmat, csc_matrix
 from scipy.sparse.linalg import splu
 
 from mpc.checks import Array
+from mpc.optimal_control.descriptions import describe_row, describe_unknown
 from mpc.optimal_control.interval import at_points
-from mpc.optimal_control.program import NonlinearProgram, PhasePart, describe_row, describe_unknown
+from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.sensitivities.plan_sensitivity import SensitivityStatus
 
 BLURRED = 10.0  # sizes of what an interior point leaves between a bound and its multiplier, within which both may be 0

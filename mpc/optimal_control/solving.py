@@ -11,14 +11,15 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.elastic import contradiction, elastic, shaken, starts
+from mpc.optimal_control.conflicts import contradiction, violated
+from mpc.optimal_control.elastic import elastic, shaken, starts
 from mpc.optimal_control.functions import brief
 from mpc.optimal_control.ipopt import FEASIBLE, Found, Settings, once
 from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, describe_row, rescaled
+from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
 from mpc.optimal_control.unknowns import placed
@@ -34,7 +35,6 @@ CHEAPER = 1e-6  # of the cost: what makes another stationary point the better on
 BOTTOMLESS = 1e12  # of the cost at the guess
 USUAL = 3000  # iterations at most
 LEAST_SECONDS = 1e-3  # that a call is given, however late it is
-SHOWN = 5  # conflicts that are named
 LIMITS = ("Maximum_Iterations_Exceeded", "Maximum_WallTime_Exceeded", "Maximum_CpuTime_Exceeded", "User_Requested_Stop")
 IMPOSSIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")
 UNDEFINED = ("Invalid_Number_Detected",)
@@ -120,15 +120,21 @@ class _Run:
         """Solve, again where the first sizes were off."""
         if warm:
             self.program = rescaled(self.program, guess)
+        kept: tuple[NonlinearProgram, Found] | None = None
         for _ in range(RESCALINGS):
             found = once(self.program, guess, multipliers, self.lower, self.upper, self._left(warm))
             self.iterations += found.iterations
+            if kept is not None and _status(found) is not OptimalControlStatus.SOLVED:
+                self.program, found = kept  # sizes of what vanishes at the optimum were no better
+                break
             if not found.ended:
                 break
             sized = rescaled(self.program, found.v)
             ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])
             if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
                 break
+            if _status(found) is OptimalControlStatus.SOLVED:
+                kept = self.program, found
             self.program, guess, multipliers, warm = sized, found.v, found.multipliers, True
         return found
 
@@ -155,8 +161,7 @@ class _Run:
         if status is OptimalControlStatus.UNDEFINED:
             conflicts = undefined(self.program, found.v)
         elif not conflicts:
-            worst = [int(i) for i in np.argsort(-found.violations)[:SHOWN] if found.violations[i] > FEASIBLE]
-            conflicts = tuple(describe_row(self.program, i, found.v) for i in worst)
+            conflicts = violated(self.program, found.v, found.violations, FEASIBLE)
         return self._packed(found, status, conflicts)
 
     def _falls(self, found: Found) -> bool:
@@ -195,7 +200,7 @@ class _Run:
         if least is None or not least.ended:
             return found, OptimalControlStatus.INACCURATE, ()
         on = least.multipliers
-        named = contradiction(program, least.v, on["rows"], on["bounds"], least.violations, FEASIBLE, SHOWN)
+        named = contradiction(program, least.v, on["rows"], on["bounds"], least.violations, FEASIBLE)
         return replace(found, v=least.v, violations=least.violations), OptimalControlStatus.INFEASIBLE, named
 
     def _packed(self, found: Found, status: OptimalControlStatus, conflicts: tuple[str, ...]) -> Solution:
@@ -220,7 +225,7 @@ class _Run:
 
 def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -> None:
     """Set bounds of the parameters to one value."""
-    value = as_floats("p", p)
+    value = np.atleast_1d(as_floats("p", p))
     low, high = program.problem.p_bounds
     if value.shape != low.shape or not ((low <= value) & (value <= high)).all():
         raise InputError("p", value, f"({len(low)},) within p_bounds")

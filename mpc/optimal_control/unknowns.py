@@ -6,14 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mpc.checks import Array, as_floats
-from mpc.exceptions import InputError
-from mpc.optimal_control.functions import brief
+from mpc.checks import Array
 from mpc.optimal_control.interval import Layout
 from mpc.optimal_control.phase import Phase
 
 Trajectory = Callable[[Array], tuple[Array, Array]]
-RISING = "rising fractions of the duration, from 0 to 1"
 
 
 def placed(layout: Layout, mesh: Array, trajectory: Trajectory) -> Array:
@@ -62,31 +59,12 @@ def first_duration(phase: Phase) -> float:
 def first_guess(phase: Phase) -> Trajectory:
     """Where a phase starts from: what the user gave, else straight from the start to the end, with inputs near zero."""
     if phase.guess is not None:
-        return between(*_given(phase))
+        return between(*phase.guess)
     first, last = (_known(*side) for side in (phase.start, phase.end))
     first, last = np.where(np.isnan(first), last, first), np.where(np.isnan(last), first, last)
     near_zero = np.clip(0.0, *phase.x_bounds)
     x = np.where(np.isnan([first, last]), near_zero, [first, last])
     return between(np.array([0.0, 1.0]), x, np.tile(np.clip(np.zeros(phase.inputs), *phase.u_bounds), (2, 1)))
-
-
-def _given(phase: Phase) -> tuple[Array, Array, Array]:
-    """The user's guess, checked."""
-    if not isinstance(phase.guess, list | tuple) or len(phase.guess) != 3:
-        raise InputError("guess", brief(repr(phase.guess)), "(times, x, u)")
-    times, x, u = (as_floats("guess", part) for part in phase.guess)
-    shapes = ((len(times),), (len(times), phase.states), (len(times), phase.inputs))
-    finite = all(np.isfinite(part).all() for part in (times, x, u))
-    if (times.shape, x.shape, u.shape) != shapes or not finite:
-        got = f"shapes {times.shape}, {x.shape}, {u.shape}" if finite else "numbers that are not finite"
-        raise InputError(
-            "guess", got, f"(n,) fractions, (n, {phase.states}) states and (n, {phase.inputs}) inputs, finite"
-        )
-    if (np.diff(times) < 0).any():
-        raise InputError("guess", "times that fall", RISING)
-    if times[0] < 0 or times[-1] > 1:
-        raise InputError("guess", f"times from {times[0]:g} to {times[-1]:g}", RISING, "Divide them by the duration.")
-    return times, x, u
 
 
 def _known(low: Array, high: Array) -> Array:

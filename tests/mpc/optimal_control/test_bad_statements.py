@@ -1,11 +1,22 @@
 """What cannot be meant is refused where it is stated; what cannot be solved says so."""
 
+import math
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from mpc import InputError
-from mpc.optimal_control import Collocation, OptimalControlProblem, OptimalControlStatus, Phase, Radau, build, solve
+from mpc.optimal_control import (
+    Collocation,
+    MultipleShooting,
+    OptimalControlProblem,
+    OptimalControlStatus,
+    Phase,
+    Radau,
+    build,
+    solve,
+)
 
 GOOD = {"dynamics": lambda x, u: ca.vertcat(x[1], u), "states": 2, "inputs": 1, "start": [0, 0], "end": [1, 0],
         "stage_cost": lambda u: u**2}  # fmt: skip
@@ -114,3 +125,113 @@ def test_a_casadi_function_states_a_phase_as_well():
     assert solve(build(Phase(**(GOOD | {"dynamics": opaque})))).cost == pytest.approx(
         solve(build(written)).cost, rel=1e-5
     )
+
+
+@pytest.mark.parametrize(
+    ("change", "argument", "got"),
+    [
+        ({"dynamics": lambda x, u: ca.vertcat(x[5], u)}, "dynamics", "index 5 beyond a column of 2"),
+        ({"stage_cost": lambda x: x @ x}, "stage_cost", "a product of 2x1 and 2x1"),
+        ({"dynamics": lambda x, u: ca.vertcat(x[1], math.sin(x[0]) + u)}, "dynamics", "use ca.sin"),
+        ({"stage_cost": lambda u: float(u)}, "stage_cost", "NaN"),
+        ({"path": lambda x: max(x[0], x[1])}, "path", "ca.fmax"),
+        ({"dynamics": lambda x, u: [x[1], u] if x[0] > 0 else [x[1], 0]}, "dynamics", "ca.if_else"),
+        ({"path": lambda x: []}, "path", "returns nothing"),
+        ({"dynamics": lambda x, u, w: [x[1], u + w[0]]}, "dynamics", "no w"),
+        ({"boundary": lambda x0, x: x0 - ca.vertcat(x, x)}, "boundary", "x0 (2 rows)"),
+        ({"terminal_cost": lambda x, u: u}, "terminal_cost", "'u'"),
+        ({"path": lambda x: x[0], "path_bounds": ([0, 0], 1)}, "path_bounds, lower", "[0, 0]"),
+        ({"path": lambda x: x[0], "path_names": ["a", "b"]}, "path_names", "2 names"),
+        ({"path": lambda x: x, "path_names": ["a", "a"]}, "path_names", "'a' twice"),
+        ({"path_bounds": (0, 1)}, "path_bounds", "function `path`"),
+        ({"boundary_names": ["closed"]}, "boundary_names", "function `boundary`"),
+        ({"start": (0, 1)}, "start", "[0, 1] for the values"),
+        ({"guess": ([0, 2], np.zeros((2, 2)), np.zeros((2, 1)))}, "guess", "from 0 to 2"),
+    ],
+)  # fmt: skip
+def test_what_is_known_of_a_phase_alone_is_told_when_it_is_stated(change, argument, got):
+    with pytest.raises(InputError) as caught:
+        Phase(**(GOOD | change))
+    assert caught.value.argument == argument
+    assert got in str(caught.value)
+    assert "casadi/core" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "argument", "got"),
+    [
+        ({"phases": Phase(**(GOOD | {"dynamics": lambda u, p: [u, u * p[5]]}))}, "dynamics", "beyond a column of 3"),
+        ({"phases": [Phase(**GOOD), Phase(**(GOOD | {"path": lambda p: p @ p}))]}, "path of phase 2", "product of 3x1"),
+        ({"phases": Phase(**(GOOD | {"stage_cost": lambda u, p: u * p[0:2]}))}, "stage_cost", "2 rows"),
+        ({"p_cost": lambda p: p[7]}, "p_cost", "index 7"),
+        ({"p_constraints": lambda p: p[0], "p_constraint_names": ["a", "b"]}, "p_constraint_names", "2 names"),
+        ({"p_names": ["mass"]}, "p_names", "1 names"),
+        ({"phases": [Phase(**GOOD)] * 2, "link": lambda x: x[4]}, "link", "index 4"),
+        ({"phases": [Phase(**GOOD)] * 2, "link": lambda x: x, "linked": False}, "link", "side by side"),
+        ({"phases": [Phase(**GOOD)] * 2, "linked": False, "risk": "worst", "weights": [1, 0]}, "weights", "largest"),
+        ({"phases": [Phase(**GOOD)] * 2, "linked": False, "risk": "spread", "weights": [0, 0]}, "weights", "not all"),
+        ({"p_bounds": [(0, 1), (0, 2), (1, 3)]}, "p_bounds", "pairs of every entry"),
+    ],
+)  # fmt: skip
+def test_what_takes_the_parameters_is_told_when_the_problem_is_stated(change, argument, got):
+    with pytest.raises(InputError) as caught:
+        OptimalControlProblem(**({"phases": Phase(**GOOD), "p_bounds": ([0] * 3, [1] * 3)} | change))
+    assert caught.value.argument == argument
+    assert got in str(caught.value)
+    assert "casadi/core" not in str(caught.value)
+
+
+def test_an_error_within_a_function_tells_its_line():
+    line = test_an_error_within_a_function_tells_its_line.__code__.co_firstlineno
+    with pytest.raises(InputError, match=f"line {line + 3} of test_bad_statements.py"):
+        Phase(**(GOOD | {"dynamics": lambda x, u: ca.vertcat(x[9], u)}))
+
+
+def test_a_parameter_that_the_problem_lacks_is_named():
+    with pytest.raises(InputError, match="no p in this problem"):
+        build(Phase(**(GOOD | {"dynamics": lambda x, u, p: ca.vertcat(x[1], u * p)})))
+
+
+def test_a_python_function_may_contain_a_table():
+    grid = np.linspace(-2, 4, 61)
+    table = ca.interpolant("drag", "bspline", [grid], 0.1 * grid**3)  # cubic splines have cubes exactly
+    looked_up, written = (
+        solve(build(Phase(**(GOOD | {"dynamics": lambda x, u, f=f: ca.vertcat(x[1], u - f(x[1]))})), Radau(3), 10))
+        for f in (table, lambda v: 0.1 * v**3)
+    )
+    assert looked_up.solved
+    assert looked_up.cost == pytest.approx(written.cost, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "argument"),
+    [
+        (lambda: Radau(51), "degree"),
+        (lambda: Collocation((np.nan, 1.0)), "points"),
+        (lambda: Collocation("ab"), "points"),
+        (lambda: MultipleShooting(integrator="cvodes", tolerance=0), "tolerance"),
+    ],
+)
+def test_a_bad_scheme_is_refused_where_it_is_stated(scheme, argument):
+    with pytest.raises(InputError) as caught:
+        scheme()
+    assert caught.value.argument == argument
+
+
+@pytest.mark.parametrize("degree", [5, 9, 15, 30])
+def test_a_single_interval_of_high_degree_is_as_good_as_many(degree):
+    # a pendulum pushed from rest to upright: no polynomial, but smooth
+    phase = Phase(**(GOOD | {"dynamics": lambda x, u: ca.vertcat(x[1], u - ca.sin(x[0])), "duration": 2.0}))
+    many = solve(build(phase, Radau(3), 100), tolerance=1e-10)
+    one = solve(build(phase, Radau(degree), 1), tolerance=1e-10)
+    assert one.solved
+    assert one.cost == pytest.approx(many.cost, rel=max(10.0 ** (1 - degree), 2e-9))
+
+
+def test_a_signal_of_a_phase_after_a_free_duration_is_refused_however_far_after():
+    free = Phase(**(GOOD | {"duration": (1, 2), "end": None}))
+    fixed = Phase(**(GOOD | {"start": None, "end": None}))
+    known = Phase(**(GOOD | {"start": None, "signal": lambda t: np.zeros((len(t), 1))}))
+    OptimalControlProblem([fixed, fixed, known])
+    with pytest.raises(InputError, match="phase 3, whose start is free"):
+        OptimalControlProblem([free, fixed, known])

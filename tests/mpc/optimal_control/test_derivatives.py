@@ -110,3 +110,49 @@ def test_graphs_do_not_grow_with_the_mesh():
         return program.derivatives.hessian.n_instructions() + program.derivatives.jacobian[1].n_instructions()
 
     assert size(400) == size(40)
+
+
+def scenario(a, b, c, **change):
+    """A scenario with constants of its own, some of which vanish or become one for some of them."""
+
+    def rates(x, u, p):
+        return ca.vertcat(x[1] * a, u - ca.pi * p[0] * ca.if_else(x[0] > b, x[0] ** c, -b * x[0]))
+
+    given = {
+        "dynamics": rates, "states": 2, "inputs": 1,
+        "stage_cost": lambda x, u: a * x[0] ** 2 + (u - b) ** 2 - 3e-9 * x[1] * c,
+        "terminal_cost": lambda x: c * ca.exp(b * x[1]), "start": [1.0, 0.5], "path": lambda x: a * x[1] ** 2 - 9 - b,
+    }  # fmt: skip
+    return Phase(**(given | change))
+
+
+@pytest.mark.parametrize("scheme", [Radau(2), HermiteSimpson(), MultipleShooting(2)])
+def test_scenarios_of_other_constants_are_each_what_they_are_alone(scheme):
+    constants = [
+        (1.0, 0.3, 2.5), (2.0, 0.3, 3.0), (-1e-3, 0.7, 1.5), (1e6, -0.2, 2.0), (2.5, 0.0, 2.5), (7.0, 1.0, 2.2)
+    ]  # fmt: skip
+    weights = [0.1, 0.2, 0.3, 0.1, 0.2, 0.1]
+    phases = [scenario(*own) for own in constants]
+    together = build(OptimalControlProblem(phases, p_bounds=(0, 2), linked=False, weights=weights), scheme, 3)
+    random = np.random.default_rng(3)
+    v = together.guess + 0.1 * random.standard_normal(len(together.guess))
+    f, g = (np.array(value).ravel() for value in together.derivatives.values(v))
+    cost, rows = 0.0, []
+    for phase, weight, part in zip(phases, weights, together.parts):
+        alone = build(OptimalControlProblem(phase, p_bounds=(0, 2)), scheme, 3)
+        own = np.r_[v[part.first : part.last], v[together.parameters]]
+        values = [np.array(value).ravel() for value in alone.derivatives.values(own)]
+        cost += weight * values[0][0]
+        rows.append(values[1])
+    assert f[0] == pytest.approx(cost, rel=1e-12)
+    assert g == pytest.approx(np.concatenate(rows), rel=1e-12, abs=1e-12)
+    assert len(together.derivatives.pieces) < 3 * len(phases)
+
+
+def test_graphs_do_not_grow_with_scenarios_of_other_constants():
+    def size(scenarios, weights=None):
+        phases = [scenario(1.5 + k, 0.1 + 0.01 * k, 2.5 + k) for k in range(scenarios)]
+        program = build(OptimalControlProblem(phases, p_bounds=(0, 2), linked=False, weights=weights), Radau(3), 4)
+        return program.derivatives.hessian.n_instructions() + program.derivatives.jacobian[1].n_instructions()
+
+    assert size(20) == size(5) == size(5, [0.1, 0.2, 0.3, 0.2, 0.2])

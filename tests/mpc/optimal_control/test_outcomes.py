@@ -225,8 +225,71 @@ def test_a_limit_that_is_passed_between_the_points_is_told():
     assert coarse.path_excess[0].time[0] == pytest.approx(0.47, abs=0.03)
     assert "path 1 is exceeded by" in coarse.advice
     assert fine.path_excess[0].value[0] < 1e-2
+
+
 def test_a_guess_in_seconds_is_not_taken_for_fractions():
     guess = ([0, 1, 2], np.zeros((3, 1)), np.zeros((3, 1)))
-    phase = Phase(dynamics=lambda u: u, states=1, inputs=1, start=[0.0], end=[1.0], duration=2.0, guess=guess)
     with pytest.raises(InputError, match="fractions of the duration"):
-        build(phase, Trapezoidal(), 4)
+        Phase(dynamics=lambda u: u, states=1, inputs=1, start=[0.0], end=[1.0], duration=2.0, guess=guess)
+
+
+def test_a_bound_of_the_duration_that_is_far_away_costs_no_iterations():
+    from classical_problems import CLASSICAL
+
+    counts = []
+    for most in (100.0, 1e3, 1e5):
+        phase = replace(CLASSICAL["robot arm"].phase, duration=(0.1, most), duration_guess=8.0)
+        found = solve(build(phase, Radau(3), 20))
+        assert found.duration == pytest.approx(9.14093, rel=1e-3)
+        counts.append(found.iterations)
+    assert max(counts) <= min(counts) + 3
+
+
+@pytest.mark.parametrize(("length", "minute"), [(1.0, 1.0), (1e3, 1 / 60), (1e-4, 3600.0), (1e6, 1e-3)])
+@pytest.mark.parametrize("current", [0.5, -0.8])
+def test_a_state_that_vanishes_along_the_optimum_keeps_its_size(length, minute, current):
+    # Zermelo's swimmer, straight across a river: the state along the river stays 0 while the current is held against
+    speed = length / minute
+    found = solve(Phase(
+        lambda u: ca.vertcat(speed * (ca.cos(u) - current), speed * ca.sin(u)), 2, 1, start=[0, 0], end=[0, length],
+        duration=(0.1 * minute, 100 * minute), u_bounds=(-np.pi, np.pi), terminal_cost=lambda t: t,
+        guess=([0, 1], [[0, 0], [0, length]], [[1.5], [1.5]]),
+    ))  # fmt: skip
+    assert found.solved
+    assert found.cost == pytest.approx(minute / np.sqrt(1 - current**2), rel=1e-7)
+    assert found.u(0.5 * found.duration) == pytest.approx(np.arccos(current), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "scheme", [Radau(3), Radau(9), Trapezoidal(), MultipleShooting(integrator="cvodes")], ids=lambda scheme: scheme.name
+)
+def test_a_cost_that_vanishes_at_the_optimum_is_solved(scheme):
+    # the rate of a decay from what it does, by least squares that end at 0; no input
+    decay = Phase(lambda x, p: -p * x, 1, 0, start=[1], duration=2.0, stage_cost=lambda x, t: (x - ca.exp(-2 * t)) ** 2)
+    found = solve(build(OptimalControlProblem(decay, p_bounds=(0, 10)), scheme, 20))
+    assert found.solved, found.advice
+    assert found.p == pytest.approx([2.0], abs=1e-2)
+    assert found.u(0.3).shape == (0,)
+
+
+def test_a_program_of_a_single_constraint_is_solved():
+    once = Phase(
+        lambda x, u: 0.5 * x + u, 1, 1, start=[1], duration=1, discrete=True, stage_cost=lambda x, u: x**2 + u**2,
+        terminal_cost=lambda x: x**2,
+    )  # fmt: skip
+    found = solve(once)
+    assert found.solved
+    assert found.u(0.0) == pytest.approx(-0.25)  # u² + (0.5 + u)² is least
+    assert found.cost == pytest.approx(1.125)
+
+
+def test_a_mesh_of_too_few_unknowns_says_so():
+    coarse = solve(build(block(), Radau(1), 1))
+    assert coarse.status is OptimalControlStatus.INFEASIBLE
+    assert "more intervals" in coarse.advice
+    assert solve(build(block(), Radau(1), 4)).solved
+
+
+def test_a_single_parameter_is_held_as_a_number():
+    problem = OptimalControlProblem(block(dynamics=lambda x, u, p: ca.vertcat(x[1], p * u)), p_bounds=(0.1, 2))
+    assert solve(problem, p=0.5).cost == pytest.approx(48.0)

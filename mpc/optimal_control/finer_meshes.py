@@ -1,0 +1,51 @@
+"""Where a mesh is cut: intervals that miss the dynamics, that pass a path limit, or in which an input jumps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mpc.checks import Array
+from mpc.optimal_control.phase_solution import PhaseSolution
+from mpc.optimal_control.schemes import Collocation
+
+SAFETY = 0.05  # part of the tolerance that new intervals aim at
+MOST_PARTS = 6  # that an interval is cut into at once
+PINNED = 0.1  # of the root of the tolerance, to which the place of a jump is known
+JUMP = 0.5  # of an input's range, crossed within one interval
+LEAST_INTERVAL = 1e-9  # of the phase
+
+
+def finer_mesh(phase: PhaseSolution, errors: Array, passed: Any, tolerance: float) -> Array:
+    """A mesh whose intervals are cut into as many parts as their errors ask for, and where an input jumps.
+
+    Intervals in which a path limit is passed are halved, as long as they are longer than the place of a jump.
+    """
+    part = phase.part
+    order = part.scheme.stages + 1 if isinstance(part.scheme, Collocation) else 5
+    asked = np.clip((np.maximum(errors, tolerance) / (SAFETY * tolerance)) ** (1 / order), 2, MOST_PARTS)
+    steps = np.diff(part.mesh)
+    parts = np.where(errors > tolerance, np.ceil(asked).astype(int), 1)
+    long = steps > PINNED * np.sqrt(tolerance)
+    parts[passed & long] = np.maximum(parts, 2)[passed & long]
+    parts[_jumps(phase) & long] = MOST_PARTS
+    parts[steps <= LEAST_INTERVAL] = 1
+    if part.phase.discrete:
+        return part.mesh
+    inner = [left + step * np.arange(n) / n for left, step, n in zip(part.mesh[:-1], steps, parts)]
+    return np.append(np.concatenate(inner), 1.0)
+
+
+def _jumps(phase: PhaseSolution) -> Array:
+    """Intervals (N,) within which an input crosses most of its range: the jump's own place is known no better.
+
+    Not where it crosses back and forth in neighbours, as inputs do along a singular arc: there is no jump to find.
+    """
+    inputs = phase.stages.inputs
+    if not inputs.size:
+        return np.zeros(len(inputs), dtype=bool)
+    whole = np.ptp(inputs, axis=(0, 1))
+    crossing = (np.ptp(inputs, axis=1) > JUMP * np.where(whole > 0, whole, np.inf)).any(axis=1)
+    beside = np.convolve(crossing, [1, 0, 1], mode="same") > 0
+    return np.asarray(crossing & ~beside)

@@ -1,0 +1,90 @@
+"""Refinement ends where it was asked to, or by time or rounds, or where finer meshes do not help; it says which."""
+
+from itertools import count
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+from classical_problems import CLASSICAL
+
+from mpc import InputError
+from mpc.optimal_control import OptimalControlStatus, Phase, Radau, build, refine, refinement, solve
+
+
+def rough(power):
+    """A state that moves as t^power besides: its slope at t = 0 is beyond polynomials, the more the smaller power."""
+    return Phase(
+        dynamics=lambda u, t: u + power * t ** (power - 1), states=1, inputs=1, start=[0], end=[0], duration=1.0,
+        stage_cost=lambda u: u**2,
+    )  # fmt: skip
+
+
+def test_refinement_ends_where_finer_meshes_no_longer_help():
+    found = refine(rough(0.01), tolerance=1e-8)
+    assert found.status is OptimalControlStatus.STOPPED
+    assert "2 times in a row a finer mesh missed as much" in found.advice
+    assert np.diff(found.times).min() > 1e-5  # ten rounds of six parts each would come to 1e-8
+    worst = found.errors[0].max()
+    assert f"{worst:.1e} where 1.0e-08 was asked for" in found.advice
+    reached = float(found.advice.split("Ask for ")[1].split(",")[0])
+    assert worst <= reached < 10 * worst
+
+
+def test_refinement_goes_on_while_it_helps():
+    # the error of the first interval falls with its root, and other intervals have none
+    found = refine(rough(0.5), tolerance=3e-4, rounds=20)
+    assert found.solved
+    assert found.errors[0].max() <= 3e-4
+    few = refine(rough(0.5), tolerance=3e-4, rounds=3)
+    assert few.status is OptimalControlStatus.STOPPED
+    assert "these were all the rounds" in few.advice
+    assert few.errors[0].max() < solve(build(rough(0.5), Radau(3), 10)).errors[0].max()
+
+
+def test_time_limit_is_of_all_meshes_together_and_the_best_is_kept(monkeypatch):
+    phase = CLASSICAL["catalyst mixing"].phase
+    seconds = count()
+    monkeypatch.setattr(refinement, "time", SimpleNamespace(perf_counter=lambda: 100.0 * next(seconds)))
+    late = refine(phase, tolerance=1e-7, time_limit=850)  # of a clock that goes on by 100 s whenever it is read
+    assert late.status is OptimalControlStatus.STOPPED
+    assert "the time was up" in late.advice
+    first = solve(build(phase, Radau(3), 10))
+    assert len(late.times) > len(first.times)
+    assert 1e-7 < late.errors[0].max() < first.errors[0].max()
+    assert late.residuals.worst < 1e-5
+
+
+def test_a_time_that_is_up_at_once_stops_the_first_mesh():
+    late = refine(CLASSICAL["robot arm"].phase, intervals=200, time_limit=1e-3)
+    assert late.status is OptimalControlStatus.STOPPED
+
+
+def test_refinement_shows_how_far_it_is(capsys):
+    refine(CLASSICAL["Bryson-Denham"].phase, progress=True)
+    shown = capsys.readouterr().err
+    assert "refining" in shown
+    assert "10 intervals miss" in shown
+    refine(CLASSICAL["Bryson-Denham"].phase)
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "change", [{"tolerance": "small"}, {"tolerance": np.nan}, {"rounds": 0}, {"time_limit": -1}, {"time_limit": "1 s"}]
+)
+def test_bad_calls_are_refused(change):
+    with pytest.raises(InputError) as caught:
+        refine(CLASSICAL["Bryson-Denham"].phase, **change)
+    assert caught.value.argument == next(iter(change))
+
+
+def test_dynamics_that_are_not_finite_between_the_points_are_not_met():
+    # a root of less than nothing where x dips below 0 between the points that keep it at 0 or more
+    dipped = Phase(
+        dynamics=lambda x, u: ca.vertcat(x[1], u, ca.sqrt(x[0])), states=3, inputs=1, start=[0.3, -2, 0],
+        end=[0.3, 2, None], duration=1.0, stage_cost=lambda u: u**2, x_bounds=([0, -9, -9], 99),
+    )  # fmt: skip
+    found = solve(build(dipped, Radau(2), 2))
+    values = found.phases[0].x(np.linspace(0, 1, 200))[:, 0]
+    assert values.min() < 0
+    assert np.isinf(found.errors[0]).any()
