@@ -185,7 +185,7 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        sampler = optuna.samplers.GPSampler(seed=int(rng.integers(1, 2**31)))
+        sampler = optuna.samplers.GPSampler(seed=int(rng.integers(1, 2**31)), deterministic_objective=True)
     space = box.problem.design
     ranges: dict[str, Any] = {
         name: optuna.distributions.IntDistribution(round(low), round(high)) if whole
@@ -194,12 +194,13 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
     }  # fmt: skip
     whole = space.whole[box.free]
     low, high = space.lower[box.free], space.upper[box.free]
+    level = np.inf
 
     def known(look: Look) -> Any:
         """What was seen, as a trial."""
         asked = np.where(whole, np.round(low + look.z * (high - low)), look.z)
         params = {name: int(a) if w else float(a) for name, a, w in zip(ranges, asked, whole)}
-        return optuna.trial.create_trial(params=params, distributions=ranges, value=box.merit(look))
+        return optuna.trial.create_trial(params=params, distributions=ranges, value=min(box.merit(look), level))
 
     def value(trial: Any) -> float:
         """Of the point that a trial asks for."""
@@ -208,13 +209,15 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
             trial.suggest_int(name, of.low, of.high) if w else trial.suggest_float(name, 0.0, 1.0)
             for (name, of), w in zip(ranges.items(), whole)
         ])  # fmt: skip
-        return box(np.where(whole, (asked - low) / (high - low), asked))
+        return min(box(np.where(whole, (asked - low) / (high - low), asked)), level)
 
     try:
-        for until in (min(FIRST, budget), budget):  # then it is known how large costs are: they are told anew
+        for until in range(min(FIRST, budget), budget + FIRST, FIRST):
+            # a process that follows the cliffs of lost runs sees nothing of the valleys: the worse half is one level
+            level = float(np.median([box.merit(look) for look in box.looks])) if len(box.looks) >= FIRST else np.inf
             study = optuna.create_study(sampler=sampler)
             study.add_trials([known(look) for look in box.looks])
-            study.optimize(value, n_trials=max(until - len(box.looks), 0))
+            study.optimize(value, n_trials=max(min(until, budget) - len(box.looks), 0))
     finally:
         optuna.logging.set_verbosity(verbosity)
     return False

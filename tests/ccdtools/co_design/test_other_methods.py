@@ -3,9 +3,11 @@
 import pickle
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from constrained_plants import CASES
+from scipy.optimize import minimize
 from small_plants import best_design, exact_return, mass, two_valleys
 from test_nested import spring_problem
 
@@ -103,6 +105,24 @@ def test_how_bad_the_first_design_is_does_not_matter(library, worst):
     for seed in range(2):
         found = codesigned(mass(), cc.Search(library, of=measured, evaluations=60), seed=seed, design=[0.6])
         assert found.objective >= -1.002
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cliffs_of_lost_runs_do_not_hide_the_valley_from_a_bayesian_search(seed):
+    pytest.importorskip("optuna")
+    x, u, w, p = (ca.SX.sym(name, size) for name, size in (("x", 1), ("u", 1), ("w", 1), ("p", 2)))
+    space = cc.DesignSpace(["l", "M"], [0.3, 0.3], [1.2, 1.5])
+    plant = cc.Plant(x, u, w, p, -p[0] * x + u / p[1] + w, space, dt=0.1)
+    wide = replace(mass(), model=cc.discretise(plant), X=([-9], [9]), objective=cc.QuadraticObjective([[1.0]], [[1.0]]),
+                   scenarios=cc.FixedStart([1.0], cc.Gaussian([0.1])))  # fmt: skip
+
+    def cost(p):
+        lost = 9e5 * max(0.0, p[0] * p[1] - 0.75)
+        return 20 / p[0] + 8 / p[1] + 70 * p[1] ** 1.5 + 72 * p[0] ** 1.2 + lost
+
+    least = minimize(cost, [0.4, 0.4], method="Nelder-Mead", bounds=[(0.3, 1.2), (0.3, 1.5)]).fun
+    found = codesigned(wide, cc.Search("bayesian", of=lambda p: -cost(p)), seed=seed, design=[1.0, 1.2])
+    assert -found.objective <= 1.001 * least
 
 
 def test_any_function_of_a_design_can_be_searched():
