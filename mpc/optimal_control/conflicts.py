@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.descriptions import describe_row, name_of_row, of_phase
+from mpc.optimal_control.descriptions import describe_row, limit_of_row, of_linked_phase
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.unknowns import coordinates
 
@@ -20,11 +20,11 @@ BOUNDS = 10  # that are named
 def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: float) -> tuple[str, ...]:
     """Constraints that are violated (m,), in sizes, by more than what passes for feasible; the worst first.
 
-    Each is named once, where it is violated most, with the amount in its own unit.
+    Each is named once for all times and scenarios, where it is violated most, with the amount in its own unit.
     """
     groups: dict[str, list[int]] = {}
     for i in np.flatnonzero(violations > feasible):
-        groups.setdefault(name_of_row(program, int(i)), []).append(int(i))
+        groups.setdefault(limit_of_row(program, int(i)), []).append(int(i))
     worst = {name: rows[int(np.argmax(violations[rows]))] for name, rows in groups.items()}
     order = sorted(groups, key=lambda name: -violations[worst[name]])
     found = []
@@ -51,6 +51,10 @@ def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds
         if own.max(initial=0.0) > HOLDS * pushing.max(initial=0.0):
             others.append(rows.first + int(own.argmax()))
     others.sort(key=lambda i: -pushing[i])
+    once: dict[str, int] = {}
+    for i in others:
+        once.setdefault(limit_of_row(program, i), i)
+    others = list(once.values())
     named = [describe_row(program, i, v) for i in others[:SHOWN]]
     return (
         *violated(program, v, violations, feasible), *_shortened(named, len(others), "constraint"),
@@ -79,7 +83,7 @@ def _shortened(named: list[str], count: int, what: str) -> tuple[str, ...]:
 def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tuple[int, str]]:
     """What the bound of each unknown with a multiplier is called."""
     for k, part in enumerate(program.parts):
-        phase = of_phase(program, k)
+        phase = of_linked_phase(program, k)
         numbers, _ = coordinates(part.layout, part.mesh)
         names = (*part.phase.state_names, *part.phase.input_names)
         ends = {part.first: "start of ", part.last - part.layout.node: "end of "}

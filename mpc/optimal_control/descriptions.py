@@ -17,8 +17,19 @@ def of_phase(program: NonlinearProgram, phase: int) -> str:
     return f" of phase {phase + 1}" if len(program.parts) > 1 and phase >= 0 else ""
 
 
+def of_linked_phase(program: NonlinearProgram, phase: int) -> str:
+    """The same where phases follow one another; scenarios side by side have their limits in common."""
+    return of_phase(program, phase) if program.problem.linked else ""
+
+
+def limit_of_row(program: NonlinearProgram, row: int) -> str:
+    """What limit a constraint belongs to, at whatever time, and in whatever scenario: "path 2"."""
+    rows = rows_of(program, row)
+    return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_linked_phase(program, rows.phase)}"
+
+
 def name_of_row(program: NonlinearProgram, row: int) -> str:
-    """What a constraint is, at whatever time: "path 2"."""
+    """What a constraint is, at whatever time: "path 2 of phase 3"."""
     rows = rows_of(program, row)
     return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_phase(program, rows.phase)}"
 

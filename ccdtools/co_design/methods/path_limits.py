@@ -17,6 +17,7 @@ from ccdtools.output_limits import OutputLimits
 
 ROW = re.compile(r"path (\d+)")
 PLACE = re.compile(r"( of phase \d+)|( at t = [^,]+)|(, by .*)")
+MORE = re.compile(r"and \d+ more ")
 GIVEN = ("dynamics", "start of")
 CONSTRAINT = re.compile(r"p_constraints (\d+)")
 PARAMETER = re.compile(r"\bp(\d+) ([≤≥=])")
@@ -87,6 +88,8 @@ def in_words(problem: CoDesignProblem, conflicts: tuple[str, ...], *, fed_back: 
 
     words = []
     for text in conflicts:
+        if MORE.match(text):
+            continue
         named = ROW.sub(lambda found: texts[int(found[1]) - 1], PLACE.sub("", text))
         words.append(PARAMETER.sub(parameter, CONSTRAINT.sub(constraint, named)))
     chosen = [word for word in words if not word.startswith(GIVEN)] or words

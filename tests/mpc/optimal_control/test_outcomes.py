@@ -55,6 +55,17 @@ def test_conflicts_of_every_kind_are_named():
     assert all(one.status is OptimalControlStatus.INFEASIBLE for one in (mixed, ends, shared, joined))
 
 
+def test_a_limit_of_many_scenarios_is_named_once():
+    weak = block(u_bounds=(-1, 1), path=lambda x: x[1] - 1.4, path_names=["speed limit"])
+    many = solve(OptimalControlProblem([replace(weak, end=[1 + 0.1 * k, 0]) for k in range(12)], linked=False))
+    assert many.status is OptimalControlStatus.INFEASIBLE
+    assert many.conflicts.count("u1 ≤ 1") == many.conflicts.count("u1 ≥ -1") == 1
+    assert len(many.conflicts) <= 20
+    # one after the other, each phase has limits of its own
+    both = solve(OptimalControlProblem([weak, replace(weak, start=None, end=[2, 0])]))
+    assert {"u1 ≤ 1 of phase 1", "u1 ≤ 1 of phase 2"} <= set(both.conflicts)
+
+
 def test_a_problem_that_is_feasible_is_not_called_infeasible_from_a_bad_guess():
     # through a wall whose only gap is where the guess has no reason to go, in a unit of its own
     k = 1e3
