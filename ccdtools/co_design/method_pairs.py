@@ -78,7 +78,7 @@ class Pairs:
         assert reference.closed_loop is not None
         mean = reference.closed_loop.summary.mean
         self.size = float(problem.made_by_control(mean, reference.design)) or 1.0
-        self._seen: dict[Any, ClosedLoopReturns | None] = {}
+        self._seen: dict[Any, ClosedLoopReturns] = {}
 
     def row(self, name: str, result: CoDesignResult) -> MethodRow:
         """The row of a result."""
@@ -122,9 +122,7 @@ class Pairs:
         if key not in self._seen:
             scenarios = np.random.default_rng(self.seed).spawn(1)[0]  # as `codesign` draws them
             self._seen[key] = closed_loop_returns(self.problem, controller, design, scenarios, runs=runs)
-        found = self._seen[key]
-        assert found is not None
-        return found
+        return self._seen[key]
 
 
 def _difference(a: Array, b: Array) -> PairedDifference | None:

@@ -33,7 +33,9 @@ class Held:
 
 
 def held_by(space: DesignSpace, v: Array, slope: Array) -> Held:
-    """What holds a point of the unit box where the cost has this slope (np,)."""
+    """What holds a point of the unit box where the cost has this slope (np,); of one that is unknown, NaN is left."""
+    if not np.isfinite(slope).all():
+        return Held({}, float("nan"))
     free = space.allowed.free
     limits = space.allowed.limits
     width = space.allowed.width

@@ -14,6 +14,7 @@ from test_methods_at_the_edge import unreached
 import ccdtools as cc
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.methods.open_loop import drawn, open_loop_problem
+from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
 from ccdtools.co_design.result import ClosedLoopReturns
 from ccdtools.co_design.status import CoDesignStatus
 
@@ -43,6 +44,24 @@ def test_limits_that_no_design_keeps_are_named_by_every_method_of_trajectories(m
     assert "u1 ≤ 0.05" in text
     assert np.isnan(found.objective)
     assert found.closed_loop is not None
+
+
+def test_designs_that_were_looked_at_in_vain_are_counted_from_every_start(monkeypatch, illustrative):
+    looked = []
+
+    class Counted(TrajectoryCost):
+        def __call__(self, v):
+            looked.append(v)
+            return super().__call__(v)
+
+        def within_limits(self, v):
+            looked.append(v)
+            return super().within_limits(v)
+
+    monkeypatch.setattr("ccdtools.co_design.methods.nested.TrajectoryCost", Counted)
+    found = codesigned(weak(illustrative), cc.Nested("trajectory", runs=1, starts=3), design=[0.5])
+    assert found.status is CoDesignStatus.INFEASIBLE
+    assert found.evaluations == len(looked) > 2
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3])
