@@ -25,6 +25,7 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
+from mpc import NotStabilisableError
 
 ROUNDS = 30  # of the multipliers of limits, at most;
 QUIET = 2  # that gain nothing more among designs that keep the limits,
@@ -215,8 +216,12 @@ def _nearer(best: End, broken: End) -> End:
     for _ in range(HALVINGS):
         share = (near + far) / 2
         v = begin + share * (broken.found.v - begin)
-        seen = cost.seen(v)
         cost.evaluations += 1
+        try:
+            seen = cost.seen(v)
+        except NotStabilisableError:
+            far = share
+            continue
         plain = float(-cost.problem.risk.values(seen.total).mean())
         penalty = replace(best.penalty, v=torch.tensor(v, dtype=torch.float32))
         impossible = bool(seen.diverged.any()) or cost.problem.design.allowed.violation(v) > FEASIBLE

@@ -9,9 +9,14 @@ from constrained_plants import CASES
 from small_plants import mass
 
 import ccdtools as cc
+import mpc
+from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import Descent
+from ccdtools.co_design.methods.laws import LQRLaw
 from ccdtools.co_design.methods.learned_cost import LearnedCost
-from ccdtools.co_design.methods.searched import End, Plan, _status, searched
+from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.methods.searched import End, Plan, _nearer, _status, searched
 from ccdtools.co_design.result import History
 from ccdtools.co_design.status import CoDesignStatus
 
@@ -79,6 +84,23 @@ def test_a_design_whose_slope_is_unknown_is_not_called_an_optimum(constraints):
     assert found.status is CoDesignStatus.GRADIENT_UNTRUSTED
     assert found.multipliers == {}
     assert np.isnan(found.slope)
+
+
+def test_the_way_to_a_cheaper_design_ends_where_there_is_no_controller():
+    problem = mass()
+
+    class Gap(LoopCost):
+        def seen(self, v):
+            if v[0] < 0.9:
+                return super().seen(v)
+            raise mpc.NotStabilisableError("no regulator", 1.0)
+
+    cost = Gap(problem, LQRLaw(), scenario_tensors(problem, 4, np.random.default_rng(0)))
+    first, cheaper = np.array([0.85]), np.array([1.0])
+    plain = cost.value(first)
+    kept = End(cost, Descent(first, plain, np.zeros(1)), 1.0, StateLimitPenalty(problem))
+    broken = End(cost, Descent(cheaper, plain - 1, np.zeros(1)), 1.0, StateLimitPenalty(problem), 1.0)
+    assert 0.85 <= _nearer(kept, broken).found.v[0] < 0.9
 
 
 def test_the_riccati_equation_needs_no_disturbance():
