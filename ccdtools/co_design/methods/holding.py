@@ -75,4 +75,4 @@ def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
     ahead, behind = (value_of(cost, centre + side * STEP * direction) for side in (1, -1))
     about = cost(centre)[1]
     shown = (ahead - behind) / (2 * STEP)
-    return bool(abs(shown - about @ direction) <= AGREE * abs(shown) + LEVEL * size)
+    return bool(np.isfinite(shown) and abs(shown - about @ direction) <= AGREE * abs(shown) + LEVEL * size)

@@ -13,6 +13,7 @@ import mpc
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import Descent
+from ccdtools.co_design.methods.holding import confirmed
 from ccdtools.co_design.methods.laws import LQRLaw
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
@@ -84,6 +85,15 @@ def test_a_design_whose_slope_is_unknown_is_not_called_an_optimum(constraints):
     assert found.status is CoDesignStatus.GRADIENT_UNTRUSTED
     assert found.multipliers == {}
     assert np.isnan(found.slope)
+
+
+def test_differences_across_the_end_of_a_cost_confirm_no_slope():
+    def ended(v):
+        return 2.0 - v[0] if v[0] <= 0.5 else np.inf, np.array([-1.0])
+
+    space = cc.DesignSpace(["m"], [0.0], [1.0])
+    assert confirmed(ended, space, np.array([0.4]), size=1.0)
+    assert not confirmed(ended, space, np.array([0.5]), size=1.0)
 
 
 def test_the_way_to_a_cheaper_design_ends_where_there_is_no_controller():
