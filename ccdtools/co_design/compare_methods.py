@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -11,10 +12,11 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_flag, as_instance, shown
 from ccdtools.co_design.agents import as_agent
+from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import Method, codesign
 from ccdtools.co_design.method_comparison import MethodComparison
 from ccdtools.co_design.method_names import named_methods
-from ccdtools.co_design.method_pairs import MethodRow, Pairs
+from ccdtools.co_design.method_pairs import MethodRow, Pairs, scenarios_of
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.exceptions import CCDError, InputError
@@ -125,7 +127,11 @@ def _run(
 ) -> CoDesignResult | str:
     """What a method finds, or why it refuses."""
     try:
-        return codesign(problem, method=method, rng=np.random.default_rng(seed), design=design, progress=progress)
+        found = codesign(problem, method=method, rng=np.random.default_rng(seed), design=design, progress=progress)
+        if getattr(method, "judge", None) is None:
+            return found
+        loop = closed_loop_returns(problem, found.controller, found.design, scenarios_of(seed))
+        return replace(found, closed_loop=loop)  # on the problem, as the others, and not on what judged it
     except REFUSALS as error:
         return " ".join(str(error).split()) or type(error).__name__
     except Exception as error:  # one method that fails must not lose what the others found

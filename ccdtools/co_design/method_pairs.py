@@ -78,7 +78,7 @@ class Pairs:
         assert reference.closed_loop is not None
         mean = reference.closed_loop.summary.mean
         self.size = float(problem.made_by_control(mean, reference.design)) or 1.0
-        self._seen: dict[Any, ClosedLoopReturns | None] = {}
+        self._seen: dict[Any, ClosedLoopReturns] = {}
 
     def row(self, name: str, result: CoDesignResult) -> MethodRow:
         """The row of a result."""
@@ -120,11 +120,14 @@ class Pairs:
     def _measured(self, key: Any, controller: Any, design: Array, runs: int) -> ClosedLoopReturns:
         """Returns on the scenarios that `codesign` measures on, once each."""
         if key not in self._seen:
-            scenarios = np.random.default_rng(self.seed).spawn(1)[0]  # as `codesign` draws them
-            self._seen[key] = closed_loop_returns(self.problem, controller, design, scenarios, runs=runs)
-        found = self._seen[key]
-        assert found is not None
-        return found
+            drawn = scenarios_of(self.seed)
+            self._seen[key] = closed_loop_returns(self.problem, controller, design, drawn, runs=runs)
+        return self._seen[key]
+
+
+def scenarios_of(seed: int) -> np.random.Generator:
+    """What draws the scenarios of a seed that `codesign` measures on."""
+    return np.random.default_rng(seed).spawn(1)[0]
 
 
 def _difference(a: Array, b: Array) -> PairedDifference | None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.descriptions import describe_row, limit_of_row, of_linked_phase
+from mpc.optimal_control.piece import Numbers
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.unknowns import coordinates
 
@@ -22,10 +23,9 @@ def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: f
 
     Each is named once for all times and scenarios, where it is violated most, with the amount in its own unit.
     """
-    groups: dict[str, list[int]] = {}
-    for i in np.flatnonzero(violations > feasible):
-        groups.setdefault(limit_of_row(program, int(i)), []).append(int(i))
-    worst = {name: rows[int(np.argmax(violations[rows]))] for name, rows in groups.items()}
+    broken = violations > feasible
+    groups = {name: rows[broken[rows]] for name, rows in _limits(program).items() if broken[rows].any()}
+    worst = {name: int(rows[np.argmax(violations[rows])]) for name, rows in groups.items()}
     order = sorted(groups, key=lambda name: -violations[worst[name]])
     found = []
     for name in order[:SHOWN]:
@@ -43,23 +43,30 @@ def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds
     First the constraints that are violated, then those and the bounds whose multipliers hold against them.
     """
     pushing = np.abs(on_rows * program.row_scale)
-    others = []
-    for rows in program.rows:
-        own = pushing[rows.first : rows.last]
-        if rows.name == "dynamics" or (violations[rows.first : rows.last] > feasible).any():
-            continue
-        if own.max(initial=0.0) > HOLDS * pushing.max(initial=0.0):
-            others.append(rows.first + int(own.argmax()))
+    strong = HOLDS * pushing.max(initial=0.0)
+    others = [
+        int(rows[pushing[rows].argmax()])
+        for rows in _limits(program, without=("dynamics",)).values()
+        if pushing[rows].max() > strong and not (violations[rows] > feasible).any()
+    ]
     others.sort(key=lambda i: -pushing[i])
-    once: dict[str, int] = {}
-    for i in others:
-        once.setdefault(limit_of_row(program, i), i)
-    others = list(once.values())
     named = [describe_row(program, i, v) for i in others[:SHOWN]]
     return (
         *violated(program, v, violations, feasible), *_shortened(named, len(others), "constraint"),
         *_bounds_in_the_way(program, v, on_bounds),
     )  # fmt: skip
+
+
+def _limits(program: NonlinearProgram, without: tuple[str, ...] = ()) -> dict[str, Numbers]:
+    """The rows of every limit, at all times and in all scenarios, by its name."""
+    found: dict[str, list[Numbers]] = {}
+    for rows in program.rows:
+        if rows.name in without:
+            continue
+        for first in range(rows.first, rows.first + len(rows.entries)):
+            own = np.arange(first, rows.last, len(rows.entries))
+            found.setdefault(limit_of_row(program, first), []).append(own)
+    return {name: np.concatenate(each) for name, each in found.items()}
 
 
 def _bounds_in_the_way(program: NonlinearProgram, v: Array, on_bounds: Array) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
+from mpc.optimal_control.functions import brief
 from mpc.optimal_control.problem import OptimalControlProblem
 
 
@@ -19,6 +20,8 @@ def as_meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> li
         if len(each) != count:
             raise InputError("intervals", f"{len(each)} numbers", f"{count}, one a phase")
         meshes = [np.linspace(0, 1, as_count("intervals", n) + 1) for n in each]
+    if not isinstance(meshes, list | tuple | np.ndarray):
+        raise InputError("meshes", brief(repr(meshes)), "a list of meshes, one a phase")
     if len(meshes) != count:
         raise InputError("meshes", f"{len(meshes)} of them", f"{count}, one a phase")
     checked = []

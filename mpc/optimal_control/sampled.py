@@ -44,13 +44,17 @@ def sampled(dynamics: Statement, dt: float, *, parts: int = 4) -> Callable[..., 
     names = wanted("dynamics", dynamics, ("x", "u", "w", "p", "t"))
     if "x" not in names:
         raise InputError("dynamics", f"a function of {', '.join(names) or 'nothing'}", "one of x at least")
-    h = float(as_array("dt", dt, ())) / as_count("parts", parts)
+    count = as_count("parts", parts)
+    h = float(as_array("dt", dt, ())) / count
     if h <= 0.0:
         raise InputError("dt", dt, "a positive number")
 
-    def step(*columns: Any) -> Any:
+    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    own = inspect.Signature([inspect.Parameter(name, kind) for name in names])
+
+    def step(*columns: Any, **named: Any) -> Any:
         """The next state."""
-        given = dict(zip(names, columns))
+        given = own.bind(*columns, **named).arguments
 
         def rate(z: Any, time: Any, _: Any) -> Any:
             """dx/dt at a state and a time."""
@@ -58,11 +62,10 @@ def sampled(dynamics: Statement, dt: float, *, parts: int = 4) -> Callable[..., 
             return ca.vertcat(*value) if isinstance(value, list | tuple) else value
 
         x, t = given["x"], given.get("t", 0)
-        for i in range(parts):
+        for i in range(count):
             x = runge_kutta(rate, x, t + i * h, h, [None] * 3)
         return x
 
-    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
-    step.__signature__ = inspect.Signature([inspect.Parameter(name, kind) for name in names])  # type: ignore[attr-defined]
+    step.__signature__ = own  # type: ignore[attr-defined]
     return step
 

@@ -33,7 +33,9 @@ class Held:
 
 
 def held_by(space: DesignSpace, v: Array, slope: Array) -> Held:
-    """What holds a point of the unit box where the cost has this slope (np,)."""
+    """What holds a point of the unit box where the cost has this slope (np,); of one that is unknown, NaN is left."""
+    if not np.isfinite(slope).all():
+        return Held({}, float("nan"))
     free = space.allowed.free
     limits = space.allowed.limits
     width = space.allowed.width
@@ -73,4 +75,4 @@ def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
     ahead, behind = (value_of(cost, centre + side * STEP * direction) for side in (1, -1))
     about = cost(centre)[1]
     shown = (ahead - behind) / (2 * STEP)
-    return bool(abs(shown - about @ direction) <= AGREE * abs(shown) + LEVEL * size)
+    return bool(np.isfinite(shown) and abs(shown - about @ direction) <= AGREE * abs(shown) + LEVEL * size)

@@ -13,7 +13,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.methods.path_limits import path_limits, state_names
+from ccdtools.co_design.methods.path_limits import input_names, path_limits, state_names
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import MEAN, Mean, MeanSpread, WorstCase
@@ -52,8 +52,7 @@ def open_loop_problem(
     ------
     InputError
         If the problem asks for what trajectories cannot honour: a learned error, a cost without a symbolic form, a
-        warm-up, or a risk other than the mean, with or without
-        its spread, and the worst case.
+        warm-up, or a risk other than the mean, with or without its spread, and the worst case.
     """
     check_open_loop(problem)
     x0, w = scenarios
@@ -64,10 +63,11 @@ def open_loop_problem(
     space = problem.design
     lower, upper = space.lower.copy(), space.upper.copy()
     lower[space.whole] = upper[space.whole] = design[space.whole]
-    first = design
+    first, names = design, list(space.names)
     if feedback is not None:
         lower, upper = np.r_[lower, feedback.lower], np.r_[upper, feedback.upper]
         first = np.r_[design, feedback.first]
+        names += [f"gain {i + 1}" for i in range(len(feedback.first))]
     given: dict[str, Any] = {}
     cost = problem.objective.design_cost
     if cost is not None:
@@ -76,8 +76,9 @@ def open_loop_problem(
     if constrained and space.constraints is not None:
         limits = space.constraints
         given["p_constraints"] = lambda p: limits(p[: sizes[2]])
+        given["p_constraint_names"] = space.constraint_names
     return OptimalControlProblem(
-        phases, p_bounds=(lower, upper), p_guess=first, linked=False,
+        phases, p_bounds=(lower, upper), p_guess=first, p_names=names, linked=False,
         **_risk(problem), **given,
     )  # fmt: skip
 
@@ -185,6 +186,7 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
         terminal_cost=lambda x, p: terminal(x, p[:size]) - first_cost(problem, x0), start=x0, duration=len(w),
         discrete=True, u_bounds=(None, None) if feedback is not None else (lower, upper),
         path=path if limits else None, signal=signal, guess=guess, state_names=state_names(problem),
+        input_names=() if feedback is not None else input_names(problem),
     )  # fmt: skip
 
 

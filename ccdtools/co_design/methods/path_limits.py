@@ -19,8 +19,6 @@ ROW = re.compile(r"path (\d+)")
 PLACE = re.compile(r"( of phase \d+)|( at t = [^,]+)|(, by .*)")
 MORE = re.compile(r"and \d+ more ")
 GIVEN = ("dynamics", "start of")
-CONSTRAINT = re.compile(r"p_constraints (\d+)")
-PARAMETER = re.compile(r"\bp(\d+) ([≤≥=])")
 
 
 @dataclass(frozen=True)
@@ -75,23 +73,10 @@ def in_words(problem: CoDesignProblem, conflicts: tuple[str, ...], *, fed_back: 
     Dynamics and starts are named where nothing else is: they are given.
     """
     texts = [text for limit in path_limits(problem, fed_back=fed_back) for text in limit.texts]
-    space = problem.design
-
-    def constraint(found: re.Match[str]) -> str:
-        """The name of a constraint on the design."""
-        return str(space.constraint_names[int(found[1]) - 1])
-
-    def parameter(found: re.Match[str]) -> str:
-        """The name of a design parameter; gains come after them."""
-        i = int(found[1]) - 1
-        return f"{space.names[i] if i < space.dim else f'gain {i - space.dim + 1}'} {found[2]}"
-
-    words = []
-    for text in conflicts:
-        if MORE.match(text):
-            continue
-        named = ROW.sub(lambda found: texts[int(found[1]) - 1], PLACE.sub("", text))
-        words.append(PARAMETER.sub(parameter, CONSTRAINT.sub(constraint, named)))
+    words = [
+        ROW.sub(lambda found: texts[int(found[1]) - 1], PLACE.sub("", text))
+        for text in conflicts if not MORE.match(text)
+    ]  # fmt: skip
     chosen = [word for word in words if not word.startswith(GIVEN)] or words
     return tuple(dict.fromkeys(chosen))
 

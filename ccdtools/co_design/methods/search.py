@@ -198,7 +198,8 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
 
     def known(look: Look) -> Any:
         """What was seen, as a trial."""
-        asked = np.where(whole, np.round(low + look.z * (high - low)), look.z)
+        least, most = (end[box.free] for end in space.outermost)
+        asked = np.where(whole, np.clip(np.round(low + look.z * (high - low)), least, most), look.z)
         params = {name: int(a) if w else float(a) for name, a, w in zip(ranges, asked, whole)}
         return optuna.trial.create_trial(params=params, distributions=ranges, value=min(box.merit(look), level))
 

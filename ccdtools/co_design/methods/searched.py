@@ -25,6 +25,7 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
+from mpc import NotStabilisableError
 
 ROUNDS = 30  # of the multipliers of limits, at most;
 QUIET = 2  # that gain nothing more among designs that keep the limits,
@@ -137,13 +138,14 @@ def searched(
             ends.append(_from(plan, problem, cost_from(v), v))
             shown.update()
     best = min(ends, key=lambda end: end.order)
+    evaluations = sum({id(end.cost): end.cost.evaluations for end in ends}.values())
     if isinstance(best.cost, TrajectoryCost) and not np.isfinite(best.found.cost):
-        return _without_trajectory(plan.name, problem, best.cost, points[0], found)
+        result = _without_trajectory(plan.name, problem, best.cost, points[0])
+        return replace(result, evaluations=evaluations, valleys=found)
     if not np.isfinite(best.found.cost):
         got = f"{space.describe(design)} to start from, where there is nothing to search by: {best.cost.words}"
         cure = "Start from a design that can be stabilised and whose runs keep the limits, or check the weights."
         raise InputError("design", got, "a design with a controller", cure)
-    evaluations = sum({id(end.cost): end.cost.evaluations for end in ends}.values())
     result = _result(plan.name, problem, best, evaluations)
     if space.integer and plan.starts == 1:
         status = CoDesignStatus.BUDGET_SPENT if result.status.settled else result.status
@@ -214,8 +216,12 @@ def _nearer(best: End, broken: End) -> End:
     for _ in range(HALVINGS):
         share = (near + far) / 2
         v = begin + share * (broken.found.v - begin)
-        seen = cost.seen(v)
         cost.evaluations += 1
+        try:
+            seen = cost.seen(v)
+        except NotStabilisableError:
+            far = share
+            continue
         plain = float(-cost.problem.risk.values(seen.total).mean())
         penalty = replace(best.penalty, v=torch.tensor(v, dtype=torch.float32))
         impossible = bool(seen.diverged.any()) or cost.problem.design.allowed.violation(v) > FEASIBLE
@@ -252,9 +258,7 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
     )  # fmt: skip
 
 
-def _without_trajectory(
-    name: str, problem: CoDesignProblem, cost: TrajectoryCost, v: Array, found: tuple[Valley, ...]
-) -> CoDesignResult:
+def _without_trajectory(name: str, problem: CoDesignProblem, cost: TrajectoryCost, v: Array) -> CoDesignResult:
     """What there is to say where no design has trajectories within the limits: that, at the given one."""
     space = problem.design
     design = space.settled(v)
@@ -263,8 +267,7 @@ def _without_trajectory(
         design=design, controller=cost.controller(design), method=name,
         status=CoDesignStatus.INFEASIBLE if cost.impossible else CoDesignStatus.BUDGET_SPENT,
         criterion=f"return of {cost.words}", active_bounds=space.active_bounds(design),
-        active_constraints=space.active_constraints(design), evaluations=cost.evaluations, history=History(*row),
-        valleys=found, notes=cost.notes,
+        active_constraints=space.active_constraints(design), history=History(*row), notes=cost.notes,
     )  # fmt: skip
 
 
@@ -274,7 +277,7 @@ def _status(problem: CoDesignProblem, best: End, rest: float, held: bool) -> CoD
         return CoDesignStatus.DIVERGING
     if best.violation > 0:
         return CoDesignStatus.LIMITS_BROKEN
-    if rest > LEVEL:
+    if not rest <= LEVEL:
         trained = isinstance(best.cost, LearnedCost)  # never twice to the same policy: differences would say nothing
         agree = trained or confirmed(best.cost, problem.design, best.found.v, size=best.size)
         return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED

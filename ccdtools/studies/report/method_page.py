@@ -10,6 +10,7 @@ from typing import Any
 
 from ccdtools import figure_style as style
 from ccdtools.exceptions import InputError
+from ccdtools.interruptions import held_back
 from ccdtools.studies.run_folder import RunFolder
 
 TABLE, PICTURE, PAGE = "methods.csv", "methods.png", "methods.html"
@@ -45,7 +46,7 @@ def write_table(found: Any, folder: RunFolder) -> None:
         folder.path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError("--out", f"{folder.path} ({error.strerror})", "a folder that can be made") from None
-    with folder.writing("--out"):
+    with held_back(), folder.writing("--out"):  # half a table would be of fewer methods than have ended
         found.to_csv(folder.path / TABLE)
         for name in (PICTURE, PAGE):  # of another table
             (folder.path / name).unlink(missing_ok=True)

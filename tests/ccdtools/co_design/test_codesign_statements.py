@@ -13,6 +13,8 @@ from test_methods_at_the_edge import unreached
 
 import ccdtools as cc
 from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.methods.open_loop import drawn, open_loop_problem
+from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
 from ccdtools.co_design.result import ClosedLoopReturns
 from ccdtools.co_design.status import CoDesignStatus
 
@@ -44,6 +46,24 @@ def test_limits_that_no_design_keeps_are_named_by_every_method_of_trajectories(m
     assert found.closed_loop is not None
 
 
+def test_designs_that_were_looked_at_in_vain_are_counted_from_every_start(monkeypatch, illustrative):
+    looked = []
+
+    class Counted(TrajectoryCost):
+        def __call__(self, v):
+            looked.append(v)
+            return super().__call__(v)
+
+        def within_limits(self, v):
+            looked.append(v)
+            return super().within_limits(v)
+
+    monkeypatch.setattr("ccdtools.co_design.methods.nested.TrajectoryCost", Counted)
+    found = codesigned(weak(illustrative), cc.Nested("trajectory", runs=1, starts=3), design=[0.5])
+    assert found.status is CoDesignStatus.INFEASIBLE
+    assert found.evaluations == len(looked) > 2
+
+
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 def test_nested_trajectories_leave_a_first_design_that_cannot_keep_the_limits(unit):
     # from rest a constant force f moves a mass on a spring k to f / k and beyond: a soft spring cannot hold it in X
@@ -73,6 +93,20 @@ def test_limits_are_named_as_the_plant_and_the_user_name_them():
         found = codesigned(problem, method)
         assert found.status is CoDesignStatus.INFEASIBLE
         assert "travel [m] ≤ 0.2" in "\n".join(found.notes)
+
+
+def test_a_state_that_is_called_like_a_parameter_of_the_program_keeps_its_name():
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -p * ca.sin(x[0]) - x[1] + u + w), cc.DesignSpace(["k"], [1], [3]),
+                     dt=0.1, state_names=["p1", "v"], input_names=["valve"])  # fmt: skip
+    problem = replace(mass(), model=cc.discretise(plant), scenarios=cc.FixedStart([0.1, 3.0], cc.Gaussian([0.5])),
+                      X=([-0.2, -5], [0.2, 5]), U=([-0.1], [0.1]), steps=20)  # fmt: skip
+    program = open_loop_problem(problem, drawn(problem, 2, np.random.default_rng(0)), design=np.array([2.0]))
+    assert program.phases[0].input_names == ("valve",)
+    for method in TRAJECTORIES[:2]:
+        found = codesigned(problem, method)
+        assert found.status is CoDesignStatus.INFEASIBLE
+        assert "p1 ≤ 0.2" in "\n".join(found.notes)
 
 
 def test_a_design_that_is_infeasible_is_projected_before_it_is_measured(illustrative):
@@ -139,6 +173,23 @@ def test_a_search_is_not_led_by_designs_without_a_value_however_large_costs_are(
 
     found = codesigned(mass(), cc.Search(library, of=measured, evaluations=25), design=[0.3])
     assert found.design[0] == pytest.approx(2.0, abs=0.15)
+
+
+def test_a_search_that_has_looked_at_random_whole_numbers_of_an_odd_range_goes_on():
+    pytest.importorskip("optuna")
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    space = cc.DesignSpace(["k", "c"], [0.4, 0.1], [2.6, 2], integer=["k"])
+    plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -p[0] * x[0] - p[1] * x[1] + u + w), space, dt=0.1)
+    problem = replace(mass(), model=cc.discretise(plant), steps=10)
+    asked = []
+
+    def measured(p):  # which works from the fifteenth time on
+        asked.append(p[0])
+        return -((p[1] - 1) ** 2) if len(asked) > 14 else np.nan
+
+    found = codesigned(problem, cc.Search("bayesian", of=measured, evaluations=18))
+    assert len(asked) == found.evaluations == 18
+    assert set(asked) == {1.0, 2.0}
 
 
 def test_a_result_is_ready_for_json():

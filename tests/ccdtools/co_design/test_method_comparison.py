@@ -5,10 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_plants import best_design, exact_return, mass, two_valleys
+from small_plants import best_design, clone_of, exact_return, mass, two_valleys
 
 from ccdtools import (
+    CoDesignConfig,
+    FixedStart,
+    Gaussian,
     InputError,
+    Learned,
     LinearFeedback,
     Nested,
     QuadraticObjective,
@@ -51,6 +55,17 @@ def test_every_method_is_a_row_and_a_refusal_says_why(found):
     assert "another" in found["refusing"].refused
     assert any(line.startswith("refusing refused:") for line in found.verdict)
     assert "refused: " in str(found)
+
+
+def test_a_method_with_a_judge_of_its_own_is_measured_on_the_problem_as_the_others_are(problem):
+    louder = replace(problem, scenarios=FixedStart([3.0, -3.0], Gaussian([0.5])))
+    config = CoDesignConfig(iterations=2, runs=16, pathwise_runs=16, evaluation_runs=20, evaluate_every=1, starts=1)
+    agent = clone_of(problem)
+    learned = {name: Learned(agent=agent, config=config, judge=judge) for name, judge in
+               {"alone": None, "judged": louder}.items()}  # fmt: skip
+    table = compare_methods(problem, {"nested": Nested(starts=1, runs=50), **learned}, reference="nested")
+    alone, judged = (table[name].closed_loop.summary.mean for name in learned)
+    assert judged == pytest.approx(alone, rel=0.1)  # louder starts cost nine times as much
 
 
 def test_nested_and_search_reach_the_exact_optimum(found, problem):

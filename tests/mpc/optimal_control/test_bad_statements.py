@@ -78,6 +78,8 @@ def test_a_bad_problem_is_refused(change, argument):
 def test_a_mesh_must_rise_and_a_scheme_end_at_one():
     with pytest.raises(InputError, match="rise from 0 to 1"):
         build(Phase(**GOOD), meshes=[[0, 0.6, 0.4, 1]])
+    with pytest.raises(InputError, match="meshes: got 3, expected a list"):
+        build(Phase(**GOOD), meshes=3)
     with pytest.raises(InputError, match="points"):
         Collocation((0.2, 0.8))
 
