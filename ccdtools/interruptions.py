@@ -8,6 +8,12 @@ from contextlib import contextmanager
 from typing import NoReturn
 
 AGAIN = 1.0  # s after which an interruption that nobody has felt comes again
+_felt: list[int] = []  # signals since the last `insisting` began
+
+
+def interrupted() -> bool:
+    """Whether Ctrl-C was pressed within the last `insisting`: an error that follows may be no error."""
+    return bool(_felt)
 
 
 @contextmanager
@@ -29,11 +35,11 @@ def insisting() -> Iterator[None]:
 
     What it does not swallow it may turn into an error of its own, which is then no error.
     """
-    caught: list[int] = []
+    _felt.clear()
 
     def interrupt(number: int, frame: object) -> NoReturn:
         """Interrupt now, and again unless that was felt."""
-        caught.append(number)
+        _felt.append(number)
         if hasattr(signal, "setitimer"):  # not on Windows
             signal.setitimer(signal.ITIMER_REAL, AGAIN)
         raise KeyboardInterrupt
@@ -43,7 +49,7 @@ def insisting() -> Iterator[None]:
     try:
         yield
     except Exception:
-        if caught:
+        if _felt:
             raise KeyboardInterrupt from None
         raise
     finally:

@@ -20,6 +20,7 @@ from ccdtools.co_design.method_pairs import MethodRow, Pairs, scenarios_of
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.exceptions import CCDError, InputError
+from ccdtools.interruptions import interrupted
 from ccdtools.jobs import as_jobs, as_they_end
 from invariant_sets import InvariantSetsError
 from learning.exceptions import LearningError
@@ -135,4 +136,6 @@ def _run(
     except REFUSALS as error:
         return " ".join(str(error).split()) or type(error).__name__
     except Exception as error:  # one method that fails must not lose what the others found
+        if interrupted():
+            raise KeyboardInterrupt from None
         return f"stopped with {type(error).__name__}: {' '.join(str(error).split())}"

@@ -1,6 +1,9 @@
 """The table of methods: rows, pairs, refusals, verdicts, files."""
 
 import csv
+import os
+import signal
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +26,7 @@ from ccdtools import (
 )
 from ccdtools.co_design.method_names import known_methods, named_methods
 from ccdtools.figure_style import png
+from ccdtools.interruptions import insisting
 
 QUICK = {
     "plant first": Sequential(starts=1), "nested": Nested(starts=1, runs=100),
@@ -134,6 +138,24 @@ def test_processes_change_nothing(problem, found):
     for name in names:
         np.testing.assert_array_equal(beside[name].result.design, found[name].result.design)
         np.testing.assert_array_equal(beside[name].closed_loop.values, found[name].closed_loop.values)
+
+
+class Swallowing:
+    """A method whose library makes an error of its own of Ctrl-C."""
+
+    name = "swallowing"
+
+    def run(self, problem, design, rng, *, progress=False):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1.0)
+        except KeyboardInterrupt:
+            raise NotImplementedError("wrong number or type of arguments") from None
+
+
+def test_an_interruption_is_not_taken_for_a_refusal(problem):
+    with pytest.raises(KeyboardInterrupt), insisting():
+        compare_methods(problem, {"swallowing": Swallowing(), "refusing": Refusing()})
 
 
 def test_what_is_there_is_told_after_every_method(problem, found):
