@@ -183,7 +183,9 @@ def codesign(
             if folder is not None:
                 typer.echo(f"\nTable and picture: {write_methods(own.title, found, folder)}")
     except KeyboardInterrupt:
-        if ended:
+        if not ended:
+            typer.echo("\nInterrupted. No method has ended.")
+        else:
             typer.echo(f"\nInterrupted. The methods that have ended:\n\n{ended[0]}")
         if ended and folder is not None:
             typer.echo(f"\nTheir table: {folder.path / 'methods.csv'}")

@@ -13,7 +13,7 @@ import numpy as np
 from ccdtools.arrays import Immutable
 from ccdtools.checks import writable_path
 from ccdtools.co_design.method_pairs import MethodRow
-from ccdtools.co_design.method_verdicts import method_verdicts, signed
+from ccdtools.co_design.method_verdicts import leaves_limits, method_verdicts, signed
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns, CoDesignResult
 from ccdtools.exceptions import InputError
@@ -67,13 +67,17 @@ class MethodComparison(Immutable):
 
     @property
     def best(self) -> MethodRow:
-        """The method of the highest return on common scenarios, of those that keep the limits and lose no more runs."""
+        """The method of the highest return on common scenarios, of those that keep the limits and lose no more runs.
+
+        As far as limits are left by all, those that leave them as the reference does.
+        """
         found = [row for row in self.rows if row.result is not None]
         if not found:
             raise InputError("methods", "none that did not refuse", "a method that can treat this problem")
         sound = [row for row in found if row.sound] or found
         fewest = min(row.closed_loop.lost_share for row in sound)
         kept = [row for row in sound if row.closed_loop.lost_share <= fewest + MORE_LOST]
+        kept = [row for row in kept if not leaves_limits(self, row)] or kept
         return max(kept, key=lambda row: -np.inf if row.difference is None else row.difference.mean)
 
     @property

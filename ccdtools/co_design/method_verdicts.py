@@ -26,9 +26,15 @@ def method_verdicts(comparison: Any) -> list[str]:
     for row in rows:
         if row.name == comparison.reference or row is comparison.best or not _differs(comparison, row):
             continue
-        lines.append(f"{row.name}: {_difference(comparison, row)}; {_why(comparison, row)}.")
+        only = ", in return only" if leaves_limits(comparison, row) and _percent(comparison, row)[0] > 0 else ""
+        lines.append(f"{row.name}: {_difference(comparison, row)}{only}; {_why(comparison, row)}.")
     lines += _unsound(comparison, rows)
     return [line for line in lines if line] + refused
+
+
+def leaves_limits(comparison: Any, row: Any) -> bool:
+    """Whether a method is outside the limits more often than the reference may be."""
+    return bool(row.closed_loop.outside > 2 * comparison[comparison.reference].closed_loop.outside + OUTSIDE)
 
 
 def signed(percent: float) -> str:
@@ -55,6 +61,8 @@ def _equal(comparison: Any, rows: list[Any]) -> str:
         return f"Every run of {comparison.reference} is lost: there is nothing to compare with."
     same = [row for row in rows if not _differs(comparison, row)]
     names = ", ".join(row.name for row in same)
+    if len(rows) == 1:
+        return ""
     if len(same) < 2:
         return f"No other method is within {SAME:g} % of {comparison.reference}."
     space = comparison.problem.design
@@ -71,11 +79,15 @@ def _equal(comparison: Any, rows: list[Any]) -> str:
 def _winner(comparison: Any) -> str:
     """The best method, and why, if it is better than the reference."""
     best = comparison.best
+    if sum(row.result is not None for row in comparison.rows) == 1:
+        return ""
     mean, low, _ = _percent(comparison, best)
     if comparison[comparison.reference].closed_loop.lost.all():
         return ""
     if best.name == comparison.reference or not mean > SAME:
-        return f"No method is better than {comparison.reference} by more than {SAME:g} %."
+        better = (row for row in comparison.rows if row.result is not None and _percent(comparison, row)[0] > SAME)
+        kept = " that keeps the limits" if any(leaves_limits(comparison, row) for row in better) else ""
+        return f"No method{kept} is better than {comparison.reference} by more than {SAME:g} %."
     certain = "" if low > 0 else " (the interval holds 0)"
     return f"{best.name} wins: {_difference(comparison, best)}{certain}; {_why(comparison, best)}."
 
@@ -141,12 +153,11 @@ def _of_control(controller: Any, by_control: float) -> str:
 def _unsound(comparison: Any, rows: list[Any]) -> list[str]:
     """Methods that lose runs, leave the limits or break constraints."""
     lines = []
-    allowed = 2 * comparison[comparison.reference].closed_loop.outside + OUTSIDE
     for row in rows:
         loop = row.closed_loop
         said = [f"{loop.lost_share:.2%} of its runs are lost"] if loop.lost.any() else []
-        if loop.outside > allowed:
-            said.append(f"{loop.outside:.2%} of its states are outside the limits")
+        if leaves_limits(comparison, row):
+            said.append(f"{loop.outside:.2%} of its states are outside the limits, {loop.depth:.2g} half-widths deep")
         if not row.sound:
             said.append(row.result.status.value)
         if row.violation > 1e-6:

@@ -30,7 +30,7 @@ class CoDesignStatus(Enum):
 
 
 _ADVICE = {
-    CoDesignStatus.CONVERGED: "Nothing to do: the last block gained nothing that matters, and the design is level.",
+    CoDesignStatus.CONVERGED: "Nothing to do: more effort gained nothing that matters, and the design is level.",
     CoDesignStatus.AT_BOUND: (
         "Widen the named bounds, or relax the named constraints, if the plant allows it: the return still rises across "
         "them."
@@ -38,7 +38,7 @@ _ADVICE = {
     CoDesignStatus.EDGE_OF_TRUST: (
         "Deploy it, and let another generation follow: a redesign that keeps its promise may go further next time."
     ),
-    CoDesignStatus.STILL_IMPROVING: "Raise CoDesignConfig.iterations: the last block still gained significantly.",
+    CoDesignStatus.STILL_IMPROVING: "Raise CoDesignConfig.iterations: the last of them still gained significantly.",
     CoDesignStatus.BUDGET_SPENT: (
         "Raise the budget (CoDesignConfig.iterations of learning, Simultaneous.iterations, evaluations or starts of "
         "other methods): the return still rises along the design, or nobody knows that it does not."

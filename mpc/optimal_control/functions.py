@@ -170,7 +170,7 @@ def _has_nan(function: ca.Function) -> bool:
 
 def _line(given: Any, error: Exception) -> str:
     """Where in the file of a function an error arose."""
-    code = getattr(given, "__code__", None)
+    code = getattr(inspect.unwrap(given), "__code__", None)
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
     return f" (line {own[-1].lineno} of {Path(own[-1].filename).name})" if own else ""

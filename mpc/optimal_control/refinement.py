@@ -27,6 +27,7 @@ SHARPNESS = 1e-3  # tolerance of the last solves where inputs may jump: short in
 GROWTH = 1.5  # of the program, by those last solves
 AT_BOUND = 1e-6  # of an input's range
 FALLS = 0.8  # of what the mesh before missed: a finer mesh that misses more has not helped
+NO_TIME, NO_ROUNDS, FINER = "the time was up", "these were all the rounds", "on a finer mesh"
 STILL = 2  # meshes in a row that have not helped, after which none is made: what is left is rounding
 
 
@@ -114,7 +115,7 @@ class _Rounds:
                 return best, "a mesh that meets it is too large"
             finer = self.solved(program, solution)
             if not finer.solved:
-                return best, self._over(0) or "a finer mesh was not solved"
+                return best, self._over(0) or f"{FINER} the problem is {finer.status.name}"
             still = still + 1 if _worst(finer) > max(FALLS * _worst(solution), self.tolerance) else 0
             solution = finer
             best = solution if _worst(solution) <= max(_worst(best), self.tolerance) else best
@@ -127,9 +128,9 @@ class _Rounds:
     def _over(self, still: int) -> str:
         """Why there is no further round, if there is none."""
         if time.perf_counter() >= self.end:
-            return "the time was up"
+            return NO_TIME
         if not self.left:
-            return "these were all the rounds"
+            return NO_ROUNDS
         return f"{STILL} times in a row a finer mesh missed as much as the one before" if still >= STILL else ""
 
     def sharpened(self, solution: Solution) -> Solution | None:
@@ -190,10 +191,11 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
         return found
     worst = _worst(solution)
     missed = f"{reason}: the mesh misses the dynamics by {worst:.1e}"
-    cure = (
-        f"This is the optimum on its mesh, but {missed} where {run.tolerance:.1e} was asked for. "
-        f"Ask for {_rounded_up(worst):g}, or for more rounds or time."
-    )
+    more = ", or for more rounds or time" if reason in (NO_TIME, NO_ROUNDS) else ""
+    ask = f"Ask for {_rounded_up(worst):g}{more}."
+    if reason.startswith(FINER):
+        ask = "What holds here may hold at the points of the mesh alone: relax limits, or give a guess nearer to them."
+    cure = f"This is the optimum on its mesh, but {missed} where {run.tolerance:.1e} was asked for. {ask}"
     return replace(
         found, status=OptimalControlStatus.STOPPED, message=f"{solution.message}; {missed}",
         notes=(cure, *solution.notes),

@@ -67,5 +67,6 @@ def sampled(dynamics: Statement, dt: float, *, parts: int = 4) -> Callable[..., 
         return x
 
     step.__signature__ = own  # type: ignore[attr-defined]
+    step.__wrapped__ = dynamics  # type: ignore[attr-defined]  # errors name the line of the user's function
     return step
 

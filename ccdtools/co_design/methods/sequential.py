@@ -26,7 +26,7 @@ from ccdtools.co_design.result import CoDesignResult
 
 CRITERIA = ("auto", "passive", "open_loop")
 RUNS = 1000  # scenarios of 100 steps
-STABLE = 1e-6  # an eigenvalue this far beyond the unit circle is unstable, not rounded
+STABLE = 1e-6  # how far inside the unit circle eigenvalues are: a body that is free to drift is not stable
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Sequential:
     ----------
     criterion : {"auto", "passive", "open_loop"}
         What the plant is designed by: its return without any input; or the best return that given inputs can have,
-        feedback left out. "auto": the first where the plant is stable, the second where it is not, or runs are lost
-        without an input.
+        feedback left out. "auto": the first where the plant comes to rest by itself, the second where it does not, or
+        runs are lost without an input.
     control : {"lqr", "mpc"}
         What the plant is then given.
     starts, evaluations : int
@@ -84,7 +84,7 @@ class Sequential:
 def _stands_alone(problem: CoDesignProblem, design: Array, scenarios: ScenarioTensors) -> bool:
     """Whether a plant is stable at a design without an input, and none of its runs is lost."""
     A, _, _ = problem.model.matrices(design)
-    if np.abs(np.linalg.eigvals(A)).max() > 1 + STABLE:
+    if np.abs(np.linalg.eigvals(A)).max() > 1 - STABLE:
         return False
     lost = LoopCost(problem, PassiveLaw(), scenarios).seen(problem.design.to_unit(design)).diverged
     return not bool(lost.any())

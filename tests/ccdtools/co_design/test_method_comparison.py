@@ -212,6 +212,48 @@ def test_wrong_arguments_are_refused_before_anything_runs(problem, change, argum
     assert error.value.argument == argument
 
 
+class Careless:
+    """Saturated LQR that is cheap because it does not keep the limits."""
+
+    name = "careless"
+
+    def run(self, problem, design, rng, *, progress=False):
+        unlimited = replace(problem, limit_tolerance="off")
+        return Nested(starts=1, runs=64).run(unlimited, design, rng)
+
+
+class Careful:
+    """A controller that stays far from them, and pays for it."""
+
+    name = "careful"
+
+    def run(self, problem, design, rng, *, progress=False):
+        found = Nested(starts=1, runs=64, evaluations=1).run(replace(problem, limit_tolerance="off"), design, rng)
+        return replace(found, controller=LinearFeedback(found.controller.K + np.array([0.0, 4.0])))
+
+
+def test_a_method_that_leaves_the_limits_does_not_win():
+    own = mass()
+    narrow = replace(own, X=([-0.1, -9], [2, 9]), scenarios=FixedStart([1.5, 0.0], own.scenarios.disturbance),
+                     limit_tolerance=(1e-3, 1e-2))  # fmt: skip
+    pair = compare_methods(narrow, {"careful": Careful(), "careless": Careless()}, reference="careful")
+    assert pair["careful"].closed_loop.outside < 1e-3
+    assert pair["careless"].closed_loop.outside > 0.01
+    assert pair["careless"].difference.mean > 0.01 * pair.size  # cheaper, and yet
+    assert pair.best.name == "careful"
+    said = [line for line in pair.verdict if line.startswith("careless")]
+    assert any("in return only" in line for line in said)
+    assert any("half-widths deep" in line for line in said)
+    assert not any("wins" in line for line in pair.verdict)
+    assert "No method that keeps the limits is better than careful by more than 0.5 %." in pair.verdict
+    assert "half-widths deep" in "\n".join(pair["careless"].result.describe())
+
+
+def test_one_method_alone_is_not_compared_with_nobody(problem):
+    alone = compare_methods(problem, {"nested": QUICK["nested"]})
+    assert alone.verdict == []
+
+
 class HalfGain:
     """LQR of the given design with half of its gain."""
 

@@ -171,6 +171,13 @@ def test_a_result_is_pickled_and_told():
     assert found.evaluations == len(found.history.iteration) or found.evaluations > 0
 
 
+def test_a_body_that_is_free_to_drift_is_not_designed_by_what_it_does_alone():
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    cart = cc.Plant(x, u, w, p, ca.vertcat(x[1], (u + w) / p), cc.DesignSpace(["m"], [0.5], [3]), dt=0.1)
+    problem = replace(mass(), model=cc.discretise(cart))
+    assert "known ahead" in codesigned(problem, "sequential").criterion
+
+
 def test_an_unstable_plant_is_not_designed_by_what_it_does_alone(illustrative):
     problem = replace(illustrative.problem(), steps=8)  # too short for a run to be lost
     assert "known ahead" in codesigned(problem, "sequential").criterion

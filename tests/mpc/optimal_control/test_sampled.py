@@ -69,6 +69,14 @@ def test_nonlinear_mpc_and_discrete_phases_take_it():
     assert found.inputs[0] == pytest.approx(np.ravel(discrete.phases[0].inputs)[0], abs=1e-5)
 
 
+def test_a_mistake_is_told_with_the_users_own_line():
+    def wrong(x, u):
+        return ca.vertcat(x[1], x[2] + u)  # of two states
+
+    with pytest.raises(InputError, match=r"line \d+ of test_sampled.py"):
+        NonlinearMPC(sampled(wrong, 0.1), 2, 1, Q=np.eye(2), R=[[1.0]], horizon=3)
+
+
 @pytest.mark.parametrize(
     ("dynamics", "how", "argument"),
     [
