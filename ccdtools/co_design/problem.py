@@ -125,7 +125,8 @@ class CoDesignProblem(Immutable):
         What of the returns is optimised: by default their mean. `WorstCase` asks for scenarios with `Cases`; of a
         problem with a discrepancy, whose runs are logged ones, it is the mean.
     output_limits : OutputLimits, optional
-        Limits on outputs h(x, u, p), which count and are enforced as those of X are.
+        Limits on outputs h(x, u, p), which count and are enforced as those of X are. A model does not know those of
+        its plant: `OutputLimits.of(plant)`.
     warm_up : int
         First steps of an episode whose rewards and states outside X do not count; 0 by default. For episodes that
         begin at a state that the design and policy in question have not come to themselves.

@@ -18,7 +18,7 @@ from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.design_space import DesignSpace, check_finite
 from ccdtools.plants.jumps import Switches
 from ccdtools.plants.runge_kutta import ExplicitStep
-from ccdtools.plants.symbols import as_expression, as_symbols, check_distinct, check_known, pack, unpack
+from ccdtools.plants.symbols import as_expression, as_symbols, check_distinct, check_known, check_numbers, pack, unpack
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,6 +81,7 @@ class Plant:
         if self.dynamics.shape != (self.nx, 1):
             raise InputError("dynamics", f"shape {self.dynamics.shape}", f"({self.nx}, 1), one row per state")
         check_known("dynamics", self.dynamics, x=self.x, u=self.u, w=self.w, p=self.p)
+        check_numbers("dynamics", self.dynamics)
         as_instance("design", self.design, DesignSpace, "a DesignSpace")
         if self.p.numel() != self.design.dim:
             names = ", ".join(self.design.names) or "none"
@@ -104,6 +105,7 @@ class Plant:
         if y.shape[1] != 1:
             raise InputError("outputs", f"shape {y.shape}", "a column of expressions (ny, 1)")
         check_known("outputs", y, x=self.x, u=self.u, p=self.p)
+        check_numbers("outputs", y)
         set_(self, "outputs", y)
         given = (-np.inf, np.inf) if self.output_limits is None else self.output_limits
         if not isinstance(given, tuple | list) or len(given) != 2:

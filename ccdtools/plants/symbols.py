@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isnan
 from typing import Any
 
 import casadi as ca
@@ -55,6 +56,15 @@ def check_known(argument: str, expression: ca.SX, **symbols: ca.SX) -> None:
     foreign = [symbol.name() for symbol in ca.symvar(expression) if symbol.element_hash() not in known]
     if foreign:
         raise InputError(argument, f"unknown symbols {foreign}", f"only those of {', '.join(symbols)}")
+
+
+def check_numbers(argument: str, expression: ca.SX) -> None:
+    """Raise an `InputError` if `expression` has a constant that is no number, as `math.sin` makes of a symbol."""
+    function = ca.Function("f", ca.symvar(expression), [expression])
+    constants = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
+    if any(isnan(function.instruction_constant(i)) for i in constants):
+        cure = "math.sin, float() and the like of a symbol are no number: use ca.sin and the like."
+        raise InputError(argument, "an expression with a constant that is NaN", "numbers and symbols", cure)
 
 
 def elements(column: ca.SX) -> list[ca.SX]:

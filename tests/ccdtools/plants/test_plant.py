@@ -143,6 +143,7 @@ def test_labels_default_to_letters_with_numbers():
         ({"u": ca.MX.sym("u")}, "u: got a MX, expected a casadi.SX symbol"),
         ({"dynamics": ca.SX.sym("q", 3)}, r"dynamics: got shape \(3, 1\), expected \(2, 1\), one row per state"),
         ({"dynamics": ca.SX.sym("q", 2)}, r"dynamics: got unknown symbols \['q_0', 'q_1'\]"),
+        ({"dynamics": float("nan") * ca.SX.ones(2)}, "dynamics: got an expression with a constant that is NaN.*ca.sin"),
         ({"p": ca.SX.sym("p", 2)}, r"p: got 2 symbols, expected 1 \(p\)"),
         ({"dt": 0.0}, "dt: got 0.0, expected a positive number"),
         ({"dt": np.nan}, "dt: got nan"),
