@@ -49,7 +49,7 @@ def study(request):
 @pytest.fixture(scope="session")
 def expert_data():
     """Return a function: study → its expert's data, made once."""
-    from ccdtools.co_design.expert import expert_dataset
+    from ccdtools import expert_dataset
 
     made = {}
 
@@ -90,7 +90,7 @@ def clone(expert_data):
 @pytest.fixture(scope="session")
 def recorded_road():
     """Return the recorded road velocity (15000, 1), or skip."""
-    from ccdtools.disturbances.recordings import read_disturbance
+    from ccdtools import read_disturbance
 
     path = DATA / "dz_dt_mild_driver1.csv"
     if not path.is_file():

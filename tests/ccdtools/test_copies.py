@@ -10,8 +10,9 @@ import pytest
 from joblib import Parallel, delayed
 
 import ccdtools as cc
+from ccdtools import LearnedCoDesign
 from ccdtools.co_design.expert import ExpertData
-from ccdtools.co_design.learned_result import GradientCheck, LearnedCoDesign
+from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.result import History
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from ccdtools import InputError
-from ccdtools.limits import Excursions, StateLimits, depth_outside, excursions, further_outside
+from ccdtools import InputError, depth_outside, excursions
+from ccdtools.limits import Excursions, StateLimits, further_outside
 from invariant_sets import Polytope
 
 BOX = Polytope.from_bounds([-1.0, -0.5], [3.0, 0.5])  # half-widths 2 and 0.5

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from ccdtools import interruptions
-from ccdtools.interruptions import held_back, insisting
+from ccdtools.cli import held_back, insisting
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer that interrupts")

@@ -5,15 +5,8 @@ import pytest
 from scipy import stats
 from scipy.signal import lfilter
 
-from ccdtools import InputError
-from ccdtools.statistics import (
-    change_of_level,
-    mean_interval,
-    paired_difference,
-    paired_returns,
-    summarise,
-    summarise_returns,
-)
+from ccdtools import InputError, mean_interval
+from ccdtools.statistics import change_of_level, paired_difference, paired_returns, summarise, summarise_returns
 
 
 def test_a_summary_agrees_with_students_t():

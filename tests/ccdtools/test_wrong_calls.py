@@ -13,7 +13,7 @@ import pytest
 import torch
 
 import ccdtools as cc
-from ccdtools.co_design.expert import expert_dataset
+from ccdtools import expert_dataset
 from ccdtools.co_design.gradient_check import check_gradients
 from ccdtools.comparison.pid_tuning import tuned_pid
 from ccdtools.disturbances.roads import generate_road, generate_speed

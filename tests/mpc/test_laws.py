@@ -9,14 +9,13 @@ from scipy.optimize import linprog
 from test_mpqp import membership
 
 from invariant_sets import Polytope
-from mpc import LinearMPC, MPQPStatus, solve_mpqp
+from mpc import Constraint, LinearMPC, MPQPStatus, ParametricQP, solve_mpqp
 from mpc.explicit.exploration import Limits, Search, explore_compiled
 from mpc.explicit.kernels.data import DEPENDENT, FULL, QPData
 from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.mpqp import _is_thin, _without_wrong_laws
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 from mpc.explicit.search_tree import scan_regions
-from mpc.parametric_qp import Constraint, ParametricQP
 
 UNLIMITED = Limits(10_000, np.inf)
 

@@ -5,8 +5,7 @@ import pytest
 from differences import distance, slope, slopes
 from plants import double_integrator, suspension
 
-from mpc import InputError, LinearMPC, SensitivityStatus
-from mpc.parametric_qp import Constraint
+from mpc import Constraint, InputError, LinearMPC, SensitivityStatus
 
 REQUIRED = 1e-5
 

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import InputError, codesign, simulate
+from ccdtools import CoDesignConfig, InputError, codesign, simulate
 from ccdtools.co_design.ascent import Ascent
-from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.task import Task
-from learning.ppo import PPOConfig
+from learning import PPOConfig
 
 TINY = CoDesignConfig(
     iterations=12, runs=16, pathwise_runs=32, evaluation_runs=100, evaluate_every=3, design_rate=0.1, starts=1,

@@ -28,9 +28,8 @@ from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, t
 from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.episodes import simulated
 from ccdtools.co_design.reinforcement.gradients import loss_gradient
-from learning import fit_actor_critic
-from learning.ppo import PPOConfig, prepare
-from learning.rollout import collect
+from learning import PPOConfig, collect, fit_actor_critic
+from learning.ppo import prepare
 
 x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
 ACCELERATION = -p[0] * x[0] - p[1] * x[1] + u

@@ -23,6 +23,7 @@ from actuated_plants import (
 )
 
 from ccdtools import (
+    CoDesignConfig,
     CoDesignProblem,
     DesignSpace,
     FixedStart,
@@ -43,16 +44,14 @@ from ccdtools import (
     saturated_lqr,
     simulate,
 )
-from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_gradients import Differences
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.episodes import episode, episode_at
 from ccdtools.co_design.landscape import Landscape
 from ccdtools.design_limits import DesignLimits
 from invariant_sets import Polytope, maximal_control_invariant_set
-from learning import CloningConfig, NetworkConfig, fit_actor_critic, load
+from learning import ActorCritic, CloningConfig, NetworkConfig, fit_actor_critic, load
 from learning.exceptions import CheckpointError
-from learning.networks import ActorCritic
 from mpc import LinearMPC, lqr
 
 DESIGNS = np.array([[0.5], [1.3], [3.0]])

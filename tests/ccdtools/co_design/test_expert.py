@@ -14,9 +14,9 @@ from ccdtools import (
     QuadraticObjective,
     discretise,
     expert_dataset,
+    feasible_sets,
 )
 from ccdtools.co_design.candidates import CANDIDATES_PER_START
-from ccdtools.co_design.expert import feasible_sets
 from ccdtools.co_design.expert_loops import VISITS
 from invariant_sets import Polytope
 from mpc import lqr

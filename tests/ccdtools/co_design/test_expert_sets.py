@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import expert_dataset, progress
+from ccdtools import expert_dataset, feasible_sets, progress
 from ccdtools.co_design import set_choice
 from ccdtools.co_design.candidates import starts
-from ccdtools.co_design.expert import feasible_sets
 from ccdtools.co_design.expert_loops import ExpertLoops
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.set_choice import Effort, affordable_designs, sets_in_time

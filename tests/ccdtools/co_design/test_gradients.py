@@ -8,8 +8,7 @@ import pytest
 import torch
 from small_plants import clone_of, mass
 
-from ccdtools import InputError, QuadraticObjective
-from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools import CoDesignConfig, InputError, QuadraticObjective
 from ccdtools.co_design.design_gradients import Differences, pathwise_by_run
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.environment import DesignEnv
@@ -18,9 +17,9 @@ from ccdtools.co_design.gradient_check import check_gradients
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.reinforcement.gradients import loss_gradient, network_input_gradient
 from ccdtools.twin.discrepancy import Discrepancy
-from learning.ppo import PPOConfig, ppo_loss, prepare
+from learning import PPOConfig, collect
+from learning.ppo import ppo_loss, prepare
 from learning.quantile import QuantileNetwork
-from learning.rollout import collect
 
 INTERIOR = {"illustrative": [1.8], "suspension": [27692.0, 1906.5]}
 

@@ -6,12 +6,8 @@ import control
 import numpy as np
 import pytest
 
-from ccdtools import InputError, simulate
-from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.comparison.baselines import baselines
-from ccdtools.comparison.comparison import compare, step_time
-from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
-from ccdtools.scenario import Scenario
+from ccdtools import PID, InputError, LinearFeedback, Passive, Scenario, baselines, compare, saturated_lqr, simulate
+from ccdtools.comparison.comparison import step_time
 from ccdtools.statistics import summarise
 from mpc import LinearMPC
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from ccdtools import simulate
+from ccdtools import LinearFeedback, Passive, simulate
 from ccdtools.comparison.pid_tuning import tuned_pid
-from ccdtools.controllers.controllers import LinearFeedback, Passive
 from mpc import lqr
 
 

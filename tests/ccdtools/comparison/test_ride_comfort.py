@@ -6,7 +6,8 @@ from scipy.integrate import quad
 from scipy.signal import StateSpace, lsim, zpk2ss
 
 import ccdtools as cc
-from ccdtools.comparison.ride_comfort import comfort, frequency_weighting, weighted_acceleration
+from ccdtools import comfort, weighted_acceleration
+from ccdtools.comparison.ride_comfort import frequency_weighting
 from ccdtools.exceptions import InputError
 
 # ISO 2631-1:1997, table 3: factors times 1000 at the nominal third octaves.

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import cumulative_trapezoid, quad
 from scipy.stats import chi2
 
+from ccdtools import ISORoad
 from ccdtools.disturbances.iso8608 import BAND
-from ccdtools.disturbances.iso_road import ISORoad
 from ccdtools.disturbances.roads import STYLES, generate_speed
 from ccdtools.exceptions import InputError
 

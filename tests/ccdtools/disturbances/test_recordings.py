@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
-from ccdtools.disturbances.roads import generate_road, road_disturbance
+from ccdtools import read_disturbance, read_road, read_speed, road_disturbance
+from ccdtools.disturbances.roads import generate_road
 from ccdtools.exceptions import CCDError, InputError
 
 DT = 0.05

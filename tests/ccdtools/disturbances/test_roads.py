@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from ccdtools.disturbances.roads import FEATURES, STYLES, generate_road, generate_speed, road_disturbance
+from ccdtools import road_disturbance
+from ccdtools.disturbances.roads import FEATURES, STYLES, generate_road, generate_speed
 from ccdtools.exceptions import InputError
 
 DT = 0.05

@@ -8,14 +8,9 @@ from gallery.measure import STUDIES as FILES
 from gallery.oracle.cost import linear_return
 from gallery.reference import reference, statement
 
-from ccdtools.co_design.codesign import codesign
-from ccdtools.co_design.configuration import CoDesignConfig
-from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.expert import expert_dataset
-from ccdtools.simulation import simulate
+from ccdtools import CoDesignConfig, codesign, expert_dataset, saturated_lqr, simulate
 from ccdtools.studies import load_study
-from learning import fit_actor_critic
-from learning.warm_start import CloningConfig
+from learning import CloningConfig, fit_actor_critic
 
 NEAR = 0.005  # of the optimum
 

@@ -7,6 +7,7 @@ import pytest
 from nonlinear_plants import swing
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
+from study_plants import quarter_car
 
 from ccdtools import (
     DesignSpace,
@@ -21,7 +22,6 @@ from ccdtools import (
     plant_from_state_space,
     simulate,
 )
-from ccdtools.studies.cases.suspension import quarter_car
 from ccdtools.twin.residuals import residuals
 
 BOX = DesignSpace(["k", "d"], [20.0, 0.1], [200.0, 2.0])

@@ -7,6 +7,7 @@ import control
 import mpmath
 import numpy as np
 import pytest
+from study_plants import quarter_car
 
 from ccdtools import (
     CoDesignProblem,
@@ -20,7 +21,6 @@ from ccdtools import (
     discretise,
 )
 from ccdtools.plants.zero_order_hold import expm, zero_order_hold
-from ccdtools.studies.cases.suspension import quarter_car
 from mpc import lqr
 
 START = np.array([27692.0, 1906.5])

@@ -7,9 +7,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from study_plants import quarter_car
 
 from ccdtools import DesignSpace, InputError, Plant, discretise
-from ccdtools.studies.cases.suspension import quarter_car
 
 START = np.array([27692.0, 1906.5])
 ONE = DesignSpace(["p"], [0.5], [2.0])

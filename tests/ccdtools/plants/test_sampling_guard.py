@@ -5,11 +5,11 @@ import warnings
 import casadi as ca
 import numpy as np
 import pytest
+from study_plants import quarter_car
 
 from ccdtools import DesignSpace, Plant, discretise
 from ccdtools.exceptions import SamplingWarning
 from ccdtools.plants.sampling_guard import fastest_mode
-from ccdtools.studies.cases.suspension import quarter_car
 
 
 def oscillator(stiffness, design, dt, damping=0.0):

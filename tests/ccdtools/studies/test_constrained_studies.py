@@ -22,8 +22,7 @@ from ccdtools.studies.report.landscape import landscape
 from ccdtools.studies.report.return_plots import plot_history
 from ccdtools.studies.report.set_figure import feasible_set_figure
 from ccdtools.studies.trust_region import within
-from invariant_sets import Polytope
-from invariant_sets.results import Status
+from invariant_sets import Polytope, Status
 
 SPACE = (
     'DesignSpace(["k", "n", "c"], [1, 1, 2], [4, 5, 2], constraints=lambda p: p[0] + p[1] - 6.0, '

@@ -8,9 +8,8 @@ import small_runs
 from typer.testing import CliRunner
 
 from ccdtools import InputError, load_policy
-from ccdtools.cli import app
+from ccdtools.cli import RunFolder, app
 from ccdtools.studies import preparation
-from ccdtools.studies.run_folder import RunFolder
 
 SOURCE = (
     small_runs.SPRING.replace("Polytope.from_bounds([-1, -2], [1, 2])", "lambda p: ([-1, -2], [1.4 - 0.1 * p, 2])")

@@ -12,7 +12,7 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import gains_by_source
 from ccdtools.studies.held_out import GenerationRecord, former_services, gains_in, places_of, steps_of
 from ccdtools.studies.redesign import InService
-from learning.networks import ActorCritic
+from learning import ActorCritic
 
 
 @pytest.fixture(scope="module")

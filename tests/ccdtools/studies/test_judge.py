@@ -6,13 +6,22 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import DesignSpace, Gaussian, Plant, QuadraticObjective, RealPlant, Study, saturated_lqr, simulate
+from ccdtools import (
+    DesignSpace,
+    Gaussian,
+    Plant,
+    QuadraticObjective,
+    RealPlant,
+    Study,
+    replay_problem,
+    saturated_lqr,
+    simulate,
+)
 from ccdtools.co_design.landscape import Landscape
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.redesign import _clustered
 from ccdtools.studies.warm_up import warm_up
-from ccdtools.twin.replay import replay_problem
 from ccdtools.twin.residuals import residuals
 from invariant_sets import Polytope
 

@@ -8,9 +8,8 @@ import pytest
 import small_runs
 
 from ccdtools import InputError, load_study
-from ccdtools.cli import main
+from ccdtools.cli import Options, main
 from ccdtools.studies import RunFolder, preparation
-from ccdtools.studies.options import Options
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 from small_runs import tiny
 
-from ccdtools import DesignSpace, Gaussian, InputError, Plant, QuadraticObjective, RealPlant, Study, load_policy
-from ccdtools.co_design.codesign import codesign
+from ccdtools import (
+    DesignSpace,
+    Gaussian,
+    InputError,
+    Plant,
+    QuadraticObjective,
+    RealPlant,
+    Study,
+    codesign,
+    load_policy,
+)
 from ccdtools.statistics import PairedDifference
 from ccdtools.studies import Generations, RunFolder, configuration, stages
 from ccdtools.studies.redesign import InService, RedesignDecision, RedesignStatus, judge_redesign

@@ -22,9 +22,9 @@ from ccdtools import (
     simulate,
 )
 from ccdtools.exceptions import SamplingWarning
+from ccdtools.studies import configuration
 from ccdtools.studies.fingerprint import fingerprint
 from ccdtools.studies.loading import LoadedStudy
-from ccdtools.studies.presets import configuration
 
 NOISE = Gaussian([0.1])
 X = ([-2.0, -2.0], [2.0, 2.0])

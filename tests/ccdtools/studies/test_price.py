@@ -3,7 +3,7 @@
 import pytest
 
 from ccdtools import InputError
-from ccdtools.studies.options import Options
+from ccdtools.cli import Options
 from ccdtools.studies.price import RedesignPrice
 
 

@@ -5,18 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ccdtools import InputError
-from ccdtools.controllers.learned import LearnedPolicy
-from ccdtools.scenario import Scenario
+from ccdtools import InputError, LearnedPolicy, Scenario, deploy
 from ccdtools.statistics import PairedDifference
-from ccdtools.studies import configuration
+from ccdtools.studies import StudyConfig, configuration
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.redesign import WORTH_A_POLICY, InService, RedesignStatus, judge_redesign, promised
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.stages import LoopStages
 from ccdtools.studies.trust_region import Trust
-from ccdtools.twin.deployment import deploy
 from ccdtools.twin.recombined_returns import independence, recombined_gain
 from ccdtools.twin.residuals import residuals
 

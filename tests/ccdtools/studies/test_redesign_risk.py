@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ccdtools import CVaR, MeanSpread, QuadraticObjective
-from ccdtools.scenario import Scenario
+from ccdtools import CVaR, MeanSpread, QuadraticObjective, Scenario, Trajectory
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.redesign import InService, RedesignStatus, judge_redesign
-from ccdtools.trajectory import Trajectory
 from ccdtools.twin.limits_kept import breach
 from ccdtools.twin.residuals import Residuals
 

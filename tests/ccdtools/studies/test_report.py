@@ -13,13 +13,9 @@ from markupsafe import escape
 from matplotlib.figure import Figure
 from small_runs import tiny
 
+from ccdtools import CVaR, DesignSpace, Gaussian, Plant, QuadraticObjective
 from ccdtools import figure_style as style
-from ccdtools.co_design.objective import QuadraticObjective
-from ccdtools.co_design.risk import CVaR
-from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.exceptions import InputError
-from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.plant import Plant
 from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
 from ccdtools.studies.report import return_plots, set_figure
 from ccdtools.studies.report.finished_run import FinishedRun

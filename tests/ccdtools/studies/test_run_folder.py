@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from ccdtools import InputError
-from ccdtools.studies.run_folder import RunFolder
+from ccdtools.cli import RunFolder
 from ccdtools.studies.stage_storage import Stage, jsonable
 from learning import ActorCritic, NetworkConfig
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ccdtools import QuadraticObjective
+from ccdtools import QuadraticObjective, Trajectory
 from ccdtools.statistics import summarise
 from ccdtools.studies.account import account
 from ccdtools.studies.redesign import InService
@@ -19,7 +19,6 @@ from ccdtools.studies.service import (
     judge_deployment,
     welch_difference,
 )
-from ccdtools.trajectory import Trajectory
 
 OBJECTIVE = QuadraticObjective([[1.0]], [[1.0]])
 RUNS, STEPS = 60, 20

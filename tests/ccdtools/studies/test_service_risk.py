@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from ccdtools import CVaR, QuadraticObjective
+from ccdtools import CVaR, QuadraticObjective, Trajectory
 from ccdtools.statistics import summarise
 from ccdtools.studies.account import account
 from ccdtools.studies.report.headline import _brought, _phrase
 from ccdtools.studies.service import ServiceStatus, judge_deployment
-from ccdtools.trajectory import Trajectory
 
 RUNS, STEPS = 60, 20
 PROMISE = summarise(np.linspace(-1.1, -0.9, 40) * STEPS)

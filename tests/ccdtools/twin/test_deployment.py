@@ -8,10 +8,7 @@ import pytest
 import torch
 from deployments import DESIGN, ONLINE, deployed, disturbances, start, training_gives
 
-from ccdtools import InputError, LearnedPolicy, deploy, simulate
-from ccdtools.controllers.controllers import Passive
-from ccdtools.twin.deployment import deploy_and_update
-from ccdtools.twin.online import OnlineConfig
+from ccdtools import InputError, LearnedPolicy, OnlineConfig, Passive, deploy, deploy_and_update, simulate
 
 
 def test_a_deployment_is_a_simulation_as_long_as_its_disturbance(illustrative):

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 from deployments import DESIGN, ONLINE, disturbances, judge, start, told_independent, training_gives, weakened
 
-from ccdtools import InputError, LearnedPolicy, deploy, simulate
+from ccdtools import DigitalTwin, InputError, LearnedPolicy, deploy, deploy_and_update, simulate
 from ccdtools.statistics import PairedDifference
-from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.recombined_returns import NOT_ASKED
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import residuals
-from ccdtools.twin.twin import DigitalTwin
 from ccdtools.twin.update_judge import UpdateJudge
-from learning.quantile import QuantileConfig
+from learning import QuantileConfig
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,8 @@ import pytest
 import torch
 from scipy.stats import binom
 
-from ccdtools import DigitalTwin, InputError, deploy, free_running_bands, simulate
+from ccdtools import DigitalTwin, InputError, LinearFeedback, deploy, free_running_bands, simulate
 from ccdtools.co_design.differentiable_model import Stepper
-from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.residuals import residuals

@@ -8,12 +8,12 @@ import pytest
 import torch
 from scipy.linalg import solve_discrete_lyapunov
 
-from ccdtools import DesignSpace, Plant, discretise, simulate
-from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools import DesignSpace, LinearFeedback, Plant, discretise, simulate
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.loop_moments import matched_in_the_loop
 from ccdtools.twin.residuals import residuals
-from learning.copula_fit import fit_copula, regression
+from learning import fit_copula
+from learning.copula_fit import regression
 from learning.quantile import QuantileNetwork
 
 P = [1.0]

@@ -7,9 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 import ccdtools.twin.replay
-from ccdtools import InputError, QuadraticObjective
+from ccdtools import InputError, QuadraticObjective, Trajectory
 from ccdtools.statistics import summarise
-from ccdtools.trajectory import Trajectory
 from ccdtools.twin.recombination import Dependence, dealt, dependence, drawn, shuffled
 from ccdtools.twin.recombined_returns import (
     MOVED,

@@ -14,6 +14,7 @@ from ccdtools import (
     FixedStart,
     Gaussian,
     InputError,
+    LinearFeedback,
     LinearModel,
     Plant,
     QuadraticObjective,
@@ -23,12 +24,12 @@ from ccdtools import (
     updated_problem,
 )
 from ccdtools.co_design.differentiable_model import Stepper
-from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.transport import ErrorSplit, Transport, check_disturbance_enters, full_rank
 from invariant_sets import Polytope
-from learning.quantile import QuantileConfig, QuantileNetwork
+from learning import QuantileConfig
+from learning.quantile import QuantileNetwork
 
 LIGHT, HEAVY = np.array([0.5]), np.array([2.0])
 

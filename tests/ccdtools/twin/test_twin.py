@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import DigitalTwin, InputError, simulate
-from ccdtools.controllers.controllers import LinearFeedback, Passive
-from ccdtools.trajectory import Trajectory
+from ccdtools import DigitalTwin, InputError, LinearFeedback, Passive, Trajectory, simulate
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.residuals import block_parts, residuals, stacked
 from learning import QuantileConfig

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from deployments import DESIGN, ONLINE, TINY, deployed, training_gives, weakened
 
-from ccdtools import LearnedPolicy, simulate
+from ccdtools import LearnedPolicy, deploy_and_update, simulate
 from ccdtools.statistics import PairedDifference, paired_returns
-from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.update_judge import UpdateJudge
 
 

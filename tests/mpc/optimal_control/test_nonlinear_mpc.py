@@ -7,9 +7,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mpc import InputError, LinearMPC
+from mpc import InputError, LinearMPC, Status
 from mpc.optimal_control import NonlinearMPC, Phase, build, solve
-from mpc.plan import Status
 
 A = np.array([[1.0, 0.1], [0.05, 1.1]])
 B = np.array([[0.005], [0.1]])

@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from mpc import Status
 from mpc.optimal_control import NonlinearMPC, OffsetFreeNonlinearMPC
-from mpc.plan import Status
 
 LEVEL = 0.1  # m
 AREA, HOLE, GRAVITY = 0.0154, 5e-5, 9.81

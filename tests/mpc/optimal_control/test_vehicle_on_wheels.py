@@ -9,10 +9,9 @@ import pytest
 from differences import slopes
 from nonlinear_programs import optimum
 
-from mpc import NotStabilisableError
+from mpc import NotStabilisableError, Status
 from mpc.optimal_control import NonlinearMPC
 from mpc.optimal_control.c_code import real_time_iteration
-from mpc.plan import Status
 
 Q, R, P = np.diag([1.0, 1.0, 0.1]), np.diag([0.1, 0.1]), np.diag([10.0, 10.0, 1.0])
 FASTEST = np.array([1.0, 2.0])

@@ -7,12 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import torch
 
-from ccdtools.co_design.configuration import CoDesignConfig
-from ccdtools.twin.deployment import deploy_and_update
-from ccdtools.twin.online import OnlineConfig
+from ccdtools import CoDesignConfig, OnlineConfig, deploy_and_update
 from ccdtools.twin.recombined_returns import NOT_ASKED, recombined_gain
 from ccdtools.twin.update_judge import UpdateJudge
-from learning.ppo import PPOConfig
+from learning import PPOConfig
 
 DESIGN = np.array([2.0])
 TINY = CoDesignConfig(

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from ccdtools import CoDesignConfig
 from ccdtools.cli import main
-from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.studies import StudyConfig, configuration
-from learning.networks import NetworkConfig
+from learning import NetworkConfig
 
 SPRING = '''
 """A mass on a spring whose stiffness is the design."""

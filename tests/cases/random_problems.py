@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from plants import box
 
-from mpc import LinearMPC, ParametricQP
-from mpc.lqr import NotStabilisableError
-from mpc.parametric_qp import Constraint
+from mpc import Constraint, LinearMPC, NotStabilisableError, ParametricQP
 
 
 def problem_of(H, F, f, G, w, S):
