@@ -88,11 +88,20 @@ def clone(expert_data):
 
 
 @pytest.fixture(scope="session")
-def recorded_road():
+def recorded():
+    """Return a function: name → path of a recorded file, or skip."""
+
+    def path(name):
+        if not (DATA / name).is_file():
+            pytest.skip(f"the recorded file {name} is not part of the project; set CCDTOOLS_DATA to its folder")
+        return DATA / name
+
+    return path
+
+
+@pytest.fixture(scope="session")
+def recorded_road(recorded):
     """Return the recorded road velocity (15000, 1), or skip."""
     from ccdtools import read_disturbance
 
-    path = DATA / "dz_dt_mild_driver1.csv"
-    if not path.is_file():
-        pytest.skip("the recorded road is not part of the project; set CCDTOOLS_DATA to its folder")
-    return read_disturbance(path, dt=0.05)[:15000, None]
+    return read_disturbance(recorded("dz_dt_mild_driver1.csv"), dt=0.05)[:15000, None]

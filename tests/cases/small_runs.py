@@ -1,14 +1,10 @@
-"""Runs that take seconds: a study of a mass on a spring, and a configuration of hardly any iterations.
-
-``python small_runs.py run spring.py …`` is the command line with that configuration.
-"""
+"""Runs that take seconds: a study of a mass on a spring, and a configuration of hardly any iterations."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from ccdtools import CoDesignConfig
-from ccdtools.cli import main
 from ccdtools.studies import StudyConfig, configuration
 from learning import NetworkConfig
 
@@ -44,10 +40,3 @@ def tiny(config: StudyConfig) -> StudyConfig:
 def tiny_configuration(study, **options) -> StudyConfig:
     """What `configuration` gives, made tiny."""
     return tiny(configuration(study, **options))
-
-
-if __name__ == "__main__":
-    from ccdtools.studies import preparation
-
-    preparation.configuration = tiny_configuration  # type: ignore[assignment]
-    main()

@@ -25,7 +25,6 @@ from ccdtools import (
     simulate,
 )
 from ccdtools.cli import insisting
-from ccdtools.co_design.method_names import known_methods, named_methods
 
 QUICK = {
     "plant first": Sequential(starts=1), "nested": Nested(starts=1, runs=100),
@@ -182,12 +181,6 @@ def test_the_reference_is_nested_lqr_or_the_first():
     assert pair.reference == "b"
     assert pair["b"].difference.mean == 0.0
     assert pair["a"].difference.mean == 0.0
-
-
-def test_names_are_found_whatever_their_capitals():
-    assert next(iter(named_methods("all"))) == "sequential"
-    assert list(named_methods(["nested-lqr", "cma-es", "PPO"])) == ["nested LQR", "CMA-ES", "ppo"]
-    assert set(named_methods("all")) <= set(known_methods())
 
 
 @pytest.mark.parametrize(

@@ -9,17 +9,8 @@ from constrained_plants import CASES
 from small_plants import best_design, exact_return, mass, two_valleys
 
 import ccdtools as cc
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.methods.laws import LQRLaw
-from ccdtools.co_design.methods.loop_cost import LoopCost
-from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 
 QUICK = cc.Nested(runs=200)
-
-
-def slope_by_differences(cost, v, step=1e-5):
-    """Central differences of a cost in the unit box."""
-    return np.array([(cost(v + h)[0] - cost(v - h)[0]) / (2 * step) for h in step * np.eye(len(v))])
 
 
 def spring_plant(unit=1.0):
@@ -41,27 +32,6 @@ def spring_problem(unit=1.0, **changes):
         "scenarios": cc.FixedStart([1.5 * unit, -1.0 * unit], cc.Gaussian([0.4 * unit])),
     }  # fmt: skip
     return cc.CoDesignProblem(cc.discretise(spring_plant(unit)), **(given | changes))
-
-
-@pytest.mark.parametrize("risk", [cc.Mean(), cc.MeanSpread(0.5), cc.CVaR(0.3)])
-@pytest.mark.parametrize("unit", [1.0, 1000.0])
-def test_slope_of_a_closed_loop_is_that_of_central_differences(unit, risk):
-    problem = spring_problem(unit, risk=risk)
-    cost = LoopCost(problem, LQRLaw(), scenario_tensors(problem, 20, np.random.default_rng(0)))
-    for v in ([0.3, 0.6], [0.8, 0.2]):
-        shown = slope_by_differences(cost, np.array(v))
-        assert cost(np.array(v))[1] == pytest.approx(shown, rel=2e-4, abs=1e-6 * abs(shown).max())
-
-
-@pytest.mark.parametrize("name", sorted(CASES))
-def test_riccati_slope_is_that_of_central_differences(name):
-    case = CASES[name]
-    problem = case.problem()
-    cost = RiccatiCost(problem)
-    free = problem.design.allowed.free
-    v = np.where(free, 0.4, problem.design.allowed.rounded(problem.design.to_unit(case.start)))
-    shown = slope_by_differences(cost, v)
-    assert cost(v)[1][free] == pytest.approx(shown[free], rel=1e-4, abs=1e-7 * abs(cost(v)[0]))
 
 
 @pytest.mark.parametrize("name", sorted(CASES))

@@ -46,13 +46,6 @@ def test_the_linear_quarter_car_integrates_to_its_exact_discretisation(rng):
     np.testing.assert_array_less([12, 12], np.array(errors[:-1]) / errors[1:])
 
 
-def test_the_nonlinear_quarter_car_without_hardening_is_the_linear_one(monkeypatch, rng):
-    monkeypatch.setattr("ccdtools.studies.cases.suspension.HARDENING", 0.0)
-    x, u, w = rng.standard_normal((9, 4)), rng.standard_normal((9, 1)), rng.standard_normal((9, 1))
-    soft = quarter_car(nonlinear=True).stepper(START, batch=9)(x, u, w)
-    np.testing.assert_allclose(soft, quarter_car().stepper(START, batch=9)(x, u, w), rtol=1e-12)
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_nonlinear_force_pushes_the_unsprung_mass_along_and_the_sprung_mass_back(sign):
     def rates(nonlinear, x):

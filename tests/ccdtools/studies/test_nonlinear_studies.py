@@ -1,7 +1,6 @@
 """Studies of plants that are not linear: how exact the model is, and which steps the real plant takes."""
 
 import warnings
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -22,9 +21,6 @@ from ccdtools import (
     simulate,
 )
 from ccdtools.exceptions import SamplingWarning
-from ccdtools.studies import configuration
-from ccdtools.studies.fingerprint import fingerprint
-from ccdtools.studies.loading import LoadedStudy
 
 NOISE = Gaussian([0.1])
 X = ([-2.0, -2.0], [2.0, 2.0])
@@ -124,13 +120,3 @@ def test_accuracy_and_method_are_those_of_the_model():
 def test_a_wrong_accuracy_or_method_is_named_on_any_plant(wrong, message, cubic):
     with pytest.raises(InputError, match=message):
         study(tank(rate=30.0, cubic=cubic), **wrong)
-
-
-def test_another_accuracy_is_another_run():
-    one = study(tank(rate=30.0))
-    config = configuration(one)
-    before, now = (
-        fingerprint(LoadedStudy(own, {}), config) for own in (one, replace(one, accuracy=1e-4, method="rk4"))
-    )
-    assert {name for name in before if before[name] != now.get(name)} == {"study.accuracy", "study.method"}
-    assert fingerprint(LoadedStudy(study(tank(rate=30.0)), {}), config) == before

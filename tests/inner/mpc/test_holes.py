@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from partitions import membership
 from plants import box, double_integrator
 from random_problems import closing_slab, hard_controller, nearly_parallel_rows, problem_of
 from scipy.optimize import linprog
-from test_mpqp import membership
 
 from invariant_sets import Polytope
 from mpc import LinearMPC, MPQPStatus, solve_mpqp

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from partitions import membership
 from plants import box, double_integrator
 from scipy.optimize import linprog
-from test_mpqp import membership
 
 from invariant_sets import Polytope
 from mpc import Constraint, LinearMPC, MPQPStatus, ParametricQP, solve_mpqp

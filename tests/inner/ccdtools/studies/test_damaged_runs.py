@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_runs
+import tiny_command
 
 from ccdtools.cli import main
 from ccdtools.studies import RunFolder, preparation
 from ccdtools.studies.fingerprint import differences
 
-COMMAND = [sys.executable, small_runs.__file__]
+COMMAND = [sys.executable, tiny_command.__file__]
 
 
 def call(*arguments: str) -> int:
@@ -266,7 +267,8 @@ def test_a_run_that_is_killed_ends_like_one_that_is_not(whole, tmp_path, stage):
     run = tmp_path / "run"
     process = subprocess.Popen(
         [*COMMAND, "run", str(whole / "spring.py"), "--output", str(run)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=os.environ | {"OMP_NUM_THREADS": "1"},
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        env=os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
     )  # fmt: skip
     deadline = time.monotonic() + 200
     while not (run / "stages" / stage).is_dir() and process.poll() is None and time.monotonic() < deadline:
