@@ -2,12 +2,26 @@
 
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 DATA = Path(os.environ.get("CCDTOOLS_DATA") or Path(__file__).resolve().parents[1].parent / "shared" / "data")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark as `check` the cases beyond those that `@pytest.mark.quick(count)` leaves to `make test`."""
+    seen: Counter[str] = Counter()
+    for item in items:
+        quick = item.get_closest_marker("quick")
+        if quick is not None:
+            name = item.nodeid.split("[")[0]
+            seen[name] += 1
+            if seen[name] > quick.args[0]:
+                item.add_marker("check")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -22,6 +36,26 @@ def _one_thread():
 def rng():
     """Return a seeded generator."""
     return np.random.default_rng(20240611)
+
+
+@pytest.fixture(scope="session")
+def stored(tmp_path_factory, worker_id):
+    """Return a function: (name, make) → folder that one process has filled with ``make(folder)`` for all of them."""
+    from filelock import FileLock
+
+    base = tmp_path_factory.getbasetemp()
+    root = base if worker_id == "master" else base.parent
+
+    def folder(name, make):
+        place = root / "stored" / name
+        place.mkdir(parents=True, exist_ok=True)
+        with FileLock(f"{place}.lock"):
+            if not place.with_suffix(".made").exists():
+                make(place)
+                place.with_suffix(".made").touch()
+        return place
+
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -26,6 +26,7 @@ def infeasible_cases(count):
                 yield controller, x
 
 
+@pytest.mark.check
 def test_two_hundred_infeasible_problems_are_explained():
     cases = 0
     for controller, x in infeasible_cases(200):

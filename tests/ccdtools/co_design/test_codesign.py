@@ -99,6 +99,7 @@ def test_a_frozen_design_stays_and_needs_no_gradient_check(problem, illustrative
     assert found.gradients is None
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("gradient", ["pathwise", "network_input"])
 @pytest.mark.parametrize("method", ["pathwise", "ppo", "pathwise+ppo"])
 def test_the_design_stays_in_its_bounds_whatever_the_rate(problem, illustrative, clone, gradient, method):
@@ -136,6 +137,7 @@ def test_the_front_door_passes_everything_on(problem, illustrative, clone):
     np.testing.assert_array_equal(a.history.model_return, b.history.model_return)
 
 
+@pytest.mark.check
 def test_bad_arguments_are_refused(problem, illustrative, suspension, clone):
     rng = np.random.default_rng(0)
     with pytest.raises(InputError, match="method: got 'magic', expected"):

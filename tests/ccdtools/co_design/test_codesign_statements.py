@@ -62,6 +62,7 @@ def test_nested_trajectories_leave_a_first_design_that_cannot_keep_the_limits(un
     assert nested.objective == pytest.approx(together.objective, rel=1e-5)
 
 
+@pytest.mark.check
 def test_limits_are_named_as_the_plant_and_the_user_name_them():
     problem = replace(mass(), output_limits=cc.OutputLimits(lambda x, u, p: x[0], -0.2, 0.2, names=["travel [m]"]),
                       scenarios=cc.FixedStart([0.1, 3.0], cc.Gaussian([0.5])), U=([-0.1], [0.1]))  # fmt: skip
@@ -162,6 +163,7 @@ def test_a_result_is_ready_for_json():
     assert plain["status"] == lqr.status.name
 
 
+@pytest.mark.check
 def test_what_is_learned_tells_its_return_in_closed_loop():
     problem = mass()
     config = cc.CoDesignConfig(iterations=4, runs=16, pathwise_runs=16, evaluation_runs=20, evaluate_every=2, starts=1)
@@ -170,6 +172,7 @@ def test_what_is_learned_tells_its_return_in_closed_loop():
     json.dumps(found.as_dict(), allow_nan=False)
 
 
+@pytest.mark.check
 def test_a_judge_of_a_method_is_what_the_closed_loop_is_measured_on():
     problem = mass()
     louder = replace(problem, scenarios=cc.FixedStart([2.0, -2.0], cc.Gaussian([0.5])))
@@ -198,6 +201,7 @@ def test_a_design_whose_runs_are_all_lost_is_not_efficient_and_hides_no_other():
     np.testing.assert_array_equal(found.efficient, [True, False, False])
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("terminal", [None, lambda x, p: p + 2 * x[0] ** 2])
 def test_the_riccati_equation_counts_what_rest_costs(terminal):
     def stage(x, u, p):

@@ -73,6 +73,7 @@ def test_the_expert_does_the_same_in_both_statements():
     np.testing.assert_allclose(own.actions[:, 0], other.actions[:, 0] * full_force(other.inputs[:, 2:].T), atol=1e-6)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("method", ["pathwise", "pathwise+ppo"])
 def test_a_co_design_ends_where_that_of_the_plant_in_parts_does(pair, method):
     config = CoDesignConfig(
@@ -86,6 +87,7 @@ def test_a_co_design_ends_where_that_of_the_plant_in_parts_does(pair, method):
     assert ends[0][1] == pytest.approx(ends[1][1], rel=5e-3)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("p", DESIGNS)
 def test_feasible_sets_and_mpc_are_those_of_the_plant_in_parts(p):
     own, other = native(), in_parts()
@@ -116,6 +118,7 @@ def test_lqr_in_a_loop_is_clipped_at_the_limits_of_its_design(p):
     assert np.isclose(inputs, range_of(p)[0]).any()
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("p", DESIGNS)
 def test_every_controller_stays_within_the_limits_of_its_design_and_uses_them(p, pair):
     problem, agent = pair[0]
@@ -128,6 +131,7 @@ def test_every_controller_stays_within_the_limits_of_its_design_and_uses_them(p,
         assert u.min() == pytest.approx(range_of(p)[0], rel=1e-6), name
 
 
+@pytest.mark.check
 def test_the_explicit_law_of_a_design_is_its_mpc():
     problem = native()
     data = expert_dataset(problem, samples=12, expert="explicit", horizon=3, rng=np.random.default_rng(0), sets="lqr")

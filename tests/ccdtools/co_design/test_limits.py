@@ -43,6 +43,7 @@ def designed(problem, agent, **options):
     return cc.codesign(problem, agent=agent, design=[1.5], rng=np.random.default_rng(2), config=config)
 
 
+@pytest.mark.check
 def test_a_limit_that_binds_is_kept_about_as_by_mpc_and_not_without_the_penalty(agent):
     problem = rail()
     iterations = {"iterations": 40, "evaluate_every": 4}

@@ -34,6 +34,7 @@ def spring_problem(unit=1.0, **changes):
     return cc.CoDesignProblem(cc.discretise(spring_plant(unit)), **(given | changes))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", sorted(CASES))
 @pytest.mark.parametrize("method", [cc.Nested("riccati"), QUICK], ids=["riccati", "lqr"])
 def test_constrained_designs_are_those_of_slsqp_on_the_exact_cost(name, method):
@@ -57,6 +58,7 @@ def test_a_multiplier_is_what_more_of_the_budget_brings():
     assert found.multipliers[name] == pytest.approx((more.objective - found.objective) / 0.01, rel=0.02)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("make", [mass, two_valleys])
 @pytest.mark.parametrize("start", [0.02, 0.3, 0.97])
 def test_the_best_valley_is_found_from_any_start(make, start):
@@ -67,6 +69,7 @@ def test_the_best_valley_is_found_from_any_start(make, start):
     assert found.closed_loop.summary.ci95[0] <= exact_return(problem, found.design) <= found.closed_loop.summary.ci95[1]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("x0", "expected"), [((0, 0), (0.66, 0.71)), ((-2, -2), (2.35, 2.55)), ((-3.5, -2), (3, 3))])
 def test_known_optima_of_the_illustrative_example(illustrative, x0, expected):
     problem = illustrative.problem()
@@ -85,6 +88,7 @@ def test_known_optimum_of_the_suspension_and_what_holds_it(suspension):
     assert found.closed_loop.summary.mean == pytest.approx(-47.7, abs=1.0)
 
 
+@pytest.mark.check
 def test_linear_and_nonlinear_mpc_inside_find_the_same_design_of_a_linear_plant(illustrative):
     problem = replace(illustrative.problem(), steps=25)
     problem = replace(problem, scenarios=cc.FixedStart([-2, -2], problem.scenarios.disturbance))
@@ -97,6 +101,7 @@ def test_linear_and_nonlinear_mpc_inside_find_the_same_design_of_a_linear_plant(
     assert found[0].objective == pytest.approx(found[1].objective, rel=2e-3)
 
 
+@pytest.mark.check
 def test_a_policy_trained_at_every_design_finds_what_lqr_finds():
     problem = mass()
     _, value = best_design(problem)
@@ -107,6 +112,7 @@ def test_a_policy_trained_at_every_design_finds_what_lqr_finds():
     np.testing.assert_allclose(found.controller.design, found.design)
 
 
+@pytest.mark.check
 def test_state_limits_are_kept_where_a_design_can_keep_them():
     # the softer the spring, the further the mass strays: the best design without limits leaves X, the tolerance is set
     free = spring_problem(limit_tolerance="off", U=([-8], [8]), X=([-1.6, -3], [1.6, 3]))

@@ -83,6 +83,7 @@ def test_logged_errors_and_their_replay_are_those_of_the_exact_model(pair):
         np.testing.assert_allclose(own, exact, atol=1e-6)
 
 
+@pytest.mark.check
 def test_the_same_co_design_is_found_on_both_models(pair):
     def designed(model):
         problem = problem_of(model)

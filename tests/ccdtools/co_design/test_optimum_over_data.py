@@ -74,6 +74,7 @@ def test_trade_offs_without_a_meaning_are_refused(args, argument):
     assert error.value.argument == argument
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("inner", ["riccati", "lqr"])
 def test_the_slope_of_the_optimum_is_that_of_the_exact_one(inner):
     h = 0.02

@@ -33,6 +33,7 @@ def run(problem, agent, design, seed=0, **changes):
     )
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("starts", [1, None])
 @pytest.mark.parametrize("design", [0.2, 3.0])
 def test_the_independent_optimum_is_reached_from_either_end(mass_and_clone, design, starts):
@@ -46,6 +47,7 @@ def test_the_independent_optimum_is_reached_from_either_end(mass_and_clone, desi
     assert policy >= expected - 0.02 * abs(expected)  # 400 runs
 
 
+@pytest.mark.check
 def test_from_the_basin_of_the_lesser_valley_the_better_one_is_found_and_the_lesser_one_named(valleys_and_clone):
     problem, agent = valleys_and_clone
     _, expected = best_design(problem)
@@ -117,6 +119,7 @@ def test_runs_that_nothing_can_recover_are_named(illustrative, clone):
     assert not found.status.settled
 
 
+@pytest.mark.check
 def test_a_design_that_the_judge_finds_level_has_settled_whatever_the_training_model_promises(mass_and_clone):
     judge, agent = mass_and_clone
     best, _ = best_design(judge)

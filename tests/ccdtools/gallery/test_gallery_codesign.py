@@ -37,6 +37,7 @@ def below_the_optimum(name, start, seed, *, samples, cloning, config):
     return (best - exact - gained) / abs(best), result.design
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("name", ["mass_spring_damper"])
 def test_a_small_budget_reaches_the_optimum_from_the_worst_corner(name):
     corner = np.array(reference(name)["worst_corner"])

@@ -61,6 +61,7 @@ def test_without_a_real_plant_the_steps_are_those_of_the_model():
     assert not study(tank(rate=30.0), real=real(tank(rate=30.0))).real_is_model
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("cubic", [0.0, 0.2])
 def test_a_real_plant_that_its_steps_do_not_follow_is_refused_with_steps_that_do(cubic):
     nominal = tank(rate=30.0)
@@ -99,6 +100,7 @@ def test_a_short_recording_says_how_large_the_disturbance_is():
     assert isinstance(one.model, SampledModel)
 
 
+@pytest.mark.check
 def test_accuracy_and_method_are_those_of_the_model():
     plant = tank(rate=30.0)
     fine, coarse = (study(plant, accuracy=accuracy).model for accuracy in (1e-9, 1e-3))

@@ -77,6 +77,7 @@ def test_gradient_of_the_optimal_cost_is_that_of_differences_where_limits_are_ac
         assert gradient[i] == pytest.approx(slope, rel=1e-3, abs=1e-5 * np.abs(gradient).max())
 
 
+@pytest.mark.check
 def test_both_strategies_reach_one_cost():
     together = [found(simultaneous, start) for start in ("theirs, 1", "theirs, 3")]
     for one in (*together, found(nested, "theirs, 1")):

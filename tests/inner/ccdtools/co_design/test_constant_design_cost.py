@@ -37,6 +37,7 @@ def found(problem, price, **options):
     return result, result.history.model_return + price
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("options", [{}, {"tolerance": 0.02}])
 def test_a_climb_is_the_same_whatever_every_design_costs(options):
     (plain, returns), (dear, others) = (found(mass(), price, **options) for price in PRICES)

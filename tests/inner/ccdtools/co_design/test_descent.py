@@ -74,6 +74,7 @@ def test_a_lost_run_costs_no_program():
     assert cost.rows[-1][-1] == pytest.approx(1 / 3)
 
 
+@pytest.mark.check
 def test_mpc_does_not_search_from_a_design_that_loses_its_runs(illustrative):
     # from (−3.5, −2) a weak actuator loses the unstable plant; hours of programs without solution would be in the way
     own = illustrative.problem()

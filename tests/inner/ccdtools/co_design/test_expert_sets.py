@@ -89,6 +89,7 @@ def no_sets(monkeypatch):
 # --- the region that saturated LQR keeps ---------------------------------------------------------------------
 
 
+@pytest.mark.quick(1)
 def test_the_lqr_region_is_part_of_the_maximal_set_and_nearly_all_of_it(study):
     problem = study.problem()
     x, p = box_samples(problem, 300)

@@ -77,6 +77,7 @@ def discounted(problem, state, w):
     return (rewards * GAMMA ** np.arange(FOLLOWED)).sum() + GAMMA**FOLLOWED / (1 - GAMMA) * rewards[-100:].mean()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("disturbances", [1, 2])
 @pytest.mark.parametrize("explained", [True, False])
 def test_values_are_those_of_the_updated_model(disturbances, explained):

@@ -92,6 +92,7 @@ def test_at_a_bound_the_gradients_are_compared_inside_the_box(illustrative, clon
     assert 0.5 <= min(asked) <= max(asked) <= 3.0 + 1e-6
 
 
+@pytest.mark.check
 def test_where_the_return_bends_within_a_hundredth_of_the_box_the_step_is_smaller():
     problem = mass(heaviest=20.0)
     agent = clone_of(problem)

@@ -90,6 +90,7 @@ def depths(p, x0, w, bounds):
     return (beyond > 0).mean(), beyond.max(axis=0).mean(), cost.mean() + 0.4 * p[0] ** 2 + 0.5 * p[1]
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 @pytest.mark.parametrize("granted", [(0.02, 0.015), (0.2, 0.008)], ids=["how often", "how far"])
 def test_a_design_goes_up_to_the_limit_that_binds_and_no_further(unit, granted):

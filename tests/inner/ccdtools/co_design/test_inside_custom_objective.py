@@ -149,6 +149,7 @@ def test_a_run_that_is_lost_in_its_last_step_pays_for_no_end():
     np.testing.assert_allclose(in_training(problem(objective, steps=1), lost), lost.returns(objective))
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
 def test_the_papers_design_gradient_weighs_the_price_as_the_steps_it_is_weighed_against(unit):
     """In any unit of the costs: its surrogate is one step's, in standard deviations of the advantages."""

@@ -36,6 +36,7 @@ def episodes(fraction, depth, n=4):
     return Episode(-100 * full, full < 0, 0.1 * depth * full, depth * full, fraction * full)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("name", ["illustrative", "suspension"])
 def test_where_the_limits_never_bind_the_results_are_those_without_limits(name, request, clone):
     study = request.getfixturevalue(name)
@@ -80,6 +81,7 @@ def test_near_the_design_at_which_mpc_was_measured_the_tolerance_follows_the_des
     assert abs(float(near.at(v + 0.06)[0]) - there.granted.fraction) < 0.3 * abs(constant)
 
 
+@pytest.mark.check
 def test_an_mpc_that_loses_every_run_grants_no_more_than_a_network_resolves():
     lost = replace(rail(), scenarios=cc.FixedStart([-1.5, 0.4], cc.Gaussian([1e9])))
     granted = tolerance_by_mpc(lost, torch.tensor([0.3]), scenario_tensors(lost, 40, np.random.default_rng(0)))

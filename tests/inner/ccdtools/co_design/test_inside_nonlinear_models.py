@@ -122,6 +122,7 @@ def test_the_fast_step_and_its_gradient_are_those_that_torch_records(cart):
     assert isinstance(model.pathwise, PathwiseStep)
 
 
+@pytest.mark.check
 def test_a_co_design_on_a_pole_without_small_angles_is_better_than_lqr_there(cart):
     rng = np.random.default_rng(0)
     data = expert_dataset(cart, samples=150, rng=rng)

@@ -71,6 +71,7 @@ MEASURES = {
 }  # fmt: skip
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 @pytest.mark.parametrize("name", sorted(MEASURES))
 def test_nested_lqr_finds_the_best_design_of_a_grid_whatever_counts(name, unit):
@@ -87,6 +88,7 @@ def test_nested_lqr_finds_the_best_design_of_a_grid_whatever_counts(name, unit):
     assert found.status.settled
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("weight", [0.3, 1.0])
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 def test_a_program_that_counts_the_spread_of_costs_is_solved(unit, weight):
@@ -122,6 +124,7 @@ def open_loop(p, x0, w):
     return np.linalg.lstsq(rows, right, rcond=None)[1][0] + 0.4 * p[0] ** 2 + 0.5 * p[1]
 
 
+@pytest.mark.check
 def test_trajectories_of_a_worst_case_end_at_the_kink_between_two_cases():
     problem = problem_of(disturbance=cases(), risk=cc.WorstCase(), U=([-100], [100]), limit_tolerance="off")
     nested, together = (

@@ -32,15 +32,18 @@ def call(*arguments: str) -> int:
     return stopped.value.code
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A folder with a study and its finished run of two generations."""
-    place = tmp_path_factory.mktemp("whole")
+def run_spring(place: Path):
+    """Fill a folder with a study and its finished run of two generations."""
     (place / "spring.py").write_text(small_runs.SPRING)
     rows = "\n".join(f"{value:.3f}" for value in 0.1 * np.random.default_rng(0).standard_normal(600))
     (place / "w.csv").write_text("w\n" + rows + "\n")
     assert call("run", str(place / "spring.py"), "--output", str(place / "run")) == 0
-    return place
+
+
+@pytest.fixture(scope="module")
+def whole(stored):
+    """A folder with a study and its finished run, which all processes share."""
+    return stored("spring", run_spring)
 
 
 @pytest.fixture
@@ -171,6 +174,7 @@ DAMAGES = {
 }  # fmt: skip
 
 
+@pytest.mark.quick(21)
 @pytest.mark.parametrize("name", DAMAGES)
 def test_a_damaged_run_is_refused_in_one_line(copy, capsys, name):
     damage, message = DAMAGES[name]
@@ -187,6 +191,7 @@ def test_there_are_at_least_22_of_them():
     assert len(DAMAGES) >= 22
 
 
+@pytest.mark.check
 def test_a_stage_that_was_deleted_is_computed_again_as_it_was(whole, copy):
     for name in ("codesign-2", "comparison-2"):
         shutil.rmtree(copy / "stages" / name)
@@ -208,16 +213,13 @@ EDITS = {
 
 
 @pytest.mark.parametrize("name", EDITS)
-def test_a_run_of_a_study_that_was_edited_since_is_refused_with_the_difference(whole, tmp_path, capsys, name):
+def test_a_run_of_a_study_that_was_edited_since_is_refused_with_the_difference(copy, tmp_path, capsys, name):
     before, after, message = EDITS[name]
-    study = whole / "spring.py"
-    study.write_text(small_runs.SPRING.replace(before, after))
-    try:
-        code = call("resume", str(whole / "run"))
-    finally:
-        study.write_text(small_runs.SPRING)
+    (tmp_path / "spring.py").write_text(small_runs.SPRING.replace(before, after))
+    options = json.loads((copy / "run.json").read_text(encoding="utf-8"))["options"]
+    edit("run.json", options=options | {"study": str(tmp_path / "spring.py")})(copy)
+    assert call("resume", str(copy)) == 2
     error = capsys.readouterr().err
-    assert code == 2
     assert "begun with another study: " in error
     assert message in error
     assert "Undo the change, or begin a new run." in error
@@ -243,6 +245,7 @@ def test_a_folder_that_was_begun_before_runs_were_recombined_is_another(copy):
     }  # fmt: skip
 
 
+@pytest.mark.check
 def test_a_second_process_in_the_folder_is_refused(copy, capsys):
     with RunFolder(copy).locked():
         assert call("resume", str(copy)) == 2
@@ -250,6 +253,7 @@ def test_a_second_process_in_the_folder_is_refused(copy, capsys):
     assert call("resume", str(copy)) == 0
 
 
+@pytest.mark.check
 def test_a_recording_is_kept_with_the_run(whole, tmp_path):
     shutil.copy(whole / "w.csv", tmp_path / "w.csv")
     run = tmp_path / "run"
@@ -262,6 +266,7 @@ def test_a_recording_is_kept_with_the_run(whole, tmp_path):
     assert outcome(run) == before
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("stage", ["initialisation", "deployment-1", "comparison-2"])
 def test_a_run_that_is_killed_ends_like_one_that_is_not(whole, tmp_path, stage):
     run = tmp_path / "run"

@@ -25,6 +25,7 @@ def study(source=SOURCE):
     return names["study"]
 
 
+@pytest.mark.check
 def test_a_run_keeps_the_limits_of_every_design_and_the_report_shows_those_of_the_last(tmp_path, monkeypatch):
     monkeypatch.setattr(preparation, "configuration", small_runs.tiny_configuration)
     source = tmp_path / "limited.py"

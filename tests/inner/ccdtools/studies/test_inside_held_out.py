@@ -120,6 +120,7 @@ def test_gains_are_measured_where_it_was_deployed_and_on_what_was_held_out(evalu
     np.testing.assert_array_equal(places["deployed drive"].disturbance, evaluation.on_real().disturbance)
 
 
+@pytest.mark.check
 def test_the_start_and_former_services_are_proposed_once_and_failures_are_not(illustrative, clone):
     agent = clone(illustrative)
     at = [InService(agent, np.array([p])) for p in (1.0, 1.5, 2.0, 2.5)]

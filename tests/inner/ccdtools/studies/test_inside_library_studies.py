@@ -5,12 +5,14 @@ import json
 import warnings
 from dataclasses import replace
 
+import pytest
 from small_runs import tiny_configuration
 
 from ccdtools.studies import Generations, RunFolder, load_study
 from ccdtools.studies.report.report import write_report
 
 
+@pytest.mark.check
 def test_two_generations_of_a_vehicle_come_to_a_report_that_shows_how_it_rides(tmp_path):
     """Episodes of 20 steps, and hardly any iterations."""
     study = load_study("quarter_car")

@@ -13,9 +13,13 @@ from ccdtools.studies import RunFolder, preparation
 
 
 @pytest.fixture(scope="module")
-def filtered(tmp_path_factory):
+def filtered(stored):
     """A finished run of one generation with a filter in service and a tolerance of nothing."""
-    place = tmp_path_factory.mktemp("filtered")
+    return RunFolder(stored("filtered", run_filtered) / "run")
+
+
+def run_filtered(place):
+    """Make that run."""
     (place / "spring.py").write_text(small_runs.SPRING.replace("[-1, -2], [1, 2]", "[-1, -0.35], [1, 0.35]"))
     arguments = ["run", str(place / "spring.py"), "--output", str(place / "run"), "--generations", "1",
                  "--filter", "admissible", "--limits", "0,0"]  # fmt: skip
@@ -25,7 +29,6 @@ def filtered(tmp_path_factory):
         with pytest.raises(SystemExit) as stopped:
             main()
     assert stopped.value.code == 0
-    return RunFolder(place / "run")
 
 
 def test_the_filter_in_service_stands_beside_the_policy_without_it(filtered):

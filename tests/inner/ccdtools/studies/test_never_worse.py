@@ -71,6 +71,7 @@ def run_with(monkeypatch, path, design, generations=2):
     return study, folder, results, lines
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(("design", "status"), [(0.6, "worse"), (0.1, "more of its runs diverged")])
 def test_a_redesign_that_fails_on_the_plant_is_taken_back(monkeypatch, tmp_path, design, status):
     study, folder, results, lines = run_with(monkeypatch, tmp_path / "run", design)
@@ -97,6 +98,7 @@ def test_a_redesign_that_fails_on_the_plant_is_taken_back(monkeypatch, tmp_path,
     assert write_report(study, folder).is_file()
 
 
+@pytest.mark.check
 def test_the_next_generation_begins_from_what_is_in_service_and_trusts_less(monkeypatch, tmp_path):
     _, _, results, _ = run_with(monkeypatch, tmp_path / "run", 0.6, generations=3)
     second, third = results["generations"][1:]
@@ -106,6 +108,7 @@ def test_the_next_generation_begins_from_what_is_in_service_and_trusts_less(monk
     assert second["trust"]["radius"] == moved
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("recombine", [True, False])
 def test_independent_runs_are_recombined_in_the_next_generation_unless_that_is_off(tmp_path, monkeypatch, recombine):
     """Here the real plant is the model, so that its errors are the white disturbance."""

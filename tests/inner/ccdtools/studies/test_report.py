@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -45,28 +46,31 @@ def two_masses() -> Study:
 
 
 def finished(study: Study, path, *, generations: int = 1, quick: bool = True):
-    """A run of hardly any iterations: the folder and its results."""
+    """Make a run of hardly any iterations and its report."""
     config = replace(tiny(configuration(study, quick=True)), quick=quick)
     folder = RunFolder.create(path)
-    results = Generations(
-        study, config, folder, generations=generations, seed=3, echo=lambda line: None, progress=False
-    ).run()
+    Generations(study, config, folder, generations=generations, seed=3, echo=lambda line: None, progress=False).run()
     write_report(study, folder)
-    return folder, folder.read_json("results.json") if results else {}
+
+
+def read(path):
+    """The folder of a finished run and its results."""
+    folder = RunFolder(path / "run")
+    return folder, folder.read_json("results.json")
 
 
 @pytest.fixture(scope="module")
-def illustrative(tmp_path_factory):
+def illustrative(stored):
     """A quick run of two generations on two states."""
     study = load_study("illustrative")
     study = replace(study, steps=20, real=replace(study.real, runs=20, steps=30))
-    return finished(study, tmp_path_factory.mktemp("report") / "illustrative", generations=2)
+    return read(stored("illustrative", lambda place: finished(study, place / "run", generations=2)))
 
 
 @pytest.fixture(scope="module")
-def masses(tmp_path_factory):
+def masses(stored):
     """A run that is not quick, of a study that is in no file of the package."""
-    return finished(two_masses(), tmp_path_factory.mktemp("report") / "masses", quick=False)
+    return read(stored("masses", lambda place: finished(two_masses(), place / "run", quick=False)))
 
 
 def rows_of(folder, name):
@@ -159,8 +163,9 @@ def test_console_table_is_aligned_and_names_active_bounds(masses):
     assert all(line[edge - 2 : edge] == "  " and line[edge] != " " for line in body)
 
 
-def test_a_page_can_be_written_again(illustrative):
-    folder, _ = illustrative
+@pytest.mark.check
+def test_a_page_can_be_written_again(illustrative, tmp_path):
+    folder = RunFolder(shutil.copytree(illustrative[0].path, tmp_path / "run"))
     study = load_study("illustrative")
     before = (folder.path / "report.html").read_text(encoding="utf-8")
     write_report(replace(study, steps=20, real=replace(study.real, runs=20, steps=30)), folder)
