@@ -14,7 +14,7 @@ import typer
 
 import ccdtools
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
-from ccdtools.exceptions import CCDError, InputError
+from ccdtools.exceptions import InputError
 from ccdtools.interruptions import held_back, insisting
 from ccdtools.studies.options import Options, known_studies, located, numbers, one_number, study_names, whole_number
 from ccdtools.studies.run_folder import RunFolder
@@ -239,20 +239,11 @@ def _run(arguments: list[str]) -> int:
     except BrokenPipeError:
         return 1
     except Exception as error:
-        line = one_line_of(error, ours=_errors_of_ours())
+        line = one_line_of(error)
         if line is None:
             raise
         typer.echo(f"ccdtools: {line}", err=True)
         return MISUSE
-
-
-def _errors_of_ours() -> tuple[type[Exception], ...]:
-    """The base classes of all errors that the packages raise on purpose, as far as they are loaded."""
-    loaded = [sys.modules[name] for name in ("learning.exceptions", "mpc.exceptions") if name in sys.modules]
-    from invariant_sets.exceptions import InvariantSetsError
-
-    names = ("LearningError", "MPCError")
-    return (CCDError, InvariantSetsError, *(getattr(m, n) for m in loaded for n in names if hasattr(m, n)))
 
 
 def _stop(folder: RunFolder | None) -> NoReturn:

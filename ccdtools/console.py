@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from ccdtools_ground.errors import CCDError
+
 PLAIN = {
     "→": "->", "⁺": "+", "−": "-", "…": "...", "·": "*", "×": "x", "≤": "<=", "≥": ">=", "“": '"', "”": '"',
     "’": "'", "–": "-", "₀": "0", "₁": "1", "₂": "2", "∞": "inf", "ż": "dz", "ᵀ": "'", "µ": "u",
@@ -48,11 +50,11 @@ def warnings_on_one_line() -> Iterator[None]:
         yield
 
 
-def one_line_of(error: Exception, *, ours: tuple[type[Exception], ...]) -> str | None:
+def one_line_of(error: Exception) -> str | None:
     """What to print of an error that the user can mend; None of a defect of this program."""
     if callable(getattr(error, "format_message", None)):
         return _of_usage(error)
-    if isinstance(error, ours):
+    if isinstance(error, CCDError):
         return " ".join(str(error).split())
     if isinstance(error, OSError) and error.errno in UNWRITABLE:
         return f"{error.filename or 'output'}: got {error.strerror}, expected a file that can be written and has room."

@@ -17,7 +17,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.studies.options import known_studies, study_names
 from ccdtools.studies.study import Study
 
-OURS = ("ccdtools", "mpc", "learning", "invariant_sets")
+OURS = ("ccdtools", "ccdtools_ground", "mpc", "learning", "invariant_sets")
 
 
 @dataclass(frozen=True, eq=False)
