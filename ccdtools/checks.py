@@ -6,6 +6,7 @@ import math
 import numbers
 import os
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -93,8 +94,15 @@ def as_flag(argument: str, value: Any) -> bool:
 def as_choice(argument: str, value: Any, choices: Sequence[str]) -> str:
     """One of the words in `choices`."""
     if not isinstance(value, str) or value not in choices:
-        raise InputError(argument, shown(value), f"one of {', '.join(choices)}")
+        raise InputError(argument, shown(value), f"one of {', '.join(choices)}", nearest(value, choices))
     return value
+
+
+def nearest(value: Any, choices: Sequence[str]) -> str:
+    """The choice that a word may have meant, as a question; empty where none is like it."""
+    words = {choice.lower(): choice for choice in choices}
+    found = get_close_matches(value.lower(), words, n=1) if isinstance(value, str) else []
+    return f"Did you mean {words[found[0]]}?" if found else ""
 
 
 def as_limit_tolerance(argument: str, value: Any) -> str | tuple[float, float]:

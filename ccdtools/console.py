@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from ccdtools.checks import nearest
 from ccdtools_ground.errors import CCDError
 
 PLAIN = {
@@ -71,7 +72,10 @@ def _of_usage(error: Any) -> str:
         near = f" Did you mean {error.possibilities[0]}?" if error.possibilities else ""
         return f"{error.option_name}: got an unknown option, expected one that exists.{near}{help_of}"
     if kind == "NoSuchCommand" or (kind == "UsageError" and "command" in error.format_message().lower()):
-        return f"command: got {_quoted_word(error)}, expected run, resume, new or studies.{help_of}"
+        *others, last = error.ctx.command.commands
+        word = _quoted_word(error)
+        near = nearest(word.strip("'"), [*others, last])
+        return f"command: got {word}, expected {', '.join(others)} or {last}.{near and ' ' + near}{help_of}"
     if kind == "MissingParameter":
         name = error.param.name if error.param is not None else "argument"
         return f"{name}: got nothing, expected {EXPECTED.get(name, 'a value')}.{help_of}"
