@@ -8,6 +8,8 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+from ccdtools_ground.packages import what_hides_ours
+
 if TYPE_CHECKING:
     from ccdtools.co_design.admissible import admissible_inputs
     from ccdtools.co_design.closed_loop import closed_loop_returns
@@ -81,6 +83,9 @@ if TYPE_CHECKING:
     from ccdtools.twin.online import OnlineConfig
     from ccdtools.twin.replay import replay_problem, updated_problem
     from ccdtools.twin.twin import DigitalTwin
+
+if what_hides_ours():
+    raise ImportError(what_hides_ours())
 
 __all__ = [
     "PID",

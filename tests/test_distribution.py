@@ -9,9 +9,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 
 
-def test_wheel_holds_exactly_four_typed_packages(tmp_path):
+def test_wheel_holds_exactly_the_typed_packages(tmp_path):
     source = tmp_path / "source"  # a copy: what an earlier build left behind must not enter the wheel
-    for name in ("ccdtools", "mpc", "invariant_sets", "learning", "tests", "benchmarks"):
+    for name in ("ccdtools", "ccdtools_ground", "mpc", "invariant_sets", "learning", "tests", "benchmarks"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source / name)
@@ -21,7 +21,7 @@ def test_wheel_holds_exactly_four_typed_packages(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     packages = {name.split("/")[0] for name in names if not name.split("/")[0].endswith(".dist-info")}
-    assert packages == {"ccdtools", "mpc", "invariant_sets", "learning"}
+    assert packages == {"ccdtools", "ccdtools_ground", "mpc", "invariant_sets", "learning"}
     assert {f"{package}/py.typed" for package in packages} <= set(names)
     assert "ccdtools/studies/report/report.html" in names
 

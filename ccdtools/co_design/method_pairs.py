@@ -13,7 +13,6 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns, CoDesignResult
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
 from mpc import MPCError
 
@@ -113,7 +112,7 @@ class Pairs:
         """Saturated LQR of a design on them; None where there is none."""
         try:
             controller = saturated_lqr(self.problem, design)
-        except (MPCError, InputError):
+        except MPCError:
             return None
         return self._measured((tuple(design), runs), controller, design, runs)
 

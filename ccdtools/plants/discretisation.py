@@ -192,14 +192,14 @@ def _accurate(
             why = "steps grow beyond all numbers" if method == "rk4" else "Newton's method does not converge"
             lost.append(f"{method}: {why} at {_place(plant, error)}")
     assert best is not None
-    reached = f"{best.relative:.2g} is reached (worst at {_place(plant, best)})"
+    reached = f"{best.relative:.4g} is reached (worst at {_place(plant, best)})"
     got = f"{accuracy:g}, of which {reached if math.isfinite(best.relative) else 'nothing is reached'}"
     got = "; ".join([got, *lost])
     cure = "Shorten dt, allow a larger error, or narrow X, U and W to where the plant is smooth."
     if jump is not None:
         got += f"; {_jump_text(plant, jump)}"
         cure = f"{SMOOTHER} Or allow a larger error."
-    raise InputError("accuracy", got, "one that is reached", cure)
+    raise InputError("accuracy", got, "a larger error", cure)
 
 
 def _fewest(

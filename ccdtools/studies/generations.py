@@ -177,7 +177,7 @@ class Generations:
         self.echo(label)
         start = time.perf_counter()
         told = None if self.compute.progress or name == "initialisation" else self.echo  # which tells of itself
-        with telling(told):
+        with telling(told, label):
             computed = compute(self.evaluation.rng(name), *inputs)
         timed = replace(computed, values=computed.values | {"seconds": time.perf_counter() - start})
         stage = self.folder.keep_stage(name, timed)

@@ -14,11 +14,11 @@ import torch
 
 import ccdtools as cc
 from ccdtools import expert_dataset
-from invariant_sets import InvariantSetsError, Polytope
-from learning import ActorCritic, LearningError, NetworkConfig, PPOConfig
+from invariant_sets import Polytope
+from learning import ActorCritic, NetworkConfig, PPOConfig
 from mpc import LinearMPC
 
-OURS = (cc.CCDError, LearningError, InvariantSetsError)
+OURS = cc.CCDError
 X, U, W, P = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
 SPACE = cc.DesignSpace(["k", "c"], [1.0, 0.1], [5.0, 1.0])
 OTHER = cc.DesignSpace(["k", "c"], [1.0, 0.1], [9.0, 1.0])

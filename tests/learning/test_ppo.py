@@ -222,7 +222,7 @@ def test_ppo_alone_closes_most_of_the_gap_between_doing_nothing_and_lqr():
     [
         ({"gamma": 1.0}, "gamma: got 1.0, expected a number from 0 to 1, both excluded"),
         ({"gamma": 0.0}, "gamma: got 0.0"),
-        ({"passes": 2.5}, "passes: got 2.5, expected an integer of at least 1"),
+        ({"passes": 2.5}, "passes: got 2.5, expected a whole number, at least 1"),
         ({"minibatch": True}, "minibatch: got True"),
         ({"learning_rate": -1e-3}, "learning_rate: got -0.001, expected a finite number at least 0"),
         ({"kl_limit": "small"}, "kl_limit: got 'small'"),

@@ -243,5 +243,5 @@ def test_an_equality_that_leaves_no_freedom_is_refused_by_name():
 
 def test_limits_must_be_positive():
     mpc = integrator(2, 0.1)
-    with pytest.raises(InputError, match="max_regions: got 0, expected an integer >= 1"):
+    with pytest.raises(InputError, match="max_regions: got 0, expected a whole number, at least 1"):
         solve_mpqp(mpc.build(), mpc.X, max_regions=0)

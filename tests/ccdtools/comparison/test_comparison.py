@@ -22,12 +22,15 @@ def scenario(illustrative):
     return Scenario(illustrative.model, x0, w)
 
 
-def scored(study, controllers, scenario, **options):
+def compared(study, controllers, scenario, **options):
     problem = study.problem()
-    scores = compare(
+    return compare(
         controllers, scenario, design=DESIGN, objective=problem.objective, X=problem.X, limit=problem.limit, **options
     )
-    return {score.controller: score for score in scores}
+
+
+def scored(study, controllers, scenario, **options):
+    return {score.controller: score for score in compared(study, controllers, scenario, **options)}
 
 
 @pytest.fixture(scope="module")
@@ -110,9 +113,39 @@ def test_the_depth_of_a_single_long_run_is_paired_as_a_correlated_series(illustr
     assert table["weak"].further_outside_than == ("LQR",)
 
 
-def test_a_comparison_without_lqr_is_refused(illustrative, controllers, scenario):
-    with pytest.raises(InputError, match=r"controllers: got \['passive'\], expected 'LQR' among them"):
-        scored(illustrative, {"passive": controllers["passive"]}, scenario)
+def test_a_baseline_that_is_not_there_is_refused(illustrative, controllers, scenario):
+    with pytest.raises(InputError, match=r"baseline: got 'LQR', expected one of passive"):
+        scored(illustrative, {"passive": controllers["passive"]}, scenario, baseline="LQR")
+    with pytest.raises(InputError, match=r"controllers: got none, expected at least one"):
+        scored(illustrative, {}, scenario)
+
+
+def test_any_controller_is_the_baseline_and_without_lqr_the_first(illustrative, controllers, scenario):
+    by_lqr = compared(illustrative, controllers, scenario)
+    others = {name: controllers[name] for name in ("passive", "MPC")}
+    table = compared(illustrative, others, scenario)
+    assert table.baseline == "passive"
+    assert "minus passive" in repr(table)
+    named = compared(illustrative, controllers, scenario, baseline="passive")
+    assert named["LQR"].paired_to_lqr.mean == pytest.approx(-by_lqr["passive"].paired_to_lqr.mean)
+    assert "minus_baseline" in named.rows()[0]
+    assert "minus_lqr" in by_lqr.rows()[0]
+
+
+class Model:
+    """A model as Stable-Baselines3 hands it over: predict(observation, …, deterministic) → (action, memory)."""
+
+    def __init__(self, law):
+        self.law = law
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        assert deterministic
+        return self.law(observation).astype(np.float32), state
+
+
+def test_a_model_with_predict_is_a_controller(illustrative, controllers, scenario):
+    table = scored(illustrative, controllers | {"agent": Model(controllers["LQR"])}, scenario)
+    assert table["agent"].summary.mean == pytest.approx(table["LQR"].summary.mean, rel=1e-5)
 
 
 # ── the table ──

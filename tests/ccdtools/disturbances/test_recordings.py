@@ -36,6 +36,22 @@ def test_a_time_column_is_checked_but_not_taken(write, name):
     np.testing.assert_array_equal(w, [1, 2, 3])
 
 
+@pytest.mark.parametrize(
+    ("text", "cure"),
+    [
+        ("time\tw\n0\t1\n0.05\t2\n", "by commas, not tabs"),
+        ("time;w\n0;1,5\n0,05;2,5\n", "by commas, not semicolons"),
+        ("w\n0,1\n0,2\n", "decimals with a point"),
+        ("time,w\n0,0,1\n0,05,0,2\n", "decimals with a point"),
+        ("# of a truck\nw\n1\n2\n", "Remove #"),
+        ("w\n1\n# a pause\n2\n", "Remove #"),
+    ],
+)
+def test_another_way_of_writing_a_table_is_told_how_to_write_it(write, text, cure):
+    with pytest.raises(InputError, match=cure):
+        read_disturbance(write(text), dt=DT)
+
+
 def test_a_named_column_is_taken_and_the_others_may_hold_text(write):
     path = write("note,left,right\na,1,2\nb,3,4\n")
     np.testing.assert_array_equal(read_disturbance(path, dt=DT, column="right"), [2, 4])

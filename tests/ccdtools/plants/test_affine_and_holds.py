@@ -169,6 +169,12 @@ def test_a_plant_from_matrices_of_the_design_is_the_one_written_out():
     np.testing.assert_allclose(discretise(own).constant([50.0, 0.3]), discretise(hanging()).constant([50.0, 0.3]))
 
 
+def test_a_state_space_is_one_of_one_design():
+    plant = Plant(*(ca.SX.sym(n) for n in "xuwp"), ca.SX(0), DesignSpace(["k"], [1], [2]), dt=0.1)
+    with pytest.raises(InputError, match=r"p: got shape \(1, 1\), expected one design"):
+        discretise(plant).state_space([[1.5]])
+
+
 @pytest.mark.parametrize("sampled", [False, True])
 def test_a_state_space_of_python_control_goes_in_and_comes_out(sampled):
     system = control.ss([[0.0, 1.0], [-2.0, -0.3]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])

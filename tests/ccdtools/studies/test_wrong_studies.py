@@ -125,6 +125,7 @@ def test_a_wrong_study_file_is_refused_with_its_line(tmp_path, expression, messa
     assert text.startswith("study: got ")
     assert message in text
     assert len(text.splitlines()) == 1
+    assert text.count(", expected ") == 1
     if "declares no" not in message:
         line = HEAD.count("\n") + 2
         lines = [f"mine.py:{n}" for n in range(1, line + 2)]
