@@ -28,6 +28,7 @@ GROWTH = 1.5  # of the program, by those last solves
 AT_BOUND = 1e-6  # of an input's range
 FALLS = 0.8  # of what the mesh before missed: a finer mesh that misses more has not helped
 NO_TIME, NO_ROUNDS, FINER = "the time was up", "these were all the rounds", "on a finer mesh"
+PASSING = (OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.STOPPED, OptimalControlStatus.INACCURATE)
 STILL = 2  # meshes in a row that have not helped, after which none is made: what is left is rounding
 GUESSES = 3  # that a trajectory which jumps over a limit is looked for from, each on a mesh twice as fine
 
@@ -83,7 +84,7 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
             run.left = meshes - 1
             moved = replace(program, guess=shaken(program, program.lower, program.upper, seed))
             other, ended = run.refined(run.solved(moved, None))
-            if other.solved_on_mesh and run.missed(other) < run.missed(solution):
+            if other.solved_on_mesh and (not solution.solved_on_mesh or run.missed(other) < run.missed(solution)):
                 solution, reason = other, ended
         if solution.solved_on_mesh and not reason and _reach_bounds(solution):
             finer = run.sharper().sharpened(solution)
@@ -193,8 +194,8 @@ def _reach_bounds(solution: Solution) -> bool:
 
 
 def _jumps_over(solution: Solution) -> bool:
-    """Whether limits are passed between the points after all rounds."""
-    return solution.status is OptimalControlStatus.LIMITS_PASSED
+    """Whether limits are passed between the points after all rounds, or where the solver gave up."""
+    return solution.status in PASSING and solution.excess > PASSED
 
 
 def _halved(mesh: Array) -> Array:
