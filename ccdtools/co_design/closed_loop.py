@@ -53,7 +53,11 @@ def closed_loop_returns(
     chosen = ONLINE_RUNS if hasattr(controller, "horizon") else RUNS
     n = fewer_runs(chosen, problem.steps) if runs is None else as_count("runs", runs)
     n = min(max(n, fewest_runs(problem.risk)), len(x0))
-    driver = Driver(controller, Surroundings(np.zeros((n, 0, 0)), None, None, recorded=False), n, problem.model.nu)
+    x0, w = x0[:n], w[:n]
+    if (x0 == x0[0]).all() and (w == w[0]).all():  # all runs are one
+        x0, w = x0[:1], w[:1]
+    own = Surroundings(np.zeros((len(x0), 0, 0)), None, None, recorded=False)
+    driver = Driver(controller, own, len(x0), problem.model.nu)
     sample = iter(range(problem.steps * 2))
 
     def law(x: Tensor) -> Tensor:
@@ -63,7 +67,8 @@ def closed_loop_returns(
         return x.new_tensor(u)
 
     with torch.no_grad():
-        seen = simulated(Stepper.at(in_double(problem), p), law, (x0[:n], w[:n]), depths=True)
-        values = problem.risk.values(seen.total)
+        seen = simulated(Stepper.at(in_double(problem), p), law, (x0, w), depths=True)
+        values = problem.risk.values(seen.total.repeat(n // len(x0)))
     limits = measured(seen)
-    return ClosedLoopReturns(values.numpy(), seen.diverged.numpy(), limits.fraction, limits.depth)
+    lost = np.repeat(seen.diverged.numpy(), n // len(x0))
+    return ClosedLoopReturns(values.numpy(), lost, limits.fraction, limits.depth)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from mpc.checks import Array
@@ -17,10 +15,10 @@ JUMP = 0.5  # of an input's range, crossed within one interval
 LEAST_INTERVAL = 1e-9  # of the phase
 
 
-def finer_mesh(phase: PhaseSolution, errors: Array, passed: Any, tolerance: float) -> Array:
-    """A mesh whose intervals are cut into as many parts as their errors ask for, and where an input jumps.
+def finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: float) -> Array:
+    """A mesh whose intervals are cut into as many parts as errors ask for, and the excess of limits, and at jumps.
 
-    Intervals in which a path limit is passed are halved, as long as they are longer than the place of a jump.
+    Of an excess (N,) that counts from 1 on; where an input jumps, too.
     """
     part = phase.part
     order = part.scheme.stages + 1 if isinstance(part.scheme, Collocation) else 5
@@ -28,7 +26,7 @@ def finer_mesh(phase: PhaseSolution, errors: Array, passed: Any, tolerance: floa
     steps = np.diff(part.mesh)
     parts = np.where(errors > tolerance, np.ceil(asked).astype(int), 1)
     long = steps > PINNED * np.sqrt(tolerance)
-    parts[passed & long] = np.maximum(parts, 2)[passed & long]
+    parts = np.where(excess > 1, np.maximum(parts, np.clip(np.ceil(np.cbrt(excess)), 2, MOST_PARTS)), parts).astype(int)
     parts[_jumps(phase) & long] = MOST_PARTS
     parts[steps <= LEAST_INTERVAL] = 1
     if part.phase.discrete:

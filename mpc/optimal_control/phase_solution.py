@@ -26,12 +26,15 @@ class Stages:
     inputs : (N, d, nu) array
     rates : (N, d, nx) array
         dx/dt there; of shooting at both ends of an interval.
+    costates : (N, d, nx) array
+        Of collocation: by the multipliers of the dynamics, through the quadrature. Of shooting at the ends.
     """
 
     times: Array
     states: Array
     inputs: Array
     rates: Array
+    costates: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +52,8 @@ class PhaseSolution:
         What is known at the points of every interval.
     part : PhasePart
         The phase of the program that it solves.
+    weight : float
+        Of its cost.
     """
 
     times: Array
@@ -56,6 +61,7 @@ class PhaseSolution:
     costates: Array
     stages: Stages
     part: PhasePart
+    weight: float
 
     @property
     def duration(self) -> float:
@@ -76,27 +82,30 @@ class PhaseSolution:
     def x(self, t: ArrayLike) -> Array:
         """States (..., nx) at times (...), by the polynomials of the scheme; held beyond both ends."""
         k, tau, shape = self._located(t)
-        h = np.diff(self.times)[k][:, None]
-        if self.part.phase.discrete:
-            value = self.states[np.minimum(np.round(k + tau).astype(int), len(self.states) - 1)]
-        elif isinstance(self.part.scheme, Collocation):
-            weights = self.part.scheme.integrals(tau)
-            value = self.states[k] + h * np.einsum("nj,nji->ni", weights, self.stages.rates[k])
-        else:
-            value = _hermite(
-                tau[:, None], h, self.states[k], self.states[k + 1], self.stages.rates[k, 0], self.stages.rates[k, 1]
-            )
-        return np.asarray(value.reshape(*shape, -1))
+        return self.states_within(k, tau).reshape(*shape, -1)
 
     def u(self, t: ArrayLike) -> Array:
         """Inputs (..., nu) at times (...)."""
         k, tau, shape = self._located(t)
+        return self.inputs_within(k, tau).reshape(*shape, -1)
+
+    def states_within(self, k: Any, tau: Array) -> Array:
+        """States (n, nx) at fractions (n,) of intervals k (n,)."""
+        h = np.diff(self.times)[k][:, None]
+        if self.part.phase.discrete:
+            return self.states[np.minimum(np.round(k + tau).astype(int), len(self.states) - 1)]
+        if isinstance(self.part.scheme, Collocation):
+            weights = self.part.scheme.integrals(tau)
+            return np.asarray(self.states[k] + h * np.einsum("nj,nji->ni", weights, self.stages.rates[k]))
+        first, last = self.stages.rates[k, 0], self.stages.rates[k, 1]
+        return _hermite(tau[:, None], h, self.states[k], self.states[k + 1], first, last)
+
+    def inputs_within(self, k: Any, tau: Array) -> Array:
+        """Inputs (n, nu) at fractions (n,) of intervals k (n,)."""
         inputs = self.stages.inputs[k]
-        if isinstance(self.part.scheme, Collocation) and not self.part.phase.discrete:
-            value = np.einsum("nj,nji->ni", self.part.scheme.basis(tau), inputs)
-        else:
-            value = inputs[:, 0]
-        return np.asarray(value.reshape(*shape, -1))
+        if not isinstance(self.part.scheme, Collocation) or self.part.phase.discrete:
+            return np.asarray(inputs[:, 0])
+        return np.einsum("nj,nji->ni", self.part.scheme.basis(tau), inputs)
 
     def at_fractions(self, at: Array) -> tuple[Array, Array]:
         """States and inputs at fractions (n,) of the phase."""
@@ -140,7 +149,10 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
     rates = stage_rates(part, stage_states, stage_inputs, w, p, times, x.T)
     costates = _costates(part, nodes, own, p, mesh_times[:-1], h, w, multipliers, weight)
-    return PhaseSolution(mesh_times, x.T, costates, Stages(times, stage_states, stage_inputs, rates), part)
+    of_stages = _stage_costates(part, multipliers)
+    return PhaseSolution(
+        mesh_times, x.T, costates, Stages(times, stage_states, stage_inputs, rates, of_stages), part, weight
+    )  # fmt: skip
 
 
 def stage_rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Array, times: Array, nodes: Array) -> Array:
@@ -157,6 +169,16 @@ def stage_rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Arra
     flat = (x.reshape(count, -1).T, u.reshape(count, -1).T, signal.reshape(count, -1).T,
             np.tile(p[:, None], (1, count)), t.reshape(1, count))  # fmt: skip
     return np.asarray(part.functions.dynamics.map(count)(*flat), dtype=float).T.reshape(N, -1, nx)
+
+
+def _stage_costates(part: PhasePart, multipliers: Array) -> Array:
+    """Costates (N, d, nx) at the points of every interval, of the multipliers of all rows."""
+    of_defects = multipliers[part.defects].reshape(part.intervals, -1, part.layout.nx)
+    if not isinstance(part.scheme, Collocation) or part.phase.discrete:
+        return of_defects
+    matrix = part.scheme.matrix
+    after = matrix[np.asarray(part.scheme.points) > 0]
+    return np.asarray(np.einsum("ij,kin->kjn", after / matrix[-1], of_defects))
 
 
 def _costates(part: PhasePart, nodes: Array, own: Array, p: Array, times: Array, h: Array, w: Array, multipliers: Array,

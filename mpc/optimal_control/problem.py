@@ -116,7 +116,7 @@ class OptimalControlProblem:
         if self.p_guess is None:
             middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 0.0)
             return np.asarray(np.clip(middle, low, high))
-        guess = as_floats("p_guess", self.p_guess)
+        guess = np.atleast_1d(as_floats("p_guess", self.p_guess))
         if guess.shape != low.shape or not np.isfinite(guess).all():
             raise InputError("p_guess", brief(repr(self.p_guess)), f"{len(low)} finite numbers")
         return np.asarray(np.clip(guess, low, high))

@@ -20,6 +20,7 @@ from mpc.sensitivities.plan_sensitivity import SensitivityStatus
 BLURRED = 10.0  # sizes of what an interior point leaves between a bound and its multiplier, within which both may be 0
 RELAXED = 1e-6  # distance from a bound, scaled, that says nothing: Ipopt moves bounds by 1e-8 of their size
 LEVEL = 1e-3  # curvature, beside the largest, that an unknown is taken to have at least
+SAME = 9  # digits in which the directions of two constraints agree that are one
 CONDITION = 1e13  # of the KKT system, in scaled unknowns, above which it is singular but for rounding
 
 
@@ -96,6 +97,7 @@ def solution_sensitivity(
     of_rows = J[on_rows]
     reached = np.flatnonzero(np.diff(of_rows[:, free].tocsr().indptr) > 0)
     of_rows = of_rows[reached]
+    of_rows = of_rows[_once_each(of_rows)]
     K = bmat([[W[free][:, free], of_rows[:, free].T], [of_rows[:, free], None]], format="csc")
     right = -np.vstack([W[free][:, held].toarray(), of_rows[:, held].toarray()])
     found = _solved(K, right)
@@ -150,6 +152,14 @@ def _acting(
     blur = np.maximum(BLURRED * np.sqrt(barrier * softness), RELAXED)
     weak = ~equal & (np.maximum(room, passed) <= blur)
     return equal | (~weak & (passed > room)), weak
+
+
+def _once_each(rows: Any) -> NDArray[np.int64]:
+    """The rows (n,) that are no multiple of one before: a limit that is stated twice is one limit."""
+    along = rows @ np.random.default_rng(0).normal(size=(rows.shape[1], 2))
+    length = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
+    along = along / (np.where(along[:, 0] < 0, -1, 1) * length)[:, None]
+    return np.sort(np.unique(np.round(along, SAME), axis=0, return_index=True)[1])
 
 
 def _solved(K: Any, right: Array) -> Array | None:

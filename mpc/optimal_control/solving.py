@@ -107,6 +107,7 @@ class _Run:
         self.lower = lower
         self.upper = upper
         self.settings = settings
+        self.cost_size = abs(float(program.derivatives.values(program.guess)[0]))
         self.began = time.perf_counter()
         self.iterations = 0
 
@@ -216,11 +217,11 @@ class _Run:
             for part, clock, weight in zip(program.parts, program.times(v), weights)
         )  # fmt: skip
         return Solution(
-            program=program, unknowns=v, cost=cost, p=p, phases=phases, status=status, residuals=found.residuals,
-            conflicts=conflicts, notes=notes_of(program, v, status is OptimalControlStatus.SOLVED),
+            program=program, unknowns=v, cost=cost, cost_size=self.cost_size, p=p, phases=phases, status=status,
+            residuals=found.residuals, conflicts=conflicts, notes=notes_of(program, v, status is OptimalControlStatus.SOLVED),
             multipliers=multipliers, iterations=self.iterations, solve_time=time.perf_counter() - self.began,
             solver="ipopt", message=found.said,
-        )  # fmt: skip
+        ).looked_between()  # fmt: skip
 
 
 def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -> None:

@@ -81,7 +81,7 @@ def test_gradient_of_the_optimal_cost_is_that_of_differences_where_limits_are_ac
 def test_both_strategies_reach_one_cost():
     together = [found(simultaneous, start) for start in ("theirs, 1", "theirs, 3")]
     for one in (*together, found(nested, "theirs, 1")):
-        assert one.solution.solved
+        assert one.solution.solved_on_mesh
         assert one.solution.cost == pytest.approx(together[0].solution.cost, rel=1e-6)
 
 
