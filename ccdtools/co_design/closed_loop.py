@@ -64,6 +64,5 @@ def closed_loop_returns(
 
     with torch.no_grad():
         seen = simulated(Stepper.at(in_double(problem), p), law, (x0[:n], w[:n]), depths=True)
-        values = problem.risk.values(seen.total)
     limits = measured(seen)
-    return ClosedLoopReturns(values.numpy(), seen.diverged.numpy(), limits.fraction, limits.depth)
+    return ClosedLoopReturns(seen.total.numpy(), seen.diverged.numpy(), limits.fraction, limits.depth, problem.risk)

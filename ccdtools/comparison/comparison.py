@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
-from ccdtools.co_design.risk import Risk, WorstCase, as_risk, fewest_runs, measure
+from ccdtools.co_design.risk import Risk, as_risk, measure
+from ccdtools.co_design.risk_intervals import summarise_in_risk
 from ccdtools.comparison.baselines import REFERENCE
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.controllers.controllers import Controller
@@ -67,6 +68,8 @@ class Score:
         What the metrics asked for say of the runs that did not diverge; NaN where all did.
     design_cost : float
         What every return holds for the design: the same for all controllers.
+    in_risk : Summary or None
+        The risk asked for, of the runs that did not diverge, with its interval; None where none was.
     """
 
     controller: str
@@ -83,6 +86,7 @@ class Score:
     step_time: float
     metrics: dict[str, float] = field(default_factory=dict)
     design_cost: float = 0.0
+    in_risk: Summary | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -194,8 +198,8 @@ def compare(
         `Trajectory` → mapping of names, with units, to numbers: what the scores hold beside the returns. Such as a
         `Ride`.
     risk : Risk, optional
-        Shown beside the metrics: its measure of the returns, such as ``problem.risk`` of scenarios of the problem; NaN
-        where a run diverged. Of a worst case it is the least mean, not rounded; NaN of fewer runs than cases.
+        Shown beside the metrics: its measure of the returns of the runs that did not diverge, such as ``problem.risk``
+        of scenarios of the problem. Of a worst case it is the least mean, not rounded; NaN where a case has no run.
 
     Raises
     ------
@@ -235,18 +239,12 @@ def compare(
         score = _score(name, controller, run, reference, objective, outside[name].whole, scenario)
         shown = {} if metrics is None else metrics_of(metrics, run)
         if risk is not None:
-            returns = np.where(run.diverged, np.nan, run.returns(objective))
-            shown |= {f"return, {measure(risk)}": _in_risk(risk, returns)}
+            measured = summarise_in_risk(risk, run.returns(objective), run.diverged)
+            shown |= {f"return, {measure(risk)}": measured.mean}
+            score = replace(score, in_risk=measured)
         scores.append(replace(score, metrics=shown) if shown else score)
     found = (replace(one, further_outside_than=outside[one.controller].further_than(outside)) for one in scores)
     return Comparison(tuple(found), limits_in_words(output_limits))
-
-
-def _in_risk(risk: Risk, returns: Array) -> float:
-    """The risk of returns (n,); of a worst case the least mean itself, NaN of runs that are fewer than its cases."""
-    if len(returns) < fewest_runs(risk):
-        return float("nan")
-    return float((risk.exact() if isinstance(risk, WorstCase) else risk).values(returns).mean())
 
 
 def _score(
