@@ -112,7 +112,7 @@ def _interval(risk: Risk, returns: Array, parts: Array, runs: Indices) -> tuple[
     """The 95 % interval of a risk; of a worst case from those of its cases, any of which may be the worst.
 
     The least mean lies above the least of the lower ends, and below every upper end. The more cases are alike, the
-    rarer it is that all lower ends miss it; that one of the m upper ends does is kept below 5 % by taking each at 5 / m.
+    rarer it is that all lower ends miss it. Each of the m upper ends is taken to miss it in 5 / m %.
     """
     if not isinstance(risk, WorstCase):
         return interval_of_parts(parts)

@@ -70,6 +70,10 @@ class Score:
         What every return holds for the design: the same for all controllers.
     in_risk : Summary or None
         The risk asked for, of the runs that did not diverge, with its interval; None where none was.
+    runs : int
+        That it was tried on.
+    remark : str
+        Why it is not to be compared with, such as a PID whose tuning found no gains; empty of most.
     """
 
     controller: str
@@ -87,6 +91,8 @@ class Score:
     metrics: dict[str, float] = field(default_factory=dict)
     design_cost: float = 0.0
     in_risk: Summary | None = None
+    runs: int = 0
+    remark: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,6 +105,18 @@ class Comparison:
 
     scores: tuple[Score, ...]
     limits: str = "X"
+
+    @property
+    def notes(self) -> list[str]:
+        """What the rows alone do not say, one line each: means of other runs, what is lost, what is no baseline."""
+        most = max(score.runs for score in self.scores)
+        lines = [
+            f"* {one.controller}: {_shown(one.summary.mean, '.5g')} on the first {one.runs} of {most} runs, where "
+            f"{REFERENCE} has {_shown(one.lqr_mean, '.5g')}" for one in self.scores if one.runs < most
+        ]  # fmt: skip
+        if any(one.diverged > 0 for one in self.scores):
+            lines.append("Returns are of the runs that did not diverge.")
+        return lines + [f"{one.controller}: {one.remark}" for one in self.scores if one.remark]
 
     def __iter__(self) -> Iterator[Score]:
         return iter(self.scores)
@@ -126,7 +144,7 @@ class Comparison:
                 "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
                 "depth_worst": score.depth_worst, "exceeded": score.exceeded,
                 "further_outside_than": ", ".join(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
-                **score.metrics,
+                "runs": score.runs, "remark": score.remark, **score.metrics,
             }
             for score in self.scores
         ]  # fmt: skip
@@ -152,15 +170,21 @@ class Comparison:
         outside = f"outside {self.limits}"
         width = max(11, len(outside) + 2)
         lines = [f"{names}  {'95 % interval':<24}{'diverged':>9}{outside:>{width}}{'depth':>9}"]
-        lines += ["".join([*cells[:-2], cells[-2].rjust(width), cells[-1]]) for cells in map(_text_cells, self.scores)]
-        return "\n".join(lines)
+        lines += ["".join([*cells[:-2], cells[-2].rjust(width), cells[-1]]) for cells in self._cells()]
+        return "\n".join([*lines, *self.notes])
+
+    def _cells(self) -> Iterator[tuple[str, ...]]:
+        """The cells of every printed row: no mean where it would be of other runs than those of the rest."""
+        most = max(score.runs for score in self.scores)
+        return (_text_cells(score, whole=score.runs == most) for score in self.scores)
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""
         head = ("controller", "return", "std", "n", "minus LQR", "95 % interval", "diverged",
                 f"outside {self.limits}", "depth")  # fmt: skip
-        body = "".join(f"<tr>{_html_row(_text_cells(score))}</tr>" for score in self.scores)
-        return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>"
+        body = "".join(f"<tr>{_html_row(cells)}</tr>" for cells in self._cells())
+        below = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
+        return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>{below}"
 
 
 def compare(
@@ -271,6 +295,8 @@ def _score(
         further_outside_than=(),
         step_time=step_time(controller, run.states[0, 0], scenario, run.design),
         design_cost=float(objective.cost_of_design(run.design, scenario.steps)),
+        runs=n,
+        remark=getattr(controller, "remark", ""),
     )
 
 
@@ -293,15 +319,15 @@ def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike
     return float(np.median(times))
 
 
-def _text_cells(score: Score) -> tuple[str, ...]:
-    """The cells of a row of the printed table, padded to their columns."""
+def _text_cells(score: Score, *, whole: bool) -> tuple[str, ...]:
+    """The cells of a row of the printed table, padded to their columns; `whole` if it is of all runs."""
     floor = SAME_RETURN * abs(score.lqr_mean)
     paired = score.paired_to_lqr
-    compared = score.controller != REFERENCE and np.isfinite(paired.mean)
+    compared = score.controller != REFERENCE and np.isfinite(paired.mean) and not score.remark
     difference = _shown(paired.mean, ".4g", floor) if compared else "-"
     interval = f"[{', '.join(_shown(end, '.4g', floor) for end in paired.ci95)}]" if compared else "-"
-    mean = _shown(score.summary.mean, ".5g")
-    std = _shown(score.summary.std, ".3g")
+    mean = _shown(score.summary.mean, ".5g") if whole else "*"
+    std = _shown(score.summary.std, ".3g") if whole else "*"
     return (
         f"{score.controller:<20}", f"{mean:>11}", f"{std:>10}", f"{score.summary.n:>7}",
         f"{difference:>12}", f"  {interval:<24}", f"{score.diverged:>9.1%}",
