@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.random_starts import RandomStarts
     from ccdtools.co_design.result import CoDesignResult
     from ccdtools.co_design.risk import CVaR, Mean, MeanSpread, WorstCase
+    from ccdtools.co_design.secant import stochastic_linearisation
     from ccdtools.co_design.trade_off import TradeOff, trade_off
     from ccdtools.comparison.baselines import baselines
     from ccdtools.comparison.comparison import compare
@@ -194,6 +195,7 @@ __all__ = [
     "road_disturbance",
     "saturated_lqr",
     "simulate",
+    "stochastic_linearisation",
     "suspension_metrics",
     "to_torch",
     "trade_off",
@@ -309,6 +311,7 @@ _HOMES = {
     "road_disturbance": "disturbances.roads",
     "saturated_lqr": "co_design.design_controllers",
     "simulate": "simulation",
+    "stochastic_linearisation": "co_design.secant",
     "suspension_metrics": "comparison.suspension",
     "to_torch": "plants.torch_function",
     "trade_off": "co_design.trade_off",

@@ -33,6 +33,7 @@ from ccdtools.co_design.learned_result import Convergence
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.reinforcement.ppo import PPOPart
 from ccdtools.co_design.result import History
+from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.sample_average import SampleAverage
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.task import Iterate, Task
@@ -264,10 +265,7 @@ class Ascent:
         """The present iterate on the fixed scenarios, with a row of the history."""
         seen = self._seen(self)
         values = self.task.judge.risk.values(seen.total)
-        kept = values[~seen.diverged]
-        mean = kept.mean().item() if len(kept) else float("nan")
-        std = kept.std().item() if len(kept) > 1 else 0.0
-        lost = seen.diverged.double().mean().item()
+        mean, std, lost = of_kept_runs(self.task.judge.risk, seen.total.double().numpy(), seen.diverged.numpy())
         steps = self.model_steps + self.ppo.env_steps
         self.rows.append((self.iterations, steps, self._design(), mean, std, lost))
         violation = 0.0

@@ -68,7 +68,6 @@ def closed_loop_returns(
 
     with torch.no_grad():
         seen = simulated(Stepper.at(in_double(problem), p), law, (x0, w), depths=True)
-        values = problem.risk.values(seen.total.repeat(n // len(x0)))
     limits = measured(seen)
-    lost = np.repeat(seen.diverged.numpy(), n // len(x0))
-    return ClosedLoopReturns(values.numpy(), lost, limits.fraction, limits.depth)
+    total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
+    return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk)

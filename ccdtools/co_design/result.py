@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField, Immutable, Mask, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable, Indices, Mask, frozen
 from ccdtools.checks import as_vector
 from ccdtools.co_design.limits import LimitsOutcome
+from ccdtools.co_design.risk import MEAN, Mean, Risk, measure
+from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
 from ccdtools.plain_values import jsonable
-from ccdtools.statistics import Summary, summarise
+from ccdtools.statistics import Summary
 
 HEAVY = 2.0  # standard deviation of the runs, in parts of their mean, beyond which a few of them decide
 FAR = 0.5  # of the return in closed loop: an objective that promises more than this did not see what happens
@@ -90,31 +93,46 @@ class ClosedLoopReturns(Immutable):
     Attributes
     ----------
     values : (n,) array
-        Returns; of a problem with a risk the values whose mean it is. A run that is lost has its whole, huge cost.
+        Returns. A run that is lost has its whole, huge cost, which no summary counts.
     lost : (n,) array of bool
         Runs that diverged.
     outside, depth : float
         Fraction of the states outside the limits, and mean over the runs of the peak depth in half-widths; of the runs
         that are not lost.
+    risk : Risk
+        What of the returns counts.
     """
 
     values: Array
     lost: Mask
     outside: float = 0.0
     depth: float = 0.0
+    risk: Risk = MEAN
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", frozen(np.array(self.values, dtype=float)))
         object.__setattr__(self, "lost", frozen(np.array(self.lost, dtype=bool)))
 
     def __repr__(self) -> str:
-        lost = f", {self.lost_share:.2%} lost" if self.lost.any() else ""
-        return f"ClosedLoopReturns({self.summary.mean:.5g}, {len(self.values)} runs{lost})"
+        return f"ClosedLoopReturns({self})"
 
-    @property
+    def __str__(self) -> str:
+        """What is counted, of how many runs, and what is not."""
+        found = self.summary
+        low, high = found.ci95
+        what = "" if isinstance(self.risk, Mean) else f"{measure(self.risk)} "
+        ends = f" [{low:.6g}, {high:.6g}]" if np.isfinite(found.ci95).all() else ""
+        lost = f"; {self.lost_share:.2%} of the runs lost, not counted" if self.lost.any() else ""
+        return f"{what}{found.mean:.6g}{ends}, {found.n} runs{lost}{found.warning and f'; {found.warning}'}"
+
+    @cached_property
     def summary(self) -> Summary:
-        """Mean, 95 % interval and more of the runs that are not lost."""
-        return summarise(self.values[~self.lost])
+        """The risk, its 95 % interval and more of the runs that are not lost: see `summarise_in_risk`."""
+        return summarise_in_risk(self.risk, self.values, self.lost)
+
+    def parts(self, runs: Indices) -> Array:
+        """The parts (k,) of runs with these numbers in the risk; see `parts_of_risk`."""
+        return parts_of_risk(self.risk, self.values[runs], runs=runs)
 
     @property
     def lost_share(self) -> float:
@@ -235,9 +253,7 @@ class CoDesignResult(Immutable):
         if self.closed_loop is None:
             return []
         summary = self.closed_loop.summary
-        low, high = summary.ci95
-        lost = f", {self.closed_loop.lost_share:.2%} of the runs lost" if self.closed_loop.lost.any() else ""
-        told = f"in closed loop: {summary.mean:.6g} [{low:.6g}, {high:.6g}], {summary.n} runs{lost}"
+        told = f"in closed loop: {self.closed_loop}"
         if self.limits is None and self.closed_loop.outside > 0:
             loop = self.closed_loop
             told += f"; {loop.outside:.2%} of the states outside the limits, {loop.depth:.2g} half-widths deep"

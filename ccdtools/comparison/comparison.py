@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
-from ccdtools.co_design.risk import Risk, WorstCase, as_risk, fewest_runs, measure
+from ccdtools.co_design.risk import Risk, as_risk, measure
+from ccdtools.co_design.risk_intervals import summarise_in_risk
 from ccdtools.comparison.baselines import REFERENCE
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.controllers.controllers import Controller
@@ -67,6 +68,12 @@ class Score:
         What the metrics asked for say of the runs that did not diverge; NaN where all did.
     design_cost : float
         What every return holds for the design: the same for all controllers.
+    in_risk : Summary or None
+        The risk asked for, of the runs that did not diverge, with its interval; None where none was.
+    runs : int
+        That it was tried on.
+    remark : str
+        Why it is not to be compared with, such as a PID whose tuning found no gains; empty of most.
     """
 
     controller: str
@@ -83,6 +90,9 @@ class Score:
     step_time: float
     metrics: dict[str, float] = field(default_factory=dict)
     design_cost: float = 0.0
+    in_risk: Summary | None = None
+    runs: int = 0
+    remark: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,6 +107,18 @@ class Comparison:
     scores: tuple[Score, ...]
     limits: str = "X"
     baseline: str = REFERENCE
+
+    @property
+    def notes(self) -> list[str]:
+        """What the rows alone do not say, one line each: means of other runs, what is lost, what is no baseline."""
+        most = max(score.runs for score in self.scores)
+        lines = [
+            f"* {one.controller}: {_shown(one.summary.mean, '.5g')} on the first {one.runs} of {most} runs, where "
+            f"{self.baseline} has {_shown(one.lqr_mean, '.5g')}" for one in self.scores if one.runs < most
+        ]  # fmt: skip
+        if any(one.diverged > 0 for one in self.scores):
+            lines.append("Returns are of the runs that did not diverge.")
+        return lines + [f"{one.controller}: {one.remark}" for one in self.scores if one.remark]
 
     def __iter__(self) -> Iterator[Score]:
         return iter(self.scores)
@@ -125,7 +147,7 @@ class Comparison:
                 "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
                 "depth_worst": score.depth_worst, "exceeded": score.exceeded,
                 "further_outside_than": ", ".join(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
-                **score.metrics,
+                "runs": score.runs, "remark": score.remark, **score.metrics,
             }
             for score in self.scores
         ]  # fmt: skip
@@ -152,15 +174,21 @@ class Comparison:
         head = ("controller".ljust(20), f"{'return':>11}", f"{'std':>10}", f"{'n':>7}", minus,
                 f"  {'95 % interval':<24}", f"{'diverged':>9}", outside, f"{'depth':>9}")  # fmt: skip
         wide = {4: max(12, len(minus) + 2), 7: max(11, len(outside) + 2)}
-        rows = [head, *(_text_cells(score, self.baseline) for score in self.scores)]
-        return "\n".join("".join(cell.rjust(wide.get(i, 0)) for i, cell in enumerate(row)) for row in rows)
+        lines = ["".join(cell.rjust(wide.get(i, 0)) for i, cell in enumerate(row)) for row in (head, *self._cells())]
+        return "\n".join([*lines, *self.notes])
+
+    def _cells(self) -> Iterator[tuple[str, ...]]:
+        """The cells of every printed row: no mean where it would be of other runs than those of the rest."""
+        most = max(score.runs for score in self.scores)
+        return (_text_cells(score, self.baseline, whole=score.runs == most) for score in self.scores)
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""
         head = ("controller", "return", "std", "n", f"minus {escape(self.baseline)}", "95 % interval", "diverged",
                 f"outside {self.limits}", "depth")  # fmt: skip
-        body = "".join(f"<tr>{_html_row(_text_cells(score, self.baseline))}</tr>" for score in self.scores)
-        return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>"
+        body = "".join(f"<tr>{_html_row(cells)}</tr>" for cells in self._cells())
+        below = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
+        return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>{below}"
 
 
 def compare(
@@ -200,8 +228,8 @@ def compare(
         `Trajectory` → mapping of names, with units, to numbers: what the scores hold beside the returns. Such as a
         `Ride`.
     risk : Risk, optional
-        Shown beside the metrics: its measure of the returns, such as ``problem.risk`` of scenarios of the problem; NaN
-        where a run diverged. Of a worst case it is the least mean, not rounded; NaN of fewer runs than cases.
+        Shown beside the metrics: its measure of the returns of the runs that did not diverge, such as ``problem.risk``
+        of scenarios of the problem. Of a worst case it is the least mean, not rounded; NaN where a case has no run.
     baseline : str, optional
         The controller that the others are paired to; "LQR" by default, or the first where there is none.
 
@@ -246,18 +274,12 @@ def compare(
         score = _score(name, controller, run, reference, objective, outside[name].whole, scenario)
         shown = {} if metrics is None else metrics_of(metrics, run)
         if risk is not None:
-            returns = np.where(run.diverged, np.nan, run.returns(objective))
-            shown |= {f"return, {measure(risk)}": _in_risk(risk, returns)}
+            measured = summarise_in_risk(risk, run.returns(objective), run.diverged)
+            shown |= {f"return, {measure(risk)}": measured.mean}
+            score = replace(score, in_risk=measured)
         scores.append(replace(score, metrics=shown) if shown else score)
     found = (replace(one, further_outside_than=outside[one.controller].further_than(outside)) for one in scores)
     return Comparison(tuple(found), limits_in_words(output_limits), baseline)
-
-
-def _in_risk(risk: Risk, returns: Array) -> float:
-    """The risk of returns (n,); of a worst case the least mean itself, NaN of runs that are fewer than its cases."""
-    if len(returns) < fewest_runs(risk):
-        return float("nan")
-    return float((risk.exact() if isinstance(risk, WorstCase) else risk).values(returns).mean())
 
 
 def _score(
@@ -284,6 +306,8 @@ def _score(
         further_outside_than=(),
         step_time=step_time(controller, run.states[0, 0], scenario, run.design),
         design_cost=float(objective.cost_of_design(run.design, scenario.steps)),
+        runs=n,
+        remark=getattr(controller, "remark", ""),
     )
 
 
@@ -306,15 +330,15 @@ def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike
     return float(np.median(times))
 
 
-def _text_cells(score: Score, baseline: str) -> tuple[str, ...]:
-    """The cells of a row of the printed table, padded to their columns."""
+def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
+    """The cells of a row of the printed table, padded to their columns; `whole` if it is of all runs."""
     floor = SAME_RETURN * abs(score.lqr_mean)
     paired = score.paired_to_lqr
-    compared = score.controller != baseline and np.isfinite(paired.mean)
+    compared = score.controller != baseline and np.isfinite(paired.mean) and not score.remark
     difference = _shown(paired.mean, ".4g", floor) if compared else "-"
     interval = f"[{', '.join(_shown(end, '.4g', floor) for end in paired.ci95)}]" if compared else "-"
-    mean = _shown(score.summary.mean, ".5g")
-    std = _shown(score.summary.std, ".3g")
+    mean = _shown(score.summary.mean, ".5g") if whole else "*"
+    std = _shown(score.summary.std, ".3g") if whole else "*"
     return (
         f"{score.controller:<20}", f"{mean:>11}", f"{std:>10}", f"{score.summary.n:>7}",
         f"{difference:>12}", f"  {interval:<24}", f"{score.diverged:>9.1%}",

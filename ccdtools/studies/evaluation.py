@@ -328,7 +328,7 @@ class Evaluation:
             "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
             "depth_worst": score.depth_worst, "exceeded": score.exceeded,
             "further_outside_than": list(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
-            "metrics": score.metrics, "design_cost": score.design_cost,
+            "metrics": score.metrics, "design_cost": score.design_cost, "remark": score.remark,
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:

@@ -218,7 +218,8 @@ class _Run:
         )  # fmt: skip
         return Solution(
             program=program, unknowns=v, cost=cost, cost_size=self.cost_size, p=p, phases=phases, status=status,
-            residuals=found.residuals, conflicts=conflicts, notes=notes_of(program, v, status is OptimalControlStatus.SOLVED),
+            residuals=found.residuals, conflicts=conflicts,
+            notes=notes_of(program, v, status is OptimalControlStatus.SOLVED),
             multipliers=multipliers, iterations=self.iterations, solve_time=time.perf_counter() - self.began,
             solver="ipopt", message=found.said,
         ).looked_between()  # fmt: skip

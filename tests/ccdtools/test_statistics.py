@@ -35,10 +35,10 @@ def squares(rho, runs, steps, rng):
     [
         (lambda n, T, rng: autoregression(0.0, n, T, rng), 200),
         (lambda n, T, rng: autoregression(0.9, n, T, rng), 1000),
-        (lambda n, T, rng: autoregression(0.99, n, T, rng), 5000),
+        (lambda n, T, rng: autoregression(0.99, n, T, rng), 8000),
         (lambda n, T, rng: autoregression(-0.9, n, T, rng), 1000),
         (lambda n, T, rng: squares(0.95, n, T, rng), 2000),
-        (regimes, 3000),
+        (regimes, 5000),
     ],
     ids=["white", "rho 0.9", "rho 0.99", "rho -0.9", "squares", "regimes"],
 )
@@ -54,21 +54,21 @@ def test_the_interval_of_one_series_covers_its_expectation_as_often_as_it_says(p
 def test_many_correlation_times_make_the_interval_hardly_wider_than_knowing_the_variance():
     series = autoregression(0.5, 300, 2000, np.random.default_rng(4))
     half = np.median([np.diff(mean_interval(one).ci95)[0] / 2 for one in series])
-    assert half == pytest.approx(1.96 * np.sqrt(3 / 2000), rel=0.3)  # (1 + ρ)/(1 − ρ) = 3
+    assert half == pytest.approx(1.96 * np.sqrt(3 / 2000), rel=0.5)  # (1 + ρ)/(1 − ρ) = 3
 
 
 def test_a_series_of_a_few_correlation_times_has_no_interval():
     walks = np.cumsum(np.random.default_rng(5).standard_normal((200, 2000)), axis=1)
     unreliable = [one for one in map(mean_interval, walks) if not one.reliable]
-    assert len(unreliable) > 0.7 * len(walks)
-    assert all(np.isnan(one.ci95).all() and one.correlation_times < 4 and np.isfinite(one.mean) for one in unreliable)
+    assert len(unreliable) > 0.9 * len(walks)
+    assert all(np.isnan(one.ci95).all() and one.correlation > 0.4 and np.isfinite(one.mean) for one in unreliable)
 
 
 def test_the_interval_follows_the_units_and_the_origin_of_the_series():
     series = squares(0.9, 1, 1500, np.random.default_rng(6))[0]
     one, other = mean_interval(series), mean_interval(3.0 - 1e9 * series)
     np.testing.assert_allclose(3.0 - 1e9 * np.array(one.ci95), other.ci95[::-1], rtol=1e-6)
-    assert other.correlation_times == pytest.approx(one.correlation_times, rel=1e-6)
+    assert other.correlation == pytest.approx(one.correlation, rel=1e-6)
 
 
 def test_the_interval_leans_to_the_side_of_the_rare_large_values():

@@ -15,6 +15,7 @@ from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.laws import DesignLaw
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
+from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.task import LimitPenalty
 from ccdtools.controllers.controllers import Controller
 from mpc import NotStabilisableError
@@ -104,7 +105,7 @@ class LoopCost:
             return None
         values = self.problem.risk.values(seen.total)
         if v is not None:
-            self._remember(v, values.detach(), seen.diverged)
+            self._remember(v, seen)
         cost = -values.mean()
         if self.penalty is not None and self.penalty.active and not bool(seen.diverged.any()):
             cost = cost + self.penalty.cost(seen, point)
@@ -130,15 +131,13 @@ class LoopCost:
         watched = depths or (self.penalty is not None and self.penalty.active)
         return simulated(Stepper.at(self.problem, p), law, self.scenarios, depths=watched)
 
-    def _remember(self, v: Array, values: Tensor, lost: Tensor) -> None:
+    def _remember(self, v: Array, seen: Episode) -> None:
         """Another row of the history."""
-        kept = values[~lost]
-        mean = kept.mean().item() if len(kept) else float("nan")
-        std = kept.std().item() if len(kept) > 1 else 0.0
+        mean, std, lost = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
         count = len(self.rows) + 1
         samples = self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
         design = self.problem.design.from_unit(v)
-        self.rows.append((count, count * samples, design, mean, std, lost.double().mean().item()))
+        self.rows.append((count, count * samples, design, mean, std, lost))
 
     def controller(self, p: Array) -> Controller:
         """The law at a design, for use."""

@@ -34,7 +34,14 @@ from ccdtools.studies.report.formatting import (
 from ccdtools.studies.report.gains import gain_headings, gain_rows, held_out_rows
 from ccdtools.studies.report.metric_tables import held_out_metrics, metric_table
 from ccdtools.studies.report.tables import fewer_runs_notes, write_tables
-from ccdtools.studies.report.verdicts import difference_text, limit_notes, reference_of, saw_fewer_runs, verdict
+from ccdtools.studies.report.verdicts import (
+    difference_text,
+    limit_notes,
+    on_same_runs,
+    reference_of,
+    saw_fewer_runs,
+    verdict,
+)
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 
@@ -169,7 +176,7 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
         for row in rows:
             gain, ends = difference_text(row)
             word = "reference" if row is reference else verdict(row, reference)
-            shown.append({"row": row, "verdict": word, "gain": gain, "ends": ends,
+            shown.append({"row": on_same_runs(row, reference), "verdict": word, "gain": gain, "ends": ends,
                           "star": saw_fewer_runs(row, reference)})  # fmt: skip
         blocks.append({
             "generation": g, "plant": place(rows[0]), "design": design_text(results, rows[0]["design"]),

@@ -5,7 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ccdtools import PID, InputError, LinearFeedback, Passive, Scenario, baselines, compare, saturated_lqr, simulate
+from ccdtools import (
+    PID,
+    InputError,
+    LinearFeedback,
+    Passive,
+    Scenario,
+    baselines,
+    compare,
+    load_study,
+    saturated_lqr,
+    simulate,
+)
 from mpc import LinearMPC
 
 DESIGN = [2.0]
@@ -30,7 +41,11 @@ def compared(study, controllers, scenario, **options):
 
 
 def scored(study, controllers, scenario, **options):
-    return {score.controller: score for score in compared(study, controllers, scenario, **options)}
+    problem = study.problem()
+    scores = compare(
+        controllers, scenario, design=DESIGN, objective=problem.objective, X=problem.X, limit=problem.limit, **options
+    )
+    return {score.controller: score for score in scores}
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +192,7 @@ def test_the_rows_hold_what_the_scores_hold(table):
 
 
 def test_the_table_prints_and_shows_every_controller(table):
-    assert len(repr(table).splitlines()) == 4
+    assert len(repr(table).splitlines()) == 4 + len(table.notes)
     html = table._repr_html_()
     assert html.count("<tr>") == 4
     assert all(name in html for name in ("LQR", "weak", "passive"))
@@ -200,3 +215,33 @@ def test_the_lqr_stands_beside_a_controller_on_the_runs_that_both_saw(illustrati
 
 
 # ── time per step ──
+
+
+def test_a_mean_of_fewer_runs_shares_no_column_with_means_of_all():
+    problem = load_study("illustrative").problem()
+    law = saturated_lqr(problem, [1.5])
+    scenario = Scenario(problem.model, *problem.scenarios.sample(20, 40, np.random.default_rng(0)))
+    table = compare({"LQR": law, "MPC": law}, scenario, design=[1.5], objective=problem.objective, X=problem.X,
+                    few={"MPC": 2})  # fmt: skip
+    returns = scenario.run(law, design=[1.5]).returns(problem.objective)
+    lqr, mpc = repr(table).splitlines()[1:3]
+    assert f"{returns.mean():.5g}" in lqr
+    assert f"{returns[:2].mean():.5g}" not in mpc
+    assert table.notes == [f"* MPC: {returns[:2].mean():.5g} on the first 2 of 20 runs, where LQR has "
+                           f"{returns[:2].mean():.5g}"]  # fmt: skip
+    lines = table.plot().containers
+    np.testing.assert_allclose(lines[0].lines[0].get_xdata(), returns.mean())
+
+
+def test_a_pid_without_gains_is_named_and_not_compared_with():
+    problem = load_study("illustrative").problem()
+    zero = PID([[1.0, 0.0]], [0.0], [0.0], [0.0], dt=0.1, lower=[-1.0], upper=[1.0])
+    some = PID([[1.0, 0.0]], [0.1], [0.0], [0.0], dt=0.1, lower=[-1.0], upper=[1.0])
+    laws = {"LQR": saturated_lqr(problem, [1.5]), "zero": zero, "some": some}
+    scenario = Scenario(problem.model, *problem.scenarios.sample(20, 40, np.random.default_rng(0)))
+    table = compare(laws, scenario, design=[1.5], objective=problem.objective, X=problem.X)
+    assert "passive" in table["zero"].remark
+    assert table["some"].remark == ""
+    assert table.notes[-1] == f"zero: {table['zero'].remark}"
+    assert table["zero"].paired_to_lqr.mean != 0
+    assert "[" not in repr(table).splitlines()[2]

@@ -6,7 +6,14 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from ccdtools import InputError, mean_interval
-from ccdtools.statistics import change_of_level, paired_difference, paired_returns, summarise, summarise_returns
+from ccdtools.statistics import (
+    change_of_level,
+    interval_of_parts,
+    paired_difference,
+    paired_returns,
+    summarise,
+    summarise_returns,
+)
 
 
 def test_a_summary_agrees_with_students_t():
@@ -146,3 +153,19 @@ def test_series_and_rewards_are_checked():
         summarise_returns(np.zeros(5))
     with pytest.raises(InputError, match=r"a, b: got shapes \(1, 5\) and \(1, 4\), expected as many of each"):
         paired_returns(np.zeros((1, 5)), np.zeros((1, 4)))
+
+
+def test_levels_that_hold_for_a_third_of_a_series_have_no_interval():
+    rng = np.random.default_rng(16)
+    phase = rng.integers(0, 300, (200, 1))
+    levels = np.take_along_axis(rng.standard_normal((200, 5)), (np.arange(1000) + phase) // 300, axis=1)
+    assert sum(mean_interval(one).reliable for one in levels) < 0.1 * len(levels)
+
+
+def test_the_interval_of_parts_covers_the_mean_of_a_skewed_tail_that_a_normal_one_misses():
+    rng = np.random.default_rng(17)
+    parts = np.where(rng.random((1000, 200)) < 0.1, rng.exponential(10.0, (1000, 200)), 0.0)  # as of the worst tenth
+    ends = np.array([interval_of_parts(one) for one in parts])
+    normal = np.abs(parts.mean(axis=1) - 1.0) < 1.96 * parts.std(axis=1) / np.sqrt(200)
+    assert 0.93 <= np.mean((ends[:, 0] < 1.0) & (ends[:, 1] > 1.0)) <= 0.98
+    assert normal.mean() < 0.92

@@ -26,7 +26,8 @@ def past_a_disc(unit=1.0, origin=0.0):
     """From one side of a disc to the other with the least energy; the straight guess goes through its centre."""
     at = np.array([origin, 0.0])
     return Phase(
-        lambda u: u, 2, 2, start=unit * at, end=unit * (at + [2, 0]), stage_cost=lambda u: ca.sumsqr(u / unit),
+        lambda u: u, 2, 2, start=unit * at, end=unit * (at + np.array([2, 0])),
+        stage_cost=lambda u: ca.sumsqr(u / unit),
         path=lambda x: (unit * RADIUS) ** 2 - (x[0] - unit * (1 + origin)) ** 2 - x[1] ** 2,
     )  # fmt: skip
 

@@ -183,7 +183,8 @@ def test_mpc_stands_beside_lqr_on_the_runs_that_both_saw(illustrative):
     mpc, lqr = sorted(rows, key=lambda row: row["n"])
     shared = mpc["mean"] - mpc["paired_to_lqr"]["mean"]
     assert mpc["n"] < lqr["n"]
-    assert f"first {mpc['n']} of {lqr['n']} runs, mean of LQR on these {number(shared)}" in text
+    means = f"mean {number(mpc['mean'])}, of LQR on these {number(shared)}"
+    assert f"first {mpc['n']} of {lqr['n']} runs, {means}" in text
     assert "MPC *" in text
 
 

@@ -9,7 +9,7 @@ from ccdtools.studies.account import account
 from ccdtools.studies.report.headline import _brought, _phrase
 from ccdtools.studies.service import ServiceStatus, judge_deployment
 
-RUNS, STEPS = 60, 20
+RUNS, STEPS = 240, 20
 PROMISE = summarise(np.linspace(-1.1, -0.9, 40) * STEPS)
 WORST = CVaR(0.1)
 
