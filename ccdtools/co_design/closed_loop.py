@@ -66,4 +66,10 @@ def closed_loop_returns(
         seen = simulated(Stepper.at(in_double(problem), p), law, (x0[:n], w[:n]), depths=True)
         values = problem.risk.values(seen.total)
     limits = measured(seen)
-    return ClosedLoopReturns(values.numpy(), seen.diverged.numpy(), limits.fraction, limits.depth)
+    errors = (_error(seen.outside[~seen.diverged]), _error(seen.peak[~seen.diverged]))
+    return ClosedLoopReturns(values.numpy(), seen.diverged.numpy(), limits.fraction, limits.depth, errors)
+
+
+def _error(measured: Tensor) -> float:
+    """Standard error of a mean over runs (n,); 0 of fewer than two."""
+    return float(measured.std()) / len(measured) ** 0.5 if len(measured) > 1 else 0.0
