@@ -69,7 +69,11 @@ class Ascent:
         self.limits = task.limits
         self.region = DesignRegion(task.problem.design, task.problem.design.to_unit(design))
         self.v = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32).requires_grad_(True)
-        self.check = check_gradients(task.problem, agent, design, rng=rng, ppo=config.ppo) if task.moving else None
+        asked = config.design_gradient == "network_input"
+        self.check = (
+            check_gradients(task.problem, agent, design, rng=rng, ppo=config.ppo, network_input=asked)
+            if task.moving else None
+        )  # fmt: skip
         self.ppo = PPOPart(task.problem, agent, self._p(), rng, config)
         self.first_std = agent.log_std.exp().mean().item()
         if task.smooth:  # nothing is explored, and the sampled policy is reported too
@@ -136,11 +140,7 @@ class Ascent:
         self.status = self._verdict(improving, climbing)
 
     def _verdict(self, improving: bool, climbing: bool) -> CoDesignStatus:
-        """How it ended."""
-        if self.best.lost > 0:
-            return CoDesignStatus.DIVERGING
-        if self.best.violation > 0:
-            return CoDesignStatus.LIMITS_BROKEN
+        """How it ended, whatever its closed loop does."""
         if self.task.moving and self._untrusted():
             return CoDesignStatus.GRADIENT_UNTRUSTED
         if improving:

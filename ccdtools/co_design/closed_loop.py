@@ -69,5 +69,11 @@ def closed_loop_returns(
     with torch.no_grad():
         seen = simulated(Stepper.at(in_double(problem), p), law, (x0, w), depths=True)
     limits = measured(seen)
+    errors = (_error(seen.outside[~seen.diverged]), _error(seen.peak[~seen.diverged]))
     total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
-    return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk)
+    return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk, errors)
+
+
+def _error(measured: Tensor) -> float:
+    """Standard error of a mean over runs (n,); 0 of fewer than two."""
+    return float(measured.std()) / len(measured) ** 0.5 if len(measured) > 1 else 0.0

@@ -90,6 +90,14 @@ def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tenso
     return Tolerance(Pair(fraction, depth), BY_MPC, v.clone(), torch.stack(slopes, dim=1))
 
 
+def tolerance_at(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Pair:
+    """What MPC lets one design have; the least there is where there is no MPC."""
+    try:
+        return Pair(*_granted(problem, v, scenarios).tolist())
+    except NotStabilisableError:
+        return Pair(FLOOR, FLOOR)
+
+
 def _granted(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tensor:
     """What MPC lets one design have, (2,); the least there is where MPC loses every run."""
     fraction, depth = measured(mpc_episodes(problem, v, scenarios)).values()

@@ -13,6 +13,7 @@ from ccdtools.checks import (
     as_floats,
     as_instance,
     as_limit_tolerance,
+    as_positive,
     as_vector,
     finite,
     has_method,
@@ -130,6 +131,9 @@ class CoDesignProblem(Immutable):
     warm_up : int
         First steps of an episode whose rewards and states outside X do not count; 0 by default. For episodes that
         begin at a state that the design and policy in question have not come to themselves.
+    divergence : float
+        Half-widths of X beyond which a run is lost and ends. It bounds what a lost run costs: about the square of it
+        for a quadratic cost. Learning from a policy that loses runs asks for less than the default of 1000.
 
     Raises
     ------
@@ -151,6 +155,7 @@ class CoDesignProblem(Immutable):
     warm_up: int = 0
     risk: Risk = MEAN
     output_limits: OutputLimits | None = None
+    divergence: float = DIVERGENCE
 
     def __post_init__(self) -> None:
         model = as_regulated_model("model", self.model)
@@ -192,6 +197,7 @@ class CoDesignProblem(Immutable):
         if self.warm_up >= self.steps:
             raise InputError("warm_up", self.warm_up, f"less than {self.steps}, the steps of an episode")
         object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
+        object.__setattr__(self, "divergence", as_positive("divergence", self.divergence))
         self._check_discrepancy()
         self._check_scenarios()
 
@@ -327,7 +333,7 @@ class CoDesignProblem(Immutable):
     @property
     def limit(self) -> Array:
         """Divergence limit on |x|, (nx,)."""
-        return DIVERGENCE * self.state_scale
+        return self.divergence * self.state_scale
 
     @property
     def observation_bounds(self) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
 from ccdtools.plain_values import jsonable
-from ccdtools.statistics import Summary
+from ccdtools.statistics import PairedDifference, Summary
 
 HEAVY = 2.0  # standard deviation of the runs, in parts of their mean, beyond which a few of them decide
 FAR = 0.5  # of the return in closed loop: an objective that promises more than this did not see what happens
@@ -101,6 +101,8 @@ class ClosedLoopReturns(Immutable):
         that are not lost.
     risk : Risk
         What of the returns counts.
+    limit_errors : (float, float)
+        Standard errors of both.
     """
 
     values: Array
@@ -108,6 +110,7 @@ class ClosedLoopReturns(Immutable):
     outside: float = 0.0
     depth: float = 0.0
     risk: Risk = MEAN
+    limit_errors: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", frozen(np.array(self.values, dtype=float)))
@@ -138,6 +141,30 @@ class ClosedLoopReturns(Immutable):
     def lost_share(self) -> float:
         """Fraction of the runs that diverged."""
         return float(self.lost.mean()) if len(self.lost) else float("nan")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Baseline(Immutable):
+    """What a result was compared with before it was called settled.
+
+    Attributes
+    ----------
+    name : str
+    design : (np,) array
+    gain : PairedDifference
+        Of the baseline over the result on common scenarios, in parts of the return that control makes.
+    """
+
+    name: str
+    design: ArrayField
+    gain: PairedDifference
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "design", as_vector("design", self.design))
+
+    def __repr__(self) -> str:
+        low, high = self.gain.ci95
+        return f"{self.name}: {100 * self.gain.mean:+.2f} % [{100 * low:+.2f}, {100 * high:+.2f}]"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -173,6 +200,8 @@ class CoDesignResult(Immutable):
         Of the start that won.
     limits : LimitsOutcome or None
         How often and how far X is left, beside what was granted; None where the limits were switched off.
+    baselines : tuple of Baseline
+        What it was compared with before it was called settled.
     valleys : tuple of Valley
         The local optima of the landscape, best first; empty where it was not looked at.
     described : str
@@ -196,6 +225,7 @@ class CoDesignResult(Immutable):
     seconds: float = float("nan")
     history: History
     limits: LimitsOutcome | None = None
+    baselines: tuple[Baseline, ...] = ()
     valleys: tuple[Valley, ...] = ()
     described: str = ""
     notes: tuple[str, ...] = ()
@@ -221,6 +251,7 @@ class CoDesignResult(Immutable):
         return {
             "status": self.status.name, "meaning": self.status.value, "advice": self.status.advice,
             "method": self.method, "valleys": [asdict(valley) for valley in self.valleys],
+            "baselines": [asdict(baseline) for baseline in self.baselines],
             "active_constraints": dict(self.active_constraints), "multipliers": dict(self.multipliers),
             "criterion": self.criterion, "objective": self.objective, "evaluations": self.evaluations,
             "notes": self.notes,
@@ -261,7 +292,7 @@ class CoDesignResult(Immutable):
 
     def _remarks(self) -> list[str]:
         """What else is to be known, one line each."""
-        return list(self.notes)
+        return [*self.notes, *(f"beside it, {one!r}" for one in self.baselines)]
 
 
 def _warnings(objective: float, summary: Summary) -> list[str]:

@@ -96,6 +96,21 @@ class LoopCost:
             slope[i] = (above - below) / (high - low)
         return slope
 
+    def slopes(self, v: Array) -> tuple[Array, dict[str, Array]]:
+        """Slopes (np,) of the cost without its penalty, and of the mean and the peak violation of the limits."""
+        slopes = np.zeros((3, len(v)))
+        for i in np.flatnonzero(self.problem.design.allowed.free):
+            ends = []
+            for side in (STEP, -STEP):
+                at = v.copy()
+                at[i] = np.clip(v[i] + side, 0.0, 1.0)
+                seen = self.seen(at)
+                cost = -self.problem.risk.values(seen.total).mean()
+                ends.append((at[i], np.array([float(cost), float(seen.depth.mean()), float(seen.peak.mean())])))
+            (high, above), (low, below) = ends
+            slopes[:, i] = (above - below) / (high - low)
+        return slopes[0], dict(zip(("mean violation of the limits", "peak violation of the limits"), slopes[1:]))
+
     def _cost(self, point: Tensor, v: Array | None) -> Tensor | None:
         """The cost at a point; None where the law has no gain there. A point `v` is a row of the history."""
         self.evaluations += 1

@@ -144,7 +144,7 @@ def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
             {"label": label, "values": values.tolist(), "errors": _errors(check, label, labels),
              "cosine": _cosine(values, reference),
              "length": _ratio(np.linalg.norm(values), np.linalg.norm(reference))}
-            for label, values in gradients.items()
+            for label, values in gradients.items() if np.isfinite(values).all()
         ]  # fmt: skip
         tables.append({"generation": generation["generation"], "names": check["names"], "rows": rows})
     return tables

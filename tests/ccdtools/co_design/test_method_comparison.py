@@ -266,3 +266,6 @@ def test_a_method_that_wins_is_said_to_win_and_by_what(problem):
     assert abs(pair["nested"].from_design.mean) < 0.01 * pair["nested"].from_control.mean
     said = next(line for line in pair.verdict if line.startswith("nested wins: "))
     assert "better than half" in said
+    assert "by its controller" in said
+    for cause in ("plans with", "knows nothing", "fitted to", "would need", "because"):  # none of them was measured
+        assert cause not in said
