@@ -97,7 +97,7 @@ class Ride(Immutable):
         )
         duration = run.dt * run.inputs.shape[1]
         return {
-            "comfort [m/s²]": float(found.comfort.mean()),
+            "weighted body acceleration [m/s²]": float(found.comfort.mean()),
             "travel, rms [mm]": float(1e3 * found.travel_rms.mean()),
             "largest travel [% of the stop]": float(100 * found.travel_share.max(axis=1).mean()),
             "tyre load, rms [% of static]": float(100 * found.load_rms.mean()),

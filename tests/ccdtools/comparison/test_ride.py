@@ -38,7 +38,7 @@ def test_a_sine_of_every_signal_has_the_values_of_its_amplitude():
     assert found["off the road [% of the time]"] == 0
     assert found["actuator power [W]"] == pytest.approx(500 * np.mean(rate**2), rel=2e-3)
     weight = 0.482  # of W_k at 1 Hz, in the table of ISO 2631-1
-    assert found["comfort [m/s²]"] == pytest.approx(weight * 0.1 * 2 * np.pi / np.sqrt(2), rel=0.02)
+    assert found["weighted body acceleration [m/s²]"] == pytest.approx(weight * 0.1 * 2 * np.pi / np.sqrt(2), rel=0.02)
 
 
 def test_the_order_of_the_wheels_does_not_matter_but_their_loads_belong_to_them(rng):
