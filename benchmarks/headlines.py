@@ -66,7 +66,7 @@ def faults(results: dict[str, Any]) -> list[str]:
         for shown, row in ((told[2], before), (told[3], after)):
             if abs(percent(shown) + row["mean"]) > 6e-4 * abs(row["mean"]):
                 wrong.append(f"cost {shown}, is {-row['mean']:.5g}")
-    elsewhere = text.split("held-out runs each: ")[-1]
+    elsewhere = text.split("lsewhere: ")[-1]
     for place in results["gains"][1:]:
         size = abs(place["start"] + place["design_cost"]) if place["start"] else None
         told = re.search(rf"({NUMBER}|n/a)(?: %)? \({re.escape(place['place'])}\)", elsewhere)
@@ -74,7 +74,7 @@ def faults(results: dict[str, Any]) -> list[str]:
             wrong.append(f"nothing of {place['place']}")
         elif size and not close(percent(told[1]), -100 * place["total"]["mean"] / size):
             wrong.append(f"{place['place']}: {told[1]} %, is {-100 * place['total']['mean'] / size:.3g} %")
-    listed = re.search(r"worse: (.*?)(?:;|\.$)", text)
+    listed = re.search(r"Worse: (.*?)\.(?: [A-Z]|$)", text)
     said = listed[1] if listed else ""
     for name, (change, where) in worse_metrics(results).items():
         told = re.search(rf"{re.escape(name)} ({NUMBER}) %", said)

@@ -20,7 +20,7 @@ from ccdtools.studies.stage_storage import Stage
 
 MPC_RUNS = 2  # of the held-out runs, those that online MPC sees
 REAL_RUNS = 500  # of a real plant of short runs, those that the gains are measured on
-OWN_START = "study's own start"
+OWN_START = "the study's start"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
     own = {"deployed drive": deployed} if single else {"real plant": deployed.first(REAL_RUNS)}
     if study.starts is None and np.array_equal(study.real.x0, study.x0):
         return own | evaluation.held_out
-    rng = evaluation.rng("study's own start")
+    rng = evaluation.rng(OWN_START)
     x0, w = evaluation.problem.scenarios.sample(REAL_RUNS, study.steps, rng)
     return own | evaluation.held_out | {OWN_START: Scenario(study.real.plant, x0, w)}
 

@@ -36,13 +36,12 @@ def headline(results: Results) -> str:
     last = len(results["generations"])
     idle = _idle(results)
     changes = [idle] if idle else _generations(results)
-    parts = [
-        _cost(results, last), _worse(results), held_out_phrase(results), _policy(results, last),
-        _limits(results, last), _judged_by(results), *changes,
+    cost = "; ".join(part for part in (_cost(results, last), held_out_phrase(results)) if part)
+    sentences = [
+        cost, _worse(results), _policy(results, last), _limits(results, last), _judged_by(results), "; ".join(changes),
     ]  # fmt: skip
-    text = "; ".join(part for part in parts if part) + "."
-    quick = "QUICK run, not a result: " if results["quick"] else ""
-    return capitalised(quick + text)
+    text = " ".join(f"{capitalised(sentence)}." for sentence in sentences if sentence)
+    return f"QUICK run, not a result. {text}" if results["quick"] else text
 
 
 def _worse(results: Results) -> str:
@@ -74,7 +73,7 @@ def _idle(results: Results) -> str:
     if not later or any(_brought(generation) for generation in later):
         return ""
     several = f"generations 2 to {len(later) + 1} brought nothing; " if len(later) > 1 else ""
-    return several + later[-1]["account"]
+    return several + later[-1]["account"].split(": ")[0]
 
 
 def _brought(generation: Mapping[str, Any]) -> bool:
@@ -134,10 +133,10 @@ def _policy(results: Results, last: int) -> str:
         if row["controller"] == "learned" and word in ("worse", "open"):
             cost = f" ({signed_percent(-percent[0])} cost)" if percent is not None else ""
             words.setdefault(word, []).append(row["model"] + cost)
-    elsewhere = [f"worse than LQR on {', '.join(words['worse'])}"] if "worse" in words else []
-    elsewhere += [f"not told apart from LQR on {', '.join(words['open'])}"] if "open" in words else []
+    elsewhere = [f"worse than LQR with {', '.join(words['worse'])}"] if "worse" in words else []
+    elsewhere += [f"not told apart from LQR with {', '.join(words['open'])}"] if "open" in words else []
     there = _where_deployed(results, last)
-    return "; ".join(part for part in (there, f"it is {' and '.join(elsewhere)}" if elsewhere else "") if part)
+    return ", but ".join(part for part in (there, f"it is {' and '.join(elsewhere)}" if elsewhere else "") if part)
 
 
 def _where_deployed(results: Results, last: int) -> str:
@@ -169,7 +168,7 @@ def _limits(results: Results, last: int) -> str:
     asked = f"granted were {share(granted[0])} and {number(granted[1], 2)}"
     exceeded = _row(results, last, "learned")["exceeded"]
     which = f"; on the real plant most {exceeded}" if exceeded else ""
-    return f"its co-design breaks the limits ({left}, {asked}{which})"
+    return f"the co-design breaks the limits ({left}, {asked}{which})"
 
 
 def _limits_in_service(results: Results) -> Mapping[str, Any] | None:
