@@ -71,8 +71,8 @@ def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False
     [
         (
             outcome(8384, 6425, 6425),
-            "Real plant: cost −23 % (8384 → 6425), all of it from the design. The learned policy equals LQR. Generation 2 "
-            "did this and that.",
+            "Real plant: cost −23 % (8384 → 6425), all of it from the design. The learned policy equals LQR. "
+            "Generation 2 did this and that.",
         ),
         (
             outcome(100, 80, 72, ends=(7.9, 8.1), accepted=True),
@@ -215,9 +215,8 @@ def with_places(results, *metrics):
 
 def test_the_headline_names_every_number_that_got_worse_and_where():
     noise = metric("noise [dB]", 10.0, 12.0, 0.5)
-    said = headline(
-        with_places(outcome(100, 80, 80), noise, metric("wear [mm]", 10.0, 12.0, 5.0), metric("heat [K]", 4.0, 5.0, 0.1))
-    )
+    wear = metric("wear [mm]", 10.0, 12.0, 5.0)
+    said = headline(with_places(outcome(100, 80, 80), noise, wear, metric("heat [K]", 4.0, 5.0, 0.1)))
     assert "Worse: noise +20 %, heat +25 % (start)." in said
     assert "wear" not in said
 
