@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from ccdtools.studies.report.method_page import check_folder, write_table
-
 CCDTOOLS = [sys.executable, "-m", "ccdtools", "codesign"]
 
 
@@ -68,19 +66,6 @@ def test_an_interruption_loses_only_the_method_that_it_falls_in(tmp_path):
     assert "Equal within 0.5 %" in out
     with table.open(encoding="utf-8") as file:
         assert [row["method"] for row in csv.DictReader(file)] == ["sequential", "nested LQR"]
-
-
-def test_a_table_that_is_interrupted_while_it_is_written_is_whole(tmp_path):
-    class Interrupted:
-        def to_csv(self, path):
-            with path.open("w") as file:
-                file.write("begun, ")
-                signal.raise_signal(signal.SIGINT)
-                file.write("ended")
-
-    with pytest.raises(KeyboardInterrupt):
-        write_table(Interrupted(), check_folder(tmp_path / "kept"))
-    assert (tmp_path / "kept" / "methods.csv").read_text() == "begun, ended"
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,17 @@ import control
 import numpy as np
 import pytest
 
-from ccdtools import InputError, LinearModel, QuadraticObjective, simulate
-from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
-from ccdtools.disturbances.disturbance import Gaussian
-from ccdtools.trajectory import Trajectory
+from ccdtools import (
+    PID,
+    Gaussian,
+    InputError,
+    LinearFeedback,
+    LinearModel,
+    Passive,
+    QuadraticObjective,
+    Trajectory,
+    simulate,
+)
 from mpc import lqr
 
 SCALAR = control.ss([[0.5]], [[1.0]], [[1.0]], 0, True)

@@ -7,8 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from ccdtools.cli import main
-from ccdtools.console import plain_where_needed
+from ccdtools.cli import main, plain_where_needed
 
 RUN = ["run", "suspension"]
 TIMES = "time,dz_dt\n" + "".join(f"{0.05 * i:.2f},0.1\n" for i in range(600))

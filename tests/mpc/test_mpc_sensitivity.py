@@ -5,8 +5,7 @@ import pytest
 from differences import distance, slope, slopes
 from plants import double_integrator, suspension
 
-from mpc import InputError, LinearMPC, SensitivityStatus
-from mpc.parametric_qp import Constraint
+from mpc import Constraint, InputError, LinearMPC, SensitivityStatus
 
 REQUIRED = 1e-5
 
@@ -39,6 +38,7 @@ def compared(make, x, found, parameters, signals, step=1e-4):
         assert distance(getattr(found, name), expected) < REQUIRED, name
 
 
+@pytest.mark.quick(6)
 @pytest.mark.parametrize(
     ("limits", "signals", "active"),
     [

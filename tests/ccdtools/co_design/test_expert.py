@@ -14,10 +14,8 @@ from ccdtools import (
     QuadraticObjective,
     discretise,
     expert_dataset,
+    feasible_sets,
 )
-from ccdtools.co_design.candidates import CANDIDATES_PER_START
-from ccdtools.co_design.expert import feasible_sets
-from ccdtools.co_design.expert_loops import VISITS
 from invariant_sets import Polytope
 from mpc import lqr
 
@@ -71,14 +69,6 @@ def test_designs_cover_the_whole_box(study, expert_data):
     v = study.problem().design.to_unit(p)
     assert (v.min(axis=0) < 0.1).all()
     assert (v.max(axis=0) > 0.9).all()
-
-
-def test_closed_loop_states_join_the_data_near_the_origin(study, expert_data):
-    data, nx = expert_data(study), study.model.nx
-    n = round(data.acceptance * 150)
-    assert n < len(data.inputs) <= (n + 150 // CANDIDATES_PER_START + 1) * len(VISITS)
-    size = np.abs(data.inputs[:, :nx] / study.problem().state_scale).max(axis=1)
-    assert np.median(size[-n:]) < 0.5 * np.median(size[:n])
 
 
 def test_every_sample_is_finite_and_costs_are_negative(study, expert_data):

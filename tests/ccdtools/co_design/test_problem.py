@@ -6,8 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import CoDesignProblem, CustomObjective, InputError, LinearModel, QuadraticObjective
-from ccdtools.co_design.problem import FixedStart
+from ccdtools import CoDesignProblem, CustomObjective, FixedStart, InputError, LinearModel, QuadraticObjective
 from invariant_sets import Polytope
 
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
+from ccdtools import Trajectory
 from ccdtools.exceptions import InputError
-from ccdtools.trajectory import Trajectory
 from invariant_sets import Polytope
 
 DT = 0.01

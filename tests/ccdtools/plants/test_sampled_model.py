@@ -22,7 +22,6 @@ from ccdtools import (
     equilibrium,
     simulate,
 )
-from ccdtools.plants.collocation import ImplicitStep
 
 SWING = {"X": ([-3.0, -6.0], [3.0, 6.0]), "U": (-5.0, 5.0), "W": (-1.0, 1.0)}
 STIFF = {"X": ([-1.5, -1.5], [1.5, 1.5]), "U": (-1.0, 1.0)}
@@ -139,23 +138,6 @@ def test_a_step_that_cannot_be_solved_ends_the_run_and_not_the_others():
     run = simulate(model, LinearFeedback([[0.0]]), x0=[[-3.0], [6.0]], steps=5, design=[1.0])
     assert run.diverged.tolist() == [False, True]
     assert np.isfinite(run.states[0]).all()
-
-
-@pytest.mark.parametrize("size", [1.0, 1e-4, 1e-8, 1e-10, 1e-14, 0.0])
-def test_collocation_converges_where_rest_is_rest_but_for_rounding(size):
-    plant = hot_plate()
-    hanging = deviations(plant, equilibrium(plant, [1000.0], guess=([300, 300.0], [0.0])))
-    rng = np.random.default_rng(0)
-    x, u, p = (rng.uniform(*box) for box in ((-50, 50, (200, 2)), (-100, 100, (200, 1)), (500, 5000, (200, 1))))
-    for parts in (1, 4, 64):
-        step = ImplicitStep(hanging.right_hand_side, 1.0, parts, np.array([50.0, 50.0]))
-        points = (size * x, size * u, np.zeros((200, 1)), p)
-        reached = step(*points)
-        assert np.isfinite(reached).all()
-        native = np.asarray(step.function(*(a[:20].T for a in points))).T
-        np.testing.assert_allclose(reached[:20], native, atol=2e-9)
-        tensors = step(*(torch.tensor(a) for a in points)).numpy()
-        np.testing.assert_allclose(tensors, reached, atol=1e-12)
 
 
 def test_a_stiff_plant_in_deviations_is_collocated_with_its_centre():

@@ -5,7 +5,6 @@ import pytest
 
 from ccdtools import DesignSpace, Gaussian, InputError, Plant, QuadraticObjective, Recorded
 from ccdtools.studies import RealPlant, Study, load_study
-from ccdtools.studies.loading import load_with_sources
 from invariant_sets import Polytope
 
 HEAD = '''
@@ -182,20 +181,4 @@ def test_a_model_that_cannot_be_stabilised_at_the_start_is_refused(tmp_path):
         + "\nstudy = study_with()\n"
     )
     with pytest.raises(InputError, match=r"p0: got k = 2, where LQR fails"):
-        load_study(str(path))
-
-
-def test_a_study_imports_its_neighbour_and_names_its_line(tmp_path):
-    (tmp_path / "helper_beside.py").write_text("VALUE = 2\n")
-    path = tmp_path / "mine.py"
-    path.write_text(HEAD + "\nimport helper_beside\nstudy = study_with(p0=[helper_beside.VALUE])\n")
-    loaded = load_with_sources(str(path))
-    assert loaded.study.p0.tolist() == [2.0]
-    assert set(loaded.sources) == {"mine.py", "helper_beside.py"}
-    (tmp_path / "helper_beside.py").write_text("VALUE = 3\n")
-    changed = load_with_sources(str(path))  # read again: nothing of the first loading is left behind
-    assert changed.study.p0.tolist() == [3.0]
-    assert changed.sources["helper_beside.py"] != loaded.sources["helper_beside.py"]
-    (tmp_path / "helper_beside.py").write_text("\n\nVALUE = 1 / 0\n")
-    with pytest.raises(InputError, match=r"helper_beside.py:3, which stops with ZeroDivisionError"):
         load_study(str(path))

@@ -57,6 +57,7 @@ def test_cost_and_costate_converge_with_the_order_of_the_scheme(riccati, scheme,
     assert np.log2(of_costate[0] / of_costate[1]) == pytest.approx(order, abs=0.2)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("substeps", [1, 2])
 def test_runge_kutta_in_shooting_has_order_four(substeps):
     exact = solve(build(SMOOTH, MultipleShooting(integrator="cvodes", tolerance=1e-12), 8), tolerance=1e-12)

@@ -271,6 +271,7 @@ def test_a_state_that_vanishes_along_the_optimum_keeps_its_size(length, minute, 
     assert found.u(0.5 * found.duration) == pytest.approx(np.arccos(current), rel=1e-4)
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize(
     "scheme", [Radau(3), Radau(9), Trapezoidal(), MultipleShooting(integrator="cvodes")], ids=lambda scheme: scheme.name
 )

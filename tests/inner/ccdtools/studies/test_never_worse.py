@@ -1,0 +1,142 @@
+"""Whole small runs: what falls short on the plant is taken back, and the run goes on."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from small_runs import tiny
+
+from ccdtools import (
+    DesignSpace,
+    Gaussian,
+    InputError,
+    Plant,
+    QuadraticObjective,
+    RealPlant,
+    Study,
+    codesign,
+    load_policy,
+)
+from ccdtools.statistics import PairedDifference
+from ccdtools.studies import Generations, RunFolder, configuration, stages
+from ccdtools.studies.redesign import InService, RedesignDecision, RedesignStatus, judge_redesign
+from ccdtools.studies.report.report import write_report
+from invariant_sets import Polytope
+
+
+def damped() -> Study:
+    """A mass whose damping is the design; really it has less of it, and is unstable where the design is below 0.7."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    space = DesignSpace(["c"], [0.1], [3.0])
+    plant, real = (
+        Plant(x, u, w, p, ca.vertcat(x[1], -x[0] - damping * x[1] + u + w), space, dt=0.3)
+        for damping in (p, 4 * (p - 0.7))
+    )
+    noise = Gaussian([0.1])
+    return Study(
+        name="damped", title="Damped", plant=plant, X=Polytope.from_bounds([-1, -2], [1, 2]),
+        U=Polytope.from_bounds([-0.2], [0.2]), objective=QuadraticObjective(np.eye(2), [[0.1]]), disturbance=noise,
+        x0=[0.5, 0], p0=[1.5], real=RealPlant(real, noise, x0=[0.5, 0], runs=20, steps=40), steps=40, samples=20,
+    )  # fmt: skip
+
+
+def test_a_disturbance_that_enters_nowhere_and_a_price_without_a_unit_are_refused_before_anything_runs():
+    study = damped()
+    model = study.plant
+    still = Plant(model.x, model.u, model.w, model.p, ca.substitute(model.dynamics, model.w, 0), model.design, dt=0.3)
+    with pytest.raises(InputError, match=r"plant: got an E\(p\) of rank zero: the disturbance w enters nowhere"):
+        replace(study, plant=still, real=None)
+    with pytest.raises(InputError, match=r"redesign_price: got '0\.5'"):
+        replace(study, redesign_price="0.5")
+
+
+def run_with(monkeypatch, path, design, generations=2):
+    """A run whose every redesign is one to that design, wrongly taken; the folder and the results."""
+    study = damped()
+    taken = RedesignDecision(
+        PairedDifference(1.0, (0.5, 1.5)), PairedDifference(np.nan, (np.nan, np.nan)), 0.1, 10.0, -10.0, -9.0, True,
+        RedesignStatus.TAKEN, "0.5 %",
+    )  # fmt: skip
+    monkeypatch.setattr(stages, "judge_redesign", lambda *_: taken)
+    proposal = lambda self, result, current, history: {"redesign": InService(current.agent, np.array([design]))}  # noqa: E731
+    monkeypatch.setattr(stages.LoopStages, "_proposals", proposal)
+    config = tiny(configuration(study, quick=True))
+    config = replace(config, online=replace(config.online, updates=0))
+    folder = RunFolder.create(path)
+    lines = []
+    results = Generations(
+        study, config, folder, generations=generations, seed=1, echo=lines.append, progress=False
+    ).run()
+    return study, folder, results, lines
+
+
+@pytest.mark.check
+@pytest.mark.parametrize(("design", "status"), [(0.6, "worse"), (0.1, "more of its runs diverged")])
+def test_a_redesign_that_fails_on_the_plant_is_taken_back(monkeypatch, tmp_path, design, status):
+    study, folder, results, lines = run_with(monkeypatch, tmp_path / "run", design)
+    first, second = results["generations"]
+    # Every second run met the same disturbances in both deployments, the others fresh ones.
+    logs = [folder.read_stage(f"deployment-{g}").arrays["disturbances"] for g in (1, 2)]
+    np.testing.assert_array_equal(logs[0][::2], logs[1][::2])
+    assert (logs[0][1::2] != logs[1][1::2]).all()
+    assert second["deployed_design"] == {"c": design}
+    assert second["delivery"]["status"] == status
+    assert second["design"] == first["design"] == first["deployed_design"]
+    policy = load_policy(folder.path / "policy.safetensors")
+    np.testing.assert_allclose(policy.design, first["design"]["c"])
+    kept = folder.read_stage("deployment-1").networks["agent"]
+    for name, weights in policy.agent.state_dict().items():
+        np.testing.assert_array_equal(weights, kept.state_dict()[name])
+    np.testing.assert_allclose(folder.read_stage("deployment-2").arrays["design"], [design])
+    assert results["headline"].startswith("QUICK run, not a result: generation 2 moved the design to c = ")
+    assert "stay in service" in results["headline"].split(". ")[0]
+    assert any("stay in service" in line for line in lines)
+    assert any("redesign over the whole box: " in line or "redesign limited to ±25 %" in line for line in lines)
+    rows = [row for row in results["comparison"] if row["generation"] == 2]
+    assert all(row["design"] == first["design"] for row in rows)
+    assert write_report(study, folder).is_file()
+
+
+@pytest.mark.check
+def test_the_next_generation_begins_from_what_is_in_service_and_trusts_less(monkeypatch, tmp_path):
+    _, _, results, _ = run_with(monkeypatch, tmp_path / "run", 0.6, generations=3)
+    second, third = results["generations"][1:]
+    assert third["delivery"]["former"] == 1
+    assert third["redesign"]["from"] == results["generations"][0]["design"]
+    moved = {"within chance": 0.5, "more than promised": 0.25}.get(second["delivery"]["judge"], 0.125)
+    assert second["trust"]["radius"] == moved
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("recombine", [True, False])
+def test_independent_runs_are_recombined_in_the_next_generation_unless_that_is_off(tmp_path, monkeypatch, recombine):
+    """Here the real plant is the model, so that its errors are the white disturbance."""
+    study = damped()
+    study = replace(study, real=replace(study.real, plant=study.plant, runs=40))
+    config = replace(tiny(configuration(study, quick=True)), model_runs=80, recombine=recombine)
+    judged, trained = [], []
+
+    def spy(evaluation, candidate, current, logs, twin):
+        judged.append([log.independent for log in logs])
+        return judge_redesign(evaluation, candidate, current, logs, twin)
+
+    def climb(problem, **options):
+        trained.append((problem.discrepancy is None, options["config"].pathwise_runs))
+        return codesign(problem, **options)
+
+    monkeypatch.setattr(stages, "judge_redesign", spy)
+    monkeypatch.setattr(stages, "codesign", climb)
+    folder = RunFolder.create(tmp_path / "run")
+    lines = []
+    results = Generations(study, config, folder, generations=2, seed=3, echo=lines.append, progress=False).run()
+    told = folder.read_stage("twin-1").values["independence"]
+    assert told["independent"] is recombine
+    assert told["dependence"] == ("none" if recombine else "not looked at")
+    assert any("runs are recombined step by step" in line for line in lines) is recombine
+    assert judged
+    assert all(all(flags) is recombine for flags in judged)
+    assert trained[1] == ((True, 4 * 16) if recombine else (False, 16))
+    again = Generations(study, config, RunFolder(tmp_path / "run"), generations=2, seed=3, echo=lines.append,
+                        progress=False).run()  # fmt: skip
+    assert again["generations"] == results["generations"]
