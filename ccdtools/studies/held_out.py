@@ -11,6 +11,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.comparison.comparison import compare
+from ccdtools.comparison.metric_changes import MetricChange, metric_changes
 from ccdtools.scenario import Scenario
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import SOURCES, Step, gains_by_source
@@ -19,6 +20,7 @@ from ccdtools.studies.stage_storage import Stage
 
 MPC_RUNS = 2  # of the held-out runs, those that online MPC sees
 REAL_RUNS = 500  # of a real plant of short runs, those that the gains are measured on
+OWN_START = "the study's start"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +48,18 @@ def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) 
 
 
 def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
-    """Where gains are measured: where the plant was deployed, or on runs like it, and on every held-out disturbance."""
+    """Where gains are measured, on the real plant: where it was deployed or on runs like it, on every held-out
+    disturbance, and from where the study starts if the deployment starts elsewhere.
+    """
     deployed = evaluation.on_real()
-    single = evaluation.study.real.runs == 1
+    study = evaluation.study
+    single = study.real.runs == 1
     own = {"deployed drive": deployed} if single else {"real plant": deployed.first(REAL_RUNS)}
-    return own | evaluation.held_out
+    if study.starts is None and np.array_equal(study.real.x0, study.x0):
+        return own | evaluation.held_out
+    rng = evaluation.rng(OWN_START)
+    x0, w = evaluation.problem.scenarios.sample(REAL_RUNS, study.steps, rng)
+    return own | evaluation.held_out | {OWN_START: Scenario(study.real.plant, x0, w)}
 
 
 def former_services(history: Sequence[GenerationRecord], current: InService) -> dict[str, InService]:
@@ -71,7 +80,7 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: InService) -
     """A row per held-out disturbance and controller at one design, as in the comparison."""
     everyone = evaluation.baselines(service.design) | {"learned": evaluation.in_service(service.agent, service.design)}
     rows = []
-    for name, scenario in evaluation.held_out.items():
+    for name, scenario in list(places_of(evaluation).items())[1:]:
         scores = compare(
             everyone, scenario, design=service.design, objective=evaluation.study.objective,
             X=evaluation.problem.state_limits(service.design), limit=evaluation.problem.limit, few={"MPC": MPC_RUNS},
@@ -116,8 +125,10 @@ def gains_in(evaluation: Evaluation, scenario: Scenario, steps: Sequence[Step]) 
     rewards = [run.rewards(evaluation.study.objective)[kept] for run in runs]
     gains = gains_by_source([step.source for step in steps], rewards, runs=len(scenario.x0))
     paid = float(evaluation.study.objective.cost_of_design(steps[0].design, scenario.steps))
+    metrics = evaluation.study.metrics
+    changes: Sequence[MetricChange] = () if metrics is None else metric_changes(metrics, runs[0], runs[-1])
     of = {"runs": len(scenario.x0), "steps": scenario.steps, "left_out": 1 - kept.mean(), "design_cost": paid}
-    return of | asdict(gains)
+    return of | asdict(gains) | {"metrics": [asdict(change) for change in changes]}
 
 
 def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:

@@ -71,27 +71,27 @@ def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False
     [
         (
             outcome(8384, 6425, 6425),
-            "Generation 2 did this and that. Real plant: cost −23 % (8384 → 6425), all of it from the design; the "
-            "learned policy equals LQR.",
+            "Real plant: cost −23 % (8384 → 6425), all of it from the design. The learned policy equals LQR. "
+            "Generation 2 did this and that.",
         ),
         (
             outcome(100, 80, 72, ends=(7.9, 8.1), accepted=True),
-            "Real plant: cost −28 % (100 → 72), −20 % from the design and −8 % from the policy; the learned policy "
-            "costs 10 % less than LQR at the same design; generation 2 changed the policy only.",
+            "Real plant: cost −28 % (100 → 72), −20 % from the design and −8 % from the policy. The learned policy "
+            "costs 10 % less than LQR at the same design. Generation 2 changed the policy only.",
         ),
         (
             outcome(100, 100.1, 100, accepted=True, moved=True, ends=(-1, 1)),
-            "Real plant: cost unchanged within 0.5 % (100 → 100); the learned policy and LQR cannot be told apart on "
-            "these runs; generation 2 moved the design to p = 3.",
+            "Real plant: cost unchanged within 0.5 % (100 → 100). The learned policy and LQR cannot be told apart on "
+            "these runs. Generation 2 moved the design to p = 3.",
         ),
         (
             outcome(0.0, 0.0, 0.004, ends=(-0.005, -0.003)),
-            "Generation 2 did this and that. Real plant: cost 0.004; LQR at the start design: 0.",
+            "Real plant: cost 0.004; LQR at the start design: 0. Generation 2 did this and that.",
         ),
         (
             outcome(100, 80, 80, accepted=True, replaces=False),
-            "Generation 2 did this and that. Real plant: cost −20 % (100 → 80), all of it from the design; the learned "
-            "policy equals LQR.",
+            "Real plant: cost −20 % (100 → 80), all of it from the design. The learned policy equals LQR. Generation 2 "
+            "did this and that.",
         ),
     ],
 )
@@ -101,9 +101,9 @@ def test_the_headline_says_what_came_out(results, sentence):
 
 @pytest.mark.parametrize(
     ("cost", "said"),
-    [(82.0, "the learned policy costs 2.5 % more than LQR here"),
-     (80.1, "the learned policy costs as much as LQR within 0.5 % here"),
-     (72.0, "the learned policy costs 10 % less than LQR here")],
+    [(82.0, "The learned policy costs 2.5 % more than LQR here"),
+     (80.1, "The learned policy costs as much as LQR within 0.5 % here"),
+     (72.0, "The learned policy costs 10 % less than LQR here")],
 )  # fmt: skip
 def test_the_headline_claims_nothing_of_a_run_without_an_interval(cost, said):
     results = outcome(100, 80, cost)
@@ -174,7 +174,7 @@ def with_limits(first, second, **changes):
 
 
 def test_the_headline_says_that_the_optimum_breaks_a_limit_that_all_controllers_break():
-    said = "its co-design breaks the limits (18 % of the states outside X, 0.84 half-widths at the peak, granted " \
+    said = "The co-design breaks the limits (18 % of the states outside X, 0.84 half-widths at the peak, granted " \
            "were 0.1 % and 0.0020; on the real plant most tyre load [N] > 500)"  # fmt: skip
     assert said in headline(with_limits(limits(True), limits(False), accepted=True, moved=True))
     assert said in headline(with_limits(limits(False), limits(True), moved=False))  # its redesign was not taken
@@ -191,3 +191,37 @@ def test_the_headline_says_that_the_optimum_breaks_a_limit_that_all_controllers_
 )
 def test_the_headline_is_silent_on_limits_that_what_is_in_service_keeps(results):
     assert "limits" not in headline(results)
+
+
+def metric(name, before, after, half):
+    change = {"mean": after - before, "ci95": [after - before - half, after - before + half]}
+    word = "open" if half > abs(after - before) else "worse" if after > before else "better"
+    return {"name": name, "before": before, "after": after, "change": change, "word": word}
+
+
+def with_places(results, *metrics):
+    """Results with one other place, in which the learned policy is 6 % worse than LQR."""
+    gain = {"mean": 20.0, "ci95": [19.0, 21.0]}
+    place = {"start": -100.0, "design_cost": 0.0, "runs": 5, "steps": 10, "left_out": 0.0, "total": gain}
+    results["gains"] = [place | {"place": "drive", "metrics": metrics[:-1]},
+                        place | {"place": "start", "metrics": metrics}]  # fmt: skip
+    same = {"plant": "held out: start", "model": "start", "generation": 2, "n": 30, "diverged": 0.0, "lqr_mean": -50.0}
+    results["held_out"] = [
+        same | {"controller": "LQR", "mean": -50.0, "paired_to_lqr": {"mean": 0.0, "ci95": [0.0, 0.0]}},
+        same | {"controller": "learned", "mean": -53.0, "paired_to_lqr": {"mean": -3.0, "ci95": [-3.1, -2.9]}},
+    ]
+    return results
+
+
+def test_the_headline_names_every_number_that_got_worse_and_where():
+    noise = metric("noise [dB]", 10.0, 12.0, 0.5)
+    wear = metric("wear [mm]", 10.0, 12.0, 5.0)
+    said = headline(with_places(outcome(100, 80, 80), noise, wear, metric("heat [K]", 4.0, 5.0, 0.1)))
+    assert "Worse: noise +20 %, heat +25 % (start)." in said
+    assert "wear" not in said
+
+
+def test_the_headline_does_not_call_a_policy_equal_to_LQR_that_is_worse_somewhere():
+    said = headline(with_places(outcome(100, 80, 80), metric("noise [dB]", 10.0, 9.0, 0.5)))
+    assert "The learned policy equals LQR, but it is worse than LQR with start (+6 % cost)." in said
+    assert "Worse" not in said
