@@ -43,6 +43,7 @@ def test_of_the_mean_nothing_is_changed():
     assert gain(MEAN, after, before, runs=1) == whole
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("name", "least"), [("spread", 0.9), ("tenth", 0.88)])
 def test_the_interval_covers_the_true_gain(name, least):
     """The worst tenth of 80 runs are eight: an interval from so few covers a little less often than it says."""
