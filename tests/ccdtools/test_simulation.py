@@ -219,6 +219,7 @@ def test_saturated_lqr_on_the_illustrative_example_gives_the_known_returns(illus
     assert mean == pytest.approx(expected, abs=5 * error + 0.05)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     ("p", "real", "expected"),
     [((27692.0, 1906.5), True, -5298), ((1e4, 3000.0), True, -4089), ((1e4, 3000.0), False, -4084)],

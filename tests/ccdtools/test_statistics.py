@@ -30,6 +30,7 @@ def squares(rho, runs, steps, rng):
     return autoregression(rho, runs, steps, rng) ** 2 - 1
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("process", "steps"),
     [

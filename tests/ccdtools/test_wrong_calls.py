@@ -470,6 +470,7 @@ def test_a_wrong_call_is_refused_in_one_line_that_names_the_argument(name, tmp_p
         assert ", expected " in text
 
 
+@pytest.mark.check
 def test_the_calls_beside_them_are_right():
     """The calls above differ from right ones in one argument each: the right ones pass."""
     assert plant().nx == 2

@@ -248,6 +248,7 @@ def test_a_wrong_option_is_answered_before_anything_slow_is_imported(tmp_path):
     assert "--preset: got 'papr'" in done.stderr
 
 
+@pytest.mark.check
 def test_a_terminal_without_unicode_gets_plain_characters(tmp_path):
     done = ccdtools("run", "suspension", "--p0=1e4,5000", cwd=tmp_path, PYTHONIOENCODING="cp1252")
     assert done.returncode == 2

@@ -13,11 +13,13 @@ from invariant_sets.exceptions import EmptySetError, InputError, NumericalError,
 box = Polytope.from_bounds
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("decades", [0.0, 8.0])
 def test_support_and_bounding_box_agree_with_highs(decades):
     assert wrong_cases(support_case, 60, 5, decades) == []
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("decades", [0.0, 8.0])
 def test_sums_and_projections_of_unbounded_sets_have_their_support(decades):
     assert wrong_cases(sum_case, 12, 5, decades) == []

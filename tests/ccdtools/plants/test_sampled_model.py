@@ -62,6 +62,7 @@ def test_a_method_has_its_order(method, order):
     assert np.log2(fine[-2] / fine[-1]) == pytest.approx(order, abs=0.1)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("plant", "rates", "limits"),
     [(swing(), swing_rates, SWING), (tanks(), tank_rates, TANKS), (stiff(), stiff_rates, STIFF)],
@@ -165,6 +166,7 @@ def test_collocation_of_single_precision_loses_no_run_and_is_that_of_double():
         np.testing.assert_allclose(own.numpy(), exact_slope.numpy(), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.check
 def test_a_point_at_which_newton_does_not_converge_is_named_with_it():
     x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
     blows_up = Plant(x, u, None, p, p * ca.exp(x) + u, DesignSpace(["p"], [0.5], [2.0]), dt=0.1)

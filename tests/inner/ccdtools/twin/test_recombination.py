@@ -208,6 +208,7 @@ def test_independent_errors_are_recombined_nearly_always():
     assert np.mean(taken) > 0.75
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("runs", [36, 60, 200])
 @pytest.mark.parametrize("pole", [0.7, 0.99])
 def test_slow_noise_of_a_fortieth_of_the_variance_is_refused_or_moves_the_return_by_little(runs, pole):
@@ -364,6 +365,7 @@ def test_logs_of_different_lengths_are_refused():
 # ── what a candidate brings ──
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("size", "runs"), [("constant", 60), ("falling", 60), ("constant", 200), ("constant", 24)])
 def test_the_interval_covers_the_truth_and_is_narrower_than_that_of_whole_runs(size, runs):
     """In at least 88 of 100 logs: 95 less three and a half standard errors, as returns are skewed."""

@@ -12,6 +12,7 @@ from ccdtools.statistics import PairedDifference, paired_returns
 from ccdtools.twin.update_judge import UpdateJudge
 
 
+@pytest.mark.check
 def test_a_candidate_is_judged_on_held_out_samples_as_one_series_or_on_held_out_runs(illustrative, clone, monkeypatch):
     """Blocks of one run would count what is correlated as independent."""
     training_gives(monkeypatch, clone(illustrative))
