@@ -37,7 +37,7 @@ def check_every_entry_acts(
     for term in _terms(model, X, U, objective, output_limits):
         idle = idle[~_acting(term, space, idle, extents)] if len(idle) else idle
     if len(idle):
-        names = ", ".join(space.names[i] for i in idle)
+        names = ", ".join(space.names[int(i)] for i in idle)
         kind = "entry" if len(idle) == 1 else "entries"
         raise InputError("model.design", f"the {kind} {names}, which nothing depends on", EXPECTED, CURE)
 

@@ -11,12 +11,13 @@ import pytest
 from small_runs import tiny_configuration
 from typer.testing import CliRunner
 
-from ccdtools import LinearFeedback, Study, depth_outside, expert_dataset, saturated_lqr, simulate
+from ccdtools import LinearFeedback, Study, codesign, depth_outside, expert_dataset, saturated_lqr, simulate
 from ccdtools.cli import app
 from ccdtools.plants import library
 from ccdtools.plants.library import full_car
 from ccdtools.studies import Generations, RunFolder, load_study, study_names
 from ccdtools.studies.report.report import write_report
+from ccdtools.studies.template import write_template
 
 PLANTS = [name for name in library.__all__ if inspect.isfunction(getattr(library, name))]
 
@@ -133,3 +134,11 @@ def test_twenty_states_are_initialised_and_judged_without_the_corners_of_their_l
     assert data.diverged == 0
     assert len(data.inputs) > 50
     assert depth_outside(1.5 * study.X.bounding_box()[1], study.X) == pytest.approx(0.5)
+
+
+def test_the_template_prices_its_design_so_that_the_best_one_lies_within_its_bounds(tmp_path):
+    study = load_study(write_template("my_study", tmp_path))
+    found = codesign(study.problem(), method="nested", rng=np.random.default_rng(0))
+    assert found.active_bounds == {}
+    assert (study.plant.design.to_unit(found.design) > 0.05).all()
+    assert (study.plant.design.to_unit(found.design) < 0.95).all()
