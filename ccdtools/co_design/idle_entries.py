@@ -58,7 +58,7 @@ def _terms(model: Model, X: Limits, U: Limits, objective: Any, outputs: OutputLi
         yield model.design.constraints  # type: ignore[union-attr]
 
 
-def _acting(term: ca.Function, space: DesignSpace, entries: Array, extents: dict[str, Array]) -> Array:
+def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[str, Array]) -> Any:
     """Whether each of some entries changes a term."""
     names = term.name_in() if term.n_in() > 1 else ["p"]
     place = names.index("p")
