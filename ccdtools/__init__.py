@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from ccdtools.co_design.expert import expert_dataset, feasible_sets
     from ccdtools.co_design.learned_result import LearnedCoDesign
     from ccdtools.co_design.least_depth import least_depth
-    from ccdtools.co_design.method_comparison import MethodComparison
     from ccdtools.co_design.methods.learned import Learned
     from ccdtools.co_design.methods.nested import Nested
     from ccdtools.co_design.methods.search import Search
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.methods.simultaneous import Simultaneous
     from ccdtools.co_design.multi_start import MultiStart, multi_start
     from ccdtools.co_design.objective import QuadraticObjective
-    from ccdtools.co_design.optimum_sensitivity import OptimumSensitivity, optimum_sensitivity
+    from ccdtools.co_design.optimum_sensitivity import optimum_sensitivity
     from ccdtools.co_design.preview import previewed_limits, previewed_objective, previewed_problem
     from ccdtools.co_design.problem import CoDesignProblem, FixedStart
     from ccdtools.co_design.random_starts import RandomStarts
@@ -63,7 +62,7 @@ if TYPE_CHECKING:
     from ccdtools.plants.design_space import DesignSpace
     from ccdtools.plants.discretisation import discretise
     from ccdtools.plants.equilibrium import Equilibrium, equilibrium
-    from ccdtools.plants.first_order_hold import FirstOrderHold, first_order_hold
+    from ccdtools.plants.first_order_hold import first_order_hold
     from ccdtools.plants.linear_model import LinearModel
     from ccdtools.plants.linear_plants import plant_from_matrices, plant_from_state_space
     from ccdtools.plants.linearisation import deviations, linearise
@@ -76,6 +75,7 @@ if TYPE_CHECKING:
     from ccdtools.simulation import simulate
     from ccdtools.statistics import mean_interval
     from ccdtools.studies.loading import load_study
+    from ccdtools.studies.presets import StudyConfig
     from ccdtools.studies.real_plant import RealPlant
     from ccdtools.studies.study import Study
     from ccdtools.trajectory import Trajectory
@@ -84,6 +84,8 @@ if TYPE_CHECKING:
     from ccdtools.twin.online import OnlineConfig
     from ccdtools.twin.replay import replay_problem, updated_problem
     from ccdtools.twin.twin import DigitalTwin
+    from invariant_sets.polytope import Polytope
+    from mpc.linear_mpc import LinearMPC
 
 if what_hides_ours():
     raise ImportError(what_hides_ours())
@@ -104,7 +106,6 @@ __all__ = [
     "Equilibrium",
     "ExtendedKalmanFilter",
     "Filtered",
-    "FirstOrderHold",
     "FixedStart",
     "Gaussian",
     "GeneratedRoad",
@@ -117,21 +118,21 @@ __all__ = [
     "LearnedPolicy",
     "LimitWarning",
     "LinearFeedback",
+    "LinearMPC",
     "LinearModel",
     "Mean",
     "MeanSpread",
     "Measurement",
-    "MethodComparison",
     "Mixture",
     "MultiStart",
     "Nested",
     "NotDetectableError",
     "Observed",
     "OnlineConfig",
-    "OptimumSensitivity",
     "OutputLimits",
     "Passive",
     "Plant",
+    "Polytope",
     "Previewing",
     "QuadraticObjective",
     "RandomStarts",
@@ -147,6 +148,7 @@ __all__ = [
     "Simultaneous",
     "Stacked",
     "Study",
+    "StudyConfig",
     "Sum",
     "SuspensionMetrics",
     "TradeOff",
@@ -219,7 +221,6 @@ _HOMES = {
     "Equilibrium": "plants.equilibrium",
     "ExtendedKalmanFilter": "estimation.extended",
     "Filtered": "controllers.filtered",
-    "FirstOrderHold": "plants.first_order_hold",
     "FixedStart": "co_design.problem",
     "Gaussian": "disturbances.disturbance",
     "GeneratedRoad": "disturbances.roads",
@@ -232,22 +233,22 @@ _HOMES = {
     "LearnedPolicy": "controllers.learned",
     "LimitWarning": "exceptions",
     "LinearFeedback": "controllers.controllers",
+    "LinearMPC": "mpc.linear_mpc",
     "LinearModel": "plants.linear_model",
     "Mean": "co_design.risk",
     "MeanSpread": "co_design.risk",
     "Measurement": "estimation.measurement",
-    "MethodComparison": "co_design.method_comparison",
     "Mixture": "disturbances.combinations",
     "MultiStart": "co_design.multi_start",
     "Nested": "co_design.methods.nested",
     "NotDetectableError": "exceptions",
     "Observed": "controllers.observed",
     "OnlineConfig": "twin.online",
-    "OptimumSensitivity": "co_design.optimum_sensitivity",
     "OutputLimits": "output_limits",
     "PID": "controllers.controllers",
     "Passive": "controllers.controllers",
     "Plant": "plants.plant",
+    "Polytope": "invariant_sets.polytope",
     "Previewing": "controllers.previewing",
     "QuadraticObjective": "co_design.objective",
     "RandomStarts": "co_design.random_starts",
@@ -263,6 +264,7 @@ _HOMES = {
     "Simultaneous": "co_design.methods.simultaneous",
     "Stacked": "disturbances.combinations",
     "Study": "studies.study",
+    "StudyConfig": "studies.presets",
     "Sum": "disturbances.combinations",
     "SuspensionMetrics": "comparison.suspension",
     "TradeOff": "co_design.trade_off",
@@ -327,7 +329,9 @@ def __getattr__(name: str) -> Any:
         return version("ccdtools")
     if name not in _HOMES:
         raise AttributeError(f"module 'ccdtools' has no attribute {name!r}")
-    return getattr(import_module(f"ccdtools.{_HOMES[name]}"), name)
+    home = _HOMES[name]
+    theirs = home.startswith(("invariant_sets.", "mpc."))
+    return getattr(import_module(home if theirs else f"ccdtools.{home}"), name)
 
 
 def __dir__() -> list[str]:

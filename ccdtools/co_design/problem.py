@@ -19,6 +19,7 @@ from ccdtools.checks import (
     has_method,
     shown,
 )
+from ccdtools.co_design.idle_entries import check_every_entry_acts
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
@@ -141,7 +142,8 @@ class CoDesignProblem(Immutable):
         If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
         not in X or not in U, at some design if they depend on it, U is not a box, starts lie outside X at every design
         or break a limit of an output that no input and no design mends, or the box of designs is too narrow or has no
-        entry that is not fixed. If nothing that is chosen changes the objective.
+        entry that is not fixed. If nothing that is chosen changes the objective, or an entry of the design that is not
+        fixed changes nothing.
     """
 
     model: Model
@@ -192,6 +194,7 @@ class CoDesignProblem(Immutable):
         if self.output_limits is not None:
             as_instance("output_limits", self.output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
             self.output_limits.check(model.nx, model.nu, model.design.dim)
+        check_every_entry_acts(model, self.X, self.U, self.objective, self.output_limits)
         self._check_over_designs()
         object.__setattr__(self, "warm_up", as_count("warm_up", self.warm_up, least=0))
         if self.warm_up >= self.steps:

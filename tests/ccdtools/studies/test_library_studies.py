@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from ccdtools import LinearFeedback, Study, depth_outside, expert_dataset, saturated_lqr, simulate
+from ccdtools import LinearFeedback, Study, codesign, depth_outside, expert_dataset, saturated_lqr, simulate
 from ccdtools.cli import app
 from ccdtools.plants import library
 from ccdtools.plants.library import full_car
@@ -109,3 +109,13 @@ def test_twenty_states_are_initialised_and_judged_without_the_corners_of_their_l
     assert data.diverged == 0
     assert len(data.inputs) > 50
     assert depth_outside(1.5 * study.X.bounding_box()[1], study.X) == pytest.approx(0.5)
+
+
+def test_the_template_prices_its_design_so_that_the_best_one_lies_within_its_bounds(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(app, ["new", "my_study"]).exit_code == 0
+    study = load_study("my_study.py")
+    found = codesign(study.problem(), method="nested", rng=np.random.default_rng(0))
+    assert found.active_bounds == {}
+    assert (study.plant.design.to_unit(found.design) > 0.05).all()
+    assert (study.plant.design.to_unit(found.design) < 0.95).all()

@@ -50,7 +50,7 @@ WRONG = [
     ("study_with(X='box')", "X: got str, expected a Polytope or bounds (lower, upper)"),
     ("study_with(X=([-1, -2, -3], [1, 2, 3]))", "X[0]: got shape (3,), expected a number or 2 numbers"),
     ("study_with(U=(1, -1))", "U[0]: got 1 above upper, -1, at index 0, expected lower <= upper"),
-    ("study_with(U=(False, True))", "U[0]: got False, expected real numbers, not True or False"),
+    ("study_with(U=(False, True))", "U[0]: got False, expected an array of real numbers, not True or False"),
     ("study_with(objective=np.eye(2))", "objective: got"),
     ("study_with(disturbance=0.1)", "disturbance: got 0.1, expected an object with sample(runs, steps, rng)"),
     ("study_with(disturbance=Gaussian)", "disturbance: got"),
