@@ -104,7 +104,8 @@ def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: i
     for design in problem.design.spread()[::-1][: min(PROBES, samples)]:
         result = sets.result(design)
         if result.status not in USABLE:
-            return 0, f"X_fea(p) was not found: {result.status.name}{LATE if result.status is Status.TIME_LIMIT else ''}"
+            late = LATE if result.status is Status.TIME_LIMIT else ""
+            return 0, f"X_fea(p) was not found: {result.status.name}{late}"
         work.append(max(result.iterations, 1) * max(len(result.set.b), 1))
     number = min(float(samples), effort.seconds * WORK / float(np.mean(work)))
     if number < min(FEWEST, samples):
