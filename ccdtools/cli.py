@@ -72,7 +72,7 @@ def run(
     design_gradient: Annotated[str | None, typer.Option(help="pathwise, or network_input (the paper's).")] = None,
     sets: Annotated[str | None, typer.Option(help="X_fea for the expert's data: auto, lqr or none.")] = None,
     sets_time_limit: Annotated[
-        str | None, typer.Option(metavar="SECONDS", help="Processor time for all sets of the initialisation.")
+        str | None, typer.Option(metavar="SECONDS", help="Budget of all sets of the initialisation, as work.")
     ] = None,
     x0: Annotated[str | None, typer.Option(help="Initial state, for example --x0=-3,0")] = None,
     p0: Annotated[str | None, typer.Option(help="Start design, for example --p0=0.8")] = None,

@@ -15,15 +15,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike
+from torch import Tensor
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_generator, as_instance
 from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, scenario_tensors
+from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import LinearFeedback, Passive
-from ccdtools.scenario import Scenario
 from mpc import NotStabilisableError, lqr
 
 RUNS = 32  # scenarios of 100 steps that the fit is over
@@ -89,23 +91,33 @@ def stochastic_linearisation(
     return fitted(problem, problem.design.check_one(design), visited(problem, rng))
 
 
-def visited(problem: CoDesignProblem, rng: np.random.Generator) -> Scenario:
+def visited(problem: CoDesignProblem, rng: np.random.Generator) -> ScenarioTensors:
     """The scenarios that a fit is over."""
-    return Scenario(problem.model, *problem.scenarios.sample(fewer_runs(RUNS, problem.steps), problem.steps, rng))
+    x0, w = scenario_tensors(problem, fewer_runs(RUNS, problem.steps), rng)
+    return x0.double(), w.double()
 
 
-def fitted(problem: CoDesignProblem, p: Array, scenario: Scenario) -> Linearisation:
+def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Linearisation:
     """The best linearisation of the rounds on given scenarios, a function of the design (np,) alone."""
     rng = np.random.default_rng(0)
     bounds = problem.input_bounds_at(p)
     weights = problem.weights(p).keywords()
 
     def driven(law: LinearFeedback | Passive) -> tuple[Array, Array, float]:
-        """States and inputs (n, ·) of the runs that are not lost, and the mean return of all."""
-        run = scenario.run(law, design=p, limit=problem.limit)
-        kept = ~run.diverged
-        states = run.states[kept, :-1].reshape(-1, problem.model.nx)
-        return states, run.inputs[kept].reshape(len(states), -1), float(run.returns(problem.objective).mean())
+        """States and inputs (n, ·) that the loop visits within the divergence limit, and the mean return."""
+        pairs = []
+
+        def followed(x: Tensor) -> Tensor:
+            """The inputs, remembered with their states."""
+            u = law(x.numpy())
+            pairs.append((x.numpy(), u))
+            return x.new_tensor(u)
+
+        with torch.no_grad():
+            seen = simulated(Stepper.at(in_double(problem), torch.tensor(p)), followed, scenarios)
+        states, inputs = (np.concatenate(part) for part in zip(*pairs))
+        within = (np.abs(states) <= problem.limit).all(axis=1)
+        return states[within], inputs[within], float(seen.total.mean())
 
     try:
         states, _, tangent = driven(saturated_lqr(problem, p))

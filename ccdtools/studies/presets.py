@@ -37,7 +37,7 @@ class StudyConfig:
     sets : {"auto", "lqr", "none"}
         Which sets they are taken from, as in `expert_dataset`.
     sets_time_limit : float
-        Processor time for these sets [s].
+        Budget for these sets [s], as work of a usual processor.
     model_runs, real_runs : int
         Rollouts of a comparison on the model (and of the judgement of a redesign on recombined runs), and on a real
         plant of short runs.

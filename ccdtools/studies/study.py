@@ -78,7 +78,7 @@ class Study(Immutable):
     sets : {"auto", "lqr", "none"}
         Sets that the samples are taken from: X_fea(p) as far as the time goes; what saturated LQR keeps within X; X.
     sets_time_limit : float
-        Processor time for these sets [s].
+        Budget for these sets [s]: the work of a usual processor, counted alike on every machine.
     limit_tolerance : "mpc", "off" or (fraction, depth)
         How often and how far the co-designed policy may leave X, see `CoDesignProblem`; a redesign or an update that
         leaves it further, and further than what is in service, is refused.

@@ -12,11 +12,11 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import HORIZON, linear_mpc, nonlinear_mpc, saturated_lqr
 from ccdtools.co_design.design_sensitivity import regulator_of
+from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import Law
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.secant import fitted
 from ccdtools.controllers.controllers import Controller, Passive
-from ccdtools.scenario import Scenario
 
 
 class DesignLaw(Protocol):
@@ -80,7 +80,7 @@ class LQRLaw:
 class SecantLaw:
     """Saturated LQR of the linearisation over the states that the loop of each design visits on given scenarios."""
 
-    scenario: Scenario
+    scenarios: ScenarioTensors
     words = "saturated LQR of the secant over the visited states"
     differentiable = False
 
@@ -90,7 +90,7 @@ class SecantLaw:
 
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
         """Saturated LQR."""
-        return fitted(problem, p, self.scenario).controller
+        return fitted(problem, p, self.scenarios).controller
 
 
 @dataclass(frozen=True)
