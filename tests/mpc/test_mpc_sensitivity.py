@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from differences import distance, slope, slopes
+from law_corners import KINDS, rows
 from plants import double_integrator, suspension
 
 from mpc import Constraint, InputError, LinearMPC, SensitivityStatus
@@ -252,6 +253,13 @@ def test_dependent_constraints_that_part_are_flagged():
     assert not found.regular
     assert found.dependent == (Constraint("state", 2, 3),)
     assert np.isnan(found.along([1.0, 0.0]).cost)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_at_the_corners_of_a_law_rates_are_its_gains_or_none(kind):
+    ((_, found),) = rows(60, 3, (kind,))
+    assert set(found) <= {"right", "DEPENDENT, NaN"}
+    assert found["right"] > 20
 
 
 def test_a_constraint_stated_twice_changes_nothing():
