@@ -183,7 +183,7 @@ def coarse(seed: int) -> tuple[str, Phase, Any, int]:
         ),
         "tracking": lambda: Phase(
             lambda x, u: -slow * x + u, 1, 1, start=[k],
-            stage_cost=lambda x, u, t: 100 * (x - k * ca.sin(fast * t)) ** 2 + u**2
+            stage_cost=lambda x, u, t: 100 * (x - k * ca.sin(fast * t)) ** 2 + u**2,
         ),
         "hypersensitive": lambda: Phase(
             lambda x, u: -(x**3) + u, 1, 1, start=[1], end=[1.5], duration=10 * fast,

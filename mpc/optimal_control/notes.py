@@ -61,7 +61,7 @@ def _rough(program: NonlinearProgram, of_kinks: bool) -> Iterator[str]:
                 )
             elif kinks and of_kinks:
                 what = ", ".join(kinks)
-                cure = "round them, as sqrt(x² + ε²) for fabs; for a cost |u| take two inputs ≥ 0, u = a − b at a + b"
+                cure = "round them, such as sqrt(x² + ε²) for fabs; for a cost |u| take u = a − b, a, b ≥ 0, at a + b"
                 yield f"The {name}{of_phase} has kinks ({what}): {cure}."
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
-from mpc.optimal_control.interval import at_points, times_of
+from mpc.optimal_control.interval import times_of
 from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation
@@ -130,10 +130,8 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     """A phase of the unknowns (n,) of a program; `weight` is that of its cost."""
     layout, N = part.layout, part.intervals
     start, length = clock
-    columns, last = part.columns(v)
-    nodes = np.column_stack([columns[: layout.node], last])
-    x, shared, own = nodes[: layout.nx], nodes[layout.nx :], columns[layout.node :]
-    states, inputs = at_points(layout, x[:, :-1], shared[:, :-1], own, x[:, 1:], shared[:, 1:])
+    nodes, own, states, inputs = part.unknowns(v)
+    x = nodes[: layout.nx]
     fractions = times_of(layout.points, part.mesh)
     at_signals = times_of(layout.signals, part.mesh)
     times = start + length * fractions
@@ -147,7 +145,7 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * at_signals.ravel()).reshape(N, -1)
     stage_states = np.stack(states, axis=0).transpose(2, 0, 1)
     stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
-    rates = stage_rates(part, stage_states, stage_inputs, w, p, times, x.T)
+    rates = _rates(part, stage_states, stage_inputs, w, p, times, (mesh_times, x.T))
     costates = _costates(part, nodes, own, p, mesh_times[:-1], h, w, multipliers, weight)
     of_stages = _stage_costates(part, multipliers)
     return PhaseSolution(
@@ -155,15 +153,15 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     )  # fmt: skip
 
 
-def stage_rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Array, times: Array, nodes: Array) -> Array:
-    """dx/dt (N, d, nx) at the points of every interval; of shooting at both its ends."""
+def _rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Array, times: Array,
+           nodes: tuple[Array, Array]) -> Array:  # fmt: skip
+    """dx/dt (N, d, nx) at the points of every interval; of shooting at both its ends, the times and states of nodes."""
     N, d, nx = states.shape
     if isinstance(part.scheme, Collocation) or part.phase.discrete:
         x, u, t, signal = states, inputs, times, w.reshape(N, d, -1)
     else:
-        x = np.stack([nodes[:-1], nodes[1:]], axis=1)
+        t, x = (np.stack([known[:-1], known[1:]], axis=1) for known in nodes)
         u = np.repeat(inputs, 2, axis=1)
-        t = np.stack([times[:, 0], np.append(times[1:, 0], times[-1, 0])], axis=1)
         signal = w.reshape(N, len(part.layout.signals), -1)[:, [0, -1]]
     count = x.shape[1] * N
     flat = (x.reshape(count, -1).T, u.reshape(count, -1).T, signal.reshape(count, -1).T,

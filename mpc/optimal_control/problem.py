@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import Bounds, as_parameter_bounds
+from mpc.optimal_control.bounds import Bounds, as_names, as_parameter_bounds
 from mpc.optimal_control.functions import Statement, brief, compiled
-from mpc.optimal_control.names import as_names
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 
 RISKS = ("sum", "worst", "spread")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.elastic import shaken
 from mpc.optimal_control.finer_meshes import finer_mesh
 from mpc.optimal_control.functions import brief
+from mpc.optimal_control.meshes import finer_mesh
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram
@@ -30,6 +32,7 @@ FALLS = 0.8  # of what the mesh before missed: a finer mesh that misses more has
 NO_TIME, NO_ROUNDS, FINER = "the time was up", "these were all the rounds", "on a finer mesh"
 PASSING = (OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.STOPPED, OptimalControlStatus.INACCURATE)
 STILL = 2  # meshes in a row that have not helped, after which none is made: what is left is rounding
+THROUGH = 1e-2  # excess of a limit that a finer mesh does not lower where the trajectory jumps over it
 GUESSES = 3  # that a trajectory which jumps over a limit is looked for from, each on a mesh twice as fine
 
 
@@ -106,10 +109,8 @@ class _Rounds:
 
     def sharper(self) -> _Rounds:
         """The rounds that are left, with a tighter tolerance of the solver."""
-        rounds = _Rounds(
-            self.options | {"tolerance": SHARPNESS * self.tolerance}, self.tolerance, self.left, self.end, self.bar
-        )
-        rounds.iterations = self.iterations
+        rounds = copy(self)
+        rounds.options = self.options | {"tolerance": SHARPNESS * self.tolerance}
         return rounds
 
     def refined(self, solution: Solution) -> tuple[Solution, str]:
@@ -125,7 +126,9 @@ class _Rounds:
             finer = self.solved(program, solution)
             if not finer.solved_on_mesh:
                 return best, self._over(0) or f"{FINER} the problem is {finer.status.name}"
-            still = still + 1 if self.missed(finer) > max(FALLS * self.missed(solution), 1) else 0
+            through = finer.excess > max(THROUGH, FALLS * solution.excess)
+            helped = self.missed(finer) <= max(FALLS * self.missed(solution), 1)
+            still = 0 if helped else STILL if through else still + 1
             solution = finer
             best = solution if self.missed(solution) <= max(self.missed(best), 1) else best
         return best, "" if self.missed(best) <= 1 else "intervals are as short as they may be"

@@ -22,7 +22,7 @@ from mpc.plan import Residuals
 
 PASSED = 1e-5  # relative excess of a limit between the points that a solution may have
 COARSE = 0.05  # relative error of the dynamics over an interval that a solution may have
-DEARER = 0.01  # estimated error of the cost, beside it, that a solution may have
+DEARER = 0.003  # estimated error of the cost, beside it, that a solution may have: the true one is up to three times it
 ROUNDED = 1e-6  # of the cost's size, or of its slope's: an error of the cost that is rounding
 
 

@@ -13,7 +13,6 @@ from scipy.sparse.linalg import splu
 
 from mpc.checks import Array
 from mpc.optimal_control.descriptions import describe_row, describe_unknown
-from mpc.optimal_control.interval import at_points
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.sensitivities.plan_sensitivity import SensitivityStatus
 
@@ -201,11 +200,8 @@ def _along(part: PhasePart, moves: Array) -> tuple[Array, Array]:
     states = np.empty((part.intervals + 1, layout.nx, moves.shape[1]))
     inputs = np.empty((part.intervals * len(layout.points), layout.nu, moves.shape[1]))
     for i, move in enumerate(moves.T):
-        columns, last = part.columns(move)
-        nodes = np.column_stack([columns[: layout.node], last])
-        x, shared = nodes[: layout.nx], nodes[layout.nx :]
-        _, values = at_points(layout, x[:, :-1], shared[:, :-1], columns[layout.node :], x[:, 1:], shared[:, 1:])
-        states[:, :, i] = x.T
+        nodes, _, _, values = part.unknowns(move)
+        states[:, :, i] = nodes[: layout.nx].T
         inputs[:, :, i] = np.stack(values, axis=0).transpose(2, 0, 1).reshape(-1, layout.nu)
     return states, inputs
 

@@ -21,6 +21,7 @@ from ccdtools import (
     QuadraticObjective,
     Search,
     Sequential,
+    closed_loop_returns,
     compare_methods,
     simulate,
 )
@@ -269,3 +270,38 @@ def test_a_method_that_wins_is_said_to_win_and_by_what(problem):
     assert "by its controller" in said
     for cause in ("plans with", "knows nothing", "fitted to", "would need", "because"):  # none of them was measured
         assert cause not in said
+
+
+class Push:
+    """A disturbance that is the same in every run."""
+
+    nw = 1
+
+    def sample(self, runs, steps, rng):
+        return np.tile(np.sin(np.arange(steps))[:, None], (runs, 1, 1))
+
+
+def test_equal_runs_are_simulated_once(problem):
+    sizes = []
+
+    def law(x):
+        sizes.append(len(x))
+        return -0.5 * x[:, :1]
+
+    pushed = replace(problem, scenarios=FixedStart([1.0, 0.0], Push()))
+    found = closed_loop_returns(pushed, law, [1.0], np.random.default_rng(0), runs=40)
+    assert set(sizes) == {1}
+    run = simulate(
+        problem.model, law, x0=[1.0, 0.0], steps=problem.steps, design=[1.0],
+        disturbance=np.sin(np.arange(problem.steps))[:, None],
+    )  # fmt: skip
+    assert found.values == pytest.approx(np.full(40, run.returns(problem.objective)[0]), rel=1e-6)
+
+
+def test_a_comparison_says_which_method_it_is_at(problem, capsys):
+    chosen = {"refusing": Refusing(), "again": Refusing()}
+    compare_methods(problem, chosen)
+    assert "methods" in capsys.readouterr().err
+    compare_methods(problem, chosen, progress=False)
+    compare_methods(problem, chosen, each=lambda _: None)
+    assert not capsys.readouterr().err

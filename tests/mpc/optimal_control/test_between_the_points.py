@@ -24,10 +24,9 @@ RADIUS = 0.3
 
 def past_a_disc(unit=1.0, origin=0.0):
     """From one side of a disc to the other with the least energy; the straight guess goes through its centre."""
-    at = np.array([origin, 0.0])
+    start, end = (unit * np.array([origin + far, 0.0]) for far in (0, 2))
     return Phase(
-        lambda u: u, 2, 2, start=unit * at, end=unit * (at + np.array([2, 0])),
-        stage_cost=lambda u: ca.sumsqr(u / unit),
+        lambda u: u, 2, 2, start=start, end=end, stage_cost=lambda u: ca.sumsqr(u / unit),
         path=lambda x: (unit * RADIUS) ** 2 - (x[0] - unit * (1 + origin)) ** 2 - x[1] ** 2,
     )  # fmt: skip
 
@@ -95,7 +94,7 @@ def test_a_mesh_too_coarse_for_fast_dynamics_is_not_solved_and_says_what_the_cos
     fine = solve(build(oscillator(), scheme, 100))
     said = fine.cost_error / abs(fine.cost - true)
     assert 0.3 < said < 3
-    assert fine.solved == (fine.cost_error <= 0.01 * fine.cost)
+    assert fine.solved == (fine.cost_error <= 0.003 * fine.cost)
     assert "±" in repr(fine)
 
 
