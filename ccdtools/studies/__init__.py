@@ -13,15 +13,9 @@ if TYPE_CHECKING:
     from ccdtools.studies.study import Study
 
 __all__ = [
-    "Generations",
-    "RealPlant",
-    "RunFolder",
-    "Study",
-    "StudyConfig",
-    "configuration",
-    "load_study",
-    "study_names",
-]
+    "Generations", "RealPlant", "RunFolder", "Study", "StudyConfig",
+    "configuration", "load_study", "study_names",
+]  # fmt: skip
 
 _HOMES = {
     "Generations": "generations",
