@@ -81,7 +81,6 @@ from ccdtools.limits import excursions as excursions
 from ccdtools.output_limits import OutputLimits as OutputLimits
 from ccdtools.plants.design_space import DesignSpace as DesignSpace
 from ccdtools.plants.discretisation import discretise as discretise
-from ccdtools.plants.equilibrium import Equilibrium as Equilibrium
 from ccdtools.plants.equilibrium import equilibrium as equilibrium
 from ccdtools.plants.first_order_hold import first_order_hold as first_order_hold
 from ccdtools.plants.linear_model import LinearModel as LinearModel

@@ -14,7 +14,6 @@ from tqdm import tqdm
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.elastic import shaken
-from mpc.optimal_control.finer_meshes import finer_mesh
 from mpc.optimal_control.functions import brief
 from mpc.optimal_control.meshes import finer_mesh
 from mpc.optimal_control.phase import Phase

@@ -53,4 +53,4 @@ def test_what_everybody_needs_is_where_everybody_looks():
     assert ccdtools.Polytope is invariant_sets.Polytope
     assert ccdtools.LinearMPC is mpc.LinearMPC
     assert ccdtools.StudyConfig is studies.StudyConfig
-    assert len(ccdtools.__all__) <= 113
+    assert len(ccdtools.__all__) <= 112
