@@ -35,7 +35,7 @@ LEAST = 1e-3  # of the range of an input: what a policy is taken to do that does
 NOISIER = 2.0  # times: where smaller steps have such errors, returns jump, and only the larger step says something
 FIRST = {"gain": 0.5, "offset": 0.1, "law": 0.2}  # steps of the search
 EVALUATIONS = 10  # of the search for every number that is tuned, and no more than
-MOST = 100
+MOST = 60
 BLIND = 1e-9  # of the return: a run whose gradient is smaller has none
 
 
@@ -111,9 +111,12 @@ def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenario
     values = retuned.values(r)
     pathwise = torch.autograd.grad(values.sum(), r)[0].flatten(1) @ directions
     scale = float(problem.made_by_control(values.detach().mean(), torch.tensor(policy.design)))
-    coarse, fine = (_check(pathwise, _differences(retuned, directions, step), scale) for step in STEPS)
+    coarse = _check(pathwise, _differences(retuned, directions, STEPS[0]), scale)
+    if coarse.trusted:
+        return coarse
+    fine = _check(pathwise, _differences(retuned, directions, STEPS[1]), scale)
     steady = fine.finite_difference_error <= NOISIER * coarse.finite_difference_error
-    return fine if steady.all() and fine.trusted else coarse
+    return fine if steady.all() else coarse
 
 
 @torch.no_grad()
@@ -154,7 +157,7 @@ def better_by_search(
 
     steps = np.tile([FIRST["gain"], FIRST["offset"], *[FIRST["law"]] * (retuned.shape[1] - 2)], retuned.shape[0])
     simplex = np.vstack([np.zeros(count), np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxfev": min(EVALUATIONS * count + 20, MOST), "adaptive": True}
+    options = {"initial_simplex": simplex, "maxfev": min(EVALUATIONS * count, MOST), "adaptive": True}
     found = minimize(cost, np.zeros(count), method="Nelder-Mead", options=options).x
     again = retuned.on(fresh)
     better = again.values(torch.tensor(found.reshape(retuned.shape)))

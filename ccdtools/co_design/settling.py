@@ -35,7 +35,7 @@ from ccdtools.statistics import PairedDifference, paired_difference
 from mpc import MPCError
 
 LOSS = 5e-3  # of the return that control makes: a settled controller is worse than no baseline by more
-RUNS = 512  # scenarios of 100 steps, of nested LQR and of the checks of a policy
+RUNS = 256  # scenarios of 100 steps, of nested LQR and of the checks of a policy; of its gradient twice as many
 EVALUATIONS = 20  # of nested LQR
 BLIND = 0.5  # of the runs: a policy without a gradient in more of them is not led by it
 
@@ -104,12 +104,12 @@ class Settling:
             granted, source = tolerance_at(self.problem, v, self._drawn(1)), BY_MPC
         return LimitsOutcome(seen, granted, source, NOTHING, self.problem.output_limits is not None, errors)
 
-    def _drawn(self, number: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def _drawn(self, number: int, runs: int = RUNS) -> tuple[torch.Tensor, torch.Tensor]:
         """Scenarios of the checks, others for every number."""
         rng = copy.deepcopy(self.scenarios)
         for _ in range(number):
             rng = np.random.default_rng(rng.integers(2**63, size=4))
-        return scenario_tensors(self.problem, fewer_runs(RUNS, self.problem.steps), rng)
+        return scenario_tensors(self.problem, fewer_runs(runs, self.problem.steps), rng)
 
     def _baselines(self, result: CoDesignResult, loop: ClosedLoopReturns) -> list[Baseline]:
         """Saturated LQR of the same design, and nested LQR from there; of those that keep the limits and their runs."""
@@ -158,7 +158,7 @@ class Settling:
         policy = result.controller
         assert isinstance(policy, LearnedPolicy)
         if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
-            check = gradient_of_policy(self.problem, policy, self._drawn(1))
+            check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * RUNS))
             result = replace(result, policy_gradients=check)
             wrong = "" if check.trusted else "the gradient of the policy is not that of its return, beyond chance"
             if check.blind > BLIND:
