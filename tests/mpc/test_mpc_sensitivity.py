@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from differences import distance, slope, slopes
-from law_corners import KINDS, rows
+from adversarial_laws import KINDS, rows
 from plants import double_integrator, suspension
 
 from mpc import InputError, LinearMPC, SensitivityStatus
