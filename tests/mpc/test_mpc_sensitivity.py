@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from differences import distance, slope, slopes
 from adversarial_laws import KINDS, rows
+from differences import distance, slope, slopes
 from plants import double_integrator, suspension
 
 from mpc import InputError, LinearMPC, SensitivityStatus
