@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from adversarial_laws import KINDS, rows
 from differences import distance, slope, slopes
-from law_corners import KINDS, rows
 from plants import double_integrator, suspension
 
 from mpc import Constraint, InputError, LinearMPC, SensitivityStatus

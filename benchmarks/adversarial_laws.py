@@ -1,17 +1,20 @@
-"""One-sided rates of a plan at the corners of its explicit law, beside the law's own gain on that side.
+"""Explicit laws under an adversary: rates of plans at their corners, and files of which one byte was changed.
 
-    python benchmarks/law_corners.py [--count 5000] [--seed 0]
+    python benchmarks/adversarial_laws.py [--count 5000] [--edits 10000] [--seed 0]
 
 Laws of random plants of two and three states with rate, soft and terminal limits. A corner is a vertex of a region, or
 a point on one of its facets; a side is the direction to the centre of the region, or one drawn at random that leads
 into a region that holds the corner, or out of a complete law. A rate is right where it is the gain of that region in
 this direction to 1e-4 of the largest gain; where the status is DEPENDENT, or the way leads out, it is NaN.
+
+A file of which one byte was changed must be refused in an InputError, or be read as what it was.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 from collections import Counter
 from pathlib import Path
 
@@ -21,7 +24,7 @@ import numpy as np  # noqa: E402
 from scipy.spatial import HalfspaceIntersection, QhullError  # noqa: E402
 
 from invariant_sets import Polytope  # noqa: E402
-from mpc import InfeasibleError, LinearMPC, MPQPStatus, NotStabilisableError  # noqa: E402
+from mpc import ExplicitMPC, InfeasibleError, InputError, LinearMPC, MPQPStatus, NotStabilisableError  # noqa: E402
 
 ACCEPTED = 1e-4
 MEETS = 1e-8  # of a facet, scaled parameters
@@ -129,16 +132,49 @@ def rows(count, seed, kinds=KINDS):
         yield kind, found
 
 
+def contents(law):
+    """All that a law is, as text."""
+    p = law.partition
+    arrays = [getattr(p.problem, name) for name in "HFfYyGwSl"] + [p.H, p.h, p.law, law.law, law.tree.planes]
+    return str([p.status, p.solve_time, p.uncovered, p.problem.c, p.problem.nu, p.problem.parameters, p.problem.labels,
+                law.tree.status, *(array.tobytes() for array in arrays)])  # fmt: skip
+
+
+def edited(law, count, rng):
+    """What becomes of files of a law of which one byte was changed."""
+    found = Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        for file in law.save(Path(folder) / "law"):
+            content = file.read_bytes()
+            for _ in range(count // 2):
+                damaged = bytearray(content)
+                place = int(rng.integers(len(content)))
+                damaged[place] = (damaged[place] + int(rng.integers(1, 256))) % 256
+                file.write_bytes(damaged)
+                try:
+                    same = contents(ExplicitMPC.load(Path(folder) / "law")) == contents(law)
+                    found["read as it was" if same else "READ WITH ANOTHER CONTENT"] += 1
+                except InputError:
+                    found["refused"] += 1
+            file.write_bytes(content)
+    return found
+
+
 def main():
     """Print the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, default=5000)
+    parser.add_argument("--edits", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     print("| limits | corners | verdicts |\n|---|---|---|")
     for kind, found in rows(max(1, options.count // len(KINDS)), options.seed):
         said = ", ".join(f"{n} {what}" for what, n in found.most_common())
         print(f"| {kind} | {sum(found.values())} | {said} |", flush=True)
+    A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.5], [1.0]])
+    law = LinearMPC(A, B, Q=1.0, R=0.1, horizon=4, X=(-5, 5), U=(-1, 1)).explicit()
+    found = edited(law, options.edits, np.random.default_rng(options.seed))
+    print(f"| one byte of a stored law | {options.edits} | {', '.join(f'{n} {what}' for what, n in found.items())} |")
 
 
 if __name__ == "__main__":
