@@ -86,8 +86,9 @@ def _prepared(options: Options, loaded: LoadedStudy, source: Disturbance | None)
     study = loaded.study
     with blamed_on_options({name: f"--{name}" for name in ("x0", "p0") if getattr(options, name) is not None}):
         study = study.started(x0=_array(options.x0), p0=_array(options.p0))
-    if options.redesign_price is not None:
-        study = replace(study, redesign_price=options.redesign_price)
+    for name in ("redesign_price", "accept_loss"):
+        if getattr(options, name) is not None:
+            study = replace(study, **{name: getattr(options, name)})
     tolerance = options.limit_tolerance()
     if tolerance is not None:
         study = replace(study, limit_tolerance=tolerance)
