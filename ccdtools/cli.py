@@ -86,6 +86,9 @@ def run(
     redesign_price: Annotated[
         str | None, typer.Option(help='Gain that a redesign must promise: "0.5 %" (of the return) or "12 return".')
     ] = None,
+    accept_loss: Annotated[
+        str | None, typer.Option(help='Loss that a change may bring elsewhere: "0.5 %" (of the return there).')
+    ] = None,
     limits: Annotated[
         str | None, typer.Option(help="How far X may be left: mpc (as MPC does), off, or fraction,depth as 0.01,0.05.")
     ] = None,
@@ -102,7 +105,7 @@ def run(
         expert, method=method, design_gradient=design_gradient, sets=sets,
         sets_time_limit=seconds("--sets-time-limit", sets_time_limit), x0=numbers("--x0", x0),
         p0=numbers("--p0", p0), disturbance=disturbance, column=column, road=road, speed=speed, driver=driver,
-        redesign_price=redesign_price, limits=limits, filter=filter,
+        redesign_price=redesign_price, limits=limits, filter=filter, accept_loss=accept_loss,
     )  # fmt: skip
     _begin(options, Path(study).stem, output, overwrite=overwrite)
 

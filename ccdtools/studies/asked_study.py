@@ -28,8 +28,8 @@ def asked_study(options: Options, recording: Recorded | None = None) -> LoadedSt
     source = recording if recording is not None else _source(options, study)
     with blamed_on_options({name: f"--{name}" for name in ("x0", "p0") if getattr(options, name) is not None}):
         study = study.started(x0=options.x0, p0=options.p0)
-    asked = {"redesign_price": options.redesign_price, "limit_tolerance": options.limit_tolerance(),
-             "filter": options.filter}  # fmt: skip
+    asked = {"redesign_price": options.redesign_price, "accept_loss": options.accept_loss,
+             "limit_tolerance": options.limit_tolerance(), "filter": options.filter}  # fmt: skip
     changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     with blamed_on_source_options(options):
         if source is not None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from ccdtools.checks import TOLERANCES, as_choice, as_count, as_limit_tolerance, as_positive, nearest, shown
 from ccdtools.exceptions import InputError
-from ccdtools.studies.price import RedesignPrice
+from ccdtools.studies.price import RedesignPrice, accepted_loss
 
 PRESETS = ("default", "paper")
 EXPERTS = ("lqr", "mpc", "explicit")
@@ -39,7 +39,7 @@ class Options:
         As in `Generations` and `configuration`.
     x0, p0 : list of float or None
         Another initial state and first design.
-    redesign_price, filter : str or None
+    redesign_price, accept_loss, filter : str or None
         As in `Study`; the study's own where None.
     limits : str or None
         The `limit_tolerance` of the study: mpc, off, or two numbers "0.01,0.05".
@@ -72,6 +72,7 @@ class Options:
     redesign_price: str | None = None
     limits: str | None = None
     filter: str | None = None
+    accept_loss: str | None = None
 
     def __post_init__(self) -> None:
         _check_study(self.study)
@@ -93,6 +94,8 @@ class Options:
             as_choice("--driver", self.driver, DRIVERS)
         if self.redesign_price is not None:
             RedesignPrice.parse(self.redesign_price, "--redesign-price")
+        if self.accept_loss is not None:
+            accepted_loss(self.accept_loss, "--accept-loss")
         self.limit_tolerance()
         if self.filter is not None:
             as_choice("--filter", self.filter, FILTERS)

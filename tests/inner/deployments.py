@@ -1,22 +1,24 @@
 """Deployments of the case studies, and trainings that end with a candidate that is given."""
 
 import copy
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import torch
 
-from ccdtools import CoDesignConfig, OnlineConfig, deploy_and_update
-from ccdtools.twin.recombined_returns import NOT_ASKED, recombined_gain
-from ccdtools.twin.update_judge import UpdateJudge
-from learning import PPOConfig
+from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.twin.deployment import deploy_and_update
+from ccdtools.twin.online import OnlineConfig
+from learning.ppo import PPOConfig
+from learning.quantile import QuantileConfig
 
 DESIGN = np.array([2.0])
 TINY = CoDesignConfig(
     iterations=1, runs=4, pathwise_runs=8, design_rate=0.0, evaluation_runs=10, ppo=PPOConfig(passes=1, critic_only=1)
 )
-ONLINE = OnlineConfig(updates=2, window=20, judged=30, training=TINY)
+ONLINE = OnlineConfig(
+    updates=2, window=20, judged=30, training=TINY, quantile=QuantileConfig(hidden=(8,), steps=50, batch=128)
+)
 
 
 def start(n=1):
@@ -53,26 +55,3 @@ def training_gives(monkeypatch, candidate):
 
     monkeypatch.setattr("ccdtools.twin.deployment.codesign", codesign)
     return trained
-
-
-def told_independent(monkeypatch, answer=True):
-    """Let every log be found so, and keep the runs that were looked at, and what was judged."""
-    looked, judged = [], []
-
-    def told(replay, *_):
-        looked.append(np.concatenate([log.numbers for log in replay.logs]))
-        return replace(NOT_ASKED, independent=answer, possible=answer)
-
-    def spy(replay, drive, objective, count, rng, *risk):
-        judged.append(np.concatenate([log.numbers for log in replay.logs]))
-        return recombined_gain(replay, drive, objective, count, rng, *risk)
-
-    monkeypatch.setattr("ccdtools.twin.update_judge.independence", told)
-    monkeypatch.setattr("ccdtools.twin.update_judge.recombined_gain", spy)
-    return looked, judged
-
-
-def judge(study, **options):
-    """Return what compares policies on logged errors of 60 runs."""
-    rng = np.random.default_rng(0)
-    return UpdateJudge(study.problem(), DESIGN, replace(ONLINE, **options), 60, rng.spawn(1)[0], rng, None)

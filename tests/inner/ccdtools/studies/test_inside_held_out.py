@@ -11,7 +11,7 @@ from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import gains_by_source
 from ccdtools.studies.held_out import GenerationRecord, former_services, gains_in, places_of, steps_of
-from ccdtools.studies.redesign import InService
+from ccdtools.twin.deployable import Deployable
 from learning import ActorCritic
 
 
@@ -89,9 +89,9 @@ def test_gains_of_unknown_sources_are_refused():
 
 
 def test_a_generation_that_was_taken_back_brings_nothing(study, evaluation, agents):
-    start = InService(agents[0], np.array([2.0]))
-    first = InService(agents[1], np.array([3.0]))
-    tried = InService(agents[2], np.array([1.0]))
+    start = Deployable(agents[0], np.array([2.0]))
+    first = Deployable(agents[1], np.array([3.0]))
+    tried = Deployable(agents[2], np.array([1.0]))
     history = [GenerationRecord(start, start), GenerationRecord(first, first), GenerationRecord(tried, first)]
     assert [step.source for step in steps_of(evaluation, history)] == ["start", "design", "policy", "updates"]
     gains = gains_in(evaluation, evaluation.on_real(), steps_of(evaluation, history))
@@ -99,9 +99,9 @@ def test_a_generation_that_was_taken_back_brings_nothing(study, evaluation, agen
 
 
 def test_a_redesign_in_service_and_its_updates_are_told_apart(study, evaluation, agents):
-    first = InService(agents[0], np.array([2.0]))
-    redesigned = InService(agents[1], np.array([3.0]))
-    updated = InService(agents[2], np.array([3.0]))
+    first = Deployable(agents[0], np.array([2.0]))
+    redesigned = Deployable(agents[1], np.array([3.0]))
+    updated = Deployable(agents[2], np.array([3.0]))
     history = [GenerationRecord(first, first), GenerationRecord(first, first), GenerationRecord(redesigned, updated)]
     steps = steps_of(evaluation, history)
     scenario = evaluation.held_out["fresh draws"]
@@ -120,10 +120,9 @@ def test_gains_are_measured_where_it_was_deployed_and_on_what_was_held_out(evalu
     np.testing.assert_array_equal(places["deployed drive"].disturbance, evaluation.on_real().disturbance)
 
 
-@pytest.mark.check
 def test_the_start_and_former_services_are_proposed_once_and_failures_are_not(illustrative, clone):
     agent = clone(illustrative)
-    at = [InService(agent, np.array([p])) for p in (1.0, 1.5, 2.0, 2.5)]
+    at = [Deployable(agent, np.array([p])) for p in (1.0, 1.5, 2.0, 2.5)]
     start, first, failed, third = at
     history = [GenerationRecord(start, start), GenerationRecord(first, first),
                GenerationRecord(failed, first, stayed=False), GenerationRecord(third, third)]  # fmt: skip

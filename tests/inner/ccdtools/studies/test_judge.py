@@ -18,10 +18,11 @@ from ccdtools import (
     simulate,
 )
 from ccdtools.co_design.landscape import Landscape
+from ccdtools.evidence.evidence import Asked, Pairing
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.redesign import _clustered
 from ccdtools.studies.warm_up import warm_up
+from ccdtools.twin import distributions
 from ccdtools.twin.residuals import residuals
 from invariant_sets import Polytope
 
@@ -52,6 +53,19 @@ def logged(study, design):
     return evaluation, residuals(study.model, driven(evaluation, design))
 
 
+def whole_runs(evaluation, logs):
+    """Whole logged runs on the nominal model."""
+    rng = np.random.default_rng(0)
+    return distributions.logged(evaluation.split, logs, series=evaluation.single, most=300, rng=rng)
+
+
+def compared(evaluation, after, before, on):
+    """The paired gain."""
+    pairing = Pairing(evaluation.study.objective, stretch=evaluation.window)
+    return pairing.evidence(after, before, names=("B", "A"), distribution=on.name, asked=Asked.GAIN, groups=on.groups,
+                            series=on.series).gain  # fmt: skip
+
+
 def driven(evaluation, design):
     """The plant itself under LQR at a design."""
     study = evaluation.study
@@ -66,17 +80,17 @@ def driven(evaluation, design):
 @pytest.mark.parametrize("design", [0.5, 8.0])
 def test_the_judge_has_the_sign_and_the_size_of_the_truth_from_either_end_of_the_box(wall, unit, runs, steps, design):
     evaluation, log = logged(tank(wall=wall, unit=unit, runs=runs, steps=steps), [design])
-    scenario, groups = evaluation.on_logs([log])
+    on = whole_runs(evaluation, [log])
     designs = [[1.0], [2.5], [6.0]]
-    judged = [scenario.run(saturated_lqr(evaluation.problem, p), design=p) for p in designs]
+    judged = [on.scenario.run(saturated_lqr(evaluation.problem, p), design=p) for p in designs]
     objective = evaluation.study.objective
     true = [driven(evaluation, p).returns(objective).mean() for p in designs]
     for i, k in ((0, 1), (1, 2), (0, 2)):
-        gain = _clustered(evaluation, judged[k], judged[i], groups)
+        gain = compared(evaluation, judged[k], judged[i], on)
         assert gain.mean == pytest.approx(true[k] - true[i], rel=1e-3)
         assert gain.ci95[0] < true[k] - true[i] < gain.ci95[1]
         assert np.isfinite(gain.ci95).all()
-    nothing = _clustered(evaluation, judged[0], judged[0], groups)
+    nothing = compared(evaluation, judged[0], judged[0], on)
     assert (nothing.mean, nothing.ci95) == (0.0, (0.0, 0.0))
 
 
@@ -112,7 +126,6 @@ def test_episodes_of_several_runs_are_the_runs_themselves():
 def test_common_runs_stay_one_piece_of_evidence_where_one_was_lost():
     evaluation, log = logged(tank(wall="fast", unit=1.0, runs=24, steps=120), [0.5])
     short = log.part(np.flatnonzero(np.arange(24) != 5), slice(None))
-    _, whole = evaluation.on_logs([log, log])
-    _, lost = evaluation.on_logs([log, short])
+    whole, lost = (whole_runs(evaluation, logs).groups for logs in ([log, log], [log, short]))
     assert len(np.unique(whole)) == 36
     assert len(np.unique(lost)) == 35

@@ -5,12 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ccdtools import CVaR, MeanSpread, QuadraticObjective, Scenario, Trajectory
+from ccdtools import CVaR, MeanSpread, QuadraticObjective
+from ccdtools.evidence.verdict import Status
+from ccdtools.scenario import Scenario
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.redesign import InService, RedesignStatus, judge_redesign
-from ccdtools.twin.limits_kept import breach
+from ccdtools.studies.redesign import RedesignJudge
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.deployable import Deployable
+from ccdtools.twin.judge import Judge
+from ccdtools.twin.limits_kept import violation
 from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.twin import DigitalTwin
 
 RUNS, STEPS = 60, 40
 
@@ -44,11 +50,15 @@ def half_width(X):
 
 
 def judged(monkeypatch, evaluation, candidate, current):
-    """The decision between two services whose runs are given, by design."""
+    """The decision between two deployables whose runs are given, by design: as plain values, and its status."""
     runs = {2.2: candidate, 2.0: current}
-    monkeypatch.setattr("ccdtools.studies.redesign._run", lambda _, choice, scenario: runs[float(choice.design[0])])
-    after, before = (InService(None, np.array([p])) for p in (2.2, 2.0))
-    return judge_redesign(evaluation, after, before, logs())
+    monkeypatch.setattr(Judge, "run", lambda self, one, on: runs[float(one.design[0])])
+    monkeypatch.setattr(RedesignJudge, "_others", [])
+    after, before = (Deployable(None, np.array([p])) for p in (2.2, 2.0))
+    twin = DigitalTwin(evaluation.study.model, logs=tuple(logs()), scale=evaluation.problem.state_scale)
+    judge = RedesignJudge(evaluation, before, twin)
+    verdict = judge.verdict(after)
+    return judge.as_dict(after, verdict), verdict
 
 
 def skewed(rng):
@@ -61,26 +71,26 @@ def skewed(rng):
 
 @pytest.mark.parametrize(
     ("risk", "status", "words"),
-    [(None, RedesignStatus.TAKEN, ""), (CVaR(0.1), RedesignStatus.NO_GAIN, " in the mean of the worst 10 %"),
-     (MeanSpread(3.0), RedesignStatus.NO_GAIN, " in the mean minus 3 times the spread")],
+    [(None, Status.BETTER, ""), (CVaR(0.1), Status.WORSE, " in the mean of the worst 10 %"),
+     (MeanSpread(3.0), Status.WORSE, " in the mean minus 3 times the spread")],
 )  # fmt: skip
 def test_what_is_better_in_the_mean_and_worse_in_the_risk_asked_for_is_not_taken(
     monkeypatch, illustrative, risk, status, words
 ):
     study = illustrative if risk is None else replace(illustrative, risk=risk)
-    decision = judged(monkeypatch, evaluation_of(study), *skewed(np.random.default_rng(0)))
-    assert decision.status is status
-    assert decision.promise().endswith("]" + words)
-    assert decision.as_dict()["measure"] in ("mean", words.removeprefix(" in the "))
-    assert (decision.gain.ci95[1] < 0) == (risk is not None)
+    decision, verdict = judged(monkeypatch, evaluation_of(study), *skewed(np.random.default_rng(0)))
+    assert verdict.status is status
+    assert decision["promise"].endswith("]" + words)
+    assert decision["measure"] in ("mean", words.removeprefix(" in the "))
+    assert (decision["gain"]["ci95"][1] < 0) == (risk is not None)
 
 
 def test_what_is_worse_in_the_mean_and_better_in_the_risk_asked_for_is_taken(monkeypatch, illustrative):
     before, after = skewed(np.random.default_rng(0))
     swapped = [replace(one, design=[p]) for one, p in ((after, 2.2), (before, 2.0))]
-    assert judged(monkeypatch, evaluation_of(illustrative), *swapped).status is RedesignStatus.NO_GAIN
+    assert not judged(monkeypatch, evaluation_of(illustrative), *swapped)[1].replaces
     risky = evaluation_of(replace(illustrative, risk=CVaR(0.1)))
-    assert judged(monkeypatch, risky, *swapped).accepted
+    assert judged(monkeypatch, risky, *swapped)[1].replaces
 
 
 @pytest.mark.parametrize("granted", [(0.0, 0.0), (0.05, 10.0), (1.0, 0.01), (1.0, 10.0), "off", "mpc"])
@@ -92,15 +102,15 @@ def test_a_redesign_that_leaves_the_limits_further_than_granted_is_not_taken_and
     limit, half = half_width(evaluation.study.X)
     cost = 0.1 + 0.01 * np.random.default_rng(0).random(RUNS)
     pair = (run_of(0.8 * cost, design=[2.2], outside=1.2 * limit), run_of(cost, design=[2.0], outside=0.9 * limit))
-    decision = judged(monkeypatch, evaluation, *pair)
+    decision, verdict = judged(monkeypatch, evaluation, *pair)
     if granted in ((1.0, 10.0), "off"):
-        assert decision.accepted
+        assert verdict.replaces
         return
-    assert decision.status is RedesignStatus.LIMITS
-    assert decision.status.advice
+    assert verdict.status is Status.LIMITS
+    assert verdict.status.advice
     depth = f"{0.2 * limit / half:.3g}"
-    assert f"(x2 > {limit:g}: 10.00% of the samples, {depth} half-widths at the peak" in decision.reason()
-    assert "not taken, it leaves the limits further than granted" in decision.describe("redesign")
+    assert f"(x2 > {limit:g}: 10.00% of the samples, {depth} half-widths at the peak" in decision["reason"]
+    assert "it leaves the limits further than the tolerance" in decision["reason"]
 
 
 def test_a_redesign_that_leaves_them_no_further_than_what_is_in_service_is_taken(monkeypatch, illustrative):
@@ -108,7 +118,7 @@ def test_a_redesign_that_leaves_them_no_further_than_what_is_in_service_is_taken
     limit, _ = half_width(evaluation.study.X)
     cost = 0.1 + 0.01 * np.random.default_rng(0).random(RUNS)
     pair = (run_of(0.8 * cost, design=[2.2], outside=1.2 * limit), run_of(cost, design=[2.0], outside=1.3 * limit))
-    assert judged(monkeypatch, evaluation, *pair).accepted
+    assert judged(monkeypatch, evaluation, *pair)[1].replaces
 
 
 def test_of_one_long_run_the_peaks_of_its_stretches_are_compared(illustrative):
@@ -120,9 +130,9 @@ def test_of_one_long_run_the_peaks_of_its_stretches_are_compared(illustrative):
     left = states.copy()
     left[0, 5::20, 1] = 1.2 * limit
     left = replace(plain, states=left)
-    assert breach(problem, None, left, plain, None) is None
-    found = breach(replace(problem, limit_tolerance=(1.0, 0.05)), None, left, plain, None)
-    assert found.achieved.depth == pytest.approx(0.1 * limit / half, rel=0.1)
+    assert violation(problem, None, left, plain, None) is None
+    found = violation(replace(problem, limit_tolerance=(1.0, 0.05)), None, left, plain, None)
+    assert found.achieved[1] == pytest.approx(0.1 * limit / half, rel=0.1)
 
 
 @pytest.mark.parametrize("constant", [0.0, 1e5])
@@ -132,9 +142,9 @@ def test_a_price_in_per_cent_is_of_what_control_makes_whatever_the_design_costs(
     cost = 0.1 + 0.01 * np.random.default_rng(0).random(RUNS)
     decisions = [judged(monkeypatch, evaluation, run_of(part * cost, design=[2.2]), run_of(cost, design=[2.0]))
                  for part in (0.85, 0.95)]  # fmt: skip
-    assert [one.status for one in decisions] == [RedesignStatus.TAKEN, RedesignStatus.BELOW_PRICE]
-    assert decisions[0].needed == pytest.approx(0.1 * cost.mean() * STEPS, rel=1e-4)
-    assert decisions[0].promise().startswith("+15 %")
+    assert [verdict.status for _, verdict in decisions] == [Status.BETTER, Status.BELOW_PRICE]
+    assert decisions[0][0]["needed"] == pytest.approx(0.1 * cost.mean() * STEPS, rel=1e-4)
+    assert decisions[0][0]["promise"].startswith("+15 %")
 
 
 def test_what_mpc_may_do_is_the_same_whichever_way_the_limits_are_stated(illustrative):
@@ -148,6 +158,6 @@ def test_what_mpc_may_do_is_the_same_whichever_way_the_limits_are_stated(illustr
     scenario = Scenario(problem.model, np.zeros((RUNS, problem.model.nx)), w)
     limit, _ = half_width(problem.X)
     pair = (run_of(np.full(RUNS, 0.1), design=[2.2], outside=5 * limit), run_of(np.full(RUNS, 0.1), design=[2.2]))
-    fixed, stated = (breach(one, scenario, *pair, None).granted for one in (problem, of_design))
-    assert fixed.depth > 0.1
-    assert (stated.fraction, stated.depth) == pytest.approx((fixed.fraction, fixed.depth))
+    fixed, stated = (violation(one, scenario, *pair, None).tolerance for one in (problem, of_design))
+    assert fixed[1] > 0.1
+    assert stated == pytest.approx(fixed)

@@ -89,7 +89,8 @@ def test_a_deployment_too_short_to_judge_every_update_gets_fewer(illustrative, c
         ({"judged": 1}, "judged: got 1, expected a whole number, at least 2"),
         ({"held_out": 0.0}, r"held_out: got 0.0, expected a fraction between 0 and 1"),
         ({"least": -0.1}, r"least: got -0.1, expected a fraction from 0 to 1"),
-        ({"recombine": 1}, "recombine: got 1, expected True or False"),
+        ({"accept_loss": 2.0}, r"accept_loss: got 2.0, expected a fraction from 0 to 1"),
+        ({"quantile": 3}, r"quantile: got 3, expected a QuantileConfig"),
         ({"held_out": 1.0}, r"held_out: got 1.0, expected a fraction between 0 and 1"),
     ],
 )

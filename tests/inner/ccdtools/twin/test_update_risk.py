@@ -7,12 +7,14 @@ import pytest
 from deployments import DESIGN, ONLINE, deployed, disturbances, start, training_gives, weakened
 
 from ccdtools import CVaR, FixedStart, LearnedPolicy, OutputLimits, QuadraticObjective, deploy
-from ccdtools.co_design.limit_tolerance import Pair
-from ccdtools.statistics import PairedDifference
-from ccdtools.twin.limits_kept import Breach
-from ccdtools.twin.recombined_returns import NOT_ASKED
+from ccdtools.evidence.evidence import Violation
+from ccdtools.evidence.verdict import Status
+from ccdtools.twin.deployable import Deployable
+from ccdtools.twin.distributions import logged
+from ccdtools.twin.judge import Judge
+from ccdtools.twin.limits_kept import violation
 from ccdtools.twin.residuals import residuals
-from ccdtools.twin.update_judge import UpdateJudge
+from ccdtools.twin.transport import ErrorSplit
 
 
 @pytest.fixture(scope="module")
@@ -23,10 +25,12 @@ def logs(illustrative, clone):
     return [residuals(illustrative.model, log)]
 
 
-def judge(problem, runs=40):
-    """Return what compares policies on so many runs."""
-    rng = np.random.default_rng(0)
-    return UpdateJudge(problem, DESIGN, replace(ONLINE, judged=100), runs, rng.spawn(1)[0], rng, None)
+def compared(problem, candidate, current, logs, *, series=False):
+    """The runs and the evidence of two policies on logged errors."""
+    split = ErrorSplit(problem.model, problem.state_scale)
+    on = logged(split, logs, series=series, most=100, rng=np.random.default_rng(0), held_out=0.3 if series else None)
+    judge = Judge(problem, None, lambda _: None, 20)
+    return on, judge._compared(Deployable(candidate, DESIGN), Deployable(current, DESIGN), on)
 
 
 def replayed(illustrative, agent, errors):
@@ -45,10 +49,10 @@ def replayed(illustrative, agent, errors):
 def test_the_gain_is_of_the_risk_of_the_problem(illustrative, clone, logs):
     good, weak = clone(illustrative), weakened(clone(illustrative))
     problem = replace(illustrative.problem(), risk=CVaR(0.1))
-    found, _ = judge(problem).gain(good, weak, logs, logs, NOT_ASKED)
+    found = compared(problem, good, weak, logs)[1][0].gain
     after, before = (np.sort(replayed(illustrative, agent, logs[0]))[:4].mean() for agent in (good, weak))
     assert found.mean == pytest.approx(after - before, rel=1e-5)
-    mean, _ = judge(illustrative.problem()).gain(good, weak, logs, logs, NOT_ASKED)
+    mean = compared(illustrative.problem(), good, weak, logs)[1][0].gain
     assert mean.mean != pytest.approx(found.mean, rel=0.02)
 
 
@@ -61,24 +65,26 @@ def test_the_size_is_of_what_control_makes_whatever_the_design_costs(illustrativ
         own = illustrative.objective
         objective = QuadraticObjective(own.Q, own.R, design_cost=lambda p, constant=constant: constant)
         problem = replace(illustrative.problem(), objective=objective)
-        sizes.append(judge(problem, runs).gain(good, weak, parts, parts, NOT_ASKED)[1])
+        sizes.append(compared(problem, good, weak, parts, series=runs == 1)[1][0].size)
     assert sizes[1] == pytest.approx(sizes[0], rel=1e-6)
 
 
-def test_a_candidate_that_breaks_the_limits_does_not_go_into_service_and_says_why(illustrative, clone, monkeypatch):
-    broken = Breach(Pair(0.1, 0.2), Pair(0.0, 0.0), Pair(0.01, 0.05), "v > 1", False)
+def test_a_candidate_that_breaks_the_limits_is_not_deployed_and_says_why(illustrative, clone, monkeypatch):
+    broken = Violation((0.1, 0.2), (0.0, 0.0), (0.01, 0.05), "v > 1", False)
     training_gives(monkeypatch, clone(illustrative))
-    monkeypatch.setattr(UpdateJudge, "gain", lambda *_: (PairedDifference(1.0, (0.9, 1.1)), 1.0))
     agent = weakened(clone(illustrative))
-    assert deployed(illustrative, agent, runs=6, steps=40).updates[0].accepted
-    monkeypatch.setattr("ccdtools.twin.update_judge.breach", lambda *_: broken)
-    done = deployed(illustrative, agent, runs=6, steps=40)
-    assert not done.changed
+    config = replace(ONLINE, updates=1, judged=100, accept_loss=1.0)
+    assert deployed(illustrative, agent, runs=60, steps=40, config=config).updates[0].accepted
+    monkeypatch.setattr("ccdtools.twin.judge.violation", lambda *_: broken)
+    done = deployed(illustrative, agent, runs=60, steps=40, config=config)
+    assert not done.changes
     assert done.agent is agent
-    assert done.updates[0].breach == (
-        "it leaves the limits further than granted (v > 1: 10.00% of the samples, 0.2 half-widths at the peak; "
-        "granted 1.00% of the samples, 0.05 half-widths at the peak; in service 0.00% of the samples, 0 half-widths "
-        "at the peak)"
+    verdict = done.updates[0].verdict
+    assert verdict.status is Status.LIMITS
+    assert verdict.reason == (
+        "it leaves the limits further than the tolerance (v > 1: 10.00% of the samples, 0.2 half-widths at the peak; "
+        "tolerance 1.00% of the samples, 0.05 half-widths at the peak; deployed 0.00% of the samples, 0 half-widths "
+        "at the peak) on the replayed log"
     )
 
 
@@ -89,11 +95,15 @@ def test_limits_are_those_of_the_replayed_runs(illustrative, clone, logs):
         illustrative.problem(), limit_tolerance=(0.0, 0.0), scenarios=FixedStart([0.0, 0.0], illustrative.disturbance),
         output_limits=OutputLimits(lambda x, u, p: x, [-1.0, -1.0], [1.0, 1.0]),
     )  # fmt: skip
-    own = judge(problem)
-    assert own.breach(good, weak, logs, illustrative.plant) is None
-    found = own.breach(weak, good, logs, illustrative.plant)
-    assert found.achieved.fraction > found.before.fraction
+
+    def left(problem, candidate, current):
+        """What the candidate breaks."""
+        on, (_, after, before) = compared(problem, candidate, current, logs)
+        return violation(problem, on.scenario, after, before, illustrative.plant)
+
+    assert left(problem, good, weak) is None
+    found = left(problem, weak, good)
+    assert found.achieved[0] > found.before[0]
     assert not found.by_mpc
     assert found.exceeded.startswith("y")
-    free = judge(replace(problem, limit_tolerance="off"))
-    assert free.breach(weak, good, logs, illustrative.plant) is None
+    assert left(replace(problem, limit_tolerance="off"), weak, good) is None

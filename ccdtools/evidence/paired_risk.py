@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from ccdtools.arrays import Array
 from ccdtools.co_design.risk import Mean, Risk
 from ccdtools.co_design.risk_intervals import difference_of_parts, parts_of_risk, too_few
+from ccdtools.evidence.groups import paired_over_groups
 from ccdtools.statistics import PairedDifference, mean_interval
-from ccdtools.twin.common_runs import paired_over_groups
 
 Labels = NDArray[np.int64]
 
