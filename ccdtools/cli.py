@@ -92,7 +92,7 @@ def run(
     limits: Annotated[
         str | None, typer.Option(help="How far X may be left: mpc (as MPC does), off, or fraction,depth as 0.01,0.05.")
     ] = None,
-    filter: Annotated[str | None, typer.Option(help="Behind the policy in service: none, or admissible.")] = None,
+    filter: Annotated[str | None, typer.Option(help="Behind the deployed policy: none, or admissible.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in the output folder.")] = False,
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report.
@@ -162,12 +162,14 @@ def codesign(
     x0: Annotated[str | None, typer.Option(help="Initial state, for example --x0=-3,0")] = None,
     p0: Annotated[str | None, typer.Option(help="Design to start from, for example --p0=0.8")] = None,
     jobs: Annotated[str, typer.Option(metavar="INTEGER", help="Processes; -1 for all cores.")] = "1",
-    out: Annotated[str | None, typer.Option(help="Folder for table and picture. Default: none is written.")] = None,
+    output: Annotated[
+        str | None, typer.Option("--output", "--out", help="Folder for table and picture. Default: none is written.")
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is in the folder.")] = False,
 ) -> None:
     """Co-design the model of a study by every method, on common scenarios: one table, and what it says.
 
-    With --out it is kept: methods.csv after every method, methods.png and methods.html at the end. Ctrl-C prints the
+    With --output it is kept: methods.csv after every method, methods.png and methods.html at the end. Ctrl-C prints the
     table of the methods that have ended.
     """
     options = Options(located(study), seed=whole_number("--seed", seed), x0=numbers("--x0", x0), p0=numbers("--p0", p0))
@@ -180,7 +182,7 @@ def codesign(
         from ccdtools.co_design.compare_methods import compare_methods
         from ccdtools.co_design.method_names import named_methods
         from ccdtools.studies.report.method_page import check_folder, write_methods, write_table
-    folder = None if out is None else check_folder(out, overwrite=overwrite)
+    folder = None if output is None else check_folder(output, overwrite=overwrite)
     _single_thread()
     asked = "all" if methods == "all" else [name.strip() for name in methods.split(",")]
     named_methods(asked)

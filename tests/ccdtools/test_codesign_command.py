@@ -17,7 +17,8 @@ def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess:
 
 
 def test_the_table_is_printed_and_kept(tmp_path):
-    done = command("illustrative", "--methods", "nested-lqr,sequential", "--seed", "2", "--out", "kept", cwd=tmp_path)
+    asked = ("--methods", "nested-lqr,sequential", "--seed", "2", "--output", "kept")
+    done = command("illustrative", *asked, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "nested LQR" in done.stdout
     assert "Equal within 0.5 %" in done.stdout  # from (−3.5, −2) both end at the bound
@@ -32,7 +33,7 @@ def test_the_table_is_printed_and_kept(tmp_path):
     again = ("illustrative", "--methods", "nested-lqr", "--out", "kept")
     refused = command(*again, cwd=tmp_path)
     assert refused.returncode == 2
-    assert "--out" in refused.stderr
+    assert "--output" in refused.stderr
     assert "resume" not in refused.stderr  # a comparison is not a run
     assert command(*again, "--overwrite", cwd=tmp_path).returncode == 0
     with (tmp_path / "kept" / "methods.csv").open(encoding="utf-8") as file:
