@@ -12,7 +12,7 @@ from torch import Tensor
 from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.differentiable_model import Stepper, in_double, scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs, simulated
-from ccdtools.co_design.limit_tolerance import measured
+from ccdtools.co_design.limit_tolerance import measured, measurement_errors
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns
 from ccdtools.co_design.risk import fewest_runs
@@ -66,10 +66,5 @@ def closed_loop_returns(
         seen = simulated(Stepper.at(in_double(problem), p), law, (x0[:n], w[:n]), depths=True)
         values = problem.risk.values(seen.total)
     limits = measured(seen)
-    errors = (_error(seen.outside[~seen.diverged]), _error(seen.peak[~seen.diverged]))
+    errors = measurement_errors(seen).values()
     return ClosedLoopReturns(values.numpy(), seen.diverged.numpy(), limits.fraction, limits.depth, errors)
-
-
-def _error(measured: Tensor) -> float:
-    """Standard error of a mean over runs (n,); 0 of fewer than two."""
-    return float(measured.std()) / len(measured) ** 0.5 if len(measured) > 1 else 0.0
