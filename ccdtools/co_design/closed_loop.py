@@ -12,7 +12,7 @@ from torch import Tensor
 from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.differentiable_model import Stepper, in_double, scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs, simulated
-from ccdtools.co_design.limit_tolerance import measured
+from ccdtools.co_design.limit_tolerance import measured, measurement_errors
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns
 from ccdtools.co_design.risk import fewest_runs
@@ -69,11 +69,6 @@ def closed_loop_returns(
     with torch.no_grad():
         seen = simulated(Stepper.at(in_double(problem), p), law, (x0, w), depths=True)
     limits = measured(seen)
-    errors = (_error(seen.outside[~seen.diverged]), _error(seen.peak[~seen.diverged]))
     total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
+    errors = measurement_errors(seen).values()
     return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk, errors)
-
-
-def _error(measured: Tensor) -> float:
-    """Standard error of a mean over runs (n,); 0 of fewer than two."""
-    return float(measured.std()) / len(measured) ** 0.5 if len(measured) > 1 else 0.0

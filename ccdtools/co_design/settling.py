@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
@@ -101,7 +102,9 @@ class Settling:
             granted, source = UNTIL_LEFT.granted, UNTIL_LEFT.source
         else:
             v = torch.tensor(self.problem.design.to_unit(design))
-            granted, source = tolerance_at(self.problem, v, self._drawn(1)), BY_MPC
+            granted, of_mpc = tolerance_at(self.problem, v, self._drawn(0, LOOP_RUNS))
+            source = BY_MPC
+            errors = Pair(*np.hypot(errors.values(), of_mpc.values()).tolist())
         return LimitsOutcome(seen, granted, source, NOTHING, self.problem.output_limits is not None, errors)
 
     def _drawn(self, number: int, runs: int = RUNS) -> tuple[torch.Tensor, torch.Tensor]:
