@@ -33,7 +33,7 @@ def check_every_entry_acts(
     space = model.design
     assert space is not None
     idle = np.flatnonzero(space.free)
-    extents = {"x": _extent(X), "u": _extent(U), "w": np.ones(model.nw)}
+    extents = {"x": _extent(X), "u": _extent(U)}
     for term in _terms(model, X, U, objective, output_limits):
         idle = idle[~_acting(term, space, idle, extents)] if len(idle) else idle
     if len(idle):
@@ -67,8 +67,9 @@ def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[s
     for count in POINTS:
         designs = space.latin_hypercube(count, rng)
         others = space.latin_hypercube(count, rng)
-        given = [10.0 * rng.uniform(0, 1, count) * rng.uniform(-1, 1, (len(extents[n]), count)) * extents[n][:, None]
-                 if n != "p" else designs.T for n in names]  # fmt: skip
+        sizes = [extents.get(name, np.ones(term.size1_in(i))) for i, name in enumerate(names)]
+        given = [designs.T if name == "p" else 10.0 * rng.uniform(0, 1, count) * size[:, None]
+                 * rng.uniform(-1, 1, (len(size), count)) for name, size in zip(names, sizes)]  # fmt: skip
         before = np.asarray(term(*given), dtype=float)
         size = ROUNDING * np.max(np.abs(before), axis=1, initial=0.0, where=np.isfinite(before), keepdims=True)
         found = np.zeros(len(entries), dtype=bool)
