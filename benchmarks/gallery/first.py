@@ -45,8 +45,8 @@ def first_codesigns(name: str, seed: int, root: Path, starts: Sequence[str] = ST
         design = np.array(reference(name)["worst_corner"]) if run.start == "corner" else study.p0
         begun = time.perf_counter()
         twin = DigitalTwin(study.model, scale=evaluation.problem.state_scale)
-        service = Deployable(initial.networks["agent"], design)
-        found = stages.co_design(evaluation.rng("codesign-1"), service, twin, Trust())
+        service = Deployable(initial.networks["agent"], design, "the start")
+        found = stages.co_design(evaluation.rng("codesign-1"), 1, service, twin, Trust())
         seconds = initialised + time.perf_counter() - begun
         note = {"measured": asdict(measured_first(name, found)), "seconds": seconds, "peak_bytes": 0}
         _kept(run).write_text(json.dumps(note, default=float))

@@ -124,7 +124,8 @@ class Delivery:
         return self.verdict.as_dict() | {
             "promised": asdict(self.predicted), "returns": asdict(self.returns), "judge": self.agreement.value,
             "change": asdict(evidence[0].gain if evidence else NOTHING), "size": self.size, "carried": self.carried,
-            "former": self.former, "measure": evidence[0].measure if evidence else "mean",
+            "former": self.former, "paired": self.former is not None,
+            "measure": evidence[0].measure if evidence else "mean",
             "breach": "" if broken is None else str(broken),
         }  # fmt: skip
 

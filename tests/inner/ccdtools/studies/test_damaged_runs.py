@@ -226,7 +226,7 @@ def test_a_run_of_a_study_that_was_edited_since_is_refused_with_the_difference(c
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "message"), [("model_runs", 31, "was 30, is 31"), ("recombine", False, "was true, is false")]
+    ("name", "value", "message"), [("model_runs", 31, "was 30, is 31"), ("mpc_runs", 3, "was 2, is 3")]
 )
 def test_a_run_with_another_configuration_is_refused(copy, capsys, monkeypatch, name, value, message):
     tiny = small_runs.tiny
@@ -235,13 +235,13 @@ def test_a_run_with_another_configuration_is_refused(copy, capsys, monkeypatch, 
     assert f"configuration.{name} {message}" in capsys.readouterr().err
 
 
-def test_a_folder_that_was_begun_before_runs_were_recombined_is_another(copy):
+def test_a_folder_that_was_begun_before_losses_were_accepted_or_not_is_another(copy):
     """Its stages say nothing of it."""
     kept = json.loads((copy / "run.json").read_text())
     now = kept["begun_with"]
-    before = {name: value for name, value in now.items() if "recombine" not in name}
+    before = {name: value for name, value in now.items() if "accept_loss" not in name}
     assert set(differences(before, now)) == {
-        "configuration.online.recombine was null, is true", "configuration.recombine was null, is true"
+        "configuration.online.accept_loss was null, is 0.005", 'study.accept_loss was null, is "0.5 %"'
     }  # fmt: skip
 
 

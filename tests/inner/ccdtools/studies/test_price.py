@@ -3,8 +3,8 @@
 import pytest
 
 from ccdtools import InputError
-from ccdtools.cli import Options
-from ccdtools.studies.price import RedesignPrice
+from ccdtools.studies.options import Options
+from ccdtools.studies.price import RedesignPrice, accepted_loss
 
 
 @pytest.mark.parametrize(
@@ -26,3 +26,18 @@ def test_the_option_is_refused_by_its_own_name():
     with pytest.raises(InputError, match="--redesign-price: got '12'"):
         Options("illustrative", redesign_price="12")
     assert Options("illustrative", redesign_price="12 return").redesign_price == "12 return"
+
+
+@pytest.mark.parametrize("text", ["-1 %", "1", "12 return", "101 %", "half", 0.5, None, "nan %"])
+def test_an_accepted_loss_that_is_no_part_of_a_return_is_refused(text):
+    with pytest.raises(InputError, match=r"accept_loss: got .*expected a loss from 0 % to 100 %.*Write \"1 %\""):
+        accepted_loss(text)
+    if isinstance(text, str):
+        with pytest.raises(InputError, match="--accept-loss: got"):
+            Options("illustrative", accept_loss=text)
+
+
+def test_a_loss_is_accepted_in_per_cent_of_the_return():
+    assert accepted_loss("1 %") == 0.01
+    assert accepted_loss("0 %") == 0
+    assert Options("illustrative", accept_loss="2 %").accept_loss == "2 %"

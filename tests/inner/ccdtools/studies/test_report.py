@@ -225,7 +225,7 @@ def test_promised_and_deployed_return_stand_side_by_side(illustrative):
         assert float(row["promised_return_mean"]) == generation["promised_return"]["mean"]
         assert row["judge"] == generation["delivery"]["judge"]
     first, second = results["generations"]
-    assert first["delivery"]["status"] == "the first in service"
+    assert first["delivery"]["status"] == "the first deployed"
     assert second["delivery"]["former"] == 1
     assert second["delivery"]["paired"]
 
