@@ -116,7 +116,7 @@ def test_a_redesign_in_service_and_its_updates_are_told_apart(study, evaluation,
 
 def test_gains_are_measured_where_it_was_deployed_and_on_what_was_held_out(evaluation):
     places = places_of(evaluation)
-    assert list(places) == ["deployed drive", "fresh draws"]
+    assert list(places) == ["deployed drive", "fresh draws", "the study's start"]
     np.testing.assert_array_equal(places["deployed drive"].disturbance, evaluation.on_real().disturbance)
 
 

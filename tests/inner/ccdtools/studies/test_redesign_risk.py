@@ -18,7 +18,7 @@ from ccdtools.twin.limits_kept import violation
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 
-RUNS, STEPS = 60, 40
+RUNS, STEPS = 120, 40
 
 
 def evaluation_of(study, **changes):

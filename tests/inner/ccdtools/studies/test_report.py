@@ -86,14 +86,15 @@ def figures_of(folder):
 
 def test_two_state_study_has_every_figure(illustrative):
     assert figures_of(illustrative[0]) == {
-        "history", "landscape", "comparison", "feasible_sets", "policy", "trajectories_model", "trajectories_real",
+        "changes", "history", "landscape", "comparison", "feasible_sets", "policy", "trajectories_model",
+        "trajectories_real",
         "quantiles_1", "quantiles_2",
     }  # fmt: skip
 
 
 def test_figures_that_a_study_cannot_have_are_left_out(masses):
     assert figures_of(masses[0]) == {
-        "history", "comparison", "feasible_sets", "trajectories_model", "trajectories_real", "quantiles_1",
+        "changes", "history", "comparison", "feasible_sets", "trajectories_model", "trajectories_real", "quantiles_1",
     }  # fmt: skip
 
 
@@ -148,7 +149,7 @@ def test_page_names_designs_with_units_and_active_bounds(masses):
     page = (folder.path / "report.html").read_text(encoding="utf-8")
     assert "k = 1 N/m, c = 0.5 N·s/m, d = 0.5 N·s/m" in page
     assert "k lower" in page
-    assert "network input (paper)" in page
+    assert "<td>pathwise</td>" in page
     assert json.dumps(results["configuration"]["codesign"]["design_rate"]) in page
 
 
@@ -191,8 +192,8 @@ def test_mpc_stands_beside_lqr_on_the_runs_that_both_saw(illustrative):
 def test_the_headline_comes_first(illustrative):
     folder, results = illustrative
     page = (folder.path / "report.html").read_text(encoding="utf-8")
-    assert page.lower().index("real plant: cost") < page.index("What came out")
-    assert results["headline"].startswith("QUICK run, not a result: ")
+    assert page.lower().index("real plant: cost") < page.index("What changed") < page.index("Where the gain comes from")
+    assert results["headline"].startswith("QUICK run, not a result. ")
 
 
 def test_the_page_says_how_many_updates_were_accepted_and_states_the_problem(illustrative):
@@ -273,7 +274,7 @@ def test_every_table_shows_how_far_outside_X_beside_how_often(illustrative):
 def test_held_out_roads_stand_beside_the_deployed_drive_with_the_gains_by_source(masses):
     folder, results = masses
     page = (folder.path / "report.html").read_text(encoding="utf-8")
-    assert [place["place"] for place in results["gains"]] == ["deployed drive", "fresh draws"]
+    assert [place["place"] for place in results["gains"]] == ["deployed drive", "fresh draws", "the study's start"]
     assert {row["controller"] for row in results["held_out"]} == {"passive", "LQR", "PID", "MPC", "learned"}
     assert {row["generation"] for row in results["held_out"]} == {0, 1}
     assert "fresh draws (5 runs of 300 steps)" in page
@@ -283,7 +284,7 @@ def test_held_out_roads_stand_beside_the_deployed_drive_with_the_gains_by_source
         assert sum(parts) == pytest.approx(place["total"]["mean"], abs=1e-9 * abs(place["start"]))
         assert f"{place['place']} (" in console_table(results)
         assert gain_text(place, "total") in page
-    assert "on 5 held-out runs each:" in results["headline"]
+    assert "elsewhere: " in results["headline"]
     assert len(rows_of(folder, "held_out.csv")) == len(results["held_out"])
     assert len(rows_of(folder, "gains.csv")) == 5 * len(results["gains"])
 
