@@ -459,7 +459,8 @@ CALLS = {
     "a replay that is too long": (lambda: Replay((residuals(MODEL, LOG),)).sample(1, 99, rng()), "steps"),
     # comparison and statistics
     "a comparison of a list": (lambda: compare(controllers=[LQR]), "controllers"),
-    "a comparison without LQR": (lambda: compare(controllers={"mine": LQR}), "controllers"),
+    "a comparison without its baseline": (lambda: compare(controllers={"mine": LQR}, baseline="LQR"), "baseline"),
+    "a comparison of nothing": (lambda: compare(controllers={}), "controllers"),
     "a comparison of a matrix": (lambda: compare(controllers={"LQR": LQR, "K": np.eye(2)}), "controller"),
     "a comparison on a tuple": (lambda: compare(scenario=(MODEL, [1, 0])), "scenario"),
     "a comparison in another X": (lambda: compare(X=INPUTS), "X"),

@@ -145,7 +145,7 @@ def test_bad_arguments_are_refused(illustrative):
 
 def test_a_design_box_without_any_feasible_state_is_an_error_with_advice():
     x, u, w, p = (ca.SX.sym(name) for name in "xuwp")
-    model = discretise(Plant(x, u, w, p, 1.2 * x + w, DesignSpace(["p"], [0.0], [1.0]), dt=1.0, continuous=False))
+    model = discretise(Plant(x, u, w, p, (1.2 + p) * x + w, DesignSpace(["p"], [0.0], [1.0]), dt=1.0, continuous=False))
     limits = Polytope.from_bounds([-1.0], [1.0])
     objective = QuadraticObjective([[1.0]], [[1.0]])
     hopeless = CoDesignProblem(model, limits, limits, objective, FixedStart([0.0], Gaussian([0.1])))

@@ -118,7 +118,7 @@ def test_the_record_is_left_as_it_was():
     ("call", "message"),
     [
         (lambda: frequency_weighting(1.0, "Wz"), "weighting: got 'Wz', expected one of Wk, Wd"),
-        (lambda: frequency_weighting("low"), "frequency: got 'low', expected numbers"),
+        (lambda: frequency_weighting("low"), "frequency: got 'low', expected an array of real numbers"),
         (lambda: cc.weighted_acceleration([], 0.1), r"acceleration: got shape \(0,\), expected samples"),
         (lambda: cc.weighted_acceleration(1.0, 0.1), r"acceleration: got shape \(\), expected samples"),
         (lambda: cc.comfort([1.0, np.nan], 0.1), "acceleration: got a value that is not finite"),
