@@ -269,7 +269,7 @@ class CoDesignResult(Immutable):
         low, high = summary.ci95
         lost = f", {self.closed_loop.lost_share:.2%} of the runs lost" if self.closed_loop.lost.any() else ""
         told = f"in closed loop: {summary.mean:.6g} [{low:.6g}, {high:.6g}], {summary.n} runs{lost}"
-        if self.limits is None and self.closed_loop.outside > 0:
+        if self.closed_loop.outside > 0 and (self.limits is None or not self.limits.kept):
             loop = self.closed_loop
             told += f"; {loop.outside:.2%} of the states outside the limits, {loop.depth:.2g} half-widths deep"
         return [told, *_warnings(self.objective, summary)]
