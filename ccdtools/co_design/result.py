@@ -285,7 +285,7 @@ class CoDesignResult(Immutable):
             return []
         summary = self.closed_loop.summary
         told = f"in closed loop: {self.closed_loop}"
-        if self.closed_loop.outside > 0:
+        if self.closed_loop.outside > 0 and (self.limits is None or not self.limits.kept):
             loop = self.closed_loop
             told += f"; {loop.outside:.2%} of the states outside the limits, {loop.depth:.2g} half-widths deep"
         return [told, *_warnings(self.objective, summary)]

@@ -432,6 +432,8 @@ CALLS = {
     "an updated problem of a log": (lambda: cc.updated_problem(PROBLEM, LOG), "twin"),
     # comparison and statistics
     "a comparison of a list": (lambda: compare(controllers=[LQR]), "controllers"),
+    "a comparison without its baseline": (lambda: compare(controllers={"mine": LQR}, baseline="LQR"), "baseline"),
+    "a comparison of nothing": (lambda: compare(controllers={}), "controllers"),
     "a comparison of a matrix": (lambda: compare(controllers={"LQR": LQR, "K": np.eye(2)}), "controller"),
     "a comparison on a tuple": (lambda: compare(scenario=(MODEL, [1, 0])), "scenario"),
     "a comparison in another X": (lambda: compare(X=INPUTS), "X"),

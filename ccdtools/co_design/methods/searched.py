@@ -180,7 +180,8 @@ def _within_limits(plan: Plan, problem: CoDesignProblem, cost: LoopCost, found: 
         plain = float(-problem.risk.values(seen.total).mean())
         ends.append(End(cost, replace(found, cost=plain), size, penalty, penalty.violation(seen)))
         unpriced = cost.penalty is None
-        if not penalty.active or found.spent or (unpriced and ends[-1].violation <= 0) or _settled(ends):
+        enough = ends[-1].violation <= 0 and (unpriced or found.spent)
+        if not penalty.active or enough or _settled(ends):
             break
         if not unpriced and ends[-1].violation > 0:
             penalty = penalty.dearer(DEARER)

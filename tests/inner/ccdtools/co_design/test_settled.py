@@ -227,3 +227,22 @@ def test_a_result_remembers_that_the_plant_jumps():
                               scenarios=FixedStart([0.3], Gaussian([0.1])))  # fmt: skip
     found = codesign(problem, method=Nested("lqr", runs=16, starts=1, evaluations=3), rng=np.random.default_rng(0))
     assert any("jump" in note for note in found.notes)
+
+
+def test_limits_are_priced_until_they_are_kept_however_few_evaluations_a_round_has():
+    """A spring that grows stiffer costs least at 0.8, where the limits are left; they are kept up to 0.4."""
+    low, high = [-1, 0.1, 0.5, 0, 0.3, 0.05], [4, 1, 2, 6, 0.8, 0.15]
+    k, d, b, price, noise, dt = np.random.default_rng(30).uniform(low, high)
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    after = ca.vertcat(x[0] + dt * x[1], x[1] + dt * (-(k + 3 * p) * x[0] - d * x[1] + b * (0.5 + p) * u + w))
+    plant = Plant(x, u, w, p, after, DesignSpace(["p"], [0.0], [1.0]), dt=0.1, continuous=False)
+    room = np.random.default_rng(32).uniform(1.1, 2.5)
+    problem = CoDesignProblem(
+        discretise(plant), X=(-room, room), U=(-8, 8), steps=50, limit_tolerance=(0.03, 0.1),
+        objective=QuadraticObjective(np.diag([4, 0.5]), [[0.3]], design_cost=lambda p: 5 * price * (p[0] + 0.2)),
+        scenarios=FixedStart([1.0, -1.0], Gaussian([3 * noise])),
+    )  # fmt: skip
+    few = Nested("lqr", runs=128, starts=1, evaluations=20)
+    found = few.run(problem, np.array([1.0]), np.random.default_rng(3))
+    assert found.limits.kept
+    assert 0.3 < found.design[0] < 0.6
