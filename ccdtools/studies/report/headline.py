@@ -165,7 +165,7 @@ def _limits(results: Results, last: int) -> str:
     achieved, granted = ((of["fraction"], of["depth"]) for of in (found["achieved"], found["tolerance"]))
     outside = f"{share(achieved[0])} of the states outside {limits_of(results)}"
     left = f"{outside}, {number(achieved[1], 2)} half-widths at the peak"
-    asked = f"granted were {share(granted[0])} and {number(granted[1], 2)}"
+    asked = f"the tolerance is {share(granted[0])} and {number(granted[1], 2)}"
     exceeded = _row(results, last, "learned")["exceeded"]
     which = f"; on the real plant most {exceeded}" if exceeded else ""
     return f"the co-design breaks the limits ({left}, {asked}{which})"
@@ -233,8 +233,8 @@ def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> 
         why = delivery["status"] if delivery.get("breach") else "worse"
         if delivery.get("carried"):
             updates = f"the updates of generation {delivery['former']}"
-            return f"{name} took {updates} back, which a whole deployment showed to be {why}"
-        return f"{name} was taken back, because it was {why}"
+            return f"{name} rolled {updates} back, which a whole deployment showed to be {why}"
+        return f"{name} was rolled back: it was {why}"
     if redesign["accepted"] and redesign["chosen"].startswith(FORMER):
         return f"{name} returned to {redesign['chosen'].removeprefix(FORMER)}"
     if moved:

@@ -174,8 +174,8 @@ def with_limits(first, second, **changes):
 
 
 def test_the_headline_says_that_the_optimum_breaks_a_limit_that_all_controllers_break():
-    said = "The co-design breaks the limits (18 % of the states outside X, 0.84 half-widths at the peak, granted " \
-           "were 0.1 % and 0.0020; on the real plant most tyre load [N] > 500)"  # fmt: skip
+    said = "The co-design breaks the limits (18 % of the states outside X, 0.84 half-widths at the peak, the " \
+           "tolerance is 0.1 % and 0.0020; on the real plant most tyre load [N] > 500)"  # fmt: skip
     assert said in headline(with_limits(limits(True), limits(False), accepted=True, moved=True))
     assert said in headline(with_limits(limits(False), limits(True), moved=False))  # its redesign was not taken
 
