@@ -31,6 +31,7 @@ from reach_of_tests import CHILDREN, PACKAGES, ROOT
 STORE = ROOT / "build" / "mutants"
 COPIED = (*PACKAGES, "tests", "benchmarks", "notebooks", "docs", "pyproject.toml", "README.md", "LICENSE", "Makefile")
 PATIENCE = 4.0  # times what the tests of a mutant took without it
+KERNELS = ROOT / "mpc" / "explicit" / "kernels"
 COMPILED = ("mpc/explicit/", "mpc/tolerances.py")  # numba keeps what it compiled of these
 TURNED = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -176,7 +177,9 @@ def enclosing(path: Path, line: int) -> list[str]:
 def tests_of(reach: list[dict], path: Path, line: int) -> list[dict]:
     """Tests that enter the function of a line, those that enter little first; for a constant those of its users."""
     names = set(enclosing(path, line))
-    if not names:
+    if KERNELS in path.parents:  # what is compiled enters no function that Python sees
+        found = [row for row in reach if any(entry.startswith("mpc/explicit/exploration") for entry in row["entered"])]
+    elif not names:
         module = path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
         files = [file for package in PACKAGES for file in (ROOT / package).rglob("*.py")]
         users = {file.relative_to(ROOT).as_posix() for file in files if module in file.read_text(encoding="utf-8")}
