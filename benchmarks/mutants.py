@@ -263,6 +263,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--reach", nargs="*", metavar="TESTS", help="measure which test enters which function")
+    parser.add_argument("--quick", action="store_true", help="with --reach: the quick tests alone")
     parser.add_argument("--killed", type=int, default=200, help="draw until so many mutants were killed")
     parser.add_argument("--drawn", type=int, default=10**9, help="draw no more than so many")
     parser.add_argument("--seed", type=int, default=0)
@@ -271,7 +272,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=600.0, help="processor time for the tests of one mutant")
     options = parser.parse_args()
     if options.reach is not None:
-        measure_reach(options.processes, [*options.reach, "-m", "not slow"])
+        chosen = "not check and not slow" if options.quick else "not slow"
+        measure_reach(options.processes, [*options.reach, "-m", chosen])
         return
     reach = [json.loads(line) for line in (STORE / "reach.jsonl").read_text(encoding="utf-8").splitlines()]
     reach = [row | {"entered": set(row["entered"])} for row in reach if row["passed"]]

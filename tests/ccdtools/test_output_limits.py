@@ -97,6 +97,7 @@ def test_copies_of_limits_are_limits():
     np.testing.assert_array_equal(twin.output_limits.depths(z, v, q), LIMITS.depths(z, v, q))
 
 
+@pytest.mark.check
 def test_a_codesign_keeps_a_limit_of_an_output_that_binds():
     """The return alone asks for a soft spring; but only one of k ≥ 1 takes the deflection of 0.6 at the start."""
     config = CoDesignConfig(iterations=80, starts=1, pathwise_runs=16, evaluation_runs=32)

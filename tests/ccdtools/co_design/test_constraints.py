@@ -20,6 +20,7 @@ def untrained(problem, seed=0):
     return ActorCritic(low, high, *problem.input_bounds, config=NetworkConfig((8,)), seed=seed)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     "name", [name if name in IN_SECONDS else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
 )

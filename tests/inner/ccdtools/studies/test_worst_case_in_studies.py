@@ -19,6 +19,7 @@ SOURCE = (
 )
 
 
+@pytest.mark.check
 def test_the_worst_case_is_optimised_and_shown(tmp_path, monkeypatch):
     monkeypatch.setattr(preparation, "configuration", small_runs.tiny_configuration)
     source = tmp_path / "masses.py"
