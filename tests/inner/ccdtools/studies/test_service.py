@@ -221,8 +221,9 @@ def test_an_empty_prediction_says_nothing():
 def test_what_is_better_in_the_mean_and_worse_in_the_worst_runs_does_not_stay():
     rng = np.random.default_rng(0)
     small = 0.01 * rng.random(RUNS)
-    before = np.where(np.arange(RUNS) % 3 == 0, 1.6, 1.2) + small
-    after = np.where(np.arange(RUNS) % 3 == 0, 2.2, 0.5) + small
+    rough = np.arange(RUNS) % 4 < 2  # half of the common runs, which are every second one
+    before = np.where(rough, 1.6, 1.2) + small
+    after = np.where(rough, 1.9, 0.1) + small
     runs = (second(log(after, spread=0)), first(log(before, spread=0)))
     assert status(*runs) is Status.BETTER
     risky = judged(*runs, pairing=Pairing(OBJECTIVE, CVaR(0.4)))
