@@ -31,8 +31,8 @@ def tiny(config: StudyConfig) -> StudyConfig:
     """The configuration with as little of everything as a run can do with."""
     few = CoDesignConfig(iterations=2, runs=16, pathwise_runs=16, evaluation_runs=20, evaluate_every=1)
     return replace(
-        config, samples=15, model_runs=30, real_runs=30, mpc_runs=2, real_steps=500, codesign=few, redesign=few,
-        network=NetworkConfig((8,)), cloning=replace(config.cloning, steps=50),
+        config, samples=40, model_runs=30, real_runs=30, mpc_runs=2, real_steps=500, codesign=few, redesign=few,
+        network=NetworkConfig((8,)), cloning=replace(config.cloning, steps=400),
         online=replace(config.online, updates=1, judged=20, training=few), quantile=replace(config.quantile, steps=50),
     )  # fmt: skip
 

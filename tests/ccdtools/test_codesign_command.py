@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from ccdtools.cli import main
+
 CCDTOOLS = [sys.executable, "-m", "ccdtools", "codesign"]
 
 
@@ -76,8 +78,11 @@ def test_an_interruption_loses_only_the_method_that_it_falls_in(tmp_path):
         (("illustrative", "--seed", "x"), "--seed"), (("illustrative", "--jobs", "0", "--methods", "nested"), "jobs"),
     ],
 )  # fmt: skip
-def test_misuse_is_one_line(arguments, word, tmp_path):
-    done = command(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.startswith(f"ccdtools: {word}")
-    assert done.stderr.count("\n") == 1
+def test_misuse_is_one_line(arguments, word, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["ccdtools", "codesign", *arguments])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    said = capsys.readouterr().err
+    assert said.startswith(f"ccdtools: {word}")
+    assert said.count("\n") == 1

@@ -224,7 +224,7 @@ def test_designs_that_an_abort_does_not_reach_get_no_set_and_the_reason_is_said(
     problem = illustrative.problem()
     designs = problem.design.latin_hypercube(10, np.random.default_rng(0))
     monkeypatch.setattr(set_choice.time, "thread_time", Clock(1.0))
-    sets, counts = found_sets(feasible_sets(problem), designs, Effort("auto", 0.4))
+    sets, counts = found_sets(feasible_sets(problem), designs, Effort("auto", 1.0))
     assert [S is not None for S in sets] == 4 * [True] + 6 * [False]
     assert (counts.feasible, counts.lqr) == (4, 6)
     assert "another machine may get further" in str(counts)
