@@ -60,6 +60,7 @@ def test_an_interruption_loses_only_the_method_that_it_falls_in(tmp_path):
     deadline = time.monotonic() + 300
     while not (table.is_file() and "nested LQR" in table.read_text()) and time.monotonic() < deadline:
         time.sleep(0.05)
+    time.sleep(0.5)  # the next method is named
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 130, err
