@@ -33,7 +33,7 @@ from ccdtools.studies.report.formatting import (
 )
 from ccdtools.studies.report.gains import gain_headings, gain_rows, held_out_rows
 from ccdtools.studies.report.metric_tables import held_out_metrics, metric_table
-from ccdtools.studies.report.summary import in_first_place, next_steps
+from ccdtools.studies.report.summary import decided, in_first_place, next_steps
 from ccdtools.studies.report.tables import fewer_runs_notes, write_tables
 from ccdtools.studies.report.verdicts import (
     difference_text,
@@ -91,7 +91,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
         gains={"headings": gain_headings(results), "rows": gain_rows(results),
                "held_out": held_out_rows(results, run.study.steps), "metrics": held_out_metrics(results)},
-        glance=in_first_place(results), next_steps=next_steps(results),
+        glance=in_first_place(results), next_steps=next_steps(results), decided=list(decided(results)),
         sampling=sampling_note(run.study.plant), no_sets=_no_sets(run),
         limits=limits_of(results), single=run.study.real.runs == 1, real_is_model=run.study.real_is_model,
         risk=_risk_text(run), measure=measure(run.study.judged_in),

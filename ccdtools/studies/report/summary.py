@@ -74,6 +74,17 @@ def of_word(results: Values, word: str) -> dict[str, Change]:
     return found
 
 
+def decided(results: Values) -> Iterator[tuple[str, Values]]:
+    """Every change that was judged and its verdict: updates, proposals and deployment of each generation."""
+    for g in results["generations"]:
+        generation = f"generation {g['generation']}, "
+        for update in g["online_updates"]:
+            yield generation + f"update after {update['after']} samples", update
+        for name, decision in ((g["redesign"] or {}).get("decisions") or {}).items():
+            yield generation + name, decision
+        yield generation + "as deployed", g["delivery"]
+
+
 def bare(name: str) -> str:
     """The name of a metric without its unit."""
     return name.split(" [")[0]

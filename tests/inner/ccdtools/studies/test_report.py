@@ -173,6 +173,19 @@ def test_a_page_can_be_written_again(illustrative, tmp_path):
     assert (folder.path / "report.html").read_text(encoding="utf-8") == before
 
 
+def test_every_decision_stands_on_the_page_with_all_its_evidence(illustrative):
+    folder, results = illustrative
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    table = page[page.index('<details id="decisions">') : page.index('<details id="sets">')]
+    shown = [re.sub(r"<.*?>", "", cell).strip() for cell in re.findall(r"<td.*?</td>", table, flags=re.S)]
+    said = []
+    for generation in results["generations"]:
+        decisions = [*generation["online_updates"], *((generation["redesign"] or {}).get("decisions") or {}).values()]
+        said += [one["percent"] for decision in [*decisions, generation["delivery"]] for one in decision["evidence"]]
+    assert len(said) > 4
+    assert [cell for cell in shown if cell in said] == said
+
+
 def test_a_folder_without_results_is_an_error(tmp_path):
     with pytest.raises(InputError, match=r"without a readable results\.json"):
         write_report(load_study("illustrative"), RunFolder(tmp_path))
