@@ -122,7 +122,7 @@ class Delivery:
         evidence = self.verdict.evidence
         broken = next((one.violation for one in evidence if one.violation is not None), None)
         return self.verdict.as_dict() | {
-            "promised": asdict(self.predicted), "returns": asdict(self.returns), "judge": self.agreement.value,
+            "predicted": asdict(self.predicted), "returns": asdict(self.returns), "agreement": self.agreement.value,
             "change": asdict(evidence[0].gain if evidence else NOTHING), "size": self.size, "carried": self.carried,
             "former": self.former, "paired": self.former is not None,
             "measure": evidence[0].measure if evidence else "mean",
