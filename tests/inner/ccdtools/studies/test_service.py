@@ -258,7 +258,8 @@ def delivery(status, **others):
     """The values of a delivery that is compared with generation 1."""
     return {"former": 1, "status": status.value, "replaces": status.replaces, "agreement": "within chance",
             "size": 50.0, "change": {"mean": -1.0, "ci95": [-1.5, -0.5]}, "predicted": {"mean": -40.0},
-            "returns": {"mean": -51.0}, "measure": "mean", "carried": False, "breach": "", "reason": ""} | others  # fmt: skip
+            "returns": {"mean": -51.0}, "measure": "mean",
+            "carried": False, "breach": "", "reason": ""} | others  # fmt: skip
 
 
 def said(status, *, accepted=False, updates=(False, False), moved=True, chosen="redesign", edges=None, **others):
