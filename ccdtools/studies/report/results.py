@@ -8,6 +8,7 @@ from importlib.metadata import version
 from typing import Any
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.risk import measure
 from ccdtools.outside import limits_in_words
 from ccdtools.studies.evaluation import Evaluation
@@ -73,7 +74,7 @@ def results(
                          "constraints": space.constraint_names, "integer": space.integer},
         "start": space.as_dict(study.p0), "limits": limits_in_words(evaluation.problem.output_limits),
         "measure": measure(study.judged_in), "optimised": measure(evaluation.problem.risk),
-        "objective": study.objective.describe(),
+        "objective": study.objective.describe(), "linearisation": tangent_note(evaluation.problem),
         "initialisation": {key: value for key, value in initial.values.items() if key != "report"},
         "generations": list(generations),
         "comparison": list(comparison),

@@ -154,8 +154,8 @@ def console_table(results: Mapping[str, Any]) -> str:
             title = _block_title(results, row)
             lines.append(title)
         lines.append(_line(cells, widths))
-    notes = [*fewer_runs_notes(rows), *limit_notes(rows, limits_of(results))]
-    return "\n".join([*lines, *notes, "", *console_lines(results)])
+    notes = [*fewer_runs_notes(rows), *limit_notes(rows, limits_of(results)), results.get("linearisation", "")]
+    return "\n".join([*lines, *filter(None, notes), "", *console_lines(results)])
 
 
 def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:

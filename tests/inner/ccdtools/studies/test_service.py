@@ -1,5 +1,6 @@
 """What is deployed stays only if it is not worse, as measured, than what was deployed before: stretch by stretch."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from ccdtools import CVaR, QuadraticObjective
 from ccdtools.evidence.evidence import Asked, Pairing, Violation
 from ccdtools.evidence.verdict import Status
-from ccdtools.statistics import summarise
+from ccdtools.statistics import Summary, summarise
 from ccdtools.studies.account import account
 from ccdtools.studies.report.formatting import FORMER
 from ccdtools.studies.report.headline import _brought, _phrase
@@ -201,6 +202,15 @@ def test_a_prediction_that_is_right_is_called_wrong_in_one_deployment_of_five_hu
             told[name] += _agreement(predicted, summarise(rng.standard_normal(runs) - 20)) is Agreement.LESS
     assert max(told.values()) <= 8  # 2 expected
     assert _agreement(predicted, summarise(rng.standard_normal(100) - 20.5)) is Agreement.LESS
+
+
+def test_returns_whose_intervals_are_apart_are_not_said_to_agree():
+    """A drive of few degrees of freedom may lie outside the interval of what was predicted, and say little."""
+    predicted = Summary(-4585.0, 500.0, -4585.0, 400, (-4620.0, -4550.0))
+    measured = Summary(-7465.0, 1200.0, -7465.0, 1, (-10000.0, -4930.0))
+    assert _agreement(predicted, measured) is _agreement(measured, predicted) is Agreement.OPEN
+    assert _agreement(predicted, predicted) is Agreement.AGREED
+    assert _agreement(predicted, replace(measured, ci95=(-10000.0, -4600.0))) is Agreement.AGREED
 
 
 def test_without_an_interval_a_loss_on_the_drive_is_enough_to_roll_updates_back():
