@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 HORIZON = 20  # steps, of the MPC
 CONTROL = ("lqr", "mpc")
-ON_TANGENT = "The plant is not linear: LQR, linear MPC, the expert and the landscape are those of its tangent at rest"
+ON_TANGENT = "The plant is not linear: LQR, MPC, expert and landscape are of its tangent at rest, or a note says more."
 
 
 def tangent_note(problem: CoDesignProblem) -> str:

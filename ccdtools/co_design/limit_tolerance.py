@@ -73,7 +73,7 @@ UNTIL_LEFT = Tolerance(Pair(FLOOR, FLOOR), "never left further than a network re
 
 def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
     """A quarter more than what MPC does at a design and beside it, on the first few of some scenarios."""
-    middle = _allowed(problem, v, scenarios)
+    middle = _beside(mpc_episodes(problem, v, scenarios))
     slopes = []
     for i in range(len(v)):
         ends = [v.clone() for _ in range(2)]
@@ -82,7 +82,7 @@ def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tenso
         known = []
         for end in ends:
             with suppress(NotStabilisableError):  # there is no MPC beside it: the slope is one-sided
-                known.append((end[i], _allowed(problem, end, scenarios)))
+                known.append((end[i], _beside(mpc_episodes(problem, end, scenarios))))
         known = known if len(known) == 2 else [(v[i], middle), *known]
         (low, behind), (high, ahead) = known[0], known[-1]
         slopes.append((ahead / behind).log() / (high - low).double() if high != low else torch.zeros_like(middle))
@@ -100,13 +100,8 @@ def tolerance_at(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, T
     return Pair(*_beside(seen).tolist()), Pair(*errors)
 
 
-def _allowed(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tensor:
-    """What MPC lets one design have, (2,); the least there is where MPC loses every run."""
-    return _beside(mpc_episodes(problem, v, scenarios))
-
-
 def _beside(seen: Episode) -> Tensor:
-    """What episodes of MPC let a design have, (2,)."""
+    """What episodes of MPC let a design have, (2,); the least there is where MPC loses every run."""
     fraction, depth = measured(seen).values()
     return (BESIDE_MPC * torch.tensor([fraction, depth], dtype=torch.float64)).nan_to_num(nan=FLOOR).clamp(min=FLOOR)
 

@@ -28,9 +28,7 @@ def method_verdicts(comparison: Any) -> list[str]:
         said = [f"{_difference(comparison, row)}{only}", _parts(comparison, row)]
         lines.append(f"{row.name}: {'; '.join(part for part in said if part)}.")
     lines += _unsound(comparison, rows)
-    if tangent_note(comparison.problem):
-        lines.append(f"{tangent_note(comparison.problem)}; nested LQR names the secant where it took it.")
-    return [line for line in lines if line] + refused
+    return [line for line in (*lines, tangent_note(comparison.problem)) if line] + refused
 
 
 def leaves_limits(comparison: Any, row: Any) -> bool:

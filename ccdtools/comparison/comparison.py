@@ -118,8 +118,7 @@ class Comparison:
         ]  # fmt: skip
         if any(one.diverged > 0 for one in self.scores):
             lines.append("Returns are of the runs that did not diverge.")
-        risks = [(one.controller, one.in_risk) for one in self.scores if one.in_risk is not None]
-        few = [f"{name}, risk: {risk.warning}" for name, risk in risks if risk.warning]
+        few = [f"{s.controller}, risk: {s.in_risk.warning}" for s in self.scores if s.in_risk and s.in_risk.warning]
         return lines + few + [f"{one.controller}: {one.remark}" for one in self.scores if one.remark]
 
     def __iter__(self) -> Iterator[Score]:

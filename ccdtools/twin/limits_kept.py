@@ -45,31 +45,25 @@ def violation(
     plant : Plant
         That names the states.
     """
-    if problem.limit_tolerance == "off":
+    asked = problem.limit_tolerance
+    if asked == "off":
         return None
     limits, former = (StateLimits(problem.state_limits(run.design)) for run in (after, before))
     own = Outside.of(after, limits, plant, problem.output_limits)
     other = Outside.of(before, former, plant, problem.output_limits)
-    if max(_pair(own).values()) <= FLOOR and isinstance(problem.limit_tolerance, str):
+    if max(_pair(own).values()) <= FLOOR and isinstance(asked, str):
         return None
     suspect = [name for name in MEASURES if _further(own, other, name)]
     if not suspect:
         return None
-    by_mpc = isinstance(problem.limit_tolerance, str)
+    by_mpc = isinstance(asked, str)
     runs = min(len(scenario.x0), fewer_runs(MPC_RUNS, scenario.steps)) if by_mpc else len(after.states)
-    allowed = _by_mpc(problem, scenario.first(runs), after.design, limits) if by_mpc else _asked(problem)
+    allowed = _by_mpc(problem, scenario.first(runs), after.design, limits) if isinstance(asked, str) else Pair(*asked)
     achieved = _pair(own, runs)
     broken = {name: a > g for name, a, g in zip(MEASURES, achieved.values(), allowed.values())}
     if not any(broken[name] for name in suspect):
         return None
-    before_it = _pair(other, runs).values()
-    return Violation(achieved.values(), before_it, allowed.values(), own.whole.exceeded, by_mpc)
-
-
-def _asked(problem: CoDesignProblem) -> Pair:
-    """The user's own tolerance."""
-    assert not isinstance(problem.limit_tolerance, str)
-    return Pair(*problem.limit_tolerance)
+    return Violation(achieved.values(), _pair(other, runs).values(), allowed.values(), own.whole.exceeded, by_mpc)
 
 
 def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits: StateLimits) -> Pair:
