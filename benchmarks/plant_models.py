@@ -3,7 +3,7 @@
     python benchmarks/plant_models.py [designs]
 
 Linear plants: A, B and E against `scipy.linalg.expm` of one block matrix, their derivatives against `expm_frechet`.
-Others, nominal and real: the promised error of a sample against CVODES at 1e-12, at points that were not looked at.
+Others, nominal and real: the stated error of a sample against CVODES at 1e-12, at points that were not looked at.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def cvodes(plant):
 
 
 def kept(plant, x, u, w, accuracy, points=200):
-    """Method, parts, promised and largest met error in half-widths of x, and how many points break the promise."""
+    """Method, parts, stated and largest met error in half-widths of x, and how many points exceed it."""
     centre = np.zeros(plant.nx)
     limits = {"X": (centre - x, centre + x), "U": (-np.array(u), np.array(u)), "W": (-np.array(w), np.array(w))}
     model = discretise(plant, accuracy=accuracy, sampling_guard="ignore", **limits)
@@ -154,7 +154,7 @@ def main(designs=1000):
         second = against_differences(plant)
         taken = time.perf_counter() - begun
         print(f"| {name} | {worst:.1e} | {slope:.1e} | {second:.1e} | {taken:.0f} |", flush=True)
-    head = "| plant | method, parts | promised | met | of 200 points beyond the promise | s |"
+    head = "| plant | method, parts | stated | met | of 200 points beyond it | s |"
     print(f"\n{head}\n|---|---|---|---|---|---|")
     for name, (made, x, u, w) in OTHERS.items():
         begun = time.perf_counter()

@@ -137,7 +137,7 @@ class Case:
         return returns, outside, peak
 
     def kept(self, outside: np.ndarray, peak: np.ndarray) -> bool:
-        """Whether limits are left no further than granted, beyond chance."""
+        """Whether limits are left no further than the tolerance, beyond chance."""
         granted = GRANTED if self.tight else (np.inf, np.inf)
         return all(m.mean() - 2 * m.std() / np.sqrt(RUNS) <= most for m, most in zip((outside, peak), granted))
 

@@ -155,8 +155,8 @@ def main(seed: int = 0) -> None:
         print(f"{name}, {time.perf_counter() - begun:.0f} s, {HELD_OUT} held-out masses")
         for label, result, i in (("for the mean mass", mean, 0), ("on the uncertain mass", robust, 1)):
             place = problem.design.describe(result.design)
-            promised = result.history.model_return.max()
-            print(f"  {label:<22} {place:<34} learned {seen.learned[i]:.4f} (promised {promised:.4f}), "
+            predicted = result.history.model_return.max()
+            print(f"  {label:<22} {place:<34} learned {seen.learned[i]:.4f} (predicted {predicted:.4f}), "
                   f"LQR {seen.lqr[i]:.4f}")  # fmt: skip
         for label, gain, base in (("learned", seen.gain, seen.learned[0]), ("LQR", seen.of_design, seen.lqr[0])):
             low, high = (100 * end / abs(base) for end in gain.ci95)

@@ -84,7 +84,7 @@ def run(
     speed: Annotated[str | None, typer.Option(help="CSV with time [s] and speed [km/h]; with --road.")] = None,
     driver: Annotated[str | None, typer.Option(help="mild or aggressive, when the road is generated.")] = None,
     redesign_price: Annotated[
-        str | None, typer.Option(help='Gain that a redesign must promise: "0.5 %" (of the return) or "12 return".')
+        str | None, typer.Option(help='Predicted gain that a redesign needs: "0.5 %" (of the return) or "12 return".')
     ] = None,
     accept_loss: Annotated[
         str | None, typer.Option(help='Loss that a change may bring elsewhere: "0.5 %" (of the return there).')

@@ -31,9 +31,9 @@ STUDIES = Path(__file__).resolve().parent / "studies"
 
 @dataclass(frozen=True)
 class Step:
-    """A deployed generation less what was in service before it, on the real plant: paired, with its 95 % interval.
+    """A deployed generation less what was deployed before it, on the real plant: paired, with its 95 % interval.
 
-    `kept` is whether the loop left it in service.
+    `kept` is whether the loop left it deployed.
     """
 
     difference: float
@@ -70,11 +70,11 @@ class Measured:
     steps : tuple of Step
         Of the later generations.
     at_the_end : Step or None
-        What is in service after the last generation, less the first as it was left in service.
+        What is deployed after the last generation, less the first as it was left.
     designed : float
         Mean return on the real plant of the first co-design as it was designed: before any update while deployed.
     learned : Step or None
-        What is in service after the last generation, less that: all that was gained by learning of the real plant.
+        What is deployed after the last generation, less that: all that was gained by learning of the real plant.
     depth, mpc_depth : float
         Mean over runs of the deepest excursion from X [half-widths], of the first co-design and of MPC at its design.
     beside_mpc : float
@@ -215,7 +215,7 @@ def _valley(name: str, study: Study, design: Any) -> int:
 
 
 def _deployed_returns(study: Study, run: RunFolder, generation: int) -> Any:
-    """Returns (n,) on the real plant of what a generation left in service."""
+    """Returns (n,) on the real plant of what a generation left deployed."""
     stage = run.read_stage(f"deployment-{generation}")
     design = run.read_stage(f"codesign-{generation}").arrays["design"]
     return _real_returns(study, stage.networks["agent"], design)

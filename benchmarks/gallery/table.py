@@ -70,7 +70,7 @@ def _deployed(found: Measured) -> str:
     texts = [f"{value:.4g}" for value in found.deployed[:1]]
     for value, step in zip(found.deployed[1:], found.steps):
         mark = {"worse": " ▼", "better": " ▲", "equal": ""}[step.verdict]
-        texts.append(f"{value:.4g}{mark}{'' if step.kept else ' (taken back)'}")
+        texts.append(f"{value:.4g}{mark}{'' if step.kept else ' (rolled back)'}")
     designed = f"{found.designed:.4g}; " if found.designed == found.designed else ""
     return designed + " → ".join(texts) or "–"
 
@@ -93,15 +93,15 @@ def summary(finished: Sequence[Row]) -> list[str]:
     lines += [f"not: {text}" for text in missed]
     steps = [(run, number + 2, step) for run, found, _ in finished for number, step in enumerate(found.steps)]
     worse = [entry for entry in steps if entry[2].verdict == "worse"]
-    lines.append(f"deployed and worse beyond the interval than what was in service: {len(worse)} of {len(steps)}")
+    lines.append(f"deployed and worse beyond the interval than what was deployed before: {len(worse)} of {len(steps)}")
     lines += [
         f"worse: {run.study} from the {run.start}, seed {run.seed}, generation {number}: {step.difference:+.3g} "
-        f"[{step.low:.3g}, {step.high:.3g}]{'' if step.kept else ', taken back'}"
+        f"[{step.low:.3g}, {step.high:.3g}]{'' if step.kept else ', rolled back'}"
         for run, number, step in worse
     ]
     ends = [(run, found.at_the_end) for run, found, _ in finished if found.steps and found.at_the_end is not None]
     lost = [entry for entry in ends if entry[1].verdict == "worse"]
-    lines.append(f"in service at the end and worse beyond the interval than generation 1: {len(lost)} of {len(ends)}")
+    lines.append(f"deployed at the end and worse beyond the interval than generation 1: {len(lost)} of {len(ends)}")
     lines += [f"worse at the end: {run.study} from the {run.start}, seed {run.seed}: {step.difference:+.3g}"
               for run, step in lost]  # fmt: skip
     lines += _where_truth_pays(finished)
@@ -115,7 +115,7 @@ def summary(finished: Sequence[Row]) -> list[str]:
 
 
 def _where_truth_pays(finished: Sequence[Row]) -> list[str]:
-    """How often what is in service at the end is better than what was first designed, where knowing the truth pays."""
+    """How often what is deployed at the end is better than what was first designed, where knowing the truth pays."""
     lines = []
     for study in sorted({run.study for run, _, _ in finished}):
         worth = reference(study).get("truth", {}).get("worth_percent", 0.0)
@@ -126,6 +126,6 @@ def _where_truth_pays(finished: Sequence[Row]) -> list[str]:
         better = sum(found.learned is not None and found.learned.verdict == "better" for found in rows)
         lines.append(
             f"{study}, where knowing the real plant is worth {worth:.1f} %: better in {better} of {len(rows)} runs, "
-            f"by {min(gains):.1f} to {max(gains):.1f} % from what was first designed to what is in service at the end"
+            f"by {min(gains):.1f} to {max(gains):.1f} % from what was first designed to what is deployed at the end"
         )
     return lines

@@ -11,6 +11,7 @@ from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.exceptions import InputError
+from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.undisturbed_step import undisturbed_step
 from mpc import LinearMPC, NotStabilisableError, lqr
 
@@ -19,6 +20,12 @@ if TYPE_CHECKING:
 
 HORIZON = 20  # steps, of the MPC
 CONTROL = ("lqr", "mpc")
+ON_TANGENT = "The plant is not linear: LQR, MPC, expert and landscape are of its tangent at rest, or a note says more."
+
+
+def tangent_note(problem: CoDesignProblem) -> str:
+    """That LQR and what is made of it stand on the tangent at rest; empty where the plant is linear."""
+    return ON_TANGENT if isinstance(problem.model, SampledModel) else ""
 
 
 def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:

@@ -23,7 +23,7 @@ AGREEING = 0.05  # of a gradient: two steps that differ by less show the same
 FEW = 6  # parameters, up to which differences may take the place of the gradient through the model
 
 SIGNIFICANT = 3.0  # standard errors of a slope that is not chance
-AHEAD = 0.1  # of the box: over this distance a slope must promise a gain that matters
+AHEAD = 0.1  # of the box: over this distance a slope must predict a gain that matters
 UNRESOLVED = 0.05  # of the return over the distance ahead: a slope with such an error says nothing
 
 
@@ -154,7 +154,7 @@ class Slope:
         return _brings(self.mean, self.error, np.minimum(self.room, AHEAD), gain)
 
     def rises_across_bounds(self, gain: float) -> bool:
-        """Whether a wider box promises such a gain."""
+        """Whether a wider box brings such a gain."""
         return _brings(self.across, self.across_error, np.full(len(self.across), AHEAD), gain)
 
     def unresolved(self, size: float) -> bool:

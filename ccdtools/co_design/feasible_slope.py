@@ -59,7 +59,7 @@ class FeasibleSlope(Slope):
         return bool(self.ahead > SIGNIFICANT * self.ahead_error and self.ahead / 2 > gain)
 
     def rises_across_bounds(self, gain: float) -> bool:
-        """Whether a wider box, or a constraint that asks for less, promises such a gain."""
+        """Whether a wider box, or a constraint that asks for less, brings such a gain."""
         return bool(((self.edges > SIGNIFICANT * self.edges_error) & (self.edges * AHEAD / 2 > gain)).any())
 
 

@@ -1,4 +1,4 @@
-"""How often and how far a design may leave X: what the user grants, or what MPC of the same design does."""
+"""How often and how far a design may leave X: what the user allows, or what MPC of the same design does."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mpc import NotStabilisableError
 BY_MPC = f"a quarter more than MPC of the same design does, N = {HORIZON}"
 MPC_RUNS = 32  # episodes of 100 steps that it is measured on
 BESIDE_MPC = 1.25  # the tolerance relative to what MPC does: a network in its place has a resolution,
-FLOOR = 0.002  # of the states, or half-widths: and less than this is granted to it always
+FLOOR = 0.002  # of the states, or half-widths: the tolerance is never less
 NEAR = 0.1  # of the unit box: a design further away has MPC measured again
 TILT = 0.05  # of the unit box: the step by which it is found how the tolerance changes with the design
 
@@ -36,11 +36,11 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Tolerance:
-    """What is granted at designs of the unit box.
+    """The tolerance at designs of the unit box.
 
     Attributes
     ----------
-    granted : Pair
+    allowed : Pair
         At the design `v`.
     source : str
         Where it comes from.
@@ -50,17 +50,17 @@ class Tolerance:
         Of the logarithms of both measures with the design.
     """
 
-    granted: Pair
+    allowed: Pair
     source: str
     v: Tensor | None = None
     slopes: Tensor | None = None
 
     def at(self, v: Tensor) -> Tensor:
-        """Fraction and depth granted at a design, (2,); differentiable."""
-        granted = torch.tensor(self.granted.values(), dtype=torch.float64)
+        """Fraction and depth allowed at a design, (2,); differentiable."""
+        allowed = torch.tensor(self.allowed.values(), dtype=torch.float64)
         if self.v is None or self.slopes is None:
-            return granted
-        return (granted * torch.exp(self.slopes @ (v - self.v).double())).clamp(min=FLOOR)
+            return allowed
+        return (allowed * torch.exp(self.slopes @ (v - self.v).double())).clamp(min=FLOOR)
 
     def holds_at(self, v: Tensor) -> bool:
         """Whether the design is one that the tolerance was made for."""
@@ -73,7 +73,7 @@ UNTIL_LEFT = Tolerance(Pair(FLOOR, FLOOR), "never left further than a network re
 
 def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
     """A quarter more than what MPC does at a design and beside it, on the first few of some scenarios."""
-    middle = _granted(problem, v, scenarios)
+    middle = _beside(mpc_episodes(problem, v, scenarios))
     slopes = []
     for i in range(len(v)):
         ends = [v.clone() for _ in range(2)]
@@ -82,7 +82,7 @@ def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tenso
         known = []
         for end in ends:
             with suppress(NotStabilisableError):  # there is no MPC beside it: the slope is one-sided
-                known.append((end[i], _granted(problem, end, scenarios)))
+                known.append((end[i], _beside(mpc_episodes(problem, end, scenarios))))
         known = known if len(known) == 2 else [(v[i], middle), *known]
         (low, behind), (high, ahead) = known[0], known[-1]
         slopes.append((ahead / behind).log() / (high - low).double() if high != low else torch.zeros_like(middle))
@@ -100,13 +100,8 @@ def tolerance_at(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, T
     return Pair(*_beside(seen).tolist()), Pair(*errors)
 
 
-def _granted(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tensor:
-    """What MPC lets one design have, (2,); the least there is where MPC loses every run."""
-    return _beside(mpc_episodes(problem, v, scenarios))
-
-
 def _beside(seen: Episode) -> Tensor:
-    """What episodes of MPC let a design have, (2,)."""
+    """What episodes of MPC let a design have, (2,); the least there is where MPC loses every run."""
     fraction, depth = measured(seen).values()
     return (BESIDE_MPC * torch.tensor([fraction, depth], dtype=torch.float64)).nan_to_num(nan=FLOOR).clamp(min=FLOOR)
 

@@ -41,9 +41,9 @@ from ccdtools.co_design.problem import CoDesignProblem
 CHANCE = 2.0  # standard errors by which a measure may exceed its tolerance
 AIM = 0.9  # of the tolerance: what the multipliers aim at, so that some iterates are within
 RESOLVED = 1e-4  # half-widths: smaller depths say nothing of how far the states outside X are
-FIRST_PRICE = 0.02  # of the return, for leaving X by once more than what is granted
+FIRST_PRICE = 0.02  # of the return, for leaving X by as much again as the tolerance
 CHEAPEST = 0.001  # a smaller multiplier is zero
-GROWTH = 0.4  # a multiplier grows by exp(0.4) at an evaluation where X is left by twice as much as granted,
+GROWTH = 0.4  # a multiplier grows by exp(0.4) at an evaluation where X is left by twice the tolerance,
 LARGE = 1.0  # and no faster where it is left by more
 
 
@@ -60,7 +60,7 @@ class LimitsOutcome:
     source : str
         Where the tolerance comes from.
     multipliers : Pair
-        Price of each measure in parts of the return, for as much again as is granted; zero where no limit binds.
+        Price of each measure in parts of the return, for as much again as the tolerance; zero where no limit binds.
     outputs : bool
         Whether limits of outputs count beside X.
     errors : Pair
@@ -83,10 +83,10 @@ class LimitsOutcome:
     def __str__(self) -> str:
         where = "samples outside the limits" if self.outputs else "states outside X"
         achieved = f"{self.achieved.fraction:.2%} of the {where}, peak depth {self.achieved.depth:.3g}"
-        asked = f"{self.tolerance.fraction:.2%} and {self.tolerance.depth:.3g} granted ({self.source})"
+        asked = f"tolerance {self.tolerance.fraction:.2%} and {self.tolerance.depth:.3g} ({self.source})"
         name = "limits" if self.outputs else "state limits"
         if not self.kept:
-            cure = "Grant more with limit_tolerance, give more iterations, or put the filter in service."
+            cure = "Raise limit_tolerance or iterations, or deploy with the filter."
             return f"{name} not kept: {achieved}; {asked}. {cure}"
         if self.source == BY_MPC and max(self.achieved.values()) > FLOOR:
             return f"{name} left no more than MPC of the same design leaves them: {achieved}; {asked}"
@@ -109,7 +109,7 @@ class StateLimitPenalty:
     Attributes
     ----------
     judge : CoDesignProblem
-        What iterates are evaluated on; its `limit_tolerance` says what is granted.
+        What iterates are evaluated on; its `limit_tolerance` says how far X may be left.
     tolerance : Tolerance
     v : (np,) tensor or None
         The present design, in the unit box.
@@ -134,8 +134,8 @@ class StateLimitPenalty:
 
     def violation(self, episode: Episode) -> float:
         """By how much the tolerance of the present design is exceeded; 0 where it is kept."""
-        pairs = zip(expected_at_most(episode).values(), self._granted.values())
-        return max(0.0, *(value - granted for value, granted in pairs))
+        pairs = zip(expected_at_most(episode).values(), self._allowed.values())
+        return max(0.0, *(value - most for value, most in pairs))
 
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
         """What leaving X costs episodes at the point `v` of the unit box, (), as part of the return; differentiable.
@@ -170,8 +170,8 @@ class StateLimitPenalty:
         return replace(self, tolerance=tolerance, v=v, seen=seen, multipliers=Pair(*multipliers), spread=spread)
 
     def dearer(self, factor: float) -> StateLimitPenalty:
-        """The same with the price of what was last left further than granted multiplied."""
-        broken = (value > granted for value, granted in zip(self.seen.values(), self._granted.values()))
+        """The same with the price of what was last left further than the tolerance multiplied."""
+        broken = (value > most for value, most in zip(self.seen.values(), self._allowed.values()))
         prices = (price * factor if is_so else price for price, is_so in zip(self.multipliers.values(), broken))
         return replace(self, multipliers=Pair(*prices))
 
@@ -179,12 +179,12 @@ class StateLimitPenalty:
         """How the iterate of these episodes keeps the limits."""
         outputs = self.judge.output_limits is not None
         achieved, errors = measured(episode), measurement_errors(episode)
-        return LimitsOutcome(achieved, self._granted, self.tolerance.source, self.multipliers, outputs, errors)
+        return LimitsOutcome(achieved, self._allowed, self.tolerance.source, self.multipliers, outputs, errors)
 
     @property
-    def _granted(self) -> Pair:
-        """What is granted at the present design."""
-        return self.tolerance.granted if self.v is None else Pair(*self.tolerance.at(self.v).tolist())
+    def _allowed(self) -> Pair:
+        """The tolerance at the present design."""
+        return self.tolerance.allowed if self.v is None else Pair(*self.tolerance.at(self.v).tolist())
 
     def _tolerance(self, seen: Pair, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
         """That of the design `v`: the user's, or what MPC does there if X is left at all."""
@@ -196,9 +196,9 @@ class StateLimitPenalty:
         return tolerance_by_mpc(self.judge, v, scenarios)
 
 
-def _relative_excess(means: Tensor, granted: Tensor) -> Tensor:
-    """By how much each measure exceeds what the multipliers aim at, relative to what is granted, (2,)."""
-    return (means - AIM * granted) / granted.clamp(min=FLOOR)
+def _relative_excess(means: Tensor, allowed: Tensor) -> Tensor:
+    """By how much each measure exceeds what the multipliers aim at, relative to the tolerance, (2,)."""
+    return (means - AIM * allowed) / allowed.clamp(min=FLOOR)
 
 
 def _penalty(over: Tensor) -> Tensor:

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ccdtools.co_design.design_controllers import tangent_note
+
 SAME = 0.5  # per cent of the reference's return that two methods may differ by and be equal
 APART = 5.0  # per cent between a method's own objective and the closed loop that are worth a word
 NEAR = 0.02  # of the unit box: designs this close are one
@@ -26,7 +28,7 @@ def method_verdicts(comparison: Any) -> list[str]:
         said = [f"{_difference(comparison, row)}{only}", _parts(comparison, row)]
         lines.append(f"{row.name}: {'; '.join(part for part in said if part)}.")
     lines += _unsound(comparison, rows)
-    return [line for line in lines if line] + refused
+    return [line for line in (*lines, tangent_note(comparison.problem)) if line] + refused
 
 
 def leaves_limits(comparison: Any, row: Any) -> bool:
@@ -122,11 +124,12 @@ def _parts(comparison: Any, row: Any) -> str:
 
 
 def _unsound(comparison: Any, rows: list[Any]) -> list[str]:
-    """Methods that lose runs, leave the limits or break constraints."""
+    """Methods that lose runs, leave the limits or break constraints, or whose risk has no interval."""
     lines = []
     for row in rows:
         loop = row.closed_loop
         said = [f"{loop.lost_share:.2%} of its runs are lost"] if loop.lost.any() else []
+        said += [loop.summary.warning] if loop.summary.warning else []
         if leaves_limits(comparison, row):
             said.append(f"{loop.outside:.2%} of its states are outside the limits, {loop.depth:.2g} half-widths deep")
         if not row.sound:

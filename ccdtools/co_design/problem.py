@@ -268,7 +268,7 @@ class CoDesignProblem(Immutable):
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """What drives the model for any number of steps, (runs, steps, ·): nw disturbances, or nx draws or errors.
 
-        Scenarios are asked for no more than an episode, which is all that they promise, and these follow one another;
+        Scenarios are asked for no more than an episode, which is all that they offer, and these follow one another;
         a `disturbance` of theirs has any length.
         """
         if self.discrepancy is not None and self.discrepancy.noise == "quantiles":

@@ -19,7 +19,7 @@ from ccdtools.plain_values import jsonable
 from ccdtools.statistics import PairedDifference, Summary
 
 HEAVY = 2.0  # standard deviation of the runs, in parts of their mean, beyond which a few of them decide
-FAR = 0.5  # of the return in closed loop: an objective that promises more than this did not see what happens
+FAR = 0.5  # of the return in closed loop: an objective that predicts more than this did not see what happens
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -199,7 +199,7 @@ class CoDesignResult(Immutable):
     history : History
         Of the start that won.
     limits : LimitsOutcome or None
-        How often and how far X is left, beside what was granted; None where the limits were switched off.
+        How often and how far X is left, beside the tolerance; None where the limits were switched off.
     baselines : tuple of Baseline
         What it was compared with before it was called settled.
     valleys : tuple of Valley

@@ -97,15 +97,15 @@ class Settling:
         if asked == "off":
             return None
         if not isinstance(asked, str):
-            granted, source = Pair(*asked), "asked for"
+            allowed, source = Pair(*asked), "asked for"
         elif not max(seen.values()) > FLOOR:
-            granted, source = UNTIL_LEFT.granted, UNTIL_LEFT.source
+            allowed, source = UNTIL_LEFT.allowed, UNTIL_LEFT.source
         else:
             v = torch.tensor(self.problem.design.to_unit(design))
-            granted, of_mpc = tolerance_at(self.problem, v, self._drawn(0, LOOP_RUNS))
+            allowed, of_mpc = tolerance_at(self.problem, v, self._drawn(0, LOOP_RUNS))
             source = BY_MPC
             errors = Pair(*np.hypot(errors.values(), of_mpc.values()).tolist())
-        return LimitsOutcome(seen, granted, source, NOTHING, self.problem.output_limits is not None, errors)
+        return LimitsOutcome(seen, allowed, source, NOTHING, self.problem.output_limits is not None, errors)
 
     def _drawn(self, number: int, runs: int = RUNS) -> tuple[torch.Tensor, torch.Tensor]:
         """Scenarios of the checks, others for every number."""

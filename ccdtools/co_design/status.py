@@ -38,7 +38,7 @@ _ADVICE = {
         "them."
     ),
     CoDesignStatus.EDGE_OF_TRUST: (
-        "Deploy it, and let another generation follow: a redesign that keeps its promise may go further next time."
+        "Deploy it, and let another generation follow: where the prediction holds, the next redesign may go further."
     ),
     CoDesignStatus.STILL_IMPROVING: "Raise CoDesignConfig.iterations: the last of them still gained significantly.",
     CoDesignStatus.BUDGET_SPENT: (
@@ -60,6 +60,6 @@ _ADVICE = {
         'Widen X, take fewer runs, or set limit_tolerance="off": no inputs keep the named limits in all scenarios.'
     ),
     CoDesignStatus.LIMITS_BROKEN: (
-        "Raise the tolerance of the limits or the budget: they are left further than granted."
+        "Raise the tolerance of the limits or the budget: they are left further than the tolerance."
     ),
 }

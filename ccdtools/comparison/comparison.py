@@ -110,7 +110,7 @@ class Comparison:
 
     @property
     def notes(self) -> list[str]:
-        """What the rows alone do not say, one line each: means of other runs, what is lost, what is no baseline."""
+        """What the rows alone do not say, a line each: means of other runs, what is lost, risks without an interval."""
         most = max(score.runs for score in self.scores)
         lines = [
             f"* {one.controller}: {_shown(one.summary.mean, '.5g')} on the first {one.runs} of {most} runs, where "
@@ -118,7 +118,8 @@ class Comparison:
         ]  # fmt: skip
         if any(one.diverged > 0 for one in self.scores):
             lines.append("Returns are of the runs that did not diverge.")
-        return lines + [f"{one.controller}: {one.remark}" for one in self.scores if one.remark]
+        few = [f"{s.controller}, risk: {s.in_risk.warning}" for s in self.scores if s.in_risk and s.in_risk.warning]
+        return lines + few + [f"{one.controller}: {one.remark}" for one in self.scores if one.remark]
 
     def __iter__(self) -> Iterator[Score]:
         return iter(self.scores)

@@ -15,7 +15,7 @@ POINTS = 1024  # of a round, spread over the limits and designs
 ROUNDS = 3  # each after the first looks around the worst points so far,
 WORST = 16  # of these,
 NEARBY = 0.15  # within so much of every range in the second, and the square of it in the third
-SAFETY = 3.0  # of the promise over the largest difference: 16/15 if smooth, 2 with a kink, and what was missed
+SAFETY = 3.0  # of what is stated over the largest difference: 16/15 if smooth, 2 with a kink, and what was missed
 
 Step = Callable[[Any, Any, Any, Any], Any]
 

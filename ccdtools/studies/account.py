@@ -65,7 +65,7 @@ def refusal(redesign: Values) -> str:
     """Why no redesign was deployed."""
     decision = redesign["decisions"]["redesign"]
     best = "the best redesign found" if decision["moved"] else "the best policy found"
-    return f"{best} was predicted {decision['promise']} and refused, {decision['reason']}"
+    return f"{best} was predicted {decision['predicted']} and refused, {decision['reason']}"
 
 
 def region_line(region: Values) -> str:
@@ -84,7 +84,7 @@ def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> li
     elif redesign["region"]["edges"] and decision["moved"]:
         what = f"{what}, at the edge of the trust region ({', '.join(redesign['region']['edges'])})"
     measured = f"measured {_change(delivery)} against generation {delivery['former']}"
-    said = [f"{name} {what}, predicted {decision['promise']} and {measured}"]
+    said = [f"{name} {what}, predicted {decision['predicted']} and {measured}"]
     if not delivery["replaces"]:
         why = delivery["status"] + (f" ({delivery['breach']})" if delivery["breach"] else "")
         said.append(f"{why}, so design and policy of generation {delivery['former']} stay deployed")
@@ -93,15 +93,15 @@ def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> li
 
 def _missed(delivery: Values) -> list[str]:
     """That less was measured than predicted, with the predicted return, where it was beyond both intervals."""
-    if Agreement(delivery["judge"]) is not Agreement.LESS:
+    if Agreement(delivery["agreement"]) is not Agreement.LESS:
         return []
-    return [f"{delivery['judge']}, a deployed return of {with_minus(number(delivery['promised']['mean']))}"]
+    return [f"{delivery['agreement']}, a deployed return of {with_minus(number(delivery['predicted']['mean']))}"]
 
 
 def _returns(delivery: Values) -> list[str]:
     """Predicted and measured return of the first generation, on the stretch that the policy as designed drove."""
-    expected, found = (with_minus(number(delivery[name]["mean"])) for name in ("promised", "returns"))
-    missed = ", less than predicted" if Agreement(delivery["judge"]) is Agreement.LESS else ""
+    expected, found = (with_minus(number(delivery[name]["mean"])) for name in ("predicted", "returns"))
+    missed = ", less than predicted" if Agreement(delivery["agreement"]) is Agreement.LESS else ""
     return [f"predicted a deployed return of {expected}, measured {found}{missed}"]
 
 

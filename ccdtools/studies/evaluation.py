@@ -167,7 +167,7 @@ class Evaluation:
         return Judge(self.problem, self.study.plant, self.admissible, self.window, self.study.accepted_loss)
 
     def nominal_deployment(self) -> Scenario:
-        """What the nominal model expects of a deployment, of many runs: a promise should not be wrong by chance."""
+        """What the nominal model expects of a deployment, of many runs: a prediction should not be wrong by chance."""
         real = self.study.real
         runs = min(self.config.model_runs, max(FEWEST_NOMINAL, NOMINAL_SAMPLES // self.deployment_steps))
         w = self.study.disturbance.sample(runs, self.deployment_steps, self.rng("nominal deployment"))
@@ -235,7 +235,7 @@ class Evaluation:
     ) -> Stage:
         """Every controller at one design: on the model that it was judged on, and on the real plant.
 
-        On the model stands the policy as designed, on the real plant the one in service at the end.
+        On the model stands the policy as designed, on the real plant the one deployed at the end.
         """
         controllers = self.baselines(design)
         model = model_name(judged_on)
@@ -247,8 +247,8 @@ class Evaluation:
         ):
             policy = LearnedPolicy(agent, design)
             admissible = self.admissible(design) if plant == "real" else None
-            in_service = Deployable(agent, design).controller(admissible)
-            everyone = {**controllers, "learned": in_service, "learned (sampled)": policy.sampled(rng)}
+            as_deployed = Deployable(agent, design).controller(admissible)
+            everyone = {**controllers, "learned": as_deployed, "learned (sampled)": policy.sampled(rng)}
             if admissible is not None:
                 everyone["learned, no filter"] = policy
             scores = compare(
@@ -258,7 +258,7 @@ class Evaluation:
             )  # fmt: skip
             place = {"plant": plant, "model": name, "generation": generation}
             rows += [place | self.row(design, score) for score in scores]
-            bands = self._bands(scenario, design, {"LQR": controllers["LQR"], "learned": in_service})
+            bands = self._bands(scenario, design, {"LQR": controllers["LQR"], "learned": as_deployed})
             arrays |= {f"{plant}_{key}": band for key, band in bands.items()}
         return Stage({"rows": rows}, arrays)
 
@@ -271,7 +271,7 @@ class Evaluation:
         return asked.over(scenarios) if has_cases(scenarios) else None
 
     def admissible(self, design: Array) -> AdmissibleInputs | None:
-        """The filter behind the policy in service at a design; None where the study asks for none."""
+        """The filter behind the deployed policy at a design; None where the study asks for none."""
         if self.study.filter == "none":
             return None
         key = np.asarray(design, dtype=float).tobytes()
@@ -292,7 +292,7 @@ class Evaluation:
         """The filters of the designs that were asked for."""
         return {}
 
-    def in_service(self, one: Deployable) -> Controller:
+    def deployed(self, one: Deployable) -> Controller:
         """A policy as it would be deployed on the real plant, behind the study's filter if there is one."""
         return one.controller(self.admissible(one.design))
 

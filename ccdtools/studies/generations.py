@@ -136,7 +136,7 @@ class Generations:
             f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, state.twin, log, deployed
         )
         twin = self.compute.learned_twin(state.twin, log, learned)
-        following = self._in_service(generation, state, found, deployed, log)
+        following = self._following(generation, state, found, deployed, log)
         designed = following.served.designed if following.served is not None else following.service
         compared = self._stage(
             f"comparison-{generation}", f"{title}: comparison", self.compute.compare, generation, designed,
@@ -157,7 +157,7 @@ class Generations:
             history=(*state.history, record),
         )  # fmt: skip
 
-    def _in_service(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:
+    def _following(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:
         """The state after a deployment: what was deployed stays, or what was before it is deployed again."""
         delivery = deployed.values["delivery"]
         now = deployed_of(

@@ -29,7 +29,7 @@ class GenerationRecord:
     """A generation as it was designed, and what was deployed at its end.
 
     The start counts as a generation: both are the first policy at the first design. `stayed` says whether what was
-    deployed stayed in service.
+    deployed stayed.
     """
 
     designed: Deployable
@@ -63,8 +63,8 @@ def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
     return own | evaluation.held_out | {OWN_START: Scenario(study.real.plant, x0, w)}
 
 
-def former_services(history: Sequence[GenerationRecord], current: Deployable) -> dict[str, Deployable]:
-    """The start, and what was in service after every generation, by name: each once, and not what is in service now.
+def formerly_deployed(history: Sequence[GenerationRecord], current: Deployable) -> dict[str, Deployable]:
+    """The start, and what was deployed after every generation, by name: each once, and not what is deployed now.
 
     What a deployment has shown to fall short is left out.
     """
@@ -79,7 +79,7 @@ def former_services(history: Sequence[GenerationRecord], current: Deployable) ->
 
 def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) -> list[dict[str, Any]]:
     """A row per held-out disturbance and controller at one design, as in the comparison."""
-    everyone = evaluation.baselines(service.design) | {"learned": evaluation.in_service(service)}
+    everyone = evaluation.baselines(service.design) | {"learned": evaluation.deployed(service)}
     rows = []
     for name, scenario in list(places_of(evaluation).items())[1:]:
         scores = compare(
@@ -93,11 +93,10 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) 
 
 
 def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> list[Step]:
-    """From LQR at the first design to what is in service at the end: each step with the source that it is due to.
+    """From LQR at the first design to what is deployed at the end: each step with the source that it is due to.
 
     The first generation brings a design (LQR there against LQR at the start) and a policy (against that LQR). A later
-    one that went into service brings its redesign; updates while deployed come last. One that was taken back brings
-    nothing.
+    one that stayed brings its redesign; updates while deployed come last. One that was rolled back brings nothing.
     """
     start = history[0].after.design
     first = history[1]
@@ -139,7 +138,7 @@ def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:
 
 def _learned(evaluation: Evaluation, source: str, service: Deployable) -> Step:
     """The step to a policy at its design."""
-    return Step(source, evaluation.in_service(service), service.design, _key(service))
+    return Step(source, evaluation.deployed(service), service.design, _key(service))
 
 
 def _key(service: Deployable) -> bytes:

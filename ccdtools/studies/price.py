@@ -1,4 +1,4 @@
-"""What a redesign costs: the gain that it must promise."""
+"""What a redesign costs: the gain that must be predicted."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DEFAULT_PRICE = "0.5 %"
 ACCEPTED_LOSS = "0.5 %"
 PRICE = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(%|return)\s*")
 EXPECTED = "a price ≥ 0 with its unit"
-CURE = 'Write "0.5 %" (of the return in service), or "12 return" (in units of the return of an evaluation).'
+CURE = 'Write "0.5 %" (of the deployed return), or "12 return" (in units of the return of an evaluation).'
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class RedesignPrice:
     Attributes
     ----------
     amount : float
-        In per cent of the return in service without the cost of the design, or in units of the return of an evaluation.
+        In per cent of the deployed return without the cost of the design, or in units of the return of an evaluation.
     relative : bool
         Whether it is in per cent.
     """
@@ -53,7 +53,7 @@ class RedesignPrice:
         return f"{self.amount:g} %" if self.relative else f"{self.amount:g} in return"
 
     def of(self, size: float, part: float) -> float:
-        """The gain needed where the return in service has that size, over that part of the length of an evaluation."""
+        """The gain needed where the deployed return has that size, over that part of the length of an evaluation."""
         return self.amount / 100 * size if self.relative else self.amount * part
 
 

@@ -81,7 +81,7 @@ class RedesignJudge:
             "updated_gain": vars(NOTHING if updated is None else updated.gain),
             "needed": np.nan if made is None else made.needed, "size": np.nan if made is None else made.size,
             "nominal_before": before, "nominal_after": after, "price": str(policy if cheaper else study.price),
-            "promise": "n/a" if made is None else made.percent, "measure": measure(study.judged_in),
+            "predicted": "n/a" if made is None else made.percent, "measure": measure(study.judged_in),
             "reason": "" if verdict.replaces else str(verdict),
         }  # fmt: skip
 
@@ -113,10 +113,10 @@ class RedesignJudge:
 def described(proposed: str, decision: Mapping[str, Any]) -> str:
     """A decision in one sentence; `proposed` says what was judged."""
     verdict = "deployed" if decision["accepted"] else f"not deployed, {decision['reason']}"
-    if decision["promise"] == "n/a":
+    if decision["predicted"] == "n/a":
         return f"{proposed} {verdict}"
     before, after = decision["nominal_before"], decision["nominal_after"]
-    return f"{proposed} {verdict}: {decision['promise']} predicted on the logged errors at a price of " \
+    return f"{proposed} {verdict}: {decision['predicted']} predicted on the logged errors at a price of " \
            f"{decision['price']}; nominal model {before:.4g} → {after:.4g}"  # fmt: skip
 
 
@@ -130,7 +130,7 @@ def predicted(
     scenario = evaluation.on_model(logs) if logs else evaluation.nominal_deployment()
     if steps is not None:
         scenario = scenario.first(len(scenario.x0), min(steps, scenario.steps))
-    run = scenario.run(evaluation.in_service(choice), design=choice.design, limit=evaluation.problem.limit)
+    run = scenario.run(evaluation.deployed(choice), design=choice.design, limit=evaluation.problem.limit)
     rewards = run.rewards(evaluation.study.objective)[~run.diverged]
     return summarise_returns(rewards, runs=len(run.states))
 

@@ -122,7 +122,7 @@ class Delivery:
         evidence = self.verdict.evidence
         broken = next((one.violation for one in evidence if one.violation is not None), None)
         return self.verdict.as_dict() | {
-            "promised": asdict(self.predicted), "returns": asdict(self.returns), "judge": self.agreement.value,
+            "predicted": asdict(self.predicted), "returns": asdict(self.returns), "agreement": self.agreement.value,
             "change": asdict(evidence[0].gain if evidence else NOTHING), "size": self.size, "carried": self.carried,
             "former": self.former, "paired": self.former is not None,
             "measure": evidence[0].measure if evidence else "mean",
@@ -201,14 +201,17 @@ def judge_deployment(
 
 
 def _agreement(predicted: Summary, returns: Summary, rounding: float = 0.0) -> Agreement:
-    """How a predicted and a measured return agree: apart where chance would hardly ever part them so far."""
+    """How they agree: apart where chance hardly ever parts them so far; open where only their intervals are apart."""
     if np.isfinite(predicted.mean) and not np.isfinite(returns.mean):
         return Agreement.LESS
     if not np.isfinite([*predicted.ci95, *returns.ci95]).all():
         return Agreement.OPEN
     if _apart(returns, predicted, rounding):
         return Agreement.LESS
-    return Agreement.MORE if _apart(predicted, returns, rounding) else Agreement.AGREED
+    if _apart(predicted, returns, rounding):
+        return Agreement.MORE
+    disjoint = max(predicted.ci95[0], returns.ci95[0]) > min(predicted.ci95[1], returns.ci95[1]) + rounding
+    return Agreement.OPEN if disjoint else Agreement.AGREED
 
 
 def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:

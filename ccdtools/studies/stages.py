@@ -19,7 +19,7 @@ from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise_returns
 from ccdtools.studies.account import account, region_line
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.held_out import GenerationRecord, former_services, held_out_stage
+from ccdtools.studies.held_out import GenerationRecord, formerly_deployed, held_out_stage
 from ccdtools.studies.redesign import RedesignJudge, described, predicted, same_design
 from ccdtools.studies.report.formatting import FORMER
 from ccdtools.studies.service import Deployed, judge_deployment
@@ -141,7 +141,7 @@ class LoopStages:
         proposals = {"redesign": redesign}
         if not same_design(self.evaluation.problem.design, redesign.design, current.design):
             proposals[POLICY_ALONE] = replace(redesign, design=current.design)
-        return proposals | {FORMER + name: service for name, service in former_services(history, current).items()}
+        return proposals | {FORMER + name: service for name, service in formerly_deployed(history, current).items()}
 
     def _verdicts(self, proposals: Mapping[str, Deployable], judge: RedesignJudge) -> dict[str, Verdict]:
         """The verdicts by name; the policy of a redesign is looked at alone only if the redesign is refused."""
@@ -171,10 +171,10 @@ class LoopStages:
         report.append(f"{space.describe(chosen.design)}; {held}")
         if result.limits is not None:
             report.append(str(result.limits))
-        promise = predicted(self.evaluation, chosen, twin.logs)
-        report.append(f"predicted return of the deployment {promise.mean:.4g}")
+        expected = predicted(self.evaluation, chosen, twin.logs)
+        report.append(f"predicted return of the deployment {expected.mean:.4g}")
         values = {"active_bounds": active, "gradient_check": check, "ended": result.as_dict(), "redesign": redesign,
-                  "promised": asdict(promise), "limits": _limits(result), "report": report,
+                  "predicted": asdict(expected), "limits": _limits(result), "report": report,
                   "name": chosen.name}  # fmt: skip
         return Stage(values, {"design": chosen.design, **arrays}, {"agent": chosen.agent})
 
@@ -249,7 +249,7 @@ class LoopStages:
         assert updated.scores is not None
         scores = updated.scores
         report = [f"held-out coverage {_shares(scores.coverage)} (nominal {scores.nominal_coverage:.0%})"]
-        policy = self.evaluation.in_service(Deployable(deployed.networks["agent"], log.design))
+        policy = self.evaluation.deployed(Deployable(deployed.networks["agent"], log.design))
         since = max((update["after"] for update in deployed.values["updates"] if update["accepted"]), default=0)
         bands = held_out_bands(updated, log, policy, rng=rng, since=since)
         if bands is not None:

@@ -83,10 +83,10 @@ class Study(Immutable):
         How often and how far the co-designed policy may leave X, see `CoDesignProblem`; a redesign or an update that
         leaves it further, and further than what is deployed, is refused.
     filter : {"none", "admissible"}
-        What stands behind the policy in service on the real plant: nothing, or a filter that keeps the next state of
+        What stands behind the deployed policy on the real plant: nothing, or a filter that keeps the next state of
         the nominal model in X_fea(p).
     redesign_price : str
-        The gain that a redesign must promise: "0.5 %" of the return in service without the cost of the design, or
+        The predicted gain that a redesign needs: "0.5 %" of the deployed return without the cost of the design, or
         "12 return", in units of the return of an evaluation.
     accept_loss : str
         What a redesign or an update may lose, on any distribution that it will serve, for a gain where it was made for:
@@ -266,7 +266,7 @@ class Study(Immutable):
 
     @property
     def price(self) -> RedesignPrice:
-        """The gain that a redesign must promise."""
+        """The predicted gain that a redesign needs."""
         return RedesignPrice.parse(self.redesign_price)
 
     @property

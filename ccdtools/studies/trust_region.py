@@ -64,14 +64,14 @@ class Trust:
     radius : float
         Largest move of a parameter, as a part of its range; from 1 on there is no limit.
     betrayed : bool
-        Whether a deployment fell short of what was promised: from then on the region counts whatever the doubt.
+        Whether a deployment fell short of what was predicted: from then on the region counts whatever the doubt.
     """
 
     radius: float = FIRST_RADIUS
     betrayed: bool = False
 
     def after(self, kept: bool | None) -> Trust:
-        """The trust after a deployment that kept its promise, or did not; None if it says neither."""
+        """The trust after a deployment that brought what was predicted, or did not; None if it says neither."""
         if kept is None:
             return self
         if kept:

@@ -254,7 +254,7 @@ class QuantileScores:
     coverage : tuple of float
         Fraction of e⁺ between the outer levels.
     nominal_coverage : float
-        What the outer levels promise.
+        What the outer levels state.
     samples : int
     """
 

@@ -1,4 +1,4 @@
-"""Whether a candidate keeps the limits of states and outputs, as far as the user asks, where what is in service does.
+"""Whether a candidate keeps the limits of states and outputs, as far as the user asks, where what is deployed does.
 
 Of a deployment of one run, its stretches stand for runs: the tolerance is one of episodes, and the peak of a long run
 is higher than that of each of its parts.
@@ -32,47 +32,41 @@ def violation(
     """How a candidate breaks the limits; None where it keeps them, or as well as before, or may do as it likes.
 
     It breaks them if a measure, the fraction of the samples outside or the mean over the runs of the peak depth, is
-    more than granted, and more than that of what is in service: beyond chance, where chance can be told.
+    more than the tolerance, and more than that of what is deployed: beyond chance, where chance can be told.
 
     Parameters
     ----------
     problem : CoDesignProblem
         Whose limits, and whose tolerance.
     scenario : Scenario
-        That both met; MPC meets it, too, where it says what is granted.
+        That both met; MPC meets it, too, where it says what the tolerance is.
     after, before : Trajectory
-        Of the candidate and of what is in service.
+        Of the candidate and of what is deployed.
     plant : Plant
         That names the states.
     """
-    if problem.limit_tolerance == "off":
+    asked = problem.limit_tolerance
+    if asked == "off":
         return None
     limits, former = (StateLimits(problem.state_limits(run.design)) for run in (after, before))
     own = Outside.of(after, limits, plant, problem.output_limits)
     other = Outside.of(before, former, plant, problem.output_limits)
-    if max(_pair(own).values()) <= FLOOR and isinstance(problem.limit_tolerance, str):
+    if max(_pair(own).values()) <= FLOOR and isinstance(asked, str):
         return None
     suspect = [name for name in MEASURES if _further(own, other, name)]
     if not suspect:
         return None
-    by_mpc = isinstance(problem.limit_tolerance, str)
+    by_mpc = isinstance(asked, str)
     runs = min(len(scenario.x0), fewer_runs(MPC_RUNS, scenario.steps)) if by_mpc else len(after.states)
-    granted = _granted(problem, scenario.first(runs), after.design, limits) if by_mpc else _asked(problem)
+    allowed = _by_mpc(problem, scenario.first(runs), after.design, limits) if isinstance(asked, str) else Pair(*asked)
     achieved = _pair(own, runs)
-    broken = {name: a > g for name, a, g in zip(MEASURES, achieved.values(), granted.values())}
+    broken = {name: a > g for name, a, g in zip(MEASURES, achieved.values(), allowed.values())}
     if not any(broken[name] for name in suspect):
         return None
-    before_it = _pair(other, runs).values()
-    return Violation(achieved.values(), before_it, granted.values(), own.whole.exceeded, by_mpc)
+    return Violation(achieved.values(), _pair(other, runs).values(), allowed.values(), own.whole.exceeded, by_mpc)
 
 
-def _asked(problem: CoDesignProblem) -> Pair:
-    """The user's own tolerance."""
-    assert not isinstance(problem.limit_tolerance, str)
-    return Pair(*problem.limit_tolerance)
-
-
-def _granted(problem: CoDesignProblem, scenario: Scenario, design: Array, limits: StateLimits) -> Pair:
+def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits: StateLimits) -> Pair:
     """A quarter more than what MPC of a design does on a scenario; the least there is where it loses all runs."""
     least = Pair(FLOOR, FLOOR)
     try:

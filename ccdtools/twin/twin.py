@@ -75,7 +75,7 @@ class DigitalTwin(Immutable):
 
         The last part of every contiguous block of the log is held out for the scores: it follows in time what was
         trained on, and fit and test both see every regime of a drive. Of several runs, the last ones are held out.
-        The promised coverage is that over all regimes together; within a calm one the band may be too wide.
+        The stated coverage is that over all regimes together; within a calm one the band may be too wide.
 
         Parameters
         ----------

@@ -42,7 +42,7 @@ class ClosedLoop:
         return value, 0.0 if self.penalty is None else self.penalty.violation(seen)
 
     def outcome(self, v: Array) -> Any:
-        """How the limits are kept at a point, beside what is granted there itself: on the way it is extrapolated."""
+        """How the limits are kept at a point, beside the tolerance there itself: on the way it is extrapolated."""
         seen, penalty = self.cost.updated(StateLimitPenalty(self.cost.problem), v)
         return penalty.outcome(seen)
 

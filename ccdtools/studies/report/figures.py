@@ -64,7 +64,7 @@ def _history(run: FinishedRun) -> list[ReportFigure]:
     return_plots.plot_history(figure, run.histories, run.chosen, space, judges)
     caption = (
         "Return (mean and one standard deviation over the evaluation runs) and design at every evaluation of the "
-        "co-designs; the star marks the design that went into service, dashed lines are the bounds of the design. "
+        "co-designs; the star marks the design that was deployed, dashed lines are the bounds of the design. "
         "Returns of different columns are measured on different models and do not compare."
     )
     return [ReportFigure("history", "Return and design", caption, figure)]
@@ -103,7 +103,7 @@ def _policy_surface(run: FinishedRun) -> list[ReportFigure]:
         figure, x, surfaces, outline=run.sets.at(policy.design), labels=(names[0], names[1]), inputs=inputs
     )
     caption = (
-        f"The policy as it was last in service, over X at {run.describe(policy.design)}, beside saturated LQR; inside "
+        f"The policy as it was last deployed, over X at {run.describe(policy.design)}, beside saturated LQR; inside "
         "X_fea (black outline) the two should differ little or for a reason, outside it nothing was trained."
     )
     return [ReportFigure("policy", "Policy surface", caption, figure)]
@@ -186,10 +186,10 @@ def _quantiles_of(run: FinishedRun, generation: int) -> ReportFigure:
         figure, dt * np.arange(total - count, total), end.e_next[0], quantiles, network.levels, labels=names,
         time_label=run.time_label,
     )  # fmt: skip
-    promised = run.results["generations"][generation - 1]["quantiles"]["nominal_coverage"]
+    stated = run.results["generations"][generation - 1]["quantiles"]["nominal_coverage"]
     caption = (
         f"One-step errors of the nominal model at the end of deployment {generation}, which training had not seen, in "
-        f"the learned quantiles: about {share(promised)} should lie inside the band, and the median should follow what "
+        f"the learned quantiles: about {share(stated)} should lie inside the band, and the median should follow what "
         "can be predicted."
     )
     return ReportFigure(f"quantiles_{generation}", f"Learned quantiles, generation {generation}", caption, figure)

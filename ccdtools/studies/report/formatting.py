@@ -10,7 +10,7 @@ from ccdtools.evidence.percent import in_measure, percent_interval, share, signe
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PLACES = {"nominal": "nominal model", "real": "real plant"}
-FORMER = "return to "  # begins the name of a proposal that has been in service before, or is the start
+FORMER = "return to "  # begins the name of a proposal that was deployed before, or is the start
 
 
 def number(value: float | None, digits: int = 4) -> str:

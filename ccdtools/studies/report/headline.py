@@ -77,10 +77,10 @@ def _idle(results: Results) -> str:
 
 
 def _brought(generation: Mapping[str, Any]) -> bool:
-    """Whether a later generation left anything in service that was not there before it."""
+    """Whether a later generation left anything deployed that was not so before it."""
     delivery = generation["delivery"]
     if not delivery["replaces"]:
-        return bool(delivery.get("carried"))  # the policy of the former generation before its updates serves again
+        return bool(delivery.get("carried"))  # the policy of the former generation before its updates is deployed again
     return generation["redesign"]["accepted"] or any(update["accepted"] for update in generation["online_updates"])
 
 
@@ -158,21 +158,21 @@ def _where_deployed(results: Results, last: int) -> str:
 
 
 def _limits(results: Results, last: int) -> str:
-    """That the co-design in service did not keep its limits, and which of them the real plant exceeds most."""
-    found = _limits_in_service(results)
+    """That the deployed co-design did not keep its limits, and which of them the real plant exceeds most."""
+    found = _limits_as_deployed(results)
     if found is None or found["kept"]:
         return ""
-    achieved, granted = ((of["fraction"], of["depth"]) for of in (found["achieved"], found["tolerance"]))
+    achieved, most = ((of["fraction"], of["depth"]) for of in (found["achieved"], found["tolerance"]))
     outside = f"{share(achieved[0])} of the states outside {limits_of(results)}"
     left = f"{outside}, {number(achieved[1], 2)} half-widths at the peak"
-    asked = f"the tolerance is {share(granted[0])} and {number(granted[1], 2)}"
+    asked = f"the tolerance is {share(most[0])} and {number(most[1], 2)}"
     exceeded = _row(results, last, "learned")["exceeded"]
     which = f"; on the real plant most {exceeded}" if exceeded else ""
     return f"the co-design breaks the limits ({left}, {asked}{which})"
 
 
-def _limits_in_service(results: Results) -> Mapping[str, Any] | None:
-    """How the co-design of the policy in service kept its limits; None where it says nothing of them."""
+def _limits_as_deployed(results: Results) -> Mapping[str, Any] | None:
+    """How the co-design of the deployed policy kept its limits; None where it says nothing of them."""
     for generation in reversed(results["generations"]):
         redesign = generation["redesign"]
         if redesign is None or (redesign["chosen"] == "redesign" and generation["delivery"]["replaces"]):

@@ -8,13 +8,14 @@ from importlib.metadata import version
 from typing import Any
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.risk import measure
 from ccdtools.outside import limits_in_words
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.stage_storage import Stage, jsonable
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
 
 
@@ -22,7 +23,7 @@ def generation_entry(
     generation: int, evaluation: Evaluation, *, found: Stage, deployed: Stage, learned: Stage, returns: Stage,
     design: Array,
 ) -> dict[str, Any]:  # fmt: skip
-    """One element of ``generations``, from the stages of a generation; `design` is the one in service after it."""
+    """One element of ``generations``, from the stages of a generation; `design` is the one deployed after it."""
     space = evaluation.problem.design
     keep = ("model", "model_return", "nominal_return", "updated_model_return")
     return {
@@ -32,7 +33,7 @@ def generation_entry(
         "active_bounds": space.active_bounds(design),
         "active_constraints": space.active_constraints(design),
         "deployed_design": space.as_dict(found.arrays["design"]),
-        "promised_return": found.values["promised"],
+        "predicted_return": found.values["predicted"],
         **{name: returns.values[name] for name in keep},
         "deployed_return": deployed.values["deployed_return"],
         "deployed_diverged": deployed.values["diverged"],
@@ -73,7 +74,7 @@ def results(
                          "constraints": space.constraint_names, "integer": space.integer},
         "start": space.as_dict(study.p0), "limits": limits_in_words(evaluation.problem.output_limits),
         "measure": measure(study.judged_in), "optimised": measure(evaluation.problem.risk),
-        "objective": study.objective.describe(),
+        "objective": study.objective.describe(), "linearisation": tangent_note(evaluation.problem),
         "initialisation": {key: value for key, value in initial.values.items() if key != "report"},
         "generations": list(generations),
         "comparison": list(comparison),

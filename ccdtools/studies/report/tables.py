@@ -89,12 +89,12 @@ def generation_rows(results: Mapping[str, Any]) -> list[Row]:
     for generation in results["generations"]:
         row = _run_columns(results) | {"generation": generation["generation"]} | _design_columns(results, generation)
         row["model"] = generation["model"]
-        for name in ("model_return", "nominal_return", "promised_return", "deployed_return"):
+        for name in ("model_return", "nominal_return", "predicted_return", "deployed_return"):
             row |= _summary_columns(f"{name}_", generation[name])
         for noise, summary in generation["updated_model_return"].items():
             row[f"updated_model_return_{noise}_mean"] = summary["mean"]
         delivery = generation["delivery"]
-        row |= {"in_service": delivery["status"], "judge": delivery["judge"], "account": generation["account"]}
+        row |= {"verdict": delivery["status"], "agreement": delivery["agreement"], "account": generation["account"]}
         row |= {"change": delivery["change"]["mean"]}
         row |= dict(zip(("change_low95", "change_high95"), delivery["change"]["ci95"]))
         row |= {f"deployed_{name}": value for name, value in generation["deployed_design"].items()}
@@ -154,8 +154,8 @@ def console_table(results: Mapping[str, Any]) -> str:
             title = _block_title(results, row)
             lines.append(title)
         lines.append(_line(cells, widths))
-    notes = [*fewer_runs_notes(rows), *limit_notes(rows, limits_of(results))]
-    return "\n".join([*lines, *notes, "", *console_lines(results)])
+    notes = [*fewer_runs_notes(rows), *limit_notes(rows, limits_of(results)), results.get("linearisation", "")]
+    return "\n".join([*lines, *filter(None, notes), "", *console_lines(results)])
 
 
 def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -64,6 +64,13 @@ def test_nested_takes_the_secant_where_it_is_better_and_says_both():
     assert not any("secant" in note for note in tangent.notes)
 
 
+@pytest.mark.parametrize(("plant", "said"), [("friction", True), ("linear", False)])
+def test_a_table_of_methods_says_that_they_stand_on_the_tangent(plant, said):
+    one = Nested("lqr", linearisation="tangent", runs=16, starts=1, evaluations=2)
+    table = cc.compare_methods(problem(plant), {"one": one}, seed=0, design=[1.0], reference="one")
+    assert any("tangent at rest" in line for line in table.verdict) == said
+
+
 def test_an_unknown_linearisation_is_refused():
     with pytest.raises(InputError, match="linearisation: got 'cosine'"):
         Nested("lqr", linearisation="cosine")

@@ -7,6 +7,7 @@ import pytest
 
 from ccdtools import (
     PID,
+    CVaR,
     InputError,
     LinearFeedback,
     Passive,
@@ -231,6 +232,19 @@ def test_a_mean_of_fewer_runs_shares_no_column_with_means_of_all():
                            f"{returns[:2].mean():.5g}"]  # fmt: skip
     lines = table.plot().containers
     np.testing.assert_allclose(lines[0].lines[0].get_xdata(), returns.mean())
+
+
+def test_a_table_says_where_fewer_than_ten_runs_decide_a_risk():
+    problem = load_study("illustrative").problem()
+    law = saturated_lqr(problem, [1.5])
+    scenario = Scenario(problem.model, *problem.scenarios.sample(40, 20, np.random.default_rng(0)))
+
+    def notes(share):
+        return compare({"LQR": law}, scenario, design=[1.5], objective=problem.objective, X=problem.X,
+                       risk=CVaR(share)).notes  # fmt: skip
+
+    assert notes(0.1) == ["LQR, risk: 4 runs decide it, fewer than 10: no interval"]
+    assert notes(0.25) == []
 
 
 def test_a_pid_without_gains_is_named_and_not_compared_with():

@@ -54,7 +54,7 @@ def test_the_design_is_part_of_the_observation():
     assert not np.allclose(LearnedPolicy(net, [1e4])(np.zeros(2)), LearnedPolicy(net, [4e4])(np.zeros(2)))
 
 
-def test_a_policy_in_service_does_not_see_later_training(policy):
+def test_a_deployed_policy_does_not_see_later_training(policy):
     before = policy(np.ones(2))
     with torch.no_grad():
         policy.agent.mean_network.head.bias.add_(1.0)

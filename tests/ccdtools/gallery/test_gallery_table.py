@@ -51,15 +51,15 @@ def test_a_run_counts_as_near_only_within_half_a_per_cent(table_of):
 def test_a_worse_generation_is_named_with_its_interval(table_of):
     steps = [Step(-2.0, -3.0, -1.0, kept=False), Step(0.5, -0.5, 1.5), Step(2.0, 1.0, 3.0)]
     text = table_of(a_measurement(steps=steps, deployed=(-40.0, -42.0, -41.5, -39.5)))
-    assert "deployed and worse beyond the interval than what was in service: 1 of 3" in text
-    assert "worse: servo from the study, seed 0, generation 2: -2 [-3, -1], taken back" in text
-    assert "in service at the end and worse beyond the interval than generation 1: 0 of 1" in text
-    assert "-40 → -42 ▼ (taken back) → -41.5 → -39.5 ▲" in text
+    assert "deployed and worse beyond the interval than what was deployed before: 1 of 3" in text
+    assert "worse: servo from the study, seed 0, generation 2: -2 [-3, -1], rolled back" in text
+    assert "deployed at the end and worse beyond the interval than generation 1: 0 of 1" in text
+    assert "-40 → -42 ▼ (rolled back) → -41.5 → -39.5 ▲" in text
 
 
-def test_what_is_in_service_at_the_end_is_named_if_it_is_worse_than_the_first(table_of):
+def test_what_is_deployed_at_the_end_is_named_if_it_is_worse_than_the_first(table_of):
     text = table_of(a_measurement(steps=[Step(-2.0, -3.0, -1.0)], deployed=(-40.0, -42.0)), a_measurement())
-    assert "in service at the end and worse beyond the interval than generation 1: 1 of 1" in text
+    assert "deployed at the end and worse beyond the interval than generation 1: 1 of 1" in text
     assert "worse at the end: servo from the study, seed 0: -2" in text
 
 

@@ -58,11 +58,11 @@ def test_the_tolerance_is_a_quarter_more_than_what_mpc_does_there():
     problem = rail()
     scenarios = scenario_tensors(problem, 40, np.random.default_rng(0))
     v = torch.tensor([0.4])
-    granted = StateLimitPenalty(problem).updated(episodes(0.5, 0.3), v, scenarios)
+    allowed = StateLimitPenalty(problem).updated(episodes(0.5, 0.3), v, scenarios)
     by_mpc = mpc_episodes(problem, v, scenarios)
-    assert granted.tolerance.granted.depth == pytest.approx(BESIDE_MPC * float(by_mpc.peak.mean()))
-    assert granted.tolerance.granted.fraction == pytest.approx(BESIDE_MPC * float(by_mpc.outside.mean()))
-    assert "MPC of the same design" in granted.tolerance.source
+    assert allowed.tolerance.allowed.depth == pytest.approx(BESIDE_MPC * float(by_mpc.peak.mean()))
+    assert allowed.tolerance.allowed.fraction == pytest.approx(BESIDE_MPC * float(by_mpc.outside.mean()))
+    assert "MPC of the same design" in allowed.tolerance.source
     idle = StateLimitPenalty(problem).updated(episodes(0.001, 0.001), v, scenarios)
     assert idle.tolerance.v is None
     assert not idle.active
@@ -76,16 +76,16 @@ def test_near_the_design_at_which_mpc_was_measured_the_tolerance_follows_the_des
     there = tolerance_by_mpc(problem, v + 0.06, scenarios)
     assert near.holds_at(v + 0.06)
     assert not near.holds_at(v + 0.2)
-    constant = near.granted.fraction - there.granted.fraction
-    assert abs(constant) > 0.02 * there.granted.fraction
-    assert abs(float(near.at(v + 0.06)[0]) - there.granted.fraction) < 0.3 * abs(constant)
+    constant = near.allowed.fraction - there.allowed.fraction
+    assert abs(constant) > 0.02 * there.allowed.fraction
+    assert abs(float(near.at(v + 0.06)[0]) - there.allowed.fraction) < 0.3 * abs(constant)
 
 
 @pytest.mark.check
 def test_an_mpc_that_loses_every_run_grants_no_more_than_a_network_resolves():
     lost = replace(rail(), scenarios=cc.FixedStart([-1.5, 0.4], cc.Gaussian([1e9])))
-    granted = tolerance_by_mpc(lost, torch.tensor([0.3]), scenario_tensors(lost, 40, np.random.default_rng(0)))
-    assert granted.granted == Pair(FLOOR, FLOOR)
+    allowed = tolerance_by_mpc(lost, torch.tensor([0.3]), scenario_tensors(lost, 40, np.random.default_rng(0)))
+    assert allowed.allowed == Pair(FLOOR, FLOOR)
 
 
 def test_multipliers_grow_while_the_limits_are_broken_and_fall_to_zero_once_kept():
@@ -122,7 +122,7 @@ def test_the_cost_prices_peak_and_mean_depth_in_parts_of_the_return(priced):
     prices = penalty.prices(seen, v)
     np.testing.assert_allclose(prices.peak, 100 * 0.3 / 0.05)
     np.testing.assert_allclose(prices.depth, 100 * 0.2 / 0.1 / 0.25)
-    np.testing.assert_allclose(prices.design, -100 * 0.3 * 0.9 * 2.0)  # a design with more granted has less to pay
+    np.testing.assert_allclose(prices.design, -100 * 0.3 * 0.9 * 2.0)  # a larger tolerance has less to pay
 
 
 def test_the_prices_are_the_slopes_of_the_cost(priced):
@@ -142,5 +142,5 @@ def test_the_prices_are_the_slopes_of_the_cost(priced):
 def test_an_outcome_that_is_kept_says_by_how_much():
     outcome = LimitsOutcome(Pair(0.1, 0.02), Pair(0.12, 0.05), "asked for", Pair(0.0, 0.0))
     assert str(outcome) == (
-        "state limits kept: 10.00% of the states outside X, peak depth 0.02; 12.00% and 0.05 granted (asked for)"
+        "state limits kept: 10.00% of the states outside X, peak depth 0.02; tolerance 12.00% and 0.05 (asked for)"
     )

@@ -1,4 +1,4 @@
-"""What MPC grants a nonlinear plant, whatever the precision that the design comes in."""
+"""The tolerance by MPC of a nonlinear plant, whatever the precision that the design comes in."""
 
 from dataclasses import replace
 

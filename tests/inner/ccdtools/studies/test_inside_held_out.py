@@ -10,7 +10,7 @@ from ccdtools import InputError, Recorded
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import gains_by_source
-from ccdtools.studies.held_out import GenerationRecord, former_services, gains_in, places_of, steps_of
+from ccdtools.studies.held_out import GenerationRecord, formerly_deployed, gains_in, places_of, steps_of
 from ccdtools.twin.deployable import Deployable
 from learning import ActorCritic
 
@@ -98,7 +98,7 @@ def test_a_generation_that_was_taken_back_brings_nothing(study, evaluation, agen
     assert gains["redesign"] == gains["updates"] == {"mean": 0.0, "ci95": (0.0, 0.0)}
 
 
-def test_a_redesign_in_service_and_its_updates_are_told_apart(study, evaluation, agents):
+def test_a_deployed_redesign_and_its_updates_are_told_apart(study, evaluation, agents):
     first = Deployable(agents[0], np.array([2.0]))
     redesigned = Deployable(agents[1], np.array([3.0]))
     updated = Deployable(agents[2], np.array([3.0]))
@@ -120,13 +120,13 @@ def test_gains_are_measured_where_it_was_deployed_and_on_what_was_held_out(evalu
     np.testing.assert_array_equal(places["deployed drive"].disturbance, evaluation.on_real().disturbance)
 
 
-def test_the_start_and_former_services_are_proposed_once_and_failures_are_not(illustrative, clone):
+def test_the_start_and_what_was_deployed_before_is_proposed_once_and_failures_are_not(illustrative, clone):
     agent = clone(illustrative)
     at = [Deployable(agent, np.array([p])) for p in (1.0, 1.5, 2.0, 2.5)]
     start, first, failed, third = at
     history = [GenerationRecord(start, start), GenerationRecord(first, first),
                GenerationRecord(failed, first, stayed=False), GenerationRecord(third, third)]  # fmt: skip
-    assert former_services(history, third) == {"the start": start, "generation 1": first}
-    assert former_services(history[:1], start) == {}
+    assert formerly_deployed(history, third) == {"the start": start, "generation 1": first}
+    assert formerly_deployed(history[:1], start) == {}
     returned = [*history, GenerationRecord(start, third, stayed=False)]  # the start has been tried, and has failed
-    assert former_services(returned, third) == {"generation 1": first}
+    assert formerly_deployed(returned, third) == {"generation 1": first}

@@ -14,7 +14,7 @@ from ccdtools.studies import RunFolder, preparation
 
 @pytest.fixture(scope="module")
 def filtered(stored):
-    """A finished run of one generation with a filter in service and a tolerance of nothing."""
+    """A finished run of one generation with a filter and a tolerance of nothing."""
     return RunFolder(stored("filtered", run_filtered) / "run")
 
 
@@ -31,7 +31,7 @@ def run_filtered(place):
     assert stopped.value.code == 0
 
 
-def test_the_filter_in_service_stands_beside_the_policy_without_it(filtered):
+def test_the_deployed_filter_stands_beside_the_policy_without_it(filtered):
     results = filtered.read_json("results.json")
     where = {(r["plant"], r["generation"]) for r in results["comparison"] if r["controller"] == "learned, no filter"}
     assert where == {("real", 0), ("real", 1)}

@@ -1,4 +1,4 @@
-"""Whole small runs: what falls short on the plant is taken back, and the run goes on."""
+"""Whole small runs: what falls short on the plant is rolled back, and the run goes on."""
 
 from dataclasses import replace
 
@@ -89,10 +89,10 @@ def test_a_redesign_that_fails_on_the_plant_is_rolled_back(monkeypatch, tmp_path
 
 
 @pytest.mark.check
-def test_the_next_generation_begins_from_what_is_in_service_and_trusts_less(monkeypatch, tmp_path):
+def test_the_next_generation_begins_from_what_is_deployed_and_trusts_less(monkeypatch, tmp_path):
     _, _, results, _ = run_with(monkeypatch, tmp_path / "run", 0.6, generations=3)
     second, third = results["generations"][1:]
     assert third["delivery"]["former"] == 1
     assert third["redesign"]["from"] == results["generations"][0]["design"]
-    moved = {"within chance": 0.5, "more than predicted": 0.25}.get(second["delivery"]["judge"], 0.125)
+    moved = {"within chance": 0.5, "more than predicted": 0.25}.get(second["delivery"]["agreement"], 0.125)
     assert second["trust"]["radius"] == moved

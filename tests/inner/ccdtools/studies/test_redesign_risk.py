@@ -62,7 +62,7 @@ def judged(monkeypatch, evaluation, candidate, current):
 
 
 def skewed(rng):
-    """Costs of a step: of what is in service, and of one that is less in the mean and more in a tenth of the runs."""
+    """Costs of a step: of what is deployed, and of one that is less in the mean and more in a tenth of the runs."""
     before = 0.1 + 0.01 * rng.random(RUNS)
     after = 0.8 * before
     after[::8] = 1.5 * before[::8]
@@ -80,7 +80,7 @@ def test_what_is_better_in_the_mean_and_worse_in_the_risk_asked_for_is_not_taken
     study = illustrative if risk is None else replace(illustrative, risk=risk)
     decision, verdict = judged(monkeypatch, evaluation_of(study), *skewed(np.random.default_rng(0)))
     assert verdict.status is status
-    assert decision["promise"].endswith("]" + words)
+    assert decision["predicted"].endswith("]" + words)
     assert decision["measure"] in ("mean", words.removeprefix(" in the "))
     assert (decision["gain"]["ci95"][1] < 0) == (risk is not None)
 
@@ -93,17 +93,17 @@ def test_what_is_worse_in_the_mean_and_better_in_the_risk_asked_for_is_taken(mon
     assert judged(monkeypatch, risky, *swapped)[1].replaces
 
 
-@pytest.mark.parametrize("granted", [(0.0, 0.0), (0.05, 10.0), (1.0, 0.01), (1.0, 10.0), "off", "mpc"])
-def test_a_redesign_that_leaves_the_limits_further_than_granted_is_not_taken_and_says_which(
-    monkeypatch, illustrative, granted
+@pytest.mark.parametrize("tolerance", [(0.0, 0.0), (0.05, 10.0), (1.0, 0.01), (1.0, 10.0), "off", "mpc"])
+def test_a_redesign_that_leaves_the_limits_further_than_the_tolerance_is_not_taken_and_says_which(
+    monkeypatch, illustrative, tolerance
 ):
     """It is outside in a tenth of the samples, by a fifth of the limit."""
-    evaluation = evaluation_of(illustrative, limit_tolerance=granted)
+    evaluation = evaluation_of(illustrative, limit_tolerance=tolerance)
     limit, half = half_width(evaluation.study.X)
     cost = 0.1 + 0.01 * np.random.default_rng(0).random(RUNS)
     pair = (run_of(0.8 * cost, design=[2.2], outside=1.2 * limit), run_of(cost, design=[2.0], outside=0.9 * limit))
     decision, verdict = judged(monkeypatch, evaluation, *pair)
-    if granted in ((1.0, 10.0), "off"):
+    if tolerance in ((1.0, 10.0), "off"):
         assert verdict.replaces
         return
     assert verdict.status is Status.LIMITS
@@ -113,7 +113,7 @@ def test_a_redesign_that_leaves_the_limits_further_than_granted_is_not_taken_and
     assert "it leaves the limits further than the tolerance" in decision["reason"]
 
 
-def test_a_redesign_that_leaves_them_no_further_than_what_is_in_service_is_taken(monkeypatch, illustrative):
+def test_a_redesign_that_leaves_them_no_further_than_what_is_deployed_is_taken(monkeypatch, illustrative):
     evaluation = evaluation_of(illustrative, limit_tolerance=(0.0, 0.0))
     limit, _ = half_width(evaluation.study.X)
     cost = 0.1 + 0.01 * np.random.default_rng(0).random(RUNS)
@@ -144,7 +144,7 @@ def test_a_price_in_per_cent_is_of_what_control_makes_whatever_the_design_costs(
                  for part in (0.85, 0.95)]  # fmt: skip
     assert [verdict.status for _, verdict in decisions] == [Status.BETTER, Status.BELOW_PRICE]
     assert decisions[0][0]["needed"] == pytest.approx(0.1 * cost.mean() * STEPS, rel=1e-4)
-    assert decisions[0][0]["promise"].startswith("+15 %")
+    assert decisions[0][0]["predicted"].startswith("+15 %")
 
 
 def test_what_mpc_may_do_is_the_same_whichever_way_the_limits_are_stated(illustrative):

@@ -214,7 +214,7 @@ def test_the_page_says_how_many_updates_were_accepted_and_states_the_problem(ill
     page = (folder.path / "report.html").read_text(encoding="utf-8")
     for generation in results["generations"]:
         updates = generation["online_updates"]
-        assert f"{sum(u['accepted'] for u in updates)} of {len(updates)} updates of the policy in service" in page
+        assert f"{sum(u['accepted'] for u in updates)} of {len(updates)} updates of the deployed policy" in page
     assert "Q, diagonal: x1: 1.000, x2: 1.000" in page
     assert "quantile loss (pinball loss)" in page
 
@@ -228,7 +228,7 @@ def test_the_redesign_is_reported_whether_taken_or_not(illustrative):
     assert str(escape(redesign["texts"][0].replace("-", "−")[1:])) in page
 
 
-def test_promised_and_deployed_return_stand_side_by_side(illustrative):
+def test_predicted_and_deployed_return_stand_side_by_side(illustrative):
     folder, results = illustrative
     page = (folder.path / "report.html").read_text(encoding="utf-8")
     with (folder.path / "generations.csv").open(encoding="utf-8", newline="") as file:
@@ -236,8 +236,8 @@ def test_promised_and_deployed_return_stand_side_by_side(illustrative):
     for generation, row in zip(results["generations"], rows):
         assert row["account"] == generation["account"]
         assert str(escape(generation["account"][1:])) in page
-        assert float(row["promised_return_mean"]) == generation["promised_return"]["mean"]
-        assert row["judge"] == generation["delivery"]["judge"]
+        assert float(row["predicted_return_mean"]) == generation["predicted_return"]["mean"]
+        assert row["agreement"] == generation["delivery"]["agreement"]
     first, second = results["generations"]
     assert first["delivery"]["status"] == "the first deployed"
     assert second["delivery"]["former"] == 1

@@ -1,5 +1,6 @@
 """What is deployed stays only if it is not worse, as measured, than what was deployed before: stretch by stretch."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from ccdtools import CVaR, QuadraticObjective
 from ccdtools.evidence.evidence import Asked, Pairing, Violation
 from ccdtools.evidence.verdict import Status
-from ccdtools.statistics import summarise
+from ccdtools.statistics import Summary, summarise
 from ccdtools.studies.account import account
 from ccdtools.studies.report.formatting import FORMER
 from ccdtools.studies.report.headline import _brought, _phrase
@@ -26,7 +27,7 @@ from ccdtools.twin.deployable import Deployable
 OBJECTIVE = QuadraticObjective([[1.0]], [[1.0]])
 PAIRING = Pairing(OBJECTIVE)
 RUNS, STEPS = 60, 20
-PROMISE = summarise(np.linspace(-1.1, -0.9, 40) * STEPS)
+PREDICTED = summarise(np.linspace(-1.1, -0.9, 40) * STEPS)
 
 
 def policy(name, weight):
@@ -58,9 +59,9 @@ def second(trajectory, changes=(), designed=B):
     return Deployed(2, designed, after, trajectory, changes)
 
 
-def judged(deployed, former, current=A, *, redesigned=True, promise=PROMISE, pairing=PAIRING, limits=None):
+def judged(deployed, former, current=A, *, redesigned=True, predicted=PREDICTED, pairing=PAIRING, limits=None):
     return judge_deployment(
-        deployed, former, current, pairing, lambda _: promise, redesigned=redesigned, limits=limits
+        deployed, former, current, pairing, lambda _: predicted, redesigned=redesigned, limits=limits
     )  # fmt: skip
 
 
@@ -68,7 +69,7 @@ def status(*arguments, **options):
     return judged(*arguments, **options).verdict.status
 
 
-def test_the_first_generation_serves_whatever_it_delivers():
+def test_the_first_generation_stays_whatever_is_measured():
     assert status(second(log(9.0)), None, None) is Status.FIRST
 
 
@@ -197,10 +198,19 @@ def test_a_prediction_that_is_right_is_called_wrong_in_one_deployment_of_five_hu
     told = {"many": 0, "few": 0}
     for name, runs in (("many", 100), ("few", 4)):
         for _ in range(1000):
-            promise = summarise(rng.standard_normal(400) - 20)
-            told[name] += _agreement(promise, summarise(rng.standard_normal(runs) - 20)) is Agreement.LESS
+            predicted = summarise(rng.standard_normal(400) - 20)
+            told[name] += _agreement(predicted, summarise(rng.standard_normal(runs) - 20)) is Agreement.LESS
     assert max(told.values()) <= 8  # 2 expected
-    assert _agreement(promise, summarise(rng.standard_normal(100) - 20.5)) is Agreement.LESS
+    assert _agreement(predicted, summarise(rng.standard_normal(100) - 20.5)) is Agreement.LESS
+
+
+def test_returns_whose_intervals_are_apart_are_not_said_to_agree():
+    """A drive of few degrees of freedom may lie outside the interval of what was predicted, and say little."""
+    predicted = Summary(-4585.0, 500.0, -4585.0, 400, (-4620.0, -4550.0))
+    measured = Summary(-7465.0, 1200.0, -7465.0, 1, (-10000.0, -4930.0))
+    assert _agreement(predicted, measured) is _agreement(measured, predicted) is Agreement.OPEN
+    assert _agreement(predicted, predicted) is Agreement.AGREED
+    assert _agreement(predicted, replace(measured, ci95=(-10000.0, -4600.0))) is Agreement.AGREED
 
 
 def test_without_an_interval_a_loss_on_the_drive_is_enough_to_roll_updates_back():
@@ -215,7 +225,7 @@ def test_without_an_interval_a_loss_on_the_drive_is_enough_to_roll_updates_back(
 
 
 def test_an_empty_prediction_says_nothing():
-    assert judged(second(log()), None, None, promise=summarise([-20.0])).agreement is Agreement.OPEN
+    assert judged(second(log()), None, None, predicted=summarise([-20.0])).agreement is Agreement.OPEN
 
 
 def test_what_is_better_in_the_mean_and_worse_in_the_worst_runs_does_not_stay():
@@ -243,7 +253,7 @@ def test_changes_are_parts_of_what_control_makes_whatever_the_design_costs(const
 
 def decision(*, accepted, moved=True):
     """The values of a redesign's decision."""
-    return {"promise": "+1 % [+0.5, +1.5]", "reason": "less than its price: +0.1 % on the replayed log, price 0.5 %",
+    return {"predicted": "+1 % [+0.5, +1.5]", "reason": "less than its price: +0.1 % on the replayed log, price 0.5 %",
             "accepted": accepted, "moved": moved}  # fmt: skip
 
 
@@ -256,9 +266,10 @@ def redesign(*, accepted, moved=True, chosen="redesign", edges=None):
 
 def delivery(status, **others):
     """The values of a delivery that is compared with generation 1."""
-    return {"former": 1, "status": status.value, "replaces": status.replaces, "judge": "within chance", "size": 50.0,
-            "change": {"mean": -1.0, "ci95": [-1.5, -0.5]}, "promised": {"mean": -40.0}, "returns": {"mean": -51.0},
-            "measure": "mean", "carried": False, "breach": "", "reason": ""} | others  # fmt: skip
+    return {"former": 1, "status": status.value, "replaces": status.replaces, "agreement": "within chance",
+            "size": 50.0, "change": {"mean": -1.0, "ci95": [-1.5, -0.5]}, "predicted": {"mean": -40.0},
+            "returns": {"mean": -51.0}, "measure": "mean",
+            "carried": False, "breach": "", "reason": ""} | others  # fmt: skip
 
 
 def said(status, *, accepted=False, updates=(False, False), moved=True, chosen="redesign", edges=None, **others):
@@ -276,7 +287,7 @@ def test_a_generation_that_changed_nothing_says_so_and_why():
 
 
 def test_a_redesign_rolled_back_says_what_was_predicted_and_measured():
-    assert said(Status.WORSE, accepted=True, judge="less than predicted") == (
+    assert said(Status.WORSE, accepted=True, agreement="less than predicted") == (
         "generation 3 moved the design to m = 1 kg, predicted +1 % [+0.5, +1.5] and measured −2 % [−3, −1] against "
         "generation 1; worse, so design and policy of generation 1 stay deployed; less than predicted, a deployed "
         "return of −40.00; 0 of 2 updates accepted, none of it is due to updates"
@@ -290,10 +301,10 @@ def test_a_redesign_that_the_trust_region_holds_back_and_a_return_to_the_start_s
     assert text.startswith("generation 3 returned to the start, m = 1 kg, predicted +1 %")
 
 
-@pytest.mark.parametrize("judge", ["within chance", "less than predicted"])
-def test_the_first_generation_says_that_less_was_measured_than_predicted(judge):
-    values = {"delivery": delivery(Status.FIRST, judge=judge), "updates": []}
-    less = ", less than predicted" if judge == "less than predicted" else ""
+@pytest.mark.parametrize("agreement", ["within chance", "less than predicted"])
+def test_the_first_generation_says_that_less_was_measured_than_predicted(agreement):
+    values = {"delivery": delivery(Status.FIRST, agreement=agreement), "updates": []}
+    less = ", less than predicted" if agreement == "less than predicted" else ""
     assert account(1, values, None, "m = 1 kg") == (
         "generation 1 designed m = 1 kg on the nominal model; predicted a deployed return of −40.00, measured "
         f"−51.00{less}; no update was tried; the policy is as designed"

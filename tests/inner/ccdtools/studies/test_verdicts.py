@@ -185,11 +185,11 @@ def test_the_headline_says_that_the_optimum_breaks_a_limit_that_all_controllers_
     [
         with_limits(limits(False), limits(True), accepted=True, moved=True),
         with_limits(limits(True), limits(False)),  # not taken
-        with_limits(limits(True), limits(False), accepted=True, replaces=False),  # taken back
+        with_limits(limits(True), limits(False), accepted=True, replaces=False),  # rolled back
         with_limits(None, None, accepted=True),  # switched off
     ],
 )
-def test_the_headline_is_silent_on_limits_that_what_is_in_service_keeps(results):
+def test_the_headline_is_silent_on_limits_that_what_is_deployed_keeps(results):
     assert "limits" not in headline(results)
 
 
