@@ -30,8 +30,7 @@ __all__ = ["MPQPStatus", "Partition", "solve_mpqp"]
 
 
 def solve_mpqp(
-    problem: ParametricQP, theta_set: Any, *, compiled: bool = True, max_regions: int = 100_000,
-    time_limit: float | None = None,
+    problem: ParametricQP, theta_set: Any, *, max_regions: int = 100_000, time_limit: float | None = None
 ) -> Partition:  # fmt: skip
     """Partition of `theta_set` into critical regions of the QP, each with its affine minimiser.
 
@@ -49,8 +48,6 @@ def solve_mpqp(
         Strictly convex; see `LinearMPC.build`.
     theta_set : Polytope
         Bounded set of parameters of full dimension, in the order of `problem.parameters`.
-    compiled : bool
-        False runs a slow, independent implementation in NumPy, for checking.
     max_regions : int
         Limit on the number of regions.
     time_limit : float
@@ -80,10 +77,14 @@ def solve_mpqp(
     """
     if not isinstance(problem, ParametricQP):
         raise InputError("problem", type(problem).__name__, "a ParametricQP", "See `LinearMPC.build`.")
-    if not isinstance(compiled, bool):
-        raise InputError("compiled", repr(compiled), "True or False")
-    if compiled:
-        compile_exploration()
+    compile_exploration()
+    return partitioned(explore_compiled, problem, theta_set, max_regions, time_limit)
+
+
+def partitioned(
+    explore: Callable[..., Found], problem: ParametricQP, theta_set: Any, max_regions: int, time_limit: float | None
+) -> Partition:
+    """The partition that an exploration of active sets finds, with the laws that hold."""
     start = time.perf_counter()
     limits = Limits(as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit))
     qp = scale_qp(problem, scale_parameters(theta_set, problem.nt))
@@ -91,7 +92,6 @@ def solve_mpqp(
     equalities = qp.origin[always].tolist()
     if always:
         qp = eliminate(qp, always, problem.labels)
-    explore = _explorer(compiled)
     found = explore(qp, limits)
     if found.status is MPQPStatus.INFEASIBLE:
         implied = implied_equalities(qp, limits.deadline)
@@ -143,15 +143,6 @@ def _is_thin(found: Found, r: int) -> bool:
     """Whether the ball in a region is smaller than THIN; a centre that lies outside says nothing."""
     rows = found.rows[found.offsets[r] : found.offsets[r + 1]]
     return bool(0.0 <= (rows[:, -1] - rows[:, :-1] @ found.centres[r]).min() < THIN)
-
-
-def _explorer(compiled: bool) -> Callable[..., Found]:
-    """The compiled exploration or the slow one."""
-    if compiled:
-        return explore_compiled
-    from mpc.explicit.reference import explore_all
-
-    return explore_all
 
 
 def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) -> ScaledQP | None:
