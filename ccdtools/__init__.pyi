@@ -37,8 +37,8 @@ from ccdtools.co_design.risk import WorstCase as WorstCase
 from ccdtools.co_design.secant import stochastic_linearisation as stochastic_linearisation
 from ccdtools.co_design.trade_off import TradeOff as TradeOff
 from ccdtools.co_design.trade_off import trade_off as trade_off
-from ccdtools.comparison.baselines import baselines as baselines
 from ccdtools.comparison.comparison import compare as compare
+from ccdtools.comparison.pid_tuning import baselines as baselines
 from ccdtools.comparison.ride import Ride as Ride
 from ccdtools.comparison.ride_comfort import comfort as comfort
 from ccdtools.comparison.ride_comfort import weighted_acceleration as weighted_acceleration

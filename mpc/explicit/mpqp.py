@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from mpc.checks import Array, as_count, as_seconds
 from mpc.exceptions import InputError
-from mpc.explicit.compilation import compile_exploration
 from mpc.explicit.equality_elimination import (
     FlatParameters,
     ImpliedEqualities,
@@ -22,8 +22,8 @@ from mpc.explicit.exploration import Limits, explore_compiled
 from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
-from mpc.explicit.scaled_qp import ScaledQP, scale_parameters, scale_qp
-from mpc.parametric_qp import ParametricQP
+from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp
+from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.tolerances import FAR_OPTIMUM, THIN
 
 __all__ = ["MPQPStatus", "Partition", "solve_mpqp"]
@@ -155,3 +155,20 @@ def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) ->
         return eliminate(qp, list(implied.rows), problem.labels)
     except FlatParameters:
         return None
+
+
+@cache
+def compile_exploration() -> None:
+    """Explore min ½ z'z − θ'z over the square |z| ≤ 1, whose nine regions take every kernel through its work.
+
+    numba keeps what it has compiled on disk; a later process reads it in a second.
+    """
+    one, none = np.eye(2), np.zeros((2, 2))
+    rows = np.vstack([one, -one])
+    square = ParametricQP(
+        H=one, F=-one, f=np.zeros(2), Y=none, y=np.zeros(2), c=0.0, G=rows, w=np.ones(4), S=np.zeros((4, 2)), Lz=one,
+        Lt=none, l=np.zeros(2), Xz=none, Xt=one, x=np.zeros(2), nu=2, parameters=(("x", 2),),
+        labels=tuple(Constraint("input", 0, i) for i in range(4)),
+    )  # fmt: skip
+    twice = ParameterSet(rows, np.ones(4), np.zeros(2), np.full(2, 2.0))
+    explore_compiled(scale_qp(square, twice), Limits(100, np.inf))

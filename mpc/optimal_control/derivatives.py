@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import coo_array, csc_array
 
 from mpc.optimal_control.merging import merged
-from mpc.optimal_control.piece import Numbers, Piece, listed
+from mpc.optimal_control.pieces import Numbers, Piece, listed
 
 
 class Derivatives:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.piece import Numbers
+from mpc.optimal_control.pieces import Numbers
 from mpc.optimal_control.program import NonlinearProgram, Rows
 from mpc.optimal_control.unknowns import coordinates
 

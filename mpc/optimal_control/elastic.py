@@ -9,8 +9,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
-from mpc.optimal_control.piece import Piece
-from mpc.optimal_control.pieces import piece_function
+from mpc.optimal_control.pieces import Piece, piece_function
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.unknowns import coordinates
 

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mpc.optimal_control.piece import Piece
+from mpc.optimal_control.pieces import Piece
 
 CONSTANT = re.compile(r"^(@\d+ = )[-+.\deinfa]+;$", re.MULTILINE)  # an instruction as CasADi prints it
 

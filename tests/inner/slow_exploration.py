@@ -13,10 +13,9 @@ import daqp
 import numpy as np
 
 from mpc.checks import Array
-from mpc.explicit.exploration import Limits
+from mpc.explicit.exploration import Limits, irredundant_rows
 from mpc.explicit.mpqp import partitioned
 from mpc.explicit.partition import MPQPStatus, Partition
-from mpc.explicit.redundant_rows import irredundant_rows
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.parametric_qp import ParametricQP

@@ -14,9 +14,8 @@ from slow_exploration import solve_slowly
 
 from mpc import ExplicitMPC, InfeasibleError, LinearMPC, MPQPStatus, solve_mpqp
 from mpc.explicit import exploration
-from mpc.explicit.exploration import Limits, Search, explore_compiled
+from mpc.explicit.exploration import Limits, Search, explore_compiled, irredundant_rows, is_implied
 from mpc.explicit.kernels.data import KNOWN
-from mpc.explicit.redundant_rows import irredundant_rows, is_implied
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 
 
