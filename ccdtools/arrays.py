@@ -1,4 +1,4 @@
-"""Array types, and what keeps the arrays of an object from being changed."""
+"""Array types, what keeps the arrays of an object from being changed, and values as a file takes them."""
 
 from __future__ import annotations
 

@@ -13,11 +13,10 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_flag, as_instance, shown
 from ccdtools.co_design.agents import as_agent
-from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
 from ccdtools.co_design.configuration import METHODS as LEARNING
 from ccdtools.co_design.method_comparison import MethodComparison
-from ccdtools.co_design.method_pairs import MethodRow, Pairs, scenarios_of
+from ccdtools.co_design.method_pairs import MethodRow, Pairs, closed_loop_returns, scenarios_of
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.methods.nested import NAMES as INNER
 from ccdtools.co_design.methods.nested import Nested

@@ -21,7 +21,7 @@ from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.sampling_guard import warn_of_aliasing
-from ccdtools.plants.zero_order_hold import zero_order_hold
+from ccdtools.plants.holds import zero_order_hold
 
 ACCURACY = 1e-6  # of half the range of each state, a sample
 MOST_PARTS = {"rk4": 64, "collocation": 64}  # of a sample

@@ -1,7 +1,8 @@
 """CasADi functions on the rows of NumPy arrays: by CasADi's own machine for few rows, by operations in place for many.
 
 An array operation takes most of a microsecond however few rows there are, CasADi's machine a nanosecond or two for an
-instruction and row. Results differ by rounding.
+instruction and row. Results differ by rounding. In place, two to three times as fast as by operations that return new
+arrays, they are the same.
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""CasADi symbols and expressions: checked, and packed so that objects that hold them can be pickled."""
+"""CasADi symbols and expressions: checked, packed so that objects that hold them can be pickled, and their rounding.
+
+References
+----------
+Higham, "Accuracy and Stability of Numerical Algorithms", SIAM, 2002, chapter 3 (rounding).
+"""
 
 from __future__ import annotations
 

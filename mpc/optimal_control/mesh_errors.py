@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.interval import interval_function, layout_of, times_of
+from mpc.optimal_control.interval import coordinates, interval_function, layout_of, times_of
 from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-from mpc.optimal_control.unknowns import coordinates
 
 QUADRATURE = 8  # Gauss points an interval at which the dynamics are compared
 TIGHTER = 0.01  # tolerance of CVODES that its result is compared with, beside its own

@@ -13,12 +13,11 @@ from tqdm import tqdm
 
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.elastic import shaken
 from mpc.optimal_control.functions import brief
 from mpc.optimal_control.meshes import finer_mesh
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram
+from mpc.optimal_control.program import NonlinearProgram, shaken
 from mpc.optimal_control.schemes import Scheme
 from mpc.optimal_control.solution import PASSED, OptimalControlStatus, Solution
 from mpc.optimal_control.solving import LEAST_SECONDS, solve

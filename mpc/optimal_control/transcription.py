@@ -10,7 +10,7 @@ import numpy as np
 from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.assembly import Assembly
-from mpc.optimal_control.interval import Layout, layout_of
+from mpc.optimal_control.interval import Layout, between, first_duration, first_guess, layout_of, placed, size_of
 from mpc.optimal_control.meshes import as_meshes
 from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_at
 from mpc.optimal_control.phase_equations import PhaseToCome, phase_equations
@@ -18,7 +18,6 @@ from mpc.optimal_control.pieces import Clock, itself, link_piece, mean_and_sprea
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
-from mpc.optimal_control.unknowns import between, first_duration, first_guess, placed, size_of
 
 
 def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, intervals: Any = 20,

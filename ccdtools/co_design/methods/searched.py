@@ -12,12 +12,10 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import FEASIBLE, Descent, descend, value_of
-from ccdtools.co_design.methods.holding import Held, confirmed, held_by
-from ccdtools.co_design.methods.learned_cost import LearnedCost
-from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.methods.holding import SAME_PLACE, Held, confirmed, held_by, start_points
+from ccdtools.co_design.methods.loop_cost import LearnedCost, LoopCost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.methods.simultaneous import OTHERS
-from ccdtools.co_design.methods.starting import SAME_PLACE, start_points
 from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, Valley

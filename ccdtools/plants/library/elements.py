@@ -1,4 +1,4 @@
-"""Elements of real plants, each smooth, zero at rest and passive where the element is."""
+"""Parameters and elements of real plants, each smooth, zero at rest and passive where the element is; corners of cars."""
 
 from __future__ import annotations
 
