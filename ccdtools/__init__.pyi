@@ -82,6 +82,8 @@ from ccdtools.output_limits import OutputLimits as OutputLimits
 from ccdtools.plants.design_space import DesignSpace as DesignSpace
 from ccdtools.plants.discretisation import discretise as discretise
 from ccdtools.plants.equilibrium import equilibrium as equilibrium
+from ccdtools.plants.holds import first_order_hold as first_order_hold
+from ccdtools.plants.holds import noise_covariance as noise_covariance
 from ccdtools.plants.linear_model import LinearModel as LinearModel
 from ccdtools.plants.linear_plants import plant_from_matrices as plant_from_matrices
 from ccdtools.plants.linear_plants import plant_from_state_space as plant_from_state_space
@@ -91,8 +93,6 @@ from ccdtools.plants.plant import Plant as Plant
 from ccdtools.plants.preview import with_preview as with_preview
 from ccdtools.plants.sampled_model import SampledModel as SampledModel
 from ccdtools.plants.torch_function import to_torch as to_torch
-from ccdtools.plants.holds import first_order_hold as first_order_hold
-from ccdtools.plants.holds import noise_covariance as noise_covariance
 from ccdtools.scenario import Scenario as Scenario
 from ccdtools.simulation import simulate as simulate
 from ccdtools.statistics import mean_interval as mean_interval

@@ -1,4 +1,4 @@
-"""Offset-free tracking: a constant unknown disturbance is estimated and the target moved accordingly."""
+"""Offset-free tracking: a constant unknown disturbance is estimated, and the steady state to aim at moved with it."""
 
 from __future__ import annotations
 

@@ -45,24 +45,18 @@ def _named(A: Array, C: Array, W: Array, V: Array, error: NotStabilisableError) 
     own = None if error.eigenvalue is None else [error.eigenvalue]
     if error.message.startswith("Q:"):
         mode = least_reached(A, W, own or lasting(A), 1 / unit, none)
-        return NotDetectableError(
-            f"W: got no noise on {mode_text(mode)} on the unit circle, so the steady filter would never "
-            "correct it; expected W to reach it. Give it noise, however small, or use steady=False with P0.",
-            mode.eigenvalue, states_of(mode),
-        )  # fmt: skip
-    mode = least_reached(A.T, C.T, own or lasting(A) or np.linalg.eigvals(A), unit, none)
-    if mode.strength < REACH:
-        return NotDetectableError(
-            f"(A, C): got a pair that is not detectable, the outputs see {mode_text(mode)} with relative "
-            f"strength {mode.strength:.1e}, expected >= {REACH:.0e}. Measure it, or use steady=False with P0.",
-            mode.eigenvalue, states_of(mode),
-        )  # fmt: skip
-    return NotDetectableError(
-        "(A, C): got a Riccati equation without a solution that can be relied on, expected one. Of the modes that do "
-        f"not decay the outputs see {mode_text(mode)} least, with relative strength {mode.strength:.1e}: "
-        "measure it, check that V is not far too small, or use steady=False with P0.",
-        mode.eigenvalue, states_of(mode),
-    )  # fmt: skip
+        what = f"W: got no noise on {mode_text(mode)} on the unit circle, so the steady filter would never correct it; "
+        cure = "expected W to reach it. Give it noise, however small"
+    else:
+        mode = least_reached(A.T, C.T, own or lasting(A) or np.linalg.eigvals(A), unit, none)
+        seen = f"the outputs see {mode_text(mode)} with relative strength {mode.strength:.1e}"
+        if mode.strength < REACH:
+            what = f"(A, C): got a pair that is not detectable, {seen}, "
+            cure = f"expected >= {REACH:.0e}. Measure it"
+        else:
+            what = "(A, C): got a Riccati equation without a solution that can be relied on, expected one. Of the "
+            cure = f"modes that do not decay {seen}, the least: measure it, check that V is not far too small"
+    return NotDetectableError(f"{what}{cure}, or use steady=False with P0.", mode.eigenvalue, states_of(mode))
 
 
 def lasting(A: Array) -> list[complex]:

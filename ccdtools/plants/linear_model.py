@@ -16,8 +16,8 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finite, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace, check_finite
-from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
 from ccdtools.plants.holds import zero_order_hold
+from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
 
 
 @dataclass(frozen=True, eq=False, repr=False)

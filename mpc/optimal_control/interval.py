@@ -1,4 +1,4 @@
-"""The equations of one interval of the mesh, as one function that is mapped over all of them."""
+"""The unknowns of a phase, and the equations of one interval of its mesh, which are mapped over all of them."""
 
 from __future__ import annotations
 

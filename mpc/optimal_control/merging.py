@@ -21,7 +21,7 @@ def merged(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
     the same everywhere, such as 0 and 1, stay, and with them what is known of derivatives that vanish.
     """
     same = _grouped(pieces, lambda piece: (_written(piece.function), piece.factors.tobytes(), piece.of_cost.tobytes()))
-    alike = _grouped([_joined(group) for group in same], _kind)
+    alike = _grouped([_as_one(group) for group in same], _kind)
     found: list[Piece] = []
     for group in alike:
         found += [_lifted(few) for few in _grouped(group, _structure)] if len(group) > 1 else group
@@ -36,7 +36,7 @@ def _grouped(pieces: Sequence[Piece], key: Callable[[Piece], Any]) -> list[list[
     return list(groups.values())
 
 
-def _joined(group: list[Piece]) -> Piece:
+def _as_one(group: list[Piece]) -> Piece:
     """One piece at the places of all."""
     if len(group) == 1:
         return group[0]
@@ -78,7 +78,7 @@ def _lifted(group: list[Piece]) -> Piece:
     function = _replayed(first, [at[i] for i in own], weighed.tolist())
     ones = first.factors.copy()
     ones[weighed] = 1.0
-    return _joined([
+    return _as_one([
         Piece(function, piece.unknowns, np.vstack([piece.data, np.tile(values[:, None], (1, piece.places))]),
               piece.rows, ones)
         for piece, values in zip(group, given)

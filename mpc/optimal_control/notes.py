@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ccdtools_ground.door import brief
 from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import describe_row, of_phase
-from mpc.optimal_control.functions import brief
 from mpc.optimal_control.interval import times_of
 from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.program import NonlinearProgram, PhasePart

@@ -1,4 +1,4 @@
-"""The nonlinear program that a transcription makes of an optimal control problem, to be looked at and solved."""
+"""The nonlinear program that a transcription makes of an optimal control problem, and whether it is feasible."""
 
 from __future__ import annotations
 

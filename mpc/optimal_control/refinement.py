@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from ccdtools_ground.door import brief
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.functions import brief
 from mpc.optimal_control.meshes import finer_mesh
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.problem import OptimalControlProblem

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.door import brief
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import contradiction, violated
-from mpc.optimal_control.functions import brief
 from mpc.optimal_control.interval import placed
 from mpc.optimal_control.ipopt import FEASIBLE, Found, Settings, once
 from mpc.optimal_control.notes import notes_of, undefined

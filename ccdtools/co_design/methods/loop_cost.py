@@ -1,4 +1,12 @@
-"""The cost of a law in closed loop as a function of the design alone, on fixed scenarios, with its exact slope."""
+"""Costs of the design alone, with their slopes: of a law in closed loop, and of a policy trained anew at every design.
+
+By the envelope theorem the slope of the best policy's cost is that of the cost with the policy held.
+
+References
+----------
+Tsai, Karkaria, Chen and Chen, "Digital twin-enabled multi-generation control co-design with deep reinforcement
+learning" (the bi-level framework); Milgrom and Segal, Econometrica 70(2), 2002 (envelope theorem).
+"""
 
 from __future__ import annotations
 

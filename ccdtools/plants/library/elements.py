@@ -1,4 +1,4 @@
-"""Parameters and elements of real plants, each smooth, zero at rest and passive where the element is; corners of cars."""
+"""Parameters, elements and corners of real plants; elements are smooth, zero at rest and passive."""
 
 from __future__ import annotations
 
