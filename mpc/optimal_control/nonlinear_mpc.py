@@ -22,10 +22,10 @@ from mpc.optimal_control.planner import Effort, Planner
 from mpc.optimal_control.steady_state import SteadyStates
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
+from mpc.rollout import for_each_state, spread_signals
 from mpc.sensitivities.along_plan import sensitivity_of
 from mpc.sensitivities.changes import as_changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity
-from mpc.solve_arguments import for_each_state, spread_signals
 
 AT_REST = 1e-9  # how far a step may leave the rest, in sizes of the states
 

@@ -10,7 +10,7 @@ from adversarial_mpc import (
 )
 
 from mpc.problem import MPCProblem
-from mpc.solve_arguments import spread_signals
+from mpc.rollout import spread_signals
 from mpc.solving import stagewise_candidate
 
 
