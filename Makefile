@@ -40,7 +40,7 @@ $(SETUP): requirements/run.txt requirements/dev.txt pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements/dev.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
-	$(BIN)/python -c 'from mpc.explicit.compilation import compile_exploration; compile_exploration()'
+	$(BIN)/python -c 'from mpc.explicit.mpqp import compile_exploration; compile_exploration()'
 	@touch $@
 
 clean:

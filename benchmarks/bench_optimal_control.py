@@ -27,7 +27,7 @@ import numpy as np
 from classical_problems import CLASSICAL
 
 from mpc.optimal_control import Phase, Radau, build, solve
-from mpc.optimal_control.unknowns import first_duration, first_guess
+from mpc.optimal_control.interval import first_duration, first_guess
 
 INTERVALS = 50
 REPEATS = 5

@@ -23,7 +23,7 @@ from scipy.linalg import expm, expm_frechet, matrix_balance
 
 from ccdtools import InputError, discretise
 from ccdtools.plants import library
-from ccdtools.plants.matrices_of_design import derivative
+from ccdtools.plants.linear_model import derivative
 
 LINEAR = {
     "quarter car": library.quarter_car,

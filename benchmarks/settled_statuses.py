@@ -32,7 +32,7 @@ from ccdtools import (
     codesign,
     discretise,
 )
-from ccdtools.co_design.method_names import named_methods
+from ccdtools.co_design.compare_methods import named_methods
 from learning import CloningConfig, NetworkConfig, fit_actor_critic
 
 SPOILS = ("saturated", "dead zone", "lost", "zero")

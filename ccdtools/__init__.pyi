@@ -1,5 +1,4 @@
 from ccdtools.co_design.admissible import admissible_inputs as admissible_inputs
-from ccdtools.co_design.closed_loop import closed_loop_returns as closed_loop_returns
 from ccdtools.co_design.codesign import codesign as codesign
 from ccdtools.co_design.compare_methods import compare_methods as compare_methods
 from ccdtools.co_design.configuration import CoDesignConfig as CoDesignConfig
@@ -14,6 +13,7 @@ from ccdtools.co_design.expert import expert_dataset as expert_dataset
 from ccdtools.co_design.expert import feasible_sets as feasible_sets
 from ccdtools.co_design.learned_result import LearnedCoDesign as LearnedCoDesign
 from ccdtools.co_design.least_depth import least_depth as least_depth
+from ccdtools.co_design.method_pairs import closed_loop_returns as closed_loop_returns
 from ccdtools.co_design.methods.learned import Learned as Learned
 from ccdtools.co_design.methods.nested import Nested as Nested
 from ccdtools.co_design.methods.search import Search as Search
@@ -37,8 +37,8 @@ from ccdtools.co_design.risk import WorstCase as WorstCase
 from ccdtools.co_design.secant import stochastic_linearisation as stochastic_linearisation
 from ccdtools.co_design.trade_off import TradeOff as TradeOff
 from ccdtools.co_design.trade_off import trade_off as trade_off
-from ccdtools.comparison.baselines import baselines as baselines
 from ccdtools.comparison.comparison import compare as compare
+from ccdtools.comparison.pid_tuning import baselines as baselines
 from ccdtools.comparison.ride import Ride as Ride
 from ccdtools.comparison.ride_comfort import comfort as comfort
 from ccdtools.comparison.ride_comfort import weighted_acceleration as weighted_acceleration
@@ -82,13 +82,13 @@ from ccdtools.output_limits import OutputLimits as OutputLimits
 from ccdtools.plants.design_space import DesignSpace as DesignSpace
 from ccdtools.plants.discretisation import discretise as discretise
 from ccdtools.plants.equilibrium import equilibrium as equilibrium
-from ccdtools.plants.first_order_hold import first_order_hold as first_order_hold
+from ccdtools.plants.holds import first_order_hold as first_order_hold
+from ccdtools.plants.holds import noise_covariance as noise_covariance
 from ccdtools.plants.linear_model import LinearModel as LinearModel
 from ccdtools.plants.linear_plants import plant_from_matrices as plant_from_matrices
 from ccdtools.plants.linear_plants import plant_from_state_space as plant_from_state_space
 from ccdtools.plants.linearisation import deviations as deviations
 from ccdtools.plants.linearisation import linearise as linearise
-from ccdtools.plants.noise_covariance import noise_covariance as noise_covariance
 from ccdtools.plants.plant import Plant as Plant
 from ccdtools.plants.preview import with_preview as with_preview
 from ccdtools.plants.sampled_model import SampledModel as SampledModel

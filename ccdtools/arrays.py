@@ -1,8 +1,9 @@
-"""Array types, and what keeps the arrays of an object from being changed."""
+"""Array types, what keeps the arrays of an object from being changed, and values as a file takes them."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -31,3 +32,20 @@ class Immutable:
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
             object.__setattr__(self, name, frozen(value))
+
+
+def jsonable(value: Any) -> Any:
+    """`value` with plain Python types only; what is not finite becomes None."""
+    if isinstance(value, dict):
+        return {str(key): jsonable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [jsonable(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return jsonable(value.tolist())
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

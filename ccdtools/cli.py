@@ -15,7 +15,7 @@ import typer
 import ccdtools
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import InputError
-from ccdtools.interruptions import held_back, insisting
+from ccdtools.jobs import held_back, insisting
 from ccdtools.studies.options import (
     Options,
     described_studies,
@@ -179,8 +179,7 @@ def codesign(
         from ccdtools.studies.loading import blamed_on_source
 
         own = asked_study(options).study
-        from ccdtools.co_design.compare_methods import compare_methods
-        from ccdtools.co_design.method_names import named_methods
+        from ccdtools.co_design.compare_methods import compare_methods, named_methods
         from ccdtools.studies.report.method_page import check_folder, write_methods, write_table
     folder = None if output is None else check_folder(output, overwrite=overwrite)
     _single_thread()

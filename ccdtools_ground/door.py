@@ -31,8 +31,12 @@ def shown(value: Any) -> str:
 
 def _one_line(value: Any) -> str:
     """`repr` on one line, cut where it is long."""
-    text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
-    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
+    return brief(" ".join(repr(value.item() if isinstance(value, np.generic) else value).split()), LONGEST)
+
+
+def brief(text: str, most: int = 120) -> str:
+    """`text`, cut to so many characters."""
+    return text if len(text) <= most else text[: most - 1] + "…"
 
 
 def as_floats(argument: str, value: Any, *, expected: str = "an array of real numbers") -> Array:

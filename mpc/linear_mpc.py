@@ -17,7 +17,7 @@ from mpc.exceptions import InputError
 from mpc.parametric_qp import ParametricQP
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
-from mpc.solve_arguments import for_each_state, spread_signals
+from mpc.rollout import for_each_state, spread_signals
 from mpc.solving import CondensedSolver
 from mpc.sparse_qp import SparseSolver
 

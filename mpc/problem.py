@@ -24,8 +24,7 @@ from mpc.checks import (
     as_weight,
 )
 from mpc.exceptions import InputError
-from mpc.halfspaces import along_axes, is_empty
-from mpc.limits import Limits, first_positive
+from mpc.halfspaces import Limits, along_axes, first_positive, is_empty
 from mpc.lqr import lqr
 
 

@@ -12,6 +12,7 @@ import argparse
 
 import numpy as np
 
+from active_suspension.detailed_suspension import detailed_active_suspension
 from active_suspension.independent import (
     damping,
     room,
@@ -23,7 +24,6 @@ from active_suspension.independent import (
 from active_suspension.roads import SOURCE, SPEED, recorded_road, recording, synthetic_road
 from active_suspension.statement import GRADE, OF_RAMP, OF_ROUGH, PUBLISHED, STARTS, WEIGHTS, meshes
 from active_suspension.strategies import Found, Inner, nested, simultaneous
-from ccdtools.plants.library.detailed_suspension import detailed_active_suspension
 
 RANDOM_STARTS = 2
 PRICED = 1e-4  # of J: what is cheaper does not hold the optimum

@@ -22,19 +22,16 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.climb import Climb
-from ccdtools.co_design.design_gradients import FEW, STEPS, Differences, Slope
+from ccdtools.co_design.design_gradients import FEW, STEPS, Differences, Slope, check_gradients
 from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors, to_design
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
-from ccdtools.co_design.feasible import DesignRegion
-from ccdtools.co_design.feasible_slope import measured_slope
-from ccdtools.co_design.gradient_check import check_gradients
+from ccdtools.co_design.feasible import DesignRegion, measured_slope
 from ccdtools.co_design.learned_result import Convergence
 from ccdtools.co_design.limits import Prices
-from ccdtools.co_design.reinforcement.ppo import PPOPart
+from ccdtools.co_design.ppo_part import PPOPart
 from ccdtools.co_design.result import History
 from ccdtools.co_design.risk_intervals import of_kept_runs
-from ccdtools.co_design.sample_average import SampleAverage
+from ccdtools.co_design.sample_average import Climb, SampleAverage
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.task import Iterate, Task
 from ccdtools.progress import at

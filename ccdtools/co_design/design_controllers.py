@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -11,8 +12,8 @@ from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.exceptions import InputError
+from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
-from ccdtools.plants.undisturbed_step import undisturbed_step
 from mpc import LinearMPC, NotStabilisableError, lqr
 
 if TYPE_CHECKING:
@@ -93,3 +94,12 @@ def controller_of(kind: str, problem: CoDesignProblem, design: ArrayLike) -> Con
         got = f"{found}, which was found without a controller and cannot be stabilised{mode}"
         cure = "Keep such designs out by bounds or constraints, or choose a method that closes the loop."
         raise InputError("design", got, "a design that can be stabilised", cure) from error
+
+
+def undisturbed_step(model: Model) -> ca.Function:
+    """(x, u, p) → x⁺ where w is 0, arguments and value by name."""
+    step = model.step
+    kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
+    names = ["x", "u", "p"]
+    x, u, p = (kind.sym(name, step.size1_in(i)) for name, i in zip(names, (0, 1, 3)))
+    return ca.Function("step", [x, u, p], [step(x, u, ca.DM.zeros(model.nw), p)], names, ["value"])

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_choice, as_count, as_instance, as_vector
-from ccdtools.co_design.design_controllers import HORIZON
+from ccdtools.co_design.design_controllers import HORIZON, undisturbed_step
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
-from ccdtools.plants.undisturbed_step import undisturbed_step
 from mpc import LinearMPC, LQRSensitivity, PlanSensitivity, SensitivityStatus, lqr_sensitivity
 
 CONTROLLERS = ("lqr", "mpc", "nmpc")

@@ -13,8 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import Landscape
-from ccdtools.figure_style import BOUND, NOT_WORSE_STRIP, blank, label, styled
-from ccdtools.landscape_map import draw_map
+from ccdtools.figure_style import BOUND, NOT_WORSE_STRIP, blank, draw_map, label, styled
 from ccdtools.plants.design_space import DesignSpace
 
 COLOURS = (  # Okabe and Ito, and five more

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField, Immutable, Indices, Mask, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable, Indices, Mask, frozen, jsonable
 from ccdtools.checks import as_vector
 from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.risk import MEAN, Mean, Risk, measure
 from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
-from ccdtools.plain_values import jsonable
 from ccdtools.statistics import PairedDifference, Summary
 
 HEAVY = 2.0  # standard deviation of the runs, in parts of their mean, beyond which a few of them decide

@@ -1,11 +1,13 @@
-"""A mean cost on fixed scenarios as a smooth function of one vector: the weights of a policy, and a design."""
+"""A mean cost on fixed scenarios as a smooth function of one vector: weights of a policy, and a design; its climb."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 
 import numpy as np
 import torch
+from scipy.optimize import minimize
 from torch import Tensor
 
 from ccdtools.arrays import Array
@@ -16,6 +18,8 @@ PER_UNIT = UNIT_OF_Z**-2  # unit of the value: where there are bounds, a first s
 TALL = 2.0  # relative cost from which on it counts by its logarithm: into lost runs it grows by 1e7 within one step
 STEEPEST = 1e3  # relative gradients are clipped here
 LOST = 1e9 * PER_UNIT  # value where the cost is not finite
+MEMORY = 20  # pairs that L-BFGS keeps
+OPTIONS = {"maxcor": MEMORY, "ftol": 1e-7, "gtol": 1e-5 / UNIT_OF_Z}
 
 
 class SampleAverage:
@@ -100,3 +104,60 @@ class SampleAverage:
             return LOST, np.zeros_like(gradient)
         clipped = gradient * min(1.0, STEEPEST / max(length, STEEPEST))
         return PER_UNIT * value, PER_UNIT * UNIT_OF_Z * clipped
+
+
+class _StoppedError(Exception):
+    """The evaluations are spent, or the climb is to end."""
+
+
+class Climb:
+    """At most so many evaluations of a cost and its gradient.
+
+    Parameters
+    ----------
+    average : SampleAverage
+    length : int
+        Evaluations at most.
+    counted : callable
+        Called at every evaluation; whether the lowest point so far is to be looked at.
+    look : callable
+        Called with policy and design at the lowest point; whether the climb is to end there.
+    """
+
+    def __init__(
+        self, average: SampleAverage, length: int, *, counted: Callable[[], bool], look: Callable[[], bool]
+    ) -> None:
+        self._average = average
+        self._left = length
+        self._counted = counted
+        self._look = look
+        self._lowest = average.first
+        self._value = float("inf")
+        self._new = False  # whether the lowest point has not been looked at
+
+    def run(self) -> None:
+        """Climb until it is level or the evaluations are spent; policy and design are those of the lowest point."""
+        options = OPTIONS | {"maxfun": 10 * self._left, "maxiter": self._left}
+        bounds = self._average.bounds
+        with np.errstate(all="ignore"), contextlib.suppress(_StoppedError):
+            minimize(self, self._average.first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        self._average.put(self._lowest)
+        if self._new:
+            self._look()
+
+    def __call__(self, z: Array) -> tuple[float, Array]:
+        """Cost and gradient (m,), as parts of the return."""
+        if self._left == 0:
+            raise _StoppedError
+        self._left -= 1
+        value, gradient = self._average(z)
+        if value < self._value:
+            self._new = self._new or np.isfinite(self._value)
+            self._value = value
+            self._lowest = z.copy()
+        if self._counted() or self._left == 0:
+            self._average.put(self._lowest)
+            self._new = False
+            if self._look():
+                raise _StoppedError
+        return value, gradient

@@ -15,16 +15,16 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS
-from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limit_tolerance import BY_MPC, FLOOR, NOTHING, UNTIL_LEFT, Pair, tolerance_at
 from ccdtools.co_design.limits import LimitsOutcome
+from ccdtools.co_design.method_pairs import RUNS as LOOP_RUNS
+from ccdtools.co_design.method_pairs import closed_loop_returns
+from ccdtools.co_design.methods.holding import start_points
 from ccdtools.co_design.methods.nested import Nested
-from ccdtools.co_design.methods.starting import start_points
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, ClosedLoopReturns, CoDesignResult

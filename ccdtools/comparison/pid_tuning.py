@@ -1,4 +1,4 @@
-"""A PID tuned by random search and Nelder–Mead."""
+"""A PID tuned by random search and Nelder–Mead, and the other controllers that a policy is compared with."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_count, as_generator, as_instance
+from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.controllers.controllers import PID
+from ccdtools.controllers.controllers import PID, Controller, Passive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.simulation import Simulable, Step, simulate
@@ -19,6 +20,7 @@ from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 
 FEW = 32  # scenarios on which a model that is not linear decides
 UNSTABLE = 1e12  # cost of a loop that is not stable
+REFERENCE = "LQR"
 
 
 def tuned_pid(
@@ -182,3 +184,19 @@ def _default_outputs(B: Array) -> Array:
     if B.shape[1] > 1:
         return pushed[None]
     return np.concatenate([np.eye(len(B))[:, None, :], pushed[None]])
+
+
+def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> dict[str, Controller]:
+    """Passive, LQR, tuned PID and online MPC (horizon 20) at one design, by name.
+
+    LQR and MPC are those of the nominal model; the PID is tuned on the problem's own.
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_generator("rng", rng)
+    design = problem.design.check_one(design)
+    return {
+        "passive": Passive(problem.model.nu),
+        REFERENCE: saturated_lqr(problem, design),
+        "PID": tuned_pid(problem, design, rng=rng),
+        "MPC": linear_mpc(problem, design),
+    }

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools.checks import has_method
-from ccdtools.comparison.baselines import REFERENCE
+from ccdtools.comparison.pid_tuning import REFERENCE
 
 
 def plot_scores(comparison: Any, ax: Any = None) -> Any:

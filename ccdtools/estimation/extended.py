@@ -18,15 +18,16 @@ from ccdtools.estimation.belief import (
     Belief,
     Estimates,
     along,
+    as_noise_covariances,
+    as_start,
     gain_of,
     innovation_covariance,
     predicted_covariance,
     updated_covariance,
 )
-from ccdtools.estimation.covariances import as_noise_covariances, as_start
-from ccdtools.estimation.detectability import Detectability, detectability
 from ccdtools.estimation.measurement import as_measurement
 from ccdtools.estimation.outputs import Output
+from ccdtools.estimation.steady_state import Detectability, detectability
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant

@@ -15,12 +15,13 @@ from ccdtools.estimation.belief import (
     Belief,
     Estimates,
     along,
+    as_noise_covariances,
+    as_start,
     gain_of,
     innovation_covariance,
     predicted_covariance,
     updated_covariance,
 )
-from ccdtools.estimation.covariances import as_noise_covariances, as_start
 from ccdtools.estimation.outputs import LINEARISED, output_matrices
 from ccdtools.estimation.steady_state import steady_covariance
 from ccdtools.exceptions import InputError

@@ -1,6 +1,9 @@
-"""The steady Kalman filter, from the checked regulator of the dual pair (Aᵀ, Cᵀ)."""
+"""The steady Kalman filter, from the regulator of the dual pair (Aᵀ, Cᵀ), and whether outputs see what lasts."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
 
 import numpy as np
 
@@ -9,9 +12,13 @@ from ccdtools.exceptions import NotDetectableError
 from mpc import NotStabilisableError, lqr
 from mpc.lqr import cost_units
 from mpc.modes import Mode, least_reached
-from mpc.tolerances import REACH, UNIT_CIRCLE, UNSEEN
+from mpc.tolerances import NEAR_CIRCLE, REACH, UNIT_CIRCLE, UNSEEN
 
 MAINLY = 0.5  # of the largest part of a mode: states with less are not named
+POINTS = 16  # about the first estimate, drawn from its covariance, where the linearisation is looked at
+FLAT = 1e-9  # of the largest slope of an output at these points: a slope that is none
+
+Slopes = Callable[[Array], tuple[Array, Array]]  # x (n, nx) → F (n, nx, nx) and H (n, ny, nx)
 
 
 def steady_covariance(A: Array, C: Array, W: Array, V: Array) -> Array:
@@ -38,24 +45,18 @@ def _named(A: Array, C: Array, W: Array, V: Array, error: NotStabilisableError) 
     own = None if error.eigenvalue is None else [error.eigenvalue]
     if error.message.startswith("Q:"):
         mode = least_reached(A, W, own or lasting(A), 1 / unit, none)
-        return NotDetectableError(
-            f"W: got no noise on {mode_text(mode)} on the unit circle, so the steady filter would never "
-            "correct it; expected W to reach it. Give it noise, however small, or use steady=False with P0.",
-            mode.eigenvalue, states_of(mode),
-        )  # fmt: skip
-    mode = least_reached(A.T, C.T, own or lasting(A) or np.linalg.eigvals(A), unit, none)
-    if mode.strength < REACH:
-        return NotDetectableError(
-            f"(A, C): got a pair that is not detectable, the outputs see {mode_text(mode)} with relative "
-            f"strength {mode.strength:.1e}, expected >= {REACH:.0e}. Measure it, or use steady=False with P0.",
-            mode.eigenvalue, states_of(mode),
-        )  # fmt: skip
-    return NotDetectableError(
-        "(A, C): got a Riccati equation without a solution that can be relied on, expected one. Of the modes that do "
-        f"not decay the outputs see {mode_text(mode)} least, with relative strength {mode.strength:.1e}: "
-        "measure it, check that V is not far too small, or use steady=False with P0.",
-        mode.eigenvalue, states_of(mode),
-    )  # fmt: skip
+        what = f"W: got no noise on {mode_text(mode)} on the unit circle, so the steady filter would never correct it; "
+        cure = "expected W to reach it. Give it noise, however small"
+    else:
+        mode = least_reached(A.T, C.T, own or lasting(A) or np.linalg.eigvals(A), unit, none)
+        seen = f"the outputs see {mode_text(mode)} with relative strength {mode.strength:.1e}"
+        if mode.strength < REACH:
+            what = f"(A, C): got a pair that is not detectable, {seen}, "
+            cure = f"expected >= {REACH:.0e}. Measure it"
+        else:
+            what = "(A, C): got a Riccati equation without a solution that can be relied on, expected one. Of the "
+            cure = f"modes that do not decay {seen}, the least: measure it, check that V is not far too small"
+    return NotDetectableError(f"{what}{cure}, or use steady=False with P0.", mode.eigenvalue, states_of(mode))
 
 
 def lasting(A: Array) -> list[complex]:
@@ -72,3 +73,72 @@ def mode_text(mode: Mode) -> str:
 def states_of(mode: Mode) -> tuple[int, ...]:
     """The states that a mode is mostly made of."""
     return tuple(int(i) for i in np.flatnonzero(mode.parts >= MAINLY * mode.parts.max()))
+
+
+class Detectability(Enum):
+    """What the outputs see of the modes that do not decay, by the linearisation of a filter."""
+
+    SEEN = "seen"
+    SEEN_AWAY = "not seen at the first estimate, but about it"
+    DRIFTING = "a mode that neither grows nor decays is not seen"
+    UNKNOWN = "the linearisation is not finite"
+
+    @property
+    def advice(self) -> str:
+        """What to do next, in one sentence."""
+        return _ADVICE[self]
+
+
+_ADVICE = {
+    Detectability.SEEN: "Nothing to do.",
+    Detectability.SEEN_AWAY: "Start the filter elsewhere, or measure more: at rest there it corrects nothing.",
+    Detectability.DRIFTING: "Measure that state, or expect its variance to grow without a bound.",
+    Detectability.UNKNOWN: "Check the outputs and the dynamics about x0: their derivatives are not finite there.",
+}
+
+
+def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
+    """What a linearisation says at the first estimate, and at points drawn about it.
+
+    Raises
+    ------
+    NotDetectableError
+        If at none of them the outputs depend on the state, or see a mode that grows.
+    """
+    deviation = np.sqrt(np.maximum(np.diag(P0), 0.0))
+    unit = np.where(deviation > 0, deviation, 1.0)
+    drawn = np.random.default_rng(0).standard_normal((POINTS, len(x0)))
+    with np.errstate(all="ignore"):
+        F, H = slopes(np.vstack([x0, x0 + deviation * drawn]))
+    finite = np.isfinite(F).all(axis=(1, 2)) & np.isfinite(H).all(axis=(1, 2))
+    if not finite.any():
+        return Detectability.UNKNOWN
+    F, H = F[finite], H[finite] * unit
+    if not H.any():
+        raise NotDetectableError(
+            "output: got outputs that do not depend on the state, at x0 or about it, expected a filter with something "
+            "to correct. Measure a state, or begin elsewhere.", None, (),
+        )  # fmt: skip
+    unseen = [_unseen(A, C / unit, unit) for A, C in zip(F, H)]
+    growing = [mode for mode in unseen if mode is not None and abs(mode.eigenvalue) > 1 + NEAR_CIRCLE]
+    if len(growing) == len(unseen):
+        mode = growing[0]
+        raise NotDetectableError(
+            f"output: got outputs that see {mode_text(mode)} of the linearisation with relative "
+            f"strength {mode.strength:.1e}, at x0 and about it, expected >= {REACH:.0e}. Measure it: its variance "
+            "would grow without a bound.", mode.eigenvalue, states_of(mode),
+        )  # fmt: skip
+    if all(mode is not None for mode in unseen):
+        return Detectability.DRIFTING
+    flat = bool((np.abs(H[0]) <= FLAT * np.abs(H).max()).all())
+    at_first = bool(np.ravel(finite)[0]) and unseen[0] is None and not flat
+    return Detectability.SEEN if at_first else Detectability.SEEN_AWAY
+
+
+def _unseen(A: Array, C: Array, unit: Array) -> Mode | None:
+    """The mode that does not decay and is not seen; of several the one that grows most. None where all are seen."""
+    for eigenvalue in sorted(lasting(A), key=abs, reverse=True):
+        mode = least_reached(A.T, C.T, [eigenvalue], unit, np.ones(len(A)))
+        if mode.strength < REACH:
+            return mode
+    return None

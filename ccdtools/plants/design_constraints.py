@@ -12,8 +12,7 @@ from scipy.optimize import nnls
 from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.rounding import rounding
-from ccdtools.plants.symbols import as_expression, check_known
+from ccdtools.plants.symbols import as_expression, check_known, rounding
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 EXAMPLE = "a function of p that gives expressions, each to be ≤ 0, such as lambda p: p[0] + p[1] - 3.0"

@@ -14,6 +14,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, as_limits, as_positive
 from ccdtools.exceptions import InputError, JumpWarning
 from ccdtools.plants.collocation import ImplicitStep
+from ccdtools.plants.holds import zero_order_hold
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
 from ccdtools.plants.jumps import SMOOTHER, Jump
 from ccdtools.plants.linear_model import LinearModel
@@ -21,7 +22,6 @@ from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.sampling_guard import warn_of_aliasing
-from ccdtools.plants.zero_order_hold import zero_order_hold
 
 ACCURACY = 1e-6  # of half the range of each state, a sample
 MOST_PARTS = {"rk4": 64, "collocation": 64}  # of a sample

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.stats import qmc
@@ -20,19 +20,6 @@ SAFETY = 3.0  # of what is stated over the largest difference: 16/15 if smooth, 
 Step = Callable[[Any, Any, Any, Any], Any]
 
 
-class BoundsOfDesign(Protocol):
-    """Bounds that depend on the design."""
-
-    @property
-    def box(self) -> tuple[Array, Array]:
-        """The widest, each (n,)."""
-        ...
-
-    def bounds(self, p: Any) -> tuple[Any, Any]:
-        """At designs (m, np), each (m, n)."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Region(Immutable):
     """Where an error is measured: states, inputs and disturbances within bounds, and the box of designs.
@@ -42,19 +29,19 @@ class Region(Immutable):
     lower, upper : (nx + nu + nw + np,) arrays
     sizes : tuple of int
         nx, nu, nw and np.
-    of_design : (BoundsOfDesign or None, BoundsOfDesign or None)
-        Bounds of x and u that a design narrows, if any.
+    of_design : (DesignLimits or None, DesignLimits or None)
+        Bounds of x and u that a design narrows, if any; `bounds(p)` gives them at designs (m, np).
     """
 
     lower: Array
     upper: Array
     sizes: tuple[int, int, int, int]
-    of_design: tuple[BoundsOfDesign | None, BoundsOfDesign | None] = (None, None)
+    of_design: tuple[Any, Any] = (None, None)
 
     @classmethod
     def of(
         cls, *boxes: tuple[Array, Array],
-        of_design: tuple[BoundsOfDesign | None, BoundsOfDesign | None] = (None, None),
+        of_design: tuple[Any, Any] = (None, None),
     ) -> Region:  # fmt: skip
         """From the bounds of x, u, w and p."""
         lower, upper = (np.concatenate([box[side] for box in boxes]) for side in (0, 1))

@@ -2,8 +2,7 @@
 
 References
 ----------
-Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28, 1988 (SLSQP, in SciPy); Branch,
-Coleman and Li, SIAM J. Sci. Comput. 21, 1999 (least squares within bounds, in SciPy).
+Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28, 1988 (SLSQP, in SciPy).
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import heapq
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
 from ccdtools.plants.design_constraints import EXACT, UnitConstraints
@@ -60,15 +59,14 @@ def nearest(
 def allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[Array, float]:
     """A point that the constraints allow, or the least violation of them from a start, and that violation.
 
-    Least squares of what is violated and, where they leave some, the largest violation by SLSQP.
+    The largest violation by SLSQP, corrected by Newton's method.
     """
-    u = _restored(limits, start, free)
-    violation = float(limits.violation(u))
+    violation = float(limits.violation(start))
     if violation <= EXACT or not free.any():
-        return u, violation
-    other = _corrected(limits, _least_violation(limits, u, free), free)
-    value = float(limits.violation(other))
-    return (other, value) if value < violation else (u, violation)
+        return start, violation
+    u = _corrected(limits, _searched(limits, start, free), free)
+    value = float(limits.violation(u))
+    return (u, value) if value < violation else (start, violation)
 
 
 def nearest_whole(values: Array, lower: Array, upper: Array, width: Array) -> Iterator[Array]:
@@ -102,8 +100,8 @@ def _around(value: float, low: int, high: int) -> list[int]:
 def _from(limits: UnitConstraints, v: Array, start: Array, free: Array) -> Array | None:
     """The allowed point near `v` that a search from `start` comes to, if it comes to one."""
     for first in (start, None):
-        begun = _restored(limits, start, free) if first is None else first
-        found = _corrected(limits, _closest(limits, v, begun, free), free)
+        begun = allowed_point(limits, start, free)[0] if first is None else first
+        found = _corrected(limits, _searched(limits, begun, free, v), free)
         if limits.violation(found) <= EXACT:
             return _slid(limits, v, found, free)
         if first is None and limits.violation(begun) <= EXACT:
@@ -130,24 +128,31 @@ def _slid(limits: UnitConstraints, v: Array, u: Array, free: Array) -> Array:
     return u
 
 
-def _closest(limits: UnitConstraints, v: Array, start: Array, free: Array) -> Array:
-    """½|u − v|² within the constraints, by SLSQP."""
+def _searched(limits: UnitConstraints, start: Array, free: Array, target: Array | None = None) -> Array:
+    """The point nearest to a target within the constraints; without one, that of least violation: t → min, g ≤ t."""
+    size = int(free.sum())
     u = start.copy()
+    first = start[free] if target is not None else np.r_[start[free], float(limits.violation(start))]
+    wanted = np.zeros(size) if target is None else target[free]
+    slack = np.ones((limits.count, len(first) - size))
 
-    def at(x: Array) -> Array:
+    def at(z: Array) -> Array:
         """The point with those free entries."""
-        u[free] = x
+        u[free] = z[:size]
         return u
+
+    def cost(z: Array) -> float:
+        """Half the square of the distance, or t."""
+        return float(z[-1]) if target is None else 0.5 * float((z - wanted) @ (z - wanted))
 
     with np.errstate(all="ignore"):
         found = minimize(
-            lambda x: 0.5 * float((x - v[free]) @ (x - v[free])), start[free], jac=lambda x: x - v[free],
-            method="SLSQP", bounds=[(0.0, 1.0)] * int(free.sum()), options={"ftol": 1e-14, "maxiter": 60},
-            constraints={"type": "ineq", "fun": lambda x: -limits.values(at(x)),
-                         "jac": lambda x: -limits.jacobian(at(x))[:, free]},
+            cost, first, jac=lambda z: np.eye(size + 1)[-1] if target is None else z - wanted, method="SLSQP",
+            bounds=[(0.0, 1.0)] * size + [(0.0, None)] * (len(first) - size), options={"ftol": 1e-14, "maxiter": 100},
+            constraints={"type": "ineq", "fun": lambda z: slack @ z[size:] - limits.values(at(z)),
+                         "jac": lambda z: np.hstack([-limits.jacobian(at(z))[:, free], slack])},
         )  # fmt: skip
-    x = found.x if np.isfinite(found.x).all() else start[free]
-    return at(np.clip(x, 0.0, 1.0)).copy()
+    return np.clip(at(found.x if np.isfinite(found.x).all() else first), 0.0, 1.0).copy()
 
 
 def _corrected(limits: UnitConstraints, u: Array, free: Array) -> Array:
@@ -169,57 +174,6 @@ def _corrected(limits: UnitConstraints, u: Array, free: Array) -> Array:
             moved = u[moving] + step
         u[moving] = np.clip(moved, 0.0, 1.0)
     return u
-
-
-def _restored(limits: UnitConstraints, start: Array, free: Array) -> Array:
-    """From a start, the least squares of what is violated."""
-    if limits.violation(start) <= EXACT or not free.any():
-        return start
-    u = start.copy()
-
-    def over(x: Array) -> Array:
-        """What is violated."""
-        u[free] = x
-        return np.maximum(limits.values(u) + INWARD, 0.0)
-
-    def slopes(x: Array) -> Array:
-        """Its slopes."""
-        u[free] = x
-        return np.where(limits.values(u)[:, None] + INWARD > 0, limits.jacobian(u)[:, free], 0.0)
-
-    inside = np.clip(start[free], 1e-6, 1.0 - 1e-6)
-    with np.errstate(all="ignore"):
-        try:
-            found = least_squares(over, inside, jac=slopes, bounds=(0.0, 1.0), xtol=1e-15, ftol=1e-15, gtol=1e-15,
-                                  max_nfev=100).x  # fmt: skip
-        except ValueError:  # not finite at the start
-            found = inside
-    u[free] = found
-    return _corrected(limits, u, free)
-
-
-def _least_violation(limits: UnitConstraints, start: Array, free: Array) -> Array:
-    """The least of the largest violation from a start: t → min with g ≤ t, by SLSQP."""
-    size = int(free.sum())
-    u = start.copy()
-
-    def at(z: Array) -> Array:
-        """The point with those free entries."""
-        u[free] = z[:size]
-        return u
-
-    down = np.r_[np.zeros(size), 1.0]
-    first = np.r_[start[free], float(limits.violation(start))]
-    with np.errstate(all="ignore"):
-        found = minimize(
-            lambda z: z[-1], first, jac=lambda z: down, method="SLSQP",
-            bounds=[(0.0, 1.0)] * size + [(0.0, None)], options={"ftol": 1e-14, "maxiter": 100},
-            constraints={"type": "ineq", "fun": lambda z: z[-1] - limits.values(at(z)),
-                         "jac": lambda z: np.hstack([-limits.jacobian(at(z))[:, free],
-                                                     np.ones((limits.count, 1))])},
-        )  # fmt: skip
-    z = found.x if np.isfinite(found.x).all() else first
-    return np.clip(at(z), 0.0, 1.0)
 
 
 def _is_nearest(limits: UnitConstraints, v: Array, u: Array, free: Array) -> bool:

@@ -17,8 +17,7 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Tape, check_sizes
-from ccdtools.plants.in_place import InPlace, as_rows
-from ccdtools.plants.native import FEW, Native
+from ccdtools.plants.on_rows import FEW, InPlace, Native, as_rows
 from ccdtools.plants.runge_kutta import ExplicitStep
 
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.plants.casadi_arrays import Tape, Vectorised, check_sizes
-from ccdtools.plants.in_place import InPlace, as_rows
-from ccdtools.plants.native import FEW, Native
+from ccdtools.plants.on_rows import FEW, InPlace, Native, as_rows
 
 AT_ONCE = 2048  # runs whose numbers fit into the processor's cache
 

@@ -17,7 +17,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.collocation import ImplicitStep
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.integration_error import IntegrationError
-from ccdtools.plants.matrices_of_design import derivative, derivatives_at, evaluated
+from ccdtools.plants.linear_model import derivative, derivatives_at, evaluated
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.runge_kutta import ExplicitStep
 

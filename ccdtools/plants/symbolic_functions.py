@@ -11,6 +11,7 @@ from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.symbols import as_expression, check_known
+from ccdtools_ground.door import brief
 
 LONGEST = 200  # characters of an expression that is shown
 
@@ -111,7 +112,7 @@ class SymbolicFunction:
             value = self._given(*columns)
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            raise InputError(self.argument, f"one that stops with {_shortened(reason)}", expected) from error
+            raise InputError(self.argument, f"one that stops with {brief(reason, LONGEST)}", expected) from error
         expression = ca.vec(as_expression(self.argument, value))
         check_known(self.argument, expression, **dict(zip(self.names, columns)))
         return ca.Function(self.argument, columns, [expression], list(self.names), ["value"])
@@ -121,7 +122,7 @@ class SymbolicFunction:
         for function in self._functions.values():
             columns = [_column(name, function.numel_in(i)) for i, name in enumerate(self.names)]
             text = " ".join(str(function(*columns)).split())
-            return _shortened(text)
+            return brief(text, LONGEST)
         return f"{self.argument}({', '.join(self.names)})"
 
     def serialized(self) -> dict[str, str]:
@@ -156,11 +157,6 @@ def as_symbolic(argument: str, value: Any, names: tuple[str, ...]) -> SymbolicFu
     if isinstance(value, ca.Function) and (value.n_in() != len(names) or value.n_out() != 1):
         raise InputError(argument, f"{value.n_in()} arguments and {value.n_out()} results", f"{expected}, one result")
     return SymbolicFunction(argument, value, names)
-
-
-def _shortened(text: str) -> str:
-    """Its first characters."""
-    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 
 def _column(name: str, size: int) -> ca.SX:

@@ -15,8 +15,8 @@ from ccdtools.co_design.admissible import admissible_inputs
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import Risk, WorstCase, has_cases
-from ccdtools.comparison.baselines import baselines
 from ccdtools.comparison.comparison import Score, compare
+from ccdtools.comparison.pid_tuning import baselines
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.disturbances.disturbance import Recorded

@@ -11,7 +11,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.comparison.comparison import compare
-from ccdtools.comparison.metric_changes import MetricChange, metric_changes
+from ccdtools.comparison.metrics import MetricChange, metric_changes
 from ccdtools.scenario import Scenario
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import SOURCES, Step, gains_by_source

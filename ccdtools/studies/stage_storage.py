@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array
-from ccdtools.plain_values import jsonable
+from ccdtools.arrays import Array, jsonable
 
 Network = Any
 MANIFEST = "manifest.json"

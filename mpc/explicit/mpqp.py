@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from mpc.checks import Array, as_count, as_seconds
 from mpc.exceptions import InputError
-from mpc.explicit.compilation import compile_exploration
 from mpc.explicit.equality_elimination import (
     FlatParameters,
     ImpliedEqualities,
@@ -22,16 +22,15 @@ from mpc.explicit.exploration import Limits, explore_compiled
 from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
-from mpc.explicit.scaled_qp import ScaledQP, scale_parameters, scale_qp
-from mpc.parametric_qp import ParametricQP
+from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp
+from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.tolerances import FAR_OPTIMUM, THIN
 
 __all__ = ["MPQPStatus", "Partition", "solve_mpqp"]
 
 
 def solve_mpqp(
-    problem: ParametricQP, theta_set: Any, *, compiled: bool = True, max_regions: int = 100_000,
-    time_limit: float | None = None,
+    problem: ParametricQP, theta_set: Any, *, max_regions: int = 100_000, time_limit: float | None = None
 ) -> Partition:  # fmt: skip
     """Partition of `theta_set` into critical regions of the QP, each with its affine minimiser.
 
@@ -49,8 +48,6 @@ def solve_mpqp(
         Strictly convex; see `LinearMPC.build`.
     theta_set : Polytope
         Bounded set of parameters of full dimension, in the order of `problem.parameters`.
-    compiled : bool
-        False runs a slow, independent implementation in NumPy, for checking.
     max_regions : int
         Limit on the number of regions.
     time_limit : float
@@ -80,10 +77,14 @@ def solve_mpqp(
     """
     if not isinstance(problem, ParametricQP):
         raise InputError("problem", type(problem).__name__, "a ParametricQP", "See `LinearMPC.build`.")
-    if not isinstance(compiled, bool):
-        raise InputError("compiled", repr(compiled), "True or False")
-    if compiled:
-        compile_exploration()
+    compile_exploration()
+    return partitioned(explore_compiled, problem, theta_set, max_regions, time_limit)
+
+
+def partitioned(
+    explore: Callable[..., Found], problem: ParametricQP, theta_set: Any, max_regions: int, time_limit: float | None
+) -> Partition:
+    """The partition that an exploration of active sets finds, with the laws that hold."""
     start = time.perf_counter()
     limits = Limits(as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit))
     qp = scale_qp(problem, scale_parameters(theta_set, problem.nt))
@@ -91,7 +92,6 @@ def solve_mpqp(
     equalities = qp.origin[always].tolist()
     if always:
         qp = eliminate(qp, always, problem.labels)
-    explore = _explorer(compiled)
     found = explore(qp, limits)
     if found.status is MPQPStatus.INFEASIBLE:
         implied = implied_equalities(qp, limits.deadline)
@@ -145,15 +145,6 @@ def _is_thin(found: Found, r: int) -> bool:
     return bool(0.0 <= (rows[:, -1] - rows[:, :-1] @ found.centres[r]).min() < THIN)
 
 
-def _explorer(compiled: bool) -> Callable[..., Found]:
-    """The compiled exploration or the slow one."""
-    if compiled:
-        return explore_compiled
-    from mpc.explicit.reference import explore_all
-
-    return explore_all
-
-
 def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) -> ScaledQP | None:
     """The problem with these equalities eliminated; None where they are met nowhere, or at a flat set of parameters."""
     if implied.status is not MPQPStatus.COMPLETE or implied.of_parameters:
@@ -164,3 +155,20 @@ def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) ->
         return eliminate(qp, list(implied.rows), problem.labels)
     except FlatParameters:
         return None
+
+
+@cache
+def compile_exploration() -> None:
+    """Explore min ½ z'z − θ'z over the square |z| ≤ 1, whose nine regions take every kernel through its work.
+
+    numba keeps what it has compiled on disk; a later process reads it in a second.
+    """
+    one, none = np.eye(2), np.zeros((2, 2))
+    rows = np.vstack([one, -one])
+    square = ParametricQP(
+        H=one, F=-one, f=np.zeros(2), Y=none, y=np.zeros(2), c=0.0, G=rows, w=np.ones(4), S=np.zeros((4, 2)), Lz=one,
+        Lt=none, l=np.zeros(2), Xz=none, Xt=one, x=np.zeros(2), nu=2, parameters=(("x", 2),),
+        labels=tuple(Constraint("input", 0, i) for i in range(4)),
+    )  # fmt: skip
+    twice = ParameterSet(rows, np.ones(4), np.zeros(2), np.full(2, 2.0))
+    explore_compiled(scale_qp(square, twice), Limits(100, np.inf))

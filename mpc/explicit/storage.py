@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from mpc.exceptions import InputError
+from mpc.explicit.laws import LawParts, PiecewiseLaw
 from mpc.explicit.partition import MPQPStatus, Partition
-from mpc.explicit.piecewise_law import LawParts, PiecewiseLaw
 from mpc.explicit.search_tree import SearchTree, TreeStatus
 from mpc.parametric_qp import Constraint, ParametricQP
 

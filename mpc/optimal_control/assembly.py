@@ -10,7 +10,9 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
-from mpc.optimal_control.piece import Numbers, Piece
+from mpc.optimal_control.interval import size_of
+from mpc.optimal_control.notes import check_at_guess
+from mpc.optimal_control.pieces import Numbers, Piece
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import (
     NonlinearProgram,
@@ -19,8 +21,6 @@ from mpc.optimal_control.program import (
     with_costs_of_scenarios,
     with_sizes_of_rows,
 )
-from mpc.optimal_control.undefined import check_at_guess
-from mpc.optimal_control.unknowns import size_of
 
 
 class Assembly:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from ccdtools_ground.door import brief
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.functions import brief
 
 Bounds = Any
 INF = np.inf

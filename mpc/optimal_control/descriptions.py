@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.piece import Numbers
+from mpc.optimal_control.interval import coordinates
+from mpc.optimal_control.pieces import Numbers
 from mpc.optimal_control.program import NonlinearProgram, Rows
-from mpc.optimal_control.unknowns import coordinates
 
 HOLDS = 0.01  # multiplier, beside the largest, of a limit that stands in the way
 NEARLY = 1e-6  # of an unknown's size: what two bounds that count as one differ by

@@ -12,10 +12,10 @@ from typing import Any
 
 import casadi as ca
 
+from ccdtools_ground.door import brief
 from mpc.exceptions import InputError
 
 Statement = Callable[..., Any]
-LONGEST = 120  # characters of a value or a message that is shown
 CASADI = re.compile(r'^\.\.\./casadi/\S+:\d+: (?:Assertion ".*?" failed:\s)?')
 KNOWN = (
     (r"Slice \(start=(\d+), stop=\d+, step=1\) out of bounds with supplied length of (\d+)",
@@ -185,8 +185,3 @@ def in_words(error: Exception) -> tuple[str, str]:
             return brief(words.format(*found.groups())), cure
     plain = isinstance(error, RuntimeError)
     return brief(text if plain else f"{type(error).__name__}: {text}"), ""
-
-
-def brief(text: str) -> str:
-    """Its first characters."""
-    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"

@@ -8,9 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ccdtools_ground.door import brief
 from mpc.checks import Array
 from mpc.exceptions import InputError
-from mpc.optimal_control.functions import brief
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.plan import Residuals
 

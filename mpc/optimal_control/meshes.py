@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from ccdtools_ground.door import brief
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.functions import brief
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Collocation

@@ -15,18 +15,17 @@ from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError, NotStabilisableError
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
-from mpc.optimal_control.discrete_model import DiscreteModel
+from mpc.optimal_control.discrete_model import DiscreteModel, ModelDerivatives
 from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.linear_law import INVARIANT, invariant_set
-from mpc.optimal_control.model_derivatives import ModelDerivatives
 from mpc.optimal_control.planner import Effort, Planner
 from mpc.optimal_control.steady_state import SteadyStates
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
+from mpc.rollout import for_each_state, spread_signals
 from mpc.sensitivities.along_plan import sensitivity_of
 from mpc.sensitivities.changes import as_changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity
-from mpc.solve_arguments import for_each_state, spread_signals
 
 AT_REST = 1e-9  # how far a step may leave the rest, in sizes of the states
 

@@ -15,8 +15,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
 from mpc.problem import MPCProblem
-from mpc.targets import Target, nearest_target, sizes_of
-from mpc.tracking import OffsetFreeMPC
+from mpc.tracking import OffsetFreeMPC, Target, nearest_target, sizes_of
 
 NEWTON = 1e-10  # change of a target, in sizes of states and inputs, that is rounding
 MOST = 20  # Newton steps towards a target

@@ -11,8 +11,7 @@ from mpc.checks import Array
 from mpc.optimal_control.assembly import Assembly
 from mpc.optimal_control.interval import Layout, interval_function, times_of
 from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_at
-from mpc.optimal_control.piece import Numbers
-from mpc.optimal_control.pieces import Clock, end_piece, interval_piece, path_piece
+from mpc.optimal_control.pieces import Clock, Numbers, end_piece, interval_piece, path_piece
 from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import MultipleShooting, Scheme
 

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from ccdtools_ground.door import brief
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.elastic import shaken
-from mpc.optimal_control.functions import brief
 from mpc.optimal_control.meshes import finer_mesh
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram
+from mpc.optimal_control.program import NonlinearProgram, shaken
 from mpc.optimal_control.schemes import Scheme
 from mpc.optimal_control.solution import PASSED, OptimalControlStatus, Solution
 from mpc.optimal_control.solving import LEAST_SECONDS, solve

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import of_phase
-from mpc.optimal_control.mesh_errors import Missed, mesh_errors
-from mpc.optimal_control.path_excess import Excess, path_excess
+from mpc.optimal_control.mesh_errors import Excess, Missed, mesh_errors, path_excess
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.solution_sensitivity import SolutionSensitivity, solution_sensitivity

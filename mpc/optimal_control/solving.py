@@ -9,20 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.door import brief
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import contradiction, violated
-from mpc.optimal_control.elastic import elastic, shaken, starts
-from mpc.optimal_control.functions import brief
+from mpc.optimal_control.interval import placed
 from mpc.optimal_control.ipopt import FEASIBLE, Found, Settings, once
 from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, rescaled
+from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, elastic, rescaled, shaken, starts
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
-from mpc.optimal_control.unknowns import placed
 
 OPTIMAL = 1e-5  # residual of the optimality conditions, scaled by the size of multipliers
 RESCALINGS = 3  # solves at most, each with sizes as the one before found them

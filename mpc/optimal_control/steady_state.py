@@ -11,8 +11,8 @@ from mpc.checks import Array
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import symbols_of
-from mpc.targets import sizes_of
 from mpc.tolerances import TARGET_COST
+from mpc.tracking import sizes_of
 
 EXACT = 1e-11  # residuals at which it stops, in sizes of the states
 QUIET: dict[str, Any] = {

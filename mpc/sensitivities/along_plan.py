@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
 
+import numpy as np
+from scipy.optimize import nnls
+
+from mpc.checks import Array
 from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import Given
 from mpc.sensitivities.changes import Changes
-from mpc.sensitivities.conditions import Conditions, PlanModel, Point
-from mpc.sensitivities.idle_rows import IdleRows
+from mpc.sensitivities.conditions import SOFTENED, Conditions, Mask, PlanModel, Point
 from mpc.sensitivities.linearised import Linearised
-from mpc.sensitivities.newton_step import NewtonStep
-from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus
-from mpc.tolerances import ACTIVE, NEAR_OPTIMUM, NEWTON, WEAKLY_ACTIVE
+from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
+from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
 
 STEPS = 8  # of Newton's method at most
 
@@ -78,3 +80,163 @@ def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
         dependent=tuple(linear.labels[i] for i in np.flatnonzero(idle.dependent)),
         margin=idle.margin(linear, point), local=local,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class IdleRows:
+    """Rows (m,) that are met but do not push: weak ones, dependent ones, and which of these move along anyway.
+
+    Weak rows that only depend on each other are both: a direction has rates where its quadratic program has a solution
+    (Ralph and Dempe, Mathematical Programming 70, 1995).
+    """
+
+    weak: Mask
+    dependent: Mask
+    together: Mask
+
+    @classmethod
+    def of(cls, linear: Linearised, point: Point, rates: Array) -> IdleRows:
+        """Those at an optimum whose free variables move by rates (n, nt)."""
+        met = linear.on_bound & linear.own & ~point.acting
+        acting = linear.rows[point.acting][:, linear.free] * linear.scale
+        basis = np.linalg.qr(acting.T)[0] if len(acting) else np.zeros((len(linear.scale), 0))
+        touched = {linear.labels[i].step for i in np.flatnonzero(linear.on_bound) if linear.labels[i].kind in SOFTENED}
+        met &= np.array([label.kind != "slack" or label.step in touched for label in linear.labels], dtype=bool)
+        rows = linear.rows[:, linear.free] * linear.scale
+        length = np.linalg.norm(rows, axis=1)
+        left = rows - rows @ basis @ basis.T
+        size = np.linalg.norm(left, axis=1)
+        alone = met & (size <= INDEPENDENT * length)
+        together = np.zeros_like(met)
+        for i in np.flatnonzero(alone):
+            together[i] = _moves_along(linear, rates, {int(i): 1.0})
+        apart = met & ~alone
+        dependent = alone.copy()
+        while (found := _vanishing_sum(left / np.where(size > 0, size, 1.0)[:, None], apart)) is not None:
+            members = np.array(list(found))
+            along = _moves_along(linear, rates, {i: part / size[i] for i, part in found.items()})
+            members = members[:1] if along else members
+            dependent[members] = True
+            together[members] = along
+            apart[members] = False
+        return cls(met & ~alone, dependent, together)
+
+    def margin(self, linear: Linearised, point: Point) -> float:
+        """How far the nearest row is from beginning or ceasing to act, in its unit [-]."""
+        idle = self.weak | self.dependent
+        worth = linear.worth(linear.multipliers)
+        pushing = worth > WEAKLY_ACTIVE
+        room = np.where(pushing, worth, -linear.values / linear.units)
+        counts = pushing | (linear.own & ~(point.acting | idle))
+        counts &= np.array([label.kind != "slack" for label in linear.labels], dtype=bool) | pushing
+        if (idle & ~point.acting).any() and not counts.any():
+            return 0.0
+        return float(np.maximum(room[counts], 0.0).min(initial=np.inf))
+
+
+def _vanishing_sum(unit: Array, weak: Mask) -> dict[int, float] | None:
+    """A sum with positive parts of weak rows that leaves nothing beside the acting ones; None where there is none.
+
+    Where there is one the multipliers are not unique (Kyparisis, Mathematical Programming 32, 1985).
+    """
+    rows = np.flatnonzero(weak)
+    if not len(rows):
+        return None
+    both = np.vstack([unit[rows].T, np.ones(len(rows))])
+    parts, missed = nnls(both, np.append(np.zeros(len(both) - 1), 1.0), maxiter=30 * len(both))
+    return {int(i): float(part) for i, part in zip(rows, parts) if part > 0} if missed <= INDEPENDENT else None
+
+
+def _moves_along(linear: Linearised, rates: Array, parts: dict[int, float]) -> bool:
+    """Whether a sum of rows stays on its bound in all directions as the free variables move by rates (n, nt)."""
+    nt = linear.conditions.nt
+    terms = [part * np.vstack([linear.rows[i, :nt], linear.rows[i, linear.free][:, None] * rates])
+             for i, part in parts.items()]  # fmt: skip
+    terms_of_all = np.concatenate(terms)
+    return bool((np.abs(terms_of_all.sum(axis=0)) <= TOGETHER * np.abs(terms_of_all).sum(axis=0)).all())
+
+
+@dataclass(frozen=True, eq=False)
+class NewtonStep:
+    """Moves by θ = (x, p, u_prev) and, in the last column, to the optimum.
+
+    Attributes
+    ----------
+    linear : Linearised
+        The conditions that it is a step on.
+    point : Point
+        Where it begins.
+    moves : (n, nt + 1) array
+        Of the free inputs and slacks.
+    pushes : (number of acting rows, nt + 1) array
+        Of their multipliers.
+    """
+
+    linear: Linearised
+    point: Point
+    moves: Array
+    pushes: Array
+
+    @classmethod
+    def of(cls, linear: Linearised, point: Point) -> NewtonStep | None:
+        """The step at a point; None at a saddle.
+
+        The acting rows are independent: of dependent ones a basic solution has multipliers on a part only.
+        """
+        at, nt = linear.conditions.columns, linear.conditions.nt
+        acting = np.flatnonzero(point.acting)
+        d = linear.scale
+        rows = linear.rows[acting]
+        G = rows[:, linear.free] * d
+        length = np.linalg.norm(G, axis=1)
+        length[length == 0] = 1.0
+        G = G / length[:, None]
+        H = linear.H * d * d[:, None]
+        residual = linear.gradient[linear.free] + linear.multipliers @ linear.rows[:, linear.free] + linear.F_gap
+        right = -np.column_stack([linear.F, residual]) * d[:, None]
+        missed = rows[:, at["gap"]].ravel() + linear.values[acting]
+        at_rows = -np.column_stack([rows[:, :nt], missed]) / length[:, None]
+        first = np.linalg.lstsq(G, at_rows, rcond=None)[0] if len(G) else np.zeros_like(right)
+        Z = null_directions(G)
+        if Z.shape[1]:
+            reduced = Z.T @ H @ Z
+            reduced = (reduced + reduced.T) / 2
+            if not np.isfinite(reduced).all() or np.linalg.eigvalsh(reduced)[0] < DEFINITE:
+                return None
+            first = first + Z @ np.linalg.solve(reduced, Z.T @ (right - H @ first))
+        pushes = np.linalg.lstsq(G.T, right - H @ first, rcond=None)[0] if len(G) else np.zeros((0, nt + 1))
+        return cls(linear, point, first * d[:, None], pushes / length[:, None])
+
+    @property
+    def size(self) -> float:
+        """How far it goes, in sizes of inputs and states [-]."""
+        linear = self.linear
+        problem = linear.conditions.problem
+        inputs, states = self._of_plan
+        extent = np.where(problem.input_extent > 0, problem.input_extent, np.abs(inputs).max(initial=0.0))
+        own = np.maximum(np.abs(linear.U[:, :, linear.conditions.columns["value"]]).max(axis=(0, 2)), extent)
+        size = float(np.abs(inputs / np.where(own > 0, own, 1.0)).max(initial=0.0))
+        size = max(size, float(np.abs(states / problem.state_extent).max()))
+        return size if np.isfinite(size) else np.inf
+
+    @property
+    def _of_plan(self) -> tuple[Array, Array]:
+        """Moves of inputs and states to the optimum."""
+        linear, at = self.linear, self.linear.conditions.columns
+        move = self.moves[: at["z"].stop - at["z"].start, -1]
+        inputs, states = (form[:, :, at["z"]] @ move + form[:, :, at["gap"]][:, :, 0] for form in (linear.U, linear.X))
+        return inputs, states
+
+    def after(self) -> Point:
+        """The point after it; rows that it would pass act from then on, those that would pull do not."""
+        linear, point = self.linear, self.point
+        inputs, states = self._of_plan
+        multipliers = np.zeros(len(linear.rows))
+        multipliers[point.acting] = linear.multipliers[point.acting] + self.pushes[:, -1]
+        at = linear.conditions.columns
+        move = self.moves[:, -1]
+        values = linear.values + linear.rows[:, at["gap"]].ravel() + linear.rows[:, linear.free] @ move
+        passed = (values > WEAKLY_ACTIVE * linear.units) & ~point.acting & linear.own
+        acting = linear.acting(multipliers) | passed
+        slacks = point.slacks + move[at["z"].stop - at["z"].start :]
+        return Point(point.inputs + inputs, point.states + states, slacks, np.where(acting, multipliers, 0.0), acting)

@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array
 from mpc.exceptions import InputError
-from mpc.limits import Limits
+from mpc.halfspaces import Limits
 from mpc.problem import MPCProblem
-from mpc.sensitivities.derivatives import as_derivatives
-from mpc.sensitivities.regulator import lqr_sensitivity
+from mpc.sensitivities.regulator import as_derivatives, lqr_sensitivity
 
 UNIT_STEP = 1e-5  # of differences of units, relative to what they are made of
 

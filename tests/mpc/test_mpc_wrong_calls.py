@@ -192,7 +192,6 @@ def test_data_that_cannot_be_read_as_numbers_are_refused(controller):
         lambda: LinearMPC(A, B, **options, X=(-np.inf, -np.inf)),
         lambda: controller.explicit(parameters=3),
         lambda: controller.explicit(tree_time_limit="long"),
-        lambda: solve_mpqp(controller.build(), BASE["X"], compiled="no"),
         lambda: solve_mpqp(controller.build(), BASE["X"], max_regions=10**400),
         lambda: controller.explicit().save(""),
         lambda: controller([1.0, 1.0], weather=3),

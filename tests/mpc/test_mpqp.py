@@ -7,6 +7,7 @@ from online_qp import minimiser
 from partitions import integrator, law_is_optimal_on_samples, membership, stacked_integrators
 from plants import box, double_integrator, suspension
 from random_problems import random_plant
+from slow_exploration import solve_slowly
 
 from mpc import InputError, LinearMPC, MPQPStatus, solve_mpqp
 
@@ -37,7 +38,7 @@ def test_region_counts_agree_with_the_literature_of_solvers(mpc, regions):
             *(random_plant(seed) for seed in (2, 3, 6, 8, 11, 12, 14, 19))],
 )  # fmt: skip
 def test_compiled_and_numpy_explorations_find_the_same_active_sets(mpc):
-    fast, slow = (solve_mpqp(mpc.build(), mpc.X, compiled=compiled) for compiled in (True, False))
+    fast, slow = (solve(mpc.build(), mpc.X) for solve in (solve_mpqp, solve_slowly))
     assert set(fast.active_sets) == set(slow.active_sets)
     assert len(fast.H) <= len(slow.H)  # the slow one may keep redundant rows of thin regions
     order = [fast.active_sets.index(active) for active in slow.active_sets]
@@ -109,7 +110,7 @@ def test_dependent_active_constraints_are_exchanged():
     partition = solve_mpqp(mpc.build(), mpc.X)
     assert partition.status is MPQPStatus.COMPLETE
     law_is_optimal_on_samples(mpc, partition, 2000)
-    assert set(partition.active_sets) == set(solve_mpqp(mpc.build(), mpc.X, compiled=False).active_sets)
+    assert set(partition.active_sets) == set(solve_slowly(mpc.build(), mpc.X).active_sets)
 
 
 def symmetric(B, **more):
@@ -182,15 +183,15 @@ def test_limits_are_reported_with_advice():
 
 def test_the_numpy_path_knows_the_same_limits():
     mpc = integrator(5, 0.1)
-    assert solve_mpqp(mpc.build(), mpc.X, compiled=False, max_regions=5).status is MPQPStatus.REGION_LIMIT
-    assert solve_mpqp(mpc.build(), mpc.X, compiled=False, time_limit=1e-9).status is MPQPStatus.TIME_LIMIT
+    assert solve_slowly(mpc.build(), mpc.X, max_regions=5).status is MPQPStatus.REGION_LIMIT
+    assert solve_slowly(mpc.build(), mpc.X, time_limit=1e-9).status is MPQPStatus.TIME_LIMIT
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_an_infeasible_parameter_set_is_a_status(compiled):
+@pytest.mark.parametrize("solve", [solve_mpqp, solve_slowly])
+def test_an_infeasible_parameter_set_is_a_status(solve):
     far = box([0.5, 0.5])
     far.b = far.b + np.array([100.0, 0.0, -99.0, 0.0])  # x1 around 100
-    partition = solve_mpqp(integrator(3, 0.1).build(), far, compiled=compiled)
+    partition = solve(integrator(3, 0.1).build(), far)
     assert partition.status is MPQPStatus.INFEASIBLE
     assert len(partition) == 0
     assert "explain" in partition.status.advice
@@ -223,7 +224,7 @@ def test_terminal_equality_is_eliminated():
     partition = solve_mpqp(problem, mpc.X)
     assert partition.status is MPQPStatus.COMPLETE
     law_is_optimal_on_samples(mpc, partition, 2000)
-    assert set(partition.active_sets) == set(solve_mpqp(problem, mpc.X, compiled=False).active_sets)
+    assert set(partition.active_sets) == set(solve_slowly(problem, mpc.X).active_sets)
     centre = np.zeros(2)
     region = int(membership(partition, centre[None]).argmin())
     theta = np.array([1e-3, -2e-3])

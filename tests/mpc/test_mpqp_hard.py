@@ -9,6 +9,7 @@ import pytest
 from partitions import law_is_optimal_on_samples, membership
 from plants import box, double_integrator
 from random_problems import random_plant
+from slow_exploration import solve_slowly
 
 from mpc import InputError, LinearMPC, MPQPStatus, NotConvexError, solve_mpqp
 
@@ -95,29 +96,29 @@ def test_a_weakly_redundant_row_makes_no_overlapping_regions():
         assert overlap(partition) == 0
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_four_constraints_in_three_dimensions_do_not_overlap(compiled):
+@pytest.mark.parametrize("solve", [solve_mpqp, solve_slowly])
+def test_four_constraints_in_three_dimensions_do_not_overlap(solve):
     # an octahedron of inputs: at its corners four constraints are active, and no choice of three is better
     U = SimpleNamespace(A=np.array(list(itertools.product([1.0, -1.0], repeat=3))), b=np.ones(8))
     B = np.random.default_rng(3).normal(size=(2, 3))
     mpc = LinearMPC([[1, 0.4], [0, 1]], B, Q=np.eye(2), R=0.1 * np.eye(3), horizon=2, X=box([2, 2]), U=U)
-    partition = solve_mpqp(mpc.build(), mpc.X, compiled=compiled)
+    partition = solve(mpc.build(), mpc.X)
     assert partition.status is MPQPStatus.COMPLETE
     assert overlap(partition) == 0
     law_is_optimal_on_samples(mpc, partition, 300)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("solve", [solve_mpqp, solve_slowly])
 @pytest.mark.parametrize(
     ("A", "b"),
     [([[1, 0], [0, 1], [-1, -1]], [0, 0, 0]), ([[1, 0], [-1, 0], [0, 1], [0, -1]], [0, 0, 0.5, 0.5])],
     ids=["a triangle shrunk to a point", "a segment"],
 )
-def test_equalities_that_rows_imply_together_are_eliminated(A, b, compiled):
+def test_equalities_that_rows_imply_together_are_eliminated(A, b, solve):
     plant = double_integrator()
     flat = SimpleNamespace(A=np.array(A, dtype=float), b=np.array(b, dtype=float))
     mpc = LinearMPC(*plant, Q=np.eye(2), R=[[0.1]], horizon=6, X=box([5, 5]), U=box([1]), terminal_set=flat)
-    partition = solve_mpqp(mpc.build(), mpc.X, compiled=compiled)
+    partition = solve(mpc.build(), mpc.X)
     assert partition.status is MPQPStatus.COMPLETE
     law_is_optimal_on_samples(mpc, partition, 300)
 
@@ -140,7 +141,7 @@ def random_problem(seed):
 @pytest.mark.parametrize("seed", range(25))
 def test_both_explorations_agree_that_a_feasible_problem_is_feasible(seed):
     problem = random_problem(seed)
-    fast, slow = (solve_mpqp(problem, box(np.ones(problem.nt)), compiled=compiled) for compiled in (True, False))
+    fast, slow = (solve(problem, box(np.ones(problem.nt))) for solve in (solve_mpqp, solve_slowly))
     assert fast.status is slow.status is MPQPStatus.COMPLETE
     assert set(fast.active_sets) == set(slow.active_sets)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -31,24 +31,6 @@ ON_EDGE = 1e-9  # of the unit box: a point this close to a bound is on it
 
 class _SpentError(Exception):
     """No evaluation is left."""
-
-
-@runtime_checkable
-class CostBySlopes(Protocol):
-    """A cost whose slope may be dear: `apart`, it is asked for only where the search has taken a step."""
-
-    @property
-    def apart(self) -> bool:
-        """Whether it is."""
-        ...
-
-    def value(self, v: Array) -> float:
-        """The cost alone."""
-        ...
-
-    def slope(self, v: Array) -> Array:
-        """Its slope (np,) alone."""
-        ...
 
 
 @dataclass(eq=False)
@@ -77,9 +59,9 @@ class Descent:
     spent: bool = False
 
 
-def value_of(cost: Cost, v: Array) -> float:
-    """The cost at a point, without its slope where that is dear."""
-    return cost.value(v) if isinstance(cost, CostBySlopes) and cost.apart else cost(v)[0]
+def value_of(cost: Any, v: Array) -> float:
+    """The cost at a point, without its slope where that is dear: `apart`, with `value` and `slope` of its own."""
+    return cost.value(v) if getattr(cost, "apart", False) else cost(v)[0]
 
 
 def tamed(relative: float) -> float:
@@ -140,7 +122,7 @@ class _Watched:
 
     def __init__(self, cost: Cost, space: DesignSpace, v: Array, size: float, evaluations: int) -> None:
         self.cost = cost
-        self.apart = cost if isinstance(cost, CostBySlopes) and cost.apart else None
+        self.apart: Any = cost if getattr(cost, "apart", False) else None
         self.space = space
         self.start = v
         self.size = size

@@ -1,4 +1,4 @@
-"""What holds the design that a search ended at, and whether its slope is that of the cost."""
+"""Where the searches of a method start, and what holds the design that one ended at."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.methods.descent import Cost, value_of
+from ccdtools.co_design.result import Valley
 from ccdtools.plants.design_constraints import ON_EDGE, held
 from ccdtools.plants.design_space import DesignSpace
 
 STEP = 1e-4  # of the unit box: of the differences that a slope is confirmed by
 AGREE = 0.05  # of a slope: what differences and it may differ by,
 LEVEL = 1e-3  # and of the cost per length of the unit box
+SAME_PLACE = 0.02  # of the box: two starts this close are one
 
 
 @dataclass(frozen=True)
@@ -80,3 +82,13 @@ def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
     about = cost(centre)[1]
     shown = (ahead - behind) / (2 * STEP)
     return bool(np.isfinite(shown) and abs(shown - about @ direction) <= AGREE * abs(shown) + LEVEL * size)
+
+
+def start_points(space: DesignSpace, design: Array, found: tuple[Valley, ...], most: int) -> list[Array]:
+    """The given design, and the bottoms of the best valleys that lie elsewhere, in the unit box."""
+    starts = [space.allowed.rounded(space.to_unit(design))]
+    for valley in found:
+        v = space.to_unit(valley.design)
+        if len(starts) < most and all(np.abs(v - one).max() > SAME_PLACE for one in starts):
+            starts.append(v)
+    return starts

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -17,28 +16,6 @@ from ccdtools.co_design.episodes import Law
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.secant import fitted
 from ccdtools.controllers.controllers import Controller, Passive
-
-
-class DesignLaw(Protocol):
-    """A controller for every design, whose inputs can be differentiated by state and design."""
-
-    @property
-    def words(self) -> str:
-        """What it is, in words."""
-        ...
-
-    @property
-    def differentiable(self) -> bool:
-        """Whether its inputs can be; if not, slopes are central differences of whole closed loops."""
-        ...
-
-    def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """States (n, nx) → inputs (n, nu) at a design (np,), tensors in double precision, differentiable in both."""
-        ...
-
-    def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """The same for use."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -145,6 +122,10 @@ def _on_line(controller: Controller, limit: Array) -> Law:
         return x.new_tensor(controller(np.where(lost[:, None], 0.0, states)))
 
     return law
+
+
+DesignLaw = PassiveLaw | LQRLaw | SecantLaw | MPCLaw | NonlinearMPCLaw
+"""A controller for every design; `differentiable` says whether its inputs are, by state and design."""
 
 
 class _Gain(torch.autograd.Function):

@@ -1,26 +1,39 @@
-"""The cost of a law in closed loop as a function of the design alone, on fixed scenarios, with its exact slope."""
+"""Costs of the design alone, with their slopes: of a law in closed loop, and of a policy trained anew at every design.
+
+By the envelope theorem the slope of the best policy's cost is that of the cost with the policy held.
+
+References
+----------
+Tsai, Karkaria, Chen and Chen, "Digital twin-enabled multi-generation control co-design with deep reinforcement
+learning" (the bi-level framework); Milgrom and Segal, Econometrica 70(2), 2002 (envelope theorem).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design
-from ccdtools.co_design.episodes import Episode, simulated
+from ccdtools.co_design.episodes import Episode, episode_at, simulated
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.laws import DesignLaw
+from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
 from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.task import LimitPenalty
 from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.learned import LearnedPolicy
+from learning.networks import ActorCritic
 from mpc import NotStabilisableError
 
 STEP = 1e-4  # of the unit box: of differences
+ITERATIONS = 40  # of the policy at every design
 
 
 @dataclass(eq=False)
@@ -157,6 +170,66 @@ class LoopCost:
     def controller(self, p: Array) -> Controller:
         """The law at a design, for use."""
         return self.law.controller(self.problem, p)
+
+    def history(self) -> History:
+        """All evaluations so far."""
+        return History(*(np.array(column) for column in zip(*self.rows)))
+
+
+@dataclass(eq=False)
+class LearnedCost:
+    """Minus the mean return of the policy of each design, trained from that of the design before.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    agent : ActorCritic
+        Warm start.
+    scenarios : tensors (n, nx) and (n, T, nw)
+    rng : numpy.random.Generator
+    by : {"pathwise", "ppo", "pathwise+ppo"}
+        What moves the policy.
+    """
+
+    problem: CoDesignProblem
+    agent: ActorCritic
+    scenarios: ScenarioTensors
+    rng: np.random.Generator
+    by: str = "pathwise"
+    rows: list[tuple] = field(default_factory=list)
+    _trained: list[tuple[Array, ActorCritic]] = field(default_factory=list)
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        return f"a policy trained by {self.by} at every design, on {len(self.scenarios[0])} scenarios"
+
+    def __call__(self, v: Array) -> tuple[float, Array]:
+        """Cost and its slope (np,) at a point (np,) of the unit box."""
+        p = self.problem.design.from_unit(v)
+        config = CoDesignConfig(iterations=ITERATIONS, design_rate=0.0, starts=1)
+        inner = Learned(by=self.by, agent=self.agent, config=config)
+        self.agent = inner.run(replace(self.problem, limit_tolerance="off"), p, self.rng).agent
+        self._trained.append((p, self.agent))
+        point = torch.tensor(v, dtype=torch.float32, requires_grad=True)
+        seen = episode_at(self.problem, self.agent, point, self.scenarios)
+        cost = -self.problem.risk.values(seen.total).mean()
+        (slope,) = torch.autograd.grad(cost, point)
+        count = len(self.rows) + 1
+        lost = float(seen.diverged.double().mean())
+        self.rows.append((count, count * ITERATIONS, p, -cost.item(), 0.0, lost))
+        return cost.item(), slope.double().numpy()
+
+    @property
+    def evaluations(self) -> int:
+        """How many there were."""
+        return len(self.rows)
+
+    def controller(self, p: Array) -> Controller:
+        """The policy that was trained nearest to a design, at that design."""
+        space = self.problem.design
+        away = [float(np.abs(space.to_unit(at) - space.to_unit(p)).max()) for at, _ in self._trained]
+        return LearnedPolicy(self._trained[int(np.argmin(away))][1], p)
 
     def history(self) -> History:
         """All evaluations so far."""

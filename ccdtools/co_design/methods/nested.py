@@ -23,8 +23,7 @@ from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, NonlinearMPCLaw, SecantLaw
 from ccdtools.co_design.methods.learned import warm_start
-from ccdtools.co_design.methods.learned_cost import LearnedCost
-from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.methods.loop_cost import LearnedCost, LoopCost
 from ccdtools.co_design.methods.open_loop import drawn
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.methods.searched import DesignCost, Plan, searched

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -14,16 +13,14 @@ from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.limit_tolerance import expected_at_most
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import FEASIBLE, Descent, descend, value_of
-from ccdtools.co_design.methods.holding import Held, confirmed, held_by
-from ccdtools.co_design.methods.learned_cost import LearnedCost
-from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.methods.holding import SAME_PLACE, Held, confirmed, held_by, start_points
+from ccdtools.co_design.methods.loop_cost import LearnedCost, LoopCost
+from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.methods.simultaneous import OTHERS
-from ccdtools.co_design.methods.starting import SAME_PLACE, start_points
 from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, Valley
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
 from mpc import NotStabilisableError
@@ -36,37 +33,7 @@ DEARER = 2.0  # times the price of limits, beside what it grows by anyway, where
 HALVINGS = 8  # of the way from a design that keeps the limits to one that does not
 USED = 0.8  # of a tolerance, from which on a limit may hold a design: prices aim at nine tenths
 LEVEL = 1e-3  # of the return that control makes, per length of the unit box: a slope without consequence
-
-
-class DesignCost(Protocol):
-    """What an outer search brings to its least: a cost of the design alone."""
-
-    @property
-    def words(self) -> str:
-        """What it is."""
-        ...
-
-    @property
-    def rows(self) -> list[tuple]:
-        """Of the history: one for every evaluation."""
-        ...
-
-    @property
-    def evaluations(self) -> int:
-        """How many there were."""
-        ...
-
-    def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and its slope (np,) at a point (np,) of the unit box; infinite where there is none."""
-        ...
-
-    def controller(self, p: Array) -> Controller:
-        """What belongs to a design, for use."""
-        ...
-
-    def history(self) -> History:
-        """All evaluations so far."""
-        ...
+DesignCost = LearnedCost | LoopCost | RiccatiCost | TrajectoryCost  # what an outer search brings to its least
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of, saturated_lqr
 from ccdtools.co_design.landscape import valleys
+from ccdtools.co_design.methods.holding import start_points
 from ccdtools.co_design.methods.open_loop import (
     Feedback,
     at_the_mean,
@@ -25,7 +26,6 @@ from ccdtools.co_design.methods.open_loop import (
     open_loop_problem,
 )
 from ccdtools.co_design.methods.path_limits import told
-from ccdtools.co_design.methods.starting import start_points
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, Valley
 from ccdtools.co_design.status import CoDesignStatus

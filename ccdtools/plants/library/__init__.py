@@ -1,9 +1,7 @@
 """Plants that are ready to use: each a function that returns a `Plant`, nominal or as a real one is (`real=True`)."""
 
-from ccdtools.plants.library.car import Car
+from ccdtools.plants.library.car import Car, full_car, half_car
 from ccdtools.plants.library.dc_servo import Servo, dc_servo
-from ccdtools.plants.library.full_car import full_car
-from ccdtools.plants.library.half_car import half_car
 from ccdtools.plants.library.illustrative import illustrative
 from ccdtools.plants.library.mass_chain import mass_chain
 from ccdtools.plants.library.pendulum_on_cart import CartPole, pendulum_on_cart

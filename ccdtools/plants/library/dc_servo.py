@@ -9,8 +9,7 @@ import casadi as ca
 
 from ccdtools.checks import as_flag
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.library.elements import dry_friction, limited
-from ccdtools.plants.library.parameters import Parameters, given_or_default
+from ccdtools.plants.library.elements import Parameters, dry_friction, given_or_default, limited
 from ccdtools.plants.plant import Plant
 
 

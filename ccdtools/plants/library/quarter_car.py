@@ -8,8 +8,7 @@ import casadi as ca
 
 from ccdtools.checks import as_flag
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.library.parameters import Parameters, given_or_default
-from ccdtools.plants.library.struts import GRAVITY, Corner, RealStrut
+from ccdtools.plants.library.elements import GRAVITY, Corner, Parameters, RealStrut, given_or_default
 from ccdtools.plants.plant import Plant
 
 STATES = ("z_us − z₀ [m]", "ż_us [m/s]", "z_s − z_us [m]", "ż_s [m/s]")

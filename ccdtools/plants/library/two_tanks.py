@@ -10,8 +10,7 @@ import casadi as ca
 from ccdtools.checks import as_flag
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.library.elements import clipped, linear_part
-from ccdtools.plants.library.parameters import Parameters, given_or_default
+from ccdtools.plants.library.elements import Parameters, clipped, given_or_default, linear_part
 from ccdtools.plants.plant import Plant
 
 ROUNDING = 0.02  # V, over which the limits of the real pump are rounded

@@ -11,8 +11,7 @@ from scipy.optimize import brentq
 from ccdtools.checks import as_flag
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.library.elements import limited, linear_part
-from ccdtools.plants.library.parameters import Parameters, given_or_default
+from ccdtools.plants.library.elements import Parameters, given_or_default, limited, linear_part
 from ccdtools.plants.plant import Plant
 
 AIR = 1.225  # kg/m³

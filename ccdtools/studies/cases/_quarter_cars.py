@@ -9,7 +9,7 @@ from ccdtools.comparison.ride import Ride
 from ccdtools.disturbances.iso8608 import RoadClass
 from ccdtools.disturbances.iso_road import ISORoad
 from ccdtools.plants.library import QuarterCar, quarter_car
-from ccdtools.plants.library.struts import GRAVITY
+from ccdtools.plants.library.elements import GRAVITY
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.studies.study import Study
 from invariant_sets import Polytope

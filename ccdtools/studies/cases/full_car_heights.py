@@ -11,7 +11,7 @@ import numpy as np
 
 from ccdtools.comparison.ride import Ride
 from ccdtools.plants.library import full_car
-from ccdtools.plants.library.full_car import WHEELS, heights_of_corners
+from ccdtools.plants.library.car import WHEELS, heights_of_corners
 from ccdtools.studies.cases._cars import BODY, CAR, GOOD, PLACE, WHEEL, by_kind, study_on_roads
 from ccdtools.trajectory import Trajectory
 from invariant_sets import Polytope

@@ -10,7 +10,7 @@ from typing import Any
 
 from ccdtools import figure_style as style
 from ccdtools.exceptions import InputError
-from ccdtools.interruptions import held_back
+from ccdtools.jobs import held_back
 from ccdtools.studies.run_folder import RunFolder
 
 TABLE, PICTURE, PAGE = "methods.csv", "methods.png", "methods.html"

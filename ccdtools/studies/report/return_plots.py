@@ -19,9 +19,9 @@ from ccdtools.figure_style import (
     COLOURS,
     NOT_WORSE_STRIP,
     controller_colours,
+    draw_map,
     generation_colour,
 )
-from ccdtools.landscape_map import draw_map
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.studies.gains import SOURCES
 from ccdtools.studies.report.formatting import axis_label, generation_name, place, share, signed_percent

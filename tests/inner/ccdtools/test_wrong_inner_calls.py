@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools.co_design.gradient_check import check_gradients
+from ccdtools.co_design.design_gradients import check_gradients
 from ccdtools.comparison.pid_tuning import tuned_pid
 from ccdtools.disturbances.roads import generate_road, generate_speed
 from ccdtools.statistics import paired_difference, summarise

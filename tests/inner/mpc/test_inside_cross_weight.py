@@ -9,9 +9,9 @@ from adversarial_mpc import (
     output_plan,
 )
 
-from mpc.candidates import stagewise_candidate
 from mpc.problem import MPCProblem
-from mpc.solve_arguments import spread_signals
+from mpc.rollout import spread_signals
+from mpc.solving import stagewise_candidate
 
 
 def test_stage_by_stage_the_plan_is_that_of_least_output_cost_with_blocks_and_references_too():

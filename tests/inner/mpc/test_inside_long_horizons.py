@@ -8,7 +8,7 @@ from plants import box
 from mpc import LinearMPC
 from mpc.condensing import condense
 from mpc.dense_qp import DenseQP
-from mpc.solve_arguments import spread_signals
+from mpc.rollout import spread_signals
 from mpc.stages import Staging
 from mpc.stagewise import solve_stagewise
 

@@ -10,12 +10,12 @@ import pytest
 from plants import box, double_integrator
 from random_problems import hard_controller, random_plant
 from scipy.optimize import linprog
+from slow_exploration import solve_slowly
 
 from mpc import ExplicitMPC, InfeasibleError, LinearMPC, MPQPStatus, solve_mpqp
 from mpc.explicit import exploration
-from mpc.explicit.exploration import Limits, Search, explore_compiled
+from mpc.explicit.exploration import Limits, Search, explore_compiled, irredundant_rows, is_implied
 from mpc.explicit.kernels.data import KNOWN
-from mpc.explicit.redundant_rows import irredundant_rows, is_implied
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 
 
@@ -74,16 +74,16 @@ def test_rows_not_looked_at_in_time_are_kept(touched):
     assert len(whole.rows) < len(qp.M)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_at_a_time_limit_the_regions_found_are_handed_back(touched, compiled):
-    partition = solve_mpqp(*touched, compiled=compiled, time_limit=1e-6)
+@pytest.mark.parametrize("solve", [solve_mpqp, solve_slowly])
+def test_at_a_time_limit_the_regions_found_are_handed_back(touched, solve):
+    partition = solve(*touched, time_limit=1e-6)
     assert partition.status is MPQPStatus.TIME_LIMIT
     assert len(partition) > 0
     assert len(ExplicitMPC.from_partition(partition, method="sequential")) == len(partition)
 
 
 def test_the_slow_exploration_keeps_what_it_found_when_its_restart_is_late(touched, monkeypatch):
-    from mpc.explicit import reference
+    import slow_exploration as reference
 
     qp = scale_qp(touched[0], scale_parameters(touched[1], 2))
     whole = reference.explore_all(qp, Limits(1000, np.inf))

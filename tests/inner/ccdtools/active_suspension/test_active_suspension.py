@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from active_suspension.detailed_suspension import detailed_active_suspension
 from active_suspension.independent import (
     damping,
     rules_along,
@@ -17,7 +18,6 @@ from active_suspension.statement import OF_RAMP, OF_ROUGH, PUBLISHED, STARTS, WE
 from active_suspension.strategies import Inner, nested, simultaneous
 from scipy.integrate import solve_ivp
 
-from ccdtools.plants.library.detailed_suspension import detailed_active_suspension
 from mpc.optimal_control import OptimalControlProblem, Radau, build, solve
 
 STIFF = np.array([0.0199, 0.1355, 0.03365, 10.57, 0.00935, 0.0403, 0.17])  # far from every limit of travel

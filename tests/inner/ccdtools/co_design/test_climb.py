@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools.co_design.climb import Climb
-from ccdtools.co_design.sample_average import PER_UNIT, TALL, SampleAverage
+from ccdtools.co_design.sample_average import PER_UNIT, TALL, Climb, SampleAverage
 
 
 def climbed(cost, weights, v=None, *, scale=1.0, length=60):

@@ -8,7 +8,7 @@ import pytest
 from small_plants import clone_of, mass, two_valleys
 
 from ccdtools import CoDesignConfig, QuadraticObjective, codesign
-from ccdtools.co_design.gradient_check import check_gradients
+from ccdtools.co_design.design_gradients import check_gradients
 from ccdtools.co_design.landscape import valleys
 from invariant_sets import Polytope
 

@@ -6,8 +6,7 @@ import pytest
 import torch
 from constrained_plants import CASES
 
-from ccdtools.co_design.feasible import PULL, DesignRegion
-from ccdtools.co_design.feasible_slope import FeasibleSlope
+from ccdtools.co_design.feasible import PULL, DesignRegion, FeasibleSlope
 from ccdtools.co_design.landscape import Landscape, valleys
 
 

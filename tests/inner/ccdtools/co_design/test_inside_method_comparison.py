@@ -2,7 +2,7 @@
 
 
 
-from ccdtools.co_design.method_names import known_methods, named_methods
+from ccdtools.co_design.compare_methods import known_methods, named_methods
 
 
 def test_names_are_found_whatever_their_capitals():

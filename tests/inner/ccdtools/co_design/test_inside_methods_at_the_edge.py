@@ -14,8 +14,7 @@ from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import Descent
 from ccdtools.co_design.methods.holding import confirmed
 from ccdtools.co_design.methods.laws import LQRLaw
-from ccdtools.co_design.methods.learned_cost import LearnedCost
-from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.methods.loop_cost import LearnedCost, LoopCost
 from ccdtools.co_design.methods.searched import End, Plan, _nearer, _status, searched
 from ccdtools.co_design.result import History
 from ccdtools.co_design.status import CoDesignStatus

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from ccdtools import InputError, Trajectory
-from ccdtools.comparison.metric_changes import metric_changes
+from ccdtools.comparison.metrics import metric_changes
 
 
 def runs(values, *, steps=40, lost=()):

@@ -6,7 +6,7 @@ import pytest
 
 import ccdtools as cc
 from ccdtools import ExtendedKalmanFilter
-from ccdtools.estimation.detectability import Detectability
+from ccdtools.estimation.steady_state import Detectability
 from ccdtools.plants import library
 
 NONE = cc.DesignSpace([], [], [])

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from ccdtools import DesignSpace, Plant, SampledModel
-from ccdtools.plants.native import FEW, KEPT
+from ccdtools.plants.on_rows import FEW, KEPT
 
 RUNS = [1, 2, FEW, FEW + 1, 2500]
 DESIGN = DesignSpace(["a", "b"], lower=[0.5, 1.0], upper=[2.0, 3.0])

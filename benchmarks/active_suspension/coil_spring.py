@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ccdtools.plants.library.parameters import Parameters
+from ccdtools.plants.library.elements import Parameters
 
 MILLIMETRE = 1e-3  # m, the wire that the strength of a steel is stated for
 CLOSED = 0.75  # turns that a spring pressed solid has beyond its active coils

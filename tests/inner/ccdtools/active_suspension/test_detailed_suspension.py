@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from active_suspension.coil_spring import CoilSpring, SpringSteel
+from active_suspension.detailed_suspension import StrutRules, detailed_active_suspension
 from active_suspension.independent import damping, rules_along, rules_of_design, stiffness
 from active_suspension.statement import PUBLISHED
+from active_suspension.valved_damper import DamperValve, ValvedDamper
 
 from ccdtools import InputError, discretise
 from ccdtools.plants.library import quarter_car
-from ccdtools.plants.library.coil_spring import CoilSpring, SpringSteel
-from ccdtools.plants.library.detailed_suspension import StrutRules, detailed_active_suspension
-from ccdtools.plants.library.valved_damper import DamperValve, ValvedDamper
 
 INCH, POUND = 0.0254, 4.4482216153  # m, N
 PSI = POUND / INCH**2

@@ -1,18 +1,24 @@
-"""The exploration written once more in NumPy, slow and without tricks, to check the compiled one."""
+"""The exploration written once more in NumPy, slow and without tricks, to check the compiled one.
+
+It explores the whole graph of optimal active sets of every dimension (Arnström and Axehill 2024) with linear programs;
+it finds the same sets, 10 to 50 times more slowly.
+"""
 
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import daqp
 import numpy as np
 
 from mpc.checks import Array
-from mpc.explicit.exploration import Limits
-from mpc.explicit.partition import MPQPStatus
-from mpc.explicit.redundant_rows import irredundant_rows
+from mpc.explicit.exploration import Limits, irredundant_rows
+from mpc.explicit.mpqp import partitioned
+from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP
+from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import DEPENDENT_ROW, EXCHANGE, INSETS, PRIMAL, REDUNDANT, REGION_RADIUS, TIE, ZERO_ROW
 
 _SEEDS = 8
@@ -20,6 +26,13 @@ _BOX = 4.0  # linear programs look for parameters in [-4, 4], which holds the se
 _NONE = np.full(1, -1e30)
 Members = frozenset[int]
 Rows = tuple[Array, Array]
+
+
+def solve_slowly(
+    problem: ParametricQP, theta_set: Any, max_regions: int = 100_000, time_limit: float | None = None
+) -> Partition:
+    """What `solve_mpqp` answers, by this exploration."""
+    return partitioned(explore_all, problem, theta_set, max_regions, time_limit)
 
 
 def explore_all(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> Found:

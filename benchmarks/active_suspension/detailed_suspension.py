@@ -7,13 +7,12 @@ from typing import Any
 
 import casadi as ca
 
+from active_suspension.coil_spring import CoilSpring, SpringSteel
+from active_suspension.valved_damper import DamperValve, ValvedDamper
 from ccdtools.checks import as_flag
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.library.coil_spring import CoilSpring, SpringSteel
-from ccdtools.plants.library.parameters import Parameters, given_or_default
+from ccdtools.plants.library.elements import GRAVITY, Parameters, given_or_default
 from ccdtools.plants.library.quarter_car import STATES, QuarterCar, motion
-from ccdtools.plants.library.struts import GRAVITY
-from ccdtools.plants.library.valved_damper import DamperValve, ValvedDamper
 from ccdtools.plants.plant import Plant
 
 NAMES = ("d", "D", "p", "N_a", "D_o", "D_p", "D_s")

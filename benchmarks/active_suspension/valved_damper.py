@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ccdtools.plants.library.parameters import Parameters
+from ccdtools.plants.library.elements import Parameters
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,138 @@
+"""PPO's part in a co-design: episodes of the sampled policy, an update from them, and the paper's design gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.co_design.differentiable_model import Stepper, observe, scenario_tensors, to_design
+from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.problem import CoDesignProblem
+from learning.networks import ActorCritic
+from learning.ppo import PPO, Batch, PPOConfig, ppo_loss, prepare
+from learning.rollout import Rollout, collect
+
+
+class DesignEnv:
+    """`runs` episodes side by side; observations are (x, p), actions u in the units of the plant.
+
+    Episodes end together at the problem's time limit: truncated, or terminated where the objective has a terminal cost.
+    One that diverges terminates and restarts from its own initial state.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    p : (np,) tensor
+        May be moved between rollouts with `move`.
+    runs : int
+    rng : numpy.random.Generator
+        Draws fresh scenarios at each reset.
+    """
+
+    def __init__(self, problem: CoDesignProblem, p: Tensor, *, runs: int, rng: np.random.Generator) -> None:
+        self.problem = problem
+        self.runs = runs
+        self._rng = rng
+        self.move(p)
+
+    def move(self, p: Tensor) -> None:
+        """Change the design; takes effect at the next reset."""
+        self._step = Stepper.at(self.problem, p.detach())
+
+    def reset(self) -> Tensor:
+        """Fresh scenarios; observations (runs, nx + np)."""
+        self._x0, self._w = scenario_tensors(self.problem, self.runs, self._rng)
+        self._x = self._x0
+        self._e = self._step.without_error(self._x0)
+        self._k = 0
+        return observe(self._x, self._step.p)
+
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """(observation to act on next, successor, reward, terminated, truncated); see `learning.VectorEnv`."""
+        x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
+        terminated = self._step.left(x)
+        self._k += 1
+        truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
+        final = self._step.final_rewards(x)
+        if final is not None:  # what comes after the end is paid for: no value stands for it
+            reward = reward + torch.where(truncated, final, 0.0)
+            terminated, truncated = terminated | truncated, torch.zeros_like(truncated)
+        successor = observe(x, self._step.p)
+        if self._k >= self.problem.steps:
+            return self.reset(), successor, reward, terminated, truncated
+        restart = terminated[:, None]
+        self._x = torch.where(restart, self._x0, x)
+        self._e = torch.where(restart, 0.0, e)
+        return observe(self._x, self._step.p), successor, reward, terminated, truncated
+
+
+class PPOPart:
+    """An agent, the episodes it learns from, and its optimisers, which live as long as the training.
+
+    Attributes
+    ----------
+    env_steps : int
+        Steps of the sampled policy so far.
+    """
+
+    def __init__(
+        self, problem: CoDesignProblem, agent: ActorCritic, p: Tensor, rng: np.random.Generator, config: CoDesignConfig
+    ) -> None:
+        self.problem = problem
+        self.agent = agent
+        self.config = config.ppo
+        self.optimisers = PPO(agent, config.ppo)
+        self.generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
+        self.env = DesignEnv(problem, p, runs=fewer_runs(config.runs, problem.steps), rng=rng)
+        self.env_steps = 0
+
+    def collect(self, p: Tensor) -> Rollout:
+        """Whole episodes of the sampled policy at design `p`."""
+        self.env.move(p)
+        self.env_steps += self.env.runs * self.problem.steps
+        return collect(self.env, self.agent, steps=self.problem.steps, generator=self.generator)
+
+    def network_input_gradient(self, rollout: Rollout, v: Tensor) -> Tensor:
+        """The paper's design gradient (np,), from the loss before the update."""
+        return loss_gradient(self.problem, self.agent, v, prepare(self.agent, rollout, self.config), self.config)
+
+    def update(self, rollout: Rollout, *, factor: float, actor: bool) -> None:
+        """One update of critic and, if asked, actor, at a part of their first rates."""
+        for optimiser, rate in (
+            (self.optimisers.actor_optimiser, self.config.learning_rate),
+            (self.optimisers.critic_optimiser, self.config.value_rate),
+        ):
+            for group in optimiser.param_groups:
+                group["lr"] = rate * factor
+        self.optimisers.update(rollout, generator=self.generator, actor=actor)
+
+
+def network_input_gradient(
+    problem: CoDesignProblem,
+    agent: ActorCritic,
+    v: Tensor,
+    *,
+    rng: np.random.Generator,
+    runs: int,
+    config: PPOConfig,
+) -> Tensor:
+    """−∂/∂v of the PPO loss through the design inputs of policy and value network, states constant, (np,)."""
+    env = DesignEnv(problem, to_design(problem, v), runs=runs, rng=rng)
+    generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
+    rollout = collect(env, agent, steps=problem.steps, generator=generator)
+    return loss_gradient(problem, agent, v, prepare(agent, rollout, config), config)
+
+
+def loss_gradient(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, batch: Batch, config: PPOConfig) -> Tensor:
+    """−∂/∂v of the PPO loss on a batch, through the design columns of its observations."""
+    v = v.detach().clone().requires_grad_(True)
+    x = batch.observations[:, : problem.model.nx]
+    moved = Batch(observe(x, to_design(problem, v)), batch.latents, batch.log_probs, batch.advantages, batch.targets)
+    surrogate, value_loss, _ = ppo_loss(agent, moved, config)
+    with torch.no_grad():  # the surrogate is that of one step, in standard deviations of the advantages
+        size = problem.steps * ((batch.targets - agent.value(batch.observations)).std() + 1e-8)
+    paid = problem.objective.cost_of_design(to_design(problem, v), problem.steps) / size
+    (gradient,) = torch.autograd.grad(surrogate + value_loss + paid, v)
+    return -gradient

@@ -1,1 +1,0 @@
-"""PPO's part in a co-design."""
