@@ -9,12 +9,28 @@ Ruiz (2001), A scaling algorithm to equilibrate both rows and columns norms in m
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from invariant_sets.tolerances import CANCELLED, CLOSER, DEPENDENT, FLAT, ROUNDING
 
 Array = np.ndarray
+
+
+class Stated(NamedTuple):
+    """A x <= b and A_eq x = b_eq, with the sizes of the terms that b (m,) and b_eq (k,) were computed from.
+
+    A right-hand side that is a difference may be wrong by the rounding of what it was computed from. Without terms it
+    is taken to be stated by the caller, and may be wrong by the rounding of itself.
+    """
+
+    A: Array
+    b: Array
+    A_eq: Array
+    b_eq: Array
+    terms: Array | None = None
+    terms_eq: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -38,13 +54,13 @@ class AffineHull:
     terms: Array
 
 
-def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | None:
+def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) -> AffineHull | None:
     """Return {x : E x = e}; None if there is no such point.
 
     Parameters
     ----------
-    E, e : (m, n) and (m,) arrays
-        Equality rows, none of them zero.
+    E, e, sizes : (m, n), (m,) and (m,) arrays
+        Equality rows, none of them zero, and the sizes of the terms of e.
     centre : (n,) array
         The free coordinates of the point are taken from here.
     scale : (n,) array
@@ -60,7 +76,7 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | 
         return AffineHull(centre.copy(), np.diag(scale), np.arange(n), np.abs(centre))
     row_sizes = np.abs(E * scale).max(axis=1)
     rows = np.column_stack([E * scale, e]) / row_sizes[:, None]
-    terms = np.abs(rows)
+    terms = np.column_stack([np.abs(E * scale), sizes]) / row_sizes[:, None]
     rest = list(range(len(rows)))
     pivots: list[tuple[int, int]] = []
     while rest:
@@ -108,7 +124,7 @@ def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) ->
 def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array]:
     """Return a first length (n,) for every coordinate of {A x <= b, E x = e}, and which rows of A may be far away (m,).
 
-    Rows and columns are balanced, so that every coordinate is steep in some row; the tightest steep row on either side
+    b (m,) and e (k,) are sizes of right-hand sides. Rows and columns are balanced, so that every coordinate is steep in some row; the tightest steep row on either side
     then gives its length. A row is suspected to be far away if the others' right-hand sides are nothing beside its own.
     """
     rows = np.concatenate([A, E])
@@ -117,7 +133,7 @@ def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array
     sign = np.sign(rows)
     scale = np.ones(rows.shape[1])
     rows = np.abs(rows)
-    right = np.abs(np.concatenate([b, e]))
+    right = np.concatenate([b, e])
     for _ in range(6):
         size = rows.max(axis=1)
         rows = rows / size[:, None]
@@ -145,7 +161,7 @@ def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array
     if not lengths.all() and right.any():
         usual = _middle(known if len(known) else right[right > 0])
     usual = usual if np.isfinite(usual) else 1.0
-    return scale * np.where(lengths > 0, lengths, usual), far & (b > 0)
+    return scale * np.where(lengths > 0, lengths, usual), far
 
 
 def _tightest(rows: Array, right: Array, sign: Array) -> Array:
@@ -164,13 +180,13 @@ def _middle(values: Array) -> float:
     return float(np.sort(values)[len(values) // 2])
 
 
-def opposite_rows(A: Array, b: Array) -> tuple[Array, Array]:
+def opposite_rows(A: Array, b: Array, terms: Array) -> tuple[Array, Array]:
     """Return one row of each pair that says aᵀx <= β and −aᵀx <= −β, and which rows such pairs make needless.
 
     Parameters
     ----------
-    A, b : (m, n) and (m,) arrays
-        Inequalities, none of them zero.
+    A, b, terms : (m, n), (m,) and (m,) arrays
+        Inequalities, none of them zero, and the sizes of the terms of b.
 
     Returns
     -------
@@ -191,6 +207,7 @@ def opposite_rows(A: Array, b: Array) -> tuple[Array, Array]:
     size = np.abs(A[np.arange(m), largest])
     rows = A / size[:, None]
     right = b / size
+    doubt = ROUNDING * terms / size
     projection = rows @ np.cos(np.arange(1, n + 1))
     order = np.argsort(np.abs(projection))
     level = np.abs(projection)[order]
@@ -204,14 +221,16 @@ def opposite_rows(A: Array, b: Array) -> tuple[Array, Array]:
     low = np.minimum.reduceat(lower[order], starts)
     high = np.minimum.reduceat(upper[order], starts)
     pairs = np.isfinite(low) & np.isfinite(high)
-    pairs[pairs] = np.abs(low[pairs] + high[pairs]) <= ROUNDING * np.abs(low[pairs])
+    most = np.maximum.reduceat(doubt[order], starts)
+    pairs[pairs] = np.abs(low[pairs] + high[pairs]) <= most[pairs]
     for group in pairs.nonzero()[0]:
         members = order[starts[group]:np.append(starts, m)[group + 1]]
         first = members[upper[members].argmin()]
         second = members[lower[members].argmin()]
         parallel = (np.abs(rows[members] - np.sign(projection[members] * projection[first])[:, None] * rows[first])
                     <= CANCELLED * np.abs(rows[first])).all(axis=1)
-        if parallel[members == second].all():
+        within = abs(right[first] + right[second]) <= max(doubt[first], doubt[second])
+        if within and parallel[members == second].all():
             chosen.append(int(first))
             needless[members[parallel]] = True
     return np.array(chosen, dtype=int), needless

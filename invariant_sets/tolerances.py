@@ -8,6 +8,7 @@ FLAT = 1e-9  # of the extent: a set thinner than this is flat, one that misses f
 SAME = 1e-9  # of the extent: vertices and rows closer than this are one
 ROUNDING = 1e-12  # of |bᵢ| + |Aᵢ||x|: what the data of a row may be wrong by after a computation in doubles
 PLACE = 4e-15  # of the sum of absolute terms that a point was solved from: what its coordinates may be wrong by
+GIVEN = 1e-15  # of its own size: what a coordinate of a point that the caller states may be wrong by
 CANCELLED = 1e-13  # of the sum of absolute terms: a sum smaller than this is zero, its terms have cancelled
 DEPENDENT = 1e-11  # of the sum of absolute terms: an equality row smaller than this depends on the others
 MEMBERSHIP = 1e-9  # of the row's range over the bounding box: default tolerance of `contains` and `is_subset`
@@ -27,6 +28,7 @@ STEEP_RAY = 1e-7  # of the largest entry of d: a ray has to move at least this f
 THIN = 1e-7  # of the window: a set that misses feasibility by less may still be there; look closer
 CLOSER = 1e-8  # of the window: factor of the largest step closer
 SETTLED = 1e-4  # of the window: extents larger than this are known to 1e-6 of themselves
+LOST = 1e-3  # of its slope: a row of which less is left on the affine hull of a flat set is as wrong as its rounding
 CLOSED = 1e-10  # of the sum of absolute terms: multipliers whose rows sum to less are a Farkas certificate
 
 # --- minimal descriptions --------------------------------------------------------------------------------------------

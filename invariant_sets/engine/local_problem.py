@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from invariant_sets.engine.flat_hull import InputMap, Motion, stay_on_hull
+from invariant_sets.equalities import Stated
 from invariant_sets.hulls import counter_clockwise
 from invariant_sets.interior_form import Body, normals, null_space
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
@@ -70,7 +71,7 @@ class Frame:
         normal = normals(self.basis) if k < n else np.zeros((0, n))
         rows, right = unit(rows, g)
         V = None if V is None else counter_clockwise(self.centre + V @ self.basis.T)
-        return Polytope._with_vertices(rows, right + rows @ self.centre, normal, normal @ self.centre, V)
+        return Polytope._of(Stated(rows, right + rows @ self.centre, normal, normal @ self.centre), V)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import INVARIANT, TINY, USEFUL_INPUTS
+from invariant_sets.tolerances import INVARIANT, ROUNDING, USEFUL_INPUTS
 
 Array = np.ndarray
 _EVERY = 50  # linear programs between two looks at the clock
@@ -157,7 +157,9 @@ def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polyto
     k = start.basis.shape[1]
     q = move.basis.shape[1]
     width = np.ptp(image.vertices, axis=0)
-    width = np.where(width > 0.0, width, max(width.max(), TINY))
+    known = np.abs(system.A) @ start.terms + move.terms
+    width = np.maximum(np.where(width > 0.0, width, width.max()), ROUNDING / INVARIANT * known)
+    width = np.where(width > 0.0, width, 1.0)
     to = np.hstack([system.A @ start.basis, move.basis]) / width[:, None]
     at = (system.A @ start.centre + move.centre) / width
     rows = np.vstack([
