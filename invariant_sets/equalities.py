@@ -121,23 +121,28 @@ def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) ->
     rows[rest, :-1] = np.where(np.abs(left) > DEPENDENT * terms[rest, :-1], left, 0.0)
 
 
-def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array]:
-    """Return a first length (n,) for every coordinate of {A x <= b, E x = e}, and which rows of A may be far away (m,).
+def starting_scale(stated: Stated) -> tuple[Array, Array]:
+    """Return a first length (n,) for every coordinate of a set, and which of its inequalities may be far away (m,).
 
-    b (m,) and e (k,) are sizes of right-hand sides. Rows and columns are balanced, so that every coordinate is steep in some row; the tightest steep row on either side
-    then gives its length. A row is suspected to be far away if the others' right-hand sides are nothing beside its own.
+    Rows and columns are balanced, so that every coordinate is steep in some row; the tightest steep row on either side
+    then gives its length, by its terms where its right-hand side has cancelled. A row is suspected to be far away if
+    the terms of the others are nothing beside it.
     """
+    A, b, E, e, terms, sizes = stated
     rows = np.concatenate([A, E])
     if not len(rows):
         return np.ones(A.shape[1]), np.zeros(0, bool)
     sign = np.sign(rows)
     scale = np.ones(rows.shape[1])
     rows = np.abs(rows)
-    right = np.concatenate([b, e])
+    right = np.concatenate([np.abs(b), np.abs(e)])
+    terms = np.concatenate([terms, sizes])
+    right = np.where(right > ROUNDING * terms, right, terms)
     for _ in range(6):
         size = rows.max(axis=1)
         rows = rows / size[:, None]
         right = right / size
+        terms = terms / size
         columns = rows.max(axis=0)
         if (columns[columns > 0] > 0.5).all():
             break
@@ -145,9 +150,9 @@ def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array
         scale = scale * factor
         rows = rows * factor
     m = len(b)
-    far = right[:m] > _middle(right) / CLOSER
+    far = (right[:m] > _middle(terms) / CLOSER) & (b > 0)
     if right.any():  # the far ones tell no length; beside rows through the origin alone nothing is far
-        right = np.append(np.where(right[:m] > _middle(right[right > 0]) / CLOSER, np.inf, right[:m]), right[m:])
+        right = np.append(np.where(right[:m] > _middle(terms[terms > 0]) / CLOSER, np.inf, right[:m]), right[m:])
     lengths = _tightest(rows[:m], right[:m], sign[:m])
     noise = right[:m] <= ROUNDING * (rows[:m] @ lengths)  # a row through the origin but for rounding tells no length
     if (noise & (right[:m] > 0)).any():
@@ -159,7 +164,7 @@ def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array
     known = lengths[lengths > 0]
     usual = 1.0
     if not lengths.all() and right.any():
-        usual = _middle(known if len(known) else right[right > 0])
+        usual = float((known if len(known) else right[right > 0]).min())  # what has no length costs the others no digits
     usual = usual if np.isfinite(usual) else 1.0
     return scale * np.where(lengths > 0, lengths, usual), far
 

@@ -82,10 +82,11 @@ class Body:
         return Stated(A, room + A @ self.centre, A_eq, A_eq @ self.centre,
                       self.sizes / norms + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms)
 
-    def less(self, Q: Body) -> Body | None:
-        """Return {x : x + q in the set for every q in Q}; None if it is empty.
+    def less(self, Q: Body, stated: Stated) -> Body | None:
+        """Return {x : x + q in the set for every q in Q}; None if it is empty. `stated` are the rows of the set.
 
         Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
+        What has no end has no length that Q could be small to, and goes by its rows as they are stated.
         """
         shape = replace(Q, centre=np.zeros(len(Q.centre)))
         across = self.normals
@@ -95,6 +96,11 @@ class Body:
         reach = support(shape, self.F @ self.inverse)
         if np.isinf(reach).any():
             return None
+        if not self.bounded:
+            A, b, E, e, terms, sizes = stated
+            size = Q.terms + Q.half_widths
+            return body_of(Stated(A, b - support(Q, A), E, e - support(Q, E),
+                                  terms + np.abs(A) @ size, sizes + np.abs(E) @ size))
         left = self
         if len(self.free):
             none = np.zeros((0, len(self.free)))
@@ -138,14 +144,13 @@ def body_of(stated: Stated) -> Body | None:
         A = A[~needless]
         b = b[~needless]
         terms = terms[~needless]
-    length = np.where(np.abs(b) > ROUNDING * terms, np.abs(b), terms)  # of what has cancelled its terms tell more
-    scale, far = starting_scale(A, length, E, np.where(np.abs(e) > ROUNDING * sizes, np.abs(e), sizes))
-    far &= b > 0
+    stated = Stated(A, b, E, e, terms, sizes)
+    scale, far = starting_scale(stated)
     if far.any():
         near = body_of(Stated(A[~far], b[~far], E, e, terms[~far], sizes))
         if near is not None and (support(near, A[far]) <= b[far]).all():
             return near
-    return _solved(Stated(A, b, E, e, terms, sizes), scale)
+    return _solved(stated, scale)
 
 
 def _solved(stated: Stated, scale: Array) -> Body | None:
@@ -330,12 +335,13 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
         graph[:, free] = np.eye(len(free))
     F, g, extreme = hull_rows(Z[:, free])
     F = np.where(np.abs(F) > EPS, F, 0.0)  # rounding here, but not always in the units of x
-    basis = unit[:, None] * graph.T
     first = anchor + np.where(moving, Y[0], lower / 2 + upper / 2)
-    centre = first + basis @ Z[extreme][:, free].mean(axis=0)
-    inner = ((centre - first) / unit)[free]
-    room = g - F @ inner
-    return Body(centre, basis, F, room, np.abs(g) + np.abs(F @ inner), True, free, np.where(moving, half, 0.0),
+    centre = first + unit * (Z[extreme][:, free].mean(axis=0) @ graph)
+    shift = F @ ((centre - first) / unit)[free]
+    size = half[free] / unit[free]
+    norms = np.linalg.norm(F * size, axis=1)
+    return Body(centre, unit[:, None] * graph.T * size, F * size / norms[:, None], (g - shift) / norms,
+                (np.abs(g) + np.abs(shift)) / norms, True, free, np.where(moving, half, 0.0),
                 np.maximum(terms, np.abs(centre))), extreme
 
 

@@ -125,7 +125,7 @@ class SetOperations(Polyhedron):
             return type(self)(np.zeros((0, n)), np.zeros(0))
         if mine is None:
             return type(self).empty(n)
-        left = mine.less(theirs)
+        left = mine.less(theirs, self._stated)
         return type(self).empty(n) if left is None else type(self)._of(left.rows, body=left)
 
     def affine_map(self, M: Any, c: Any = None, *, time_limit: float | None = None) -> Self:
@@ -158,7 +158,8 @@ class SetOperations(Polyhedron):
         body = self._body
         if body is None:
             return type(self).empty(len(M))
-        rows = _mapped_rows(body, M, c) if self.affine_dim > 1 or not body.bounded else None
+        flat = body.bounded and self.affine_dim < self.dim and self.affine_dim <= _FEW
+        rows = None if flat else _mapped_rows(body, M, c)
         if rows is not None:
             return type(self)._of(rows)
         try:
@@ -296,7 +297,8 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
         return None
     back = vt.T @ (left[:, :rank].T / s[:rank, None]) / units  # image → y
     rows = body.F @ back
-    normal = left[:, rank:].T / units
+    rows = np.where(np.abs(rows) * units > CANCELLED * np.abs(rows * units).max(axis=1, keepdims=True), rows, 0.0)
+    normal = np.where(np.abs(left[:, rank:].T) > CANCELLED, left[:, rank:].T, 0.0) / units
     norms = np.linalg.norm(rows, axis=1)
     norms_eq = np.linalg.norm(normal, axis=1)
     rows = rows / norms[:, None]
@@ -312,4 +314,5 @@ def _pulled_back(A: Array, b: Array, terms: Array, M: Array, c: Array) -> tuple[
     return rows, b - A @ c, terms + np.abs(A) @ np.abs(c)
 
 
+_FEW = 4  # dimensions up to which the vertices of a set are cheap
 _EPS = 32 * np.finfo(float).eps  # of the sum of absolute terms: what a sum may be wrong by

@@ -349,8 +349,8 @@ class Polyhedron:
         """All rows as inequalities, divided by their range over the bounding box, or by what their data are sure of."""
         A, b = self._one_sided
         place = 0.0 if self._body is None else np.abs(A) @ np.abs(self._body.centre)
-        ranges = np.maximum(self._ranges, ROUNDING / INVARIANT * (self._all_terms + place))
-        ranges = np.where(ranges > 0.0, ranges, 1.0)
+        ranges = np.where(self._ranges > 0.0, self._ranges, 1.0)
+        ranges = np.maximum(ranges, ROUNDING / INVARIANT * (self._all_terms + place))
         return frozen(A / ranges[:, None]), frozen(b / ranges)
 
     def bounding_box(self) -> tuple[Array, Array]:
