@@ -109,8 +109,8 @@ def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Arr
     g = np.where(np.abs(g) > CANCELLED, g, 0.0)  # rows through the middle of the points
     A = F @ local / unit
     E = flat @ across / unit
-    norms = np.linalg.norm(A, axis=1)
-    norms_eq = np.linalg.norm(E, axis=1)
+    norms = np.hypot.reduce(A, axis=1, initial=0.0)
+    norms_eq = np.hypot.reduce(E, axis=1, initial=0.0)
     A = A / norms[:, None]
     E = E / norms_eq[:, None]
     return A, g / norms + A @ middle, E, E @ middle
@@ -118,7 +118,7 @@ def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Arr
 
 def _of_length_one(R: Array) -> Array:
     """Return the directions with norm one, without those that are zero but for rounding."""
-    norms = np.linalg.norm(R, axis=1)
+    norms = np.hypot.reduce(R, axis=1, initial=0.0)
     kept = norms > FLAT * norms.max(initial=0.0)
     return R[kept] / norms[kept, None]
 

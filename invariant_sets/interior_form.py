@@ -72,8 +72,8 @@ class Body:
         """The set as unit rows on x."""
         A = self.F @ self.inverse
         A_eq = self.normals
-        norms = np.linalg.norm(A, axis=1)
-        norms_eq = np.linalg.norm(A_eq, axis=1)
+        norms = np.hypot.reduce(A, axis=1, initial=0.0)
+        norms_eq = np.hypot.reduce(A_eq, axis=1, initial=0.0)
         if not (np.isfinite(norms).all() and norms.all()):
             raise NumericalError("The hull", A.shape, "its coordinates are too large or too small for doubles")
         A = A / norms[:, None]
@@ -245,8 +245,8 @@ def _box(A: Array, b: Array, terms: Array) -> Body | None:
     solid = width > doubt
     doubt = doubt / ROUNDING
     unit = np.where(size > 0, size, 1.0)
-    low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * unit, -unit))
-    high = np.where(np.isfinite(upper), upper, low + 2 * unit)
+    low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - unit, -unit))
+    high = np.where(np.isfinite(upper), upper, low + unit)
     centre = low / 2 + high / 2
     half = high / 2 - low / 2
     sides = np.vstack([np.eye(n)[:, solid], -np.eye(n)[:, solid]])
@@ -295,7 +295,7 @@ def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
         return None
     F = A * half
     g = b - A @ centre
-    norms = np.linalg.norm(F, axis=1)
+    norms = np.hypot.reduce(F, axis=1, initial=0.0)
     if not norms.all():
         return None
     F = F / norms[:, None]

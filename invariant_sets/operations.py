@@ -37,7 +37,8 @@ class SetOperations(Polyhedron):
         if body is None:
             return type(self).empty(self.dim)
         kept = irredundant_rows(body.F, body.g) if len(body.g) else np.zeros(0, int)
-        return type(self)._of(replace(body, F=body.F[kept], g=body.g[kept], sizes=body.sizes[kept]).rows, self._vertices)
+        body = replace(body, F=body.F[kept], g=body.g[kept], sizes=body.sizes[kept])
+        return type(self)._of(body.rows, self._vertices, body)
 
     def intersection(self, other: Polyhedron) -> Self:
         """Return P ∩ Q, both of the same dimension."""
@@ -299,8 +300,8 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
     rows = body.F @ back
     rows = np.where(np.abs(rows) * units > CANCELLED * np.abs(rows * units).max(axis=1, keepdims=True), rows, 0.0)
     normal = np.where(np.abs(left[:, rank:].T) > CANCELLED, left[:, rank:].T, 0.0) / units
-    norms = np.linalg.norm(rows, axis=1)
-    norms_eq = np.linalg.norm(normal, axis=1)
+    norms = np.hypot.reduce(rows, axis=1, initial=0.0)
+    norms_eq = np.hypot.reduce(normal, axis=1, initial=0.0)
     rows = rows / norms[:, None]
     normal = normal / norms_eq[:, None]
     return Stated(rows, body.g / norms + rows @ origin, normal, normal @ origin,

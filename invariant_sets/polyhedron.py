@@ -348,7 +348,7 @@ class Polyhedron:
     def _relative_rows(self) -> tuple[Array, Array]:
         """All rows as inequalities, divided by their range over the bounding box, or by what their data are sure of."""
         A, b = self._one_sided
-        place = 0.0 if self._body is None else np.abs(A) @ np.abs(self._body.centre)
+        place = 0.0 if self._reach is None else np.abs(A) @ self._reach
         ranges = np.where(self._ranges > 0.0, self._ranges, 1.0)
         ranges = np.maximum(ranges, ROUNDING / INVARIANT * (self._all_terms + place))
         return frozen(A / ranges[:, None]), frozen(b / ranges)

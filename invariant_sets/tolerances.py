@@ -56,6 +56,7 @@ UNSEEN = 1e-11  # of |A|, balanced: directions that move the outputs by less are
 
 # --- the recursion ---------------------------------------------------------------------------------------------------
 GAP = 1e-7  # relative: default of `tol`, the largest gap between an invariant set and its outer set
+LOOSE = 1e3  # of the extent of X: a step may move a coordinate by this before the bounds of the others are loose
 STOP = 1e-11  # of the right-hand side: the outer recursion has converged if no row cuts more
 CUT = 1e-12  # of the extent: a row that cuts less off is rounding
 LEAST_RIGHT = 1e-3  # of the extent: least right-hand side that a cut is compared with

@@ -19,8 +19,9 @@ Array = np.ndarray
 _HALF = 4.0  # half width of the window, in coordinates in which the set should have half widths of one
 _FIRST = 8.0  # factor of the first window: first lengths come from the tightest rows, and sets are often longer
 _FURTHER = 1e3  # factor of one step away
+_FARTHEST = 1e300  # a set that has not ended here has no end that doubles can tell
 UNLIKE = 3.0  # decades: a scale that is wrong by more is replaced
-_STEPS = 80  # windows at most; one step is a factor of 1e3 or more, and doubles span 1e616
+_STEPS = 500  # windows at most; one step is a factor of 1e3 or more for one coordinate at least, and doubles span 1e616
 
 
 class Pinch(NamedTuple):
@@ -195,7 +196,8 @@ def _ends(window: Window, unbounded: Array) -> tuple[Array, Array, Array, Array]
     lower, upper = _extents(window)
     beyond = ((lower < -0.99 * _HALF) | (upper > 0.99 * _HALF)) & ~unbounded
     if beyond.any():
-        endless = _endless(window, lower, upper) & beyond
+        far = np.abs(window.basis).max(axis=0) > _FARTHEST
+        endless = (_endless(window, lower, upper) | far) & beyond
         return lower, upper, beyond & ~endless, unbounded | endless
     return lower, upper, beyond, unbounded
 

@@ -28,6 +28,7 @@ import numpy as np
 from invariant_sets.engine import certificate
 from invariant_sets.engine.inner_sets import Candidate, Limits, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
+from invariant_sets.engine.loose_bounds import without_loose_bounds
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
 from invariant_sets.engine.recursion import Caps, Outcome, Region, Shape, iterate
 from invariant_sets.engine.unstable_modes import unstable_bounds
@@ -93,9 +94,10 @@ def _extended(result: SetResult, Q: Array) -> SetResult:
 
 def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     """Return the largest invariant set, by local problems until one is solved."""
+    system, X, U = without_loose_bounds(task.system, task.X, task.U)
+    task = replace(task, system=system, X=X, U=U)
     limits = task.limits
-    X = task.X
-    nx = task.X.dim
+    nx = X.dim
     iterations = 0
     widest = _extent(X)
     reserve: _Reserve | None = None
@@ -162,7 +164,7 @@ def _unfinished(limits: Limits, bounded: bool) -> Status:
 def _extent(X: Polytope) -> Array:
     """Return the half width (nx,) of X in every coordinate, zero if empty."""
     body = X._body
-    return np.zeros(X.dim) if body is None else np.linalg.norm(body.basis, axis=1)
+    return np.zeros(X.dim) if body is None else np.hypot.reduce(body.basis, axis=1, initial=0.0)
 
 
 def _flattened(X: Polytope, widest: Array) -> Polytope:

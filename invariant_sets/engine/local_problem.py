@@ -60,7 +60,7 @@ class Frame:
         """Return the inequalities of P as unit rows on y; those that do not depend on y are left out."""
         F = P.A @ self.basis
         g = P.b - P.A @ self.centre
-        norms = np.linalg.norm(F, axis=1)
+        norms = np.hypot.reduce(F, axis=1, initial=0.0)
         used = norms > SILENT_ROW * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
         return unit(F[used], g[used])
 
@@ -257,7 +257,7 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     """Return an equilibrium (y, v) deep inside all rows; None if there is none."""
     dynamics = problem.dynamics
     matrix = np.hstack([np.eye(len(dynamics.A)) - dynamics.A, -dynamics.B])
-    scale = 1.0 / np.maximum(np.linalg.norm(matrix, axis=0), 1.0)  # strong inputs need only a small part of U
+    scale = 1.0 / np.maximum(np.hypot.reduce(matrix, axis=0, initial=0.0), 1.0)  # strong inputs need only a small part of U
     rows, right = _lifted(problem)
     matrix = matrix * scale
     rows = rows * scale
