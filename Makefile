@@ -2,23 +2,27 @@ PYTHON ?= python3
 BIN := .venv/bin
 SETUP := .venv/.ready
 KERNELS ?= Nehalem Sandybridge Haswell
+ALGEBRA := tests/invariant_sets tests/mpc tests/inner/invariant_sets tests/inner/mpc
 NO_ALGEBRA := notebook or benchmark or codegen or plotting or import or bad_input or wrong_calls
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: run test kernels targets lint bench clean
+.PHONY: run test check kernels targets lint bench clean
 .DELETE_ON_ERROR:
 
 run: $(SETUP)          ## the suspension study, start to report
 	$(BIN)/ccdtools run suspension $(ARGS)
 
-test: $(SETUP) lint    ## every check and test but the long studies, then the numerical packages on other processors
-	$(PYTEST) -m "not slow"
+test: $(SETUP) lint    ## lint, types, import contracts and every quick test: within five minutes on two cores
+	$(PYTEST) -m "not check and not slow" --durations 5 --durations-min 4
+
+check: $(SETUP)        ## everything else: whole runs, notebooks, long sweeps, the kernels of other processors
+	$(PYTEST) -m "check and not slow"
 	@$(MAKE) --no-print-directory kernels
 
 kernels: $(SETUP)      ## the numerical packages with the OpenBLAS kernels of other processors; KERNELS="Zen SkylakeX" for more
 	@for kernel in $(KERNELS); do echo "OpenBLAS kernels: $$kernel"; \
-	OPENBLAS_CORETYPE=$$kernel $(PYTEST) -m "not slow" -k "not ($(NO_ALGEBRA))" tests/invariant_sets tests/mpc || exit 1; done
+	OPENBLAS_CORETYPE=$$kernel $(PYTEST) -m "not slow" -k "not ($(NO_ALGEBRA))" $(ALGEBRA) || exit 1; done
 
 targets: $(SETUP)      ## the long studies: seeds 1 and 2 of every target, the whole drive with every seed
 	$(PYTEST) -m slow
@@ -36,6 +40,7 @@ $(SETUP): requirements/run.txt requirements/dev.txt pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements/dev.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	$(BIN)/python -c 'from mpc.explicit.compilation import compile_exploration; compile_exploration()'
 	@touch $@
 
 clean:

@@ -5,6 +5,8 @@ start design, under LQR, no control, a tuned PID, and the LQR of other weights; 
 The model is the nominal one, whose returns are those of the real plant within 0.3 %; ``--real`` takes that (an hour).
 ``--processes`` takes series whose mean is known instead, 1000 each. A row says how many intervals were given, how many
 of these cover, and how wide they are beside that of a known variance.
+``--risks`` takes intervals of risks instead, of n independent runs beside two that are lost, beside the risk of 4e6
+draws: how many samples are warned of (fewer than ten runs decide the risk), and how many of the other intervals cover.
 """
 
 from __future__ import annotations
@@ -15,8 +17,20 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy.signal import lfilter
 
-from ccdtools import GeneratedRoad, LinearFeedback, Passive, Scenario, load_study, saturated_lqr
+from ccdtools import (
+    CVaR,
+    GeneratedRoad,
+    LinearFeedback,
+    MeanSpread,
+    Passive,
+    Scenario,
+    WorstCase,
+    load_study,
+    saturated_lqr,
+)
 from ccdtools.arrays import Array
+from ccdtools.co_design.risk import Risk
+from ccdtools.co_design.risk_intervals import summarise_in_risk
 from ccdtools.comparison.pid_tuning import tuned_pid
 from ccdtools.controllers.controllers import Controller
 from ccdtools.statistics import mean_interval
@@ -119,23 +133,88 @@ def regimes(length: float) -> Process:
     return draw
 
 
+def levels(length: int) -> Process:
+    """Normal levels that hold for exactly so many samples, from a phase drawn at random."""
+
+    def draw(runs: int, steps: int, rng: np.random.Generator) -> Array:
+        number = (np.arange(steps) + rng.integers(0, length, (runs, 1))) // length
+        return np.take_along_axis(rng.standard_normal((runs, steps // length + 2)), number, axis=1)
+
+    return draw
+
+
+def garch(runs: int, steps: int, rng: np.random.Generator) -> Array:
+    """Squares of GARCH(1, 1) with α = 0.1 and β = 0.88, minus their mean 1: a cost whose size comes in clusters."""
+    variance = np.ones(runs)
+    found = np.zeros((runs, steps + 500))
+    for k in range(steps + 500):
+        found[:, k] = variance * rng.standard_normal(runs) ** 2
+        variance = 0.02 + 0.1 * found[:, k] + 0.88 * variance
+    return found[:, 500:] - 1
+
+
 def process_rows(runs: int) -> Iterator[str]:
     """Rows of processes whose mean is zero."""
     processes = {f"AR(1), ρ = {rho}": autoregression(rho) for rho in (0.0, 0.5, 0.9, 0.99)}
     processes |= {f"squares of AR(1), ρ = {rho}": squares(rho) for rho in (0.5, 0.9, 0.99)}
     processes |= {f"regimes of {length} samples": regimes(length) for length in (20, 100)}
+    processes |= {f"levels held for {length} samples": levels(length) for length in (50, 300)}
+    processes["squares of GARCH(1, 1)"] = garch
     for name, process in processes.items():
         for steps in LENGTHS:
             yield row(name, process(runs, steps, np.random.default_rng(steps)), 0.0)
+
+
+# ── risks of independent runs ──
+
+LAWS = {
+    "normal": lambda shape, rng: rng.standard_normal(shape) - 10,
+    "skewed (lognormal, σ = 1)": lambda shape, rng: -np.exp(rng.standard_normal(shape)),
+    "Student's t, 4 degrees": lambda shape, rng: rng.standard_t(4, shape) - 10,
+    "mixture, 5 % ten lower": lambda shape, rng: (
+        np.where(rng.random(shape) < 0.05, -20 + 3 * rng.standard_normal(shape), -10 + rng.standard_normal(shape))
+    ),
+}  # fmt: skip
+APART = (0.0, 0.0, 0.2, 3.0)  # by how much the cases of a worst case lie higher: two are alike, one nearly so
+RISKS: dict[str, tuple[Risk, Callable[[Array], float]]] = {
+    "mean − spread": (MeanSpread(1.0), lambda r: float(r.mean() - r.std())),
+    "worst tenth": (CVaR(0.1), lambda r: float(np.partition(r, len(r) // 10)[: len(r) // 10].mean())),
+    "worst 2 %": (CVaR(0.02), lambda r: float(np.partition(r, len(r) // 50)[: len(r) // 50].mean())),
+    "worst of 4 cases": (WorstCase(cases=4), lambda r: float(r.mean())),
+}
+DRAWS = 4_000_000
+LOST = 2  # runs, beside those that are kept
+
+
+def risk_rows(samples: int) -> Iterator[str]:
+    """Rows of every law, risk and number of runs: of the samples, how many are warned of, and the others' coverage."""
+    for law, draw in LAWS.items():
+        big = draw(DRAWS, np.random.default_rng(0))
+        for name, (risk, exact) in RISKS.items():
+            for runs in (100, 1000):
+                truth = exact(big)
+                rng = np.random.default_rng(runs)
+                shift = np.resize(APART, runs) if isinstance(risk, WorstCase) else 0.0
+                found = []
+                for _ in range(samples):
+                    lost = np.arange(runs + LOST) >= runs
+                    drawn = np.concatenate([draw(runs, rng) + shift, np.full(LOST, -1e8)])
+                    found.append(summarise_in_risk(risk, drawn, lost))
+                given = np.array([one.ci95 for one in found if not one.warning]).reshape(-1, 2)
+                covers = f"{np.mean((given[:, 0] < truth) & (truth < given[:, 1])):>8.1%}" if len(given) else ""
+                yield f"{f'{law}, {name}':46}{runs:>6}{1 - len(given) / samples:>8.1%}{covers}"
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--processes", action="store_true", help="series of known mean instead of drives")
     parser.add_argument("--real", action="store_true", help="drives of the real plant instead of the nominal model")
-    parser.add_argument("--runs", type=int, default=None, help="drives (200) or series (1000)")
+    parser.add_argument("--risks", action="store_true", help="risks of independent runs instead")
+    parser.add_argument("--runs", type=int, default=None, help="drives (200), or series or samples (1000)")
     asked = parser.parse_args()
-    print(HEADINGS, flush=True)
-    rows = process_rows(asked.runs or 1000) if asked.processes else drive_rows(asked.runs or 200, real=asked.real)
+    print(f"{'':46}{'runs':>6}{'warned':>8}{'covers':>8}" if asked.risks else HEADINGS, flush=True)
+    of_known = risk_rows if asked.risks else process_rows
+    known = asked.risks or asked.processes
+    rows = of_known(asked.runs or 1000) if known else drive_rows(asked.runs or 200, real=asked.real)
     for line in rows:
         print(line, flush=True)

@@ -5,57 +5,20 @@ from __future__ import annotations
 import math
 import numbers
 import os
-import warnings
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ccdtools.arrays import Array, frozen
-from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_count, as_floats, as_generator, shown  # noqa: F401 (handed on)
+from ccdtools_ground.errors import InputError
 from invariant_sets import Polytope
-from invariant_sets import exceptions as sets
 from invariant_sets.system_checks import as_set
 
-LONGEST = 60  # characters of a value in a message
 TOLERANCES = ("mpc", "off")  # of the state limits, in words
-
-
-def shown(value: Any) -> str:
-    """A value in few words: itself if it is short, else its type or shape."""
-    if value is None:
-        return "nothing"
-    if isinstance(value, np.ndarray) and value.ndim > 0:
-        return f"an array of shape {value.shape}" if value.size > 6 else _one_line(value.tolist())
-    if isinstance(value, bool | numbers.Number | str | np.generic | os.PathLike):
-        return _one_line(value)
-    if isinstance(value, list | tuple | dict | set):
-        return _one_line(value)
-    if isinstance(value, type):
-        return f"the class {value.__name__}"
-    return f"a {type(value).__name__}"
-
-
-def _one_line(value: Any) -> str:
-    """`repr` on one line, cut where it is long."""
-    text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
-    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
-
-
-def as_floats(argument: str, value: Any, *, expected: str = "numbers") -> Array:
-    """A new float64 array of `value`; text, None, complex numbers and objects are refused."""
-    if type(value) is np.ndarray and value.dtype == np.float64:  # the common case, in every step of a simulation
-        return value.copy()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            array = np.asarray(value)
-    except (TypeError, ValueError, RuntimeError, Warning, NotImplementedError):
-        raise InputError(argument, shown(value), expected) from None
-    if array.dtype.kind not in "iuf":
-        raise InputError(argument, shown(value), expected)
-    return np.array(array, dtype=float)
 
 
 def as_array(argument: str, value: Any, *shapes: tuple[int | str, ...]) -> Array:
@@ -100,14 +63,6 @@ def as_weight(argument: str, value: Any, size: int | None = None, *, definite: b
     return frozen(M)
 
 
-def as_count(argument: str, value: Any, *, least: int = 1) -> int:
-    """A whole number, at least `least`."""
-    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool | np.bool_)
-    if not whole or int(value) < least:
-        raise InputError(argument, shown(value), f"a whole number, at least {least}")
-    return int(value)
-
-
 def as_number(argument: str, value: Any, *, expected: str = "a finite number", low: float = -math.inf,
               high: float = math.inf, strict: bool = False) -> float:  # fmt: skip
     """A finite number between `low` and `high`; `strict` excludes both ends."""
@@ -139,8 +94,15 @@ def as_flag(argument: str, value: Any) -> bool:
 def as_choice(argument: str, value: Any, choices: Sequence[str]) -> str:
     """One of the words in `choices`."""
     if not isinstance(value, str) or value not in choices:
-        raise InputError(argument, shown(value), f"one of {', '.join(choices)}")
+        raise InputError(argument, shown(value), f"one of {', '.join(choices)}", nearest(value, choices))
     return value
+
+
+def nearest(value: Any, choices: Sequence[str]) -> str:
+    """The choice that a word may have meant, as a question; empty where none is like it."""
+    words = {choice.lower(): choice for choice in choices}
+    found = get_close_matches(value.lower(), words, n=1) if isinstance(value, str) else []
+    return f"Did you mean {words[found[0]]}?" if found else ""
 
 
 def as_limit_tolerance(argument: str, value: Any) -> str | tuple[float, float]:
@@ -169,15 +131,6 @@ def as_names(argument: str, value: Any, size: int) -> tuple[str, ...]:
     return names
 
 
-def as_generator(argument: str, value: Any) -> np.random.Generator:
-    """A NumPy generator: a seed would start the same numbers again at every call."""
-    if not isinstance(value, np.random.Generator):
-        seed = value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else 0
-        cure = f"Pass rng=np.random.default_rng({seed})."
-        raise InputError(argument, shown(value), "a numpy.random.Generator", cure)
-    return value
-
-
 def as_instance(argument: str, value: Any, kind: type | tuple[type, ...], expected: str, cure: str = "") -> Any:
     """`value`, if it is of that kind."""
     if not isinstance(value, kind):
@@ -189,10 +142,7 @@ def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
     """The set of limits on `size` numbers, from a Polytope or from bounds as the functions of `invariant_sets` take."""
     if isinstance(value, Polytope) and value.dim != size:
         raise InputError(argument, f"dimension {value.dim}", f"{size}, {of}")
-    try:
-        return as_set(value, argument, size)
-    except sets.InputError as error:
-        raise InputError(error.argument, error.got, error.expected, error.cure) from None
+    return as_set(value, argument, size)
 
 
 def as_mapping(argument: str, value: Any, expected: str) -> dict[str, Any]:

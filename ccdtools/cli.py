@@ -14,9 +14,17 @@ import typer
 
 import ccdtools
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
-from ccdtools.exceptions import CCDError, InputError
+from ccdtools.exceptions import InputError
 from ccdtools.interruptions import held_back, insisting
-from ccdtools.studies.options import Options, known_studies, located, numbers, one_number, study_names, whole_number
+from ccdtools.studies.options import (
+    Options,
+    described_studies,
+    known_studies,
+    located,
+    numbers,
+    seconds,
+    whole_number,
+)
 from ccdtools.studies.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -64,7 +72,7 @@ def run(
     design_gradient: Annotated[str | None, typer.Option(help="pathwise, or network_input (the paper's).")] = None,
     sets: Annotated[str | None, typer.Option(help="X_fea for the expert's data: auto, lqr or none.")] = None,
     sets_time_limit: Annotated[
-        str | None, typer.Option(metavar="SECONDS", help="Processor time for all sets of the initialisation.")
+        str | None, typer.Option(metavar="SECONDS", help="Budget of all sets of the initialisation, as work.")
     ] = None,
     x0: Annotated[str | None, typer.Option(help="Initial state, for example --x0=-3,0")] = None,
     p0: Annotated[str | None, typer.Option(help="Start design, for example --p0=0.8")] = None,
@@ -78,10 +86,13 @@ def run(
     redesign_price: Annotated[
         str | None, typer.Option(help='Gain that a redesign must promise: "0.5 %" (of the return) or "12 return".')
     ] = None,
+    accept_loss: Annotated[
+        str | None, typer.Option(help='Loss that a change may bring elsewhere: "0.5 %" (of the return there).')
+    ] = None,
     limits: Annotated[
         str | None, typer.Option(help="How far X may be left: mpc (as MPC does), off, or fraction,depth as 0.01,0.05.")
     ] = None,
-    filter: Annotated[str | None, typer.Option(help="Behind the policy in service: none, or admissible.")] = None,
+    filter: Annotated[str | None, typer.Option(help="Behind the deployed policy: none, or admissible.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in the output folder.")] = False,
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report.
@@ -92,9 +103,9 @@ def run(
     options = Options(
         located(study), whole_number("--generations", generations), whole_number("--seed", seed), quick, preset,
         expert, method=method, design_gradient=design_gradient, sets=sets,
-        sets_time_limit=one_number("--sets-time-limit", sets_time_limit), x0=numbers("--x0", x0),
+        sets_time_limit=seconds("--sets-time-limit", sets_time_limit), x0=numbers("--x0", x0),
         p0=numbers("--p0", p0), disturbance=disturbance, column=column, road=road, speed=speed, driver=driver,
-        redesign_price=redesign_price, limits=limits, filter=filter,
+        redesign_price=redesign_price, limits=limits, filter=filter, accept_loss=accept_loss,
     )  # fmt: skip
     _begin(options, Path(study).stem, output, overwrite=overwrite)
 
@@ -107,10 +118,13 @@ def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) 
     folder = None
     try:
         with held_back():
-            import ccdtools.studies.report.report  # noqa: F401  (all that is slow to import)
+            from ccdtools.studies.asked_study import asked_study
+
+            asked = asked_study(options)  # first: what is wrong is said before the slow imports
+            import ccdtools.studies.report.report  # noqa: F401
             from ccdtools.studies.preparation import prepare
 
-            prepared = prepare(options)
+            prepared = prepare(options, asked)
             folder = _new_folder(output, name, overwrite)
         with folder.locked():
             with held_back():
@@ -145,27 +159,33 @@ def codesign(
     study: Annotated[str, typer.Argument(help=f"Which study: {known_studies()} with one.")],
     methods: Annotated[str, typer.Option(help='all, or names with commas: "nested LQR,simultaneous,CMA-ES".')] = "all",
     seed: Annotated[str, typer.Option(metavar="INTEGER", help="Seed of every method.")] = "0",
+    x0: Annotated[str | None, typer.Option(help="Initial state, for example --x0=-3,0")] = None,
+    p0: Annotated[str | None, typer.Option(help="Design to start from, for example --p0=0.8")] = None,
     jobs: Annotated[str, typer.Option(metavar="INTEGER", help="Processes; -1 for all cores.")] = "1",
-    out: Annotated[str | None, typer.Option(help="Folder for table and picture. Default: none is written.")] = None,
+    output: Annotated[
+        str | None, typer.Option("--output", "--out", help="Folder for table and picture. Default: none is written.")
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is in the folder.")] = False,
 ) -> None:
     """Co-design the model of a study by every method, on common scenarios: one table, and what it says.
 
-    With --out it is kept: methods.csv after every method, methods.png and methods.html at the end. Ctrl-C prints the
+    With --output it is kept: methods.csv after every method, methods.png and methods.html at the end. Ctrl-C prints the
     table of the methods that have ended.
     """
-    options = Options(located(study), seed=whole_number("--seed", seed))
+    options = Options(located(study), seed=whole_number("--seed", seed), x0=numbers("--x0", x0), p0=numbers("--p0", p0))
     processes = whole_number("--jobs", jobs)
     with held_back():
+        from ccdtools.studies.asked_study import asked_study
+        from ccdtools.studies.loading import blamed_on_source
+
+        own = asked_study(options).study
         from ccdtools.co_design.compare_methods import compare_methods
         from ccdtools.co_design.method_names import named_methods
-        from ccdtools.studies.loading import blamed_on_source, load_study
         from ccdtools.studies.report.method_page import check_folder, write_methods, write_table
-    folder = None if out is None else check_folder(out, overwrite=overwrite)
+    folder = None if output is None else check_folder(output, overwrite=overwrite)
     _single_thread()
     asked = "all" if methods == "all" else [name.strip() for name in methods.split(",")]
     named_methods(asked)
-    own = load_study(options.study)
     ended: list[MethodComparison] = []
 
     def keep(found: MethodComparison) -> None:
@@ -204,16 +224,10 @@ def new(name: Annotated[str, typer.Argument(help="Name of the study; the file is
 @app.command()
 def studies() -> None:
     """List the studies that come with the package."""
-    from ccdtools.studies.loading import load_study
-
-    names = study_names()
-    width = max(map(len, names))
-    for name in names:
-        study = load_study(name)
-        plant = study.plant
-        inputs = "1 input" if plant.nu == 1 else f"{plant.nu} inputs"
-        design = ", ".join(plant.design.names)
-        typer.echo(f"{name:<{width}}  {study.title}: {plant.nx} states, {inputs}, design {design}")
+    described = described_studies()
+    width = max(map(len, described))
+    for name, text in described.items():
+        typer.echo(f"{name:<{width}}  {text}")
 
 
 def main() -> None:
@@ -239,20 +253,11 @@ def _run(arguments: list[str]) -> int:
     except BrokenPipeError:
         return 1
     except Exception as error:
-        line = one_line_of(error, ours=_errors_of_ours())
+        line = one_line_of(error)
         if line is None:
             raise
         typer.echo(f"ccdtools: {line}", err=True)
         return MISUSE
-
-
-def _errors_of_ours() -> tuple[type[Exception], ...]:
-    """The base classes of all errors that the packages raise on purpose, as far as they are loaded."""
-    loaded = [sys.modules[name] for name in ("learning.exceptions", "mpc.exceptions") if name in sys.modules]
-    from invariant_sets.exceptions import InvariantSetsError
-
-    names = ("LearningError", "MPCError")
-    return (CCDError, InvariantSetsError, *(getattr(m, n) for m in loaded for n in names if hasattr(m, n)))
 
 
 def _stop(folder: RunFolder | None) -> NoReturn:

@@ -10,6 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from ccdtools.checks import nearest
+from ccdtools_ground.errors import CCDError
+
 PLAIN = {
     "→": "->", "⁺": "+", "−": "-", "…": "...", "·": "*", "×": "x", "≤": "<=", "≥": ">=", "“": '"', "”": '"',
     "’": "'", "–": "-", "₀": "0", "₁": "1", "₂": "2", "∞": "inf", "ż": "dz", "ᵀ": "'", "µ": "u",
@@ -48,11 +51,11 @@ def warnings_on_one_line() -> Iterator[None]:
         yield
 
 
-def one_line_of(error: Exception, *, ours: tuple[type[Exception], ...]) -> str | None:
+def one_line_of(error: Exception) -> str | None:
     """What to print of an error that the user can mend; None of a defect of this program."""
     if callable(getattr(error, "format_message", None)):
         return _of_usage(error)
-    if isinstance(error, ours):
+    if isinstance(error, CCDError):
         return " ".join(str(error).split())
     if isinstance(error, OSError) and error.errno in UNWRITABLE:
         return f"{error.filename or 'output'}: got {error.strerror}, expected a file that can be written and has room."
@@ -69,7 +72,10 @@ def _of_usage(error: Any) -> str:
         near = f" Did you mean {error.possibilities[0]}?" if error.possibilities else ""
         return f"{error.option_name}: got an unknown option, expected one that exists.{near}{help_of}"
     if kind == "NoSuchCommand" or (kind == "UsageError" and "command" in error.format_message().lower()):
-        return f"command: got {_quoted_word(error)}, expected run, resume, new or studies.{help_of}"
+        *others, last = error.ctx.command.commands
+        word = _quoted_word(error)
+        near = nearest(word.strip("'"), [*others, last])
+        return f"command: got {word}, expected {', '.join(others)} or {last}.{near and ' ' + near}{help_of}"
     if kind == "MissingParameter":
         name = error.param.name if error.param is not None else "argument"
         return f"{name}: got nothing, expected {EXPECTED.get(name, 'a value')}.{help_of}"

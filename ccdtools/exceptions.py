@@ -1,14 +1,8 @@
-"""The exceptions of `ccdtools`: one base class, so that a caller can catch them all."""
+"""The exceptions of `ccdtools`; the base of them all and `InputError` are those of the other packages."""
 
-import invariant_sets.exceptions as sets
+from ccdtools_ground.errors import CCDError, InputError
 
-
-class CCDError(Exception):
-    """Base of every error that `ccdtools` raises on purpose."""
-
-
-class InputError(CCDError, sets.InputError):
-    """Bad input, in one line; carries `argument`, `got`, `expected` and `cure`, as in `invariant_sets`."""
+__all__ = ["CCDError", "InputError", "JumpWarning", "LimitWarning", "NotDetectableError", "SamplingWarning"]
 
 
 class NotDetectableError(CCDError, ValueError):

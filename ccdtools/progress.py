@@ -60,12 +60,12 @@ def at(text: str) -> None:
 
 
 @contextmanager
-def telling(echo: Echo | None, *, every: float = EVERY) -> Iterator[None]:
-    """Have a line say every ten seconds what the computation within is `at`; nothing without `echo`."""
+def telling(echo: Echo | None, what: str = "", *, every: float = EVERY) -> Iterator[None]:
+    """Have a line say every ten seconds what the computation within is `at`, first `what`; nothing without `echo`."""
     if echo is None:
         yield
         return
-    at("")
+    at(what)
     ended = threading.Event()
     begun = time.perf_counter()
 

@@ -14,13 +14,14 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Driver, Reference, Surroundings
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.estimation.measurement import Measurement, Sensor, as_measurement
-from ccdtools.exceptions import InputError
+from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.progress import bar
 from ccdtools.trajectory import Trajectory
 
 Step = Callable[[Array, Array, Array], Array]
+BATCHED = "It is called with the states (n, nx) of all runs and returns (n, nu): x[:, :1] for x[0], x @ K.T for K @ x."
 LIMIT = 1e6  # on |x|, where no divergence limit is given
 
 
@@ -136,7 +137,7 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
     states[:, 0] = x
     for k in bar(range(steps), label="simulating", total=steps, progress=progress):
         running = diverged_at < 0
-        u = _checked_inputs(driver(k, x), running, plant.nu, k)
+        u = _checked_inputs(_asked(driver, k, x, plant.nu), running, plant.nu, k)
         inputs[:, k] = np.where(running[:, None], u, 0.0)
         driver.remember(inputs[:, k])
         x_next = step(x, u, w[:, k])
@@ -148,6 +149,20 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
     return Trajectory(states, inputs, w, diverged_at, p, plant.dt)
 
 
+def _asked(driver: Driver, k: int, x: Array, nu: int) -> Any:
+    """What the controller returns for the states x (n, nx), or at the first sample why it cannot take them."""
+    try:
+        return driver(k, x)
+    except CCDError:
+        raise
+    except (TypeError, ValueError, IndexError) as error:
+        if k > 0:
+            raise
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        got = f"one that stops with {reason[:120]} for states of shape {x.shape}"
+        raise InputError("controller", got, f"inputs ({len(x)}, {nu})", BATCHED) from error
+
+
 def _checked_inputs(u: Any, running: NDArray[np.bool_], nu: int, k: int) -> Array:
     """What a controller returned, as inputs (n, nu), finite for the runs that are not lost."""
     try:
@@ -155,7 +170,7 @@ def _checked_inputs(u: Any, running: NDArray[np.bool_], nu: int, k: int) -> Arra
     except (TypeError, ValueError, RuntimeError):
         raise InputError("controller", f"{shown(u)} as its inputs", f"an array ({len(running)}, {nu})") from None
     if u.shape != (len(running), nu):
-        raise InputError("controller", f"inputs of shape {u.shape}", f"({len(running)}, {nu})")
+        raise InputError("controller", f"inputs of shape {u.shape}", f"({len(running)}, {nu})", BATCHED)
     if not np.isfinite(u[running]).all():
         raise InputError("controller", f"an input that is not finite at step {k}", "finite ones")
     return u

@@ -9,31 +9,33 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 from scipy.fft import dct
-from scipy.optimize import brentq
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, finite
 from ccdtools.exceptions import InputError
 
-BATCHES = 20  # parts of a series between which correlation is looked for
-SHORTEST = 20  # samples of a series that an interval is built from
+BATCHES = 20  # parts of a series whose correlation says whether it supports an interval; it needs as many samples
+COSINES = 4  # frequencies that the variance at frequency zero is estimated from, the degrees of Student's t
+INDEPENDENT = 0.99  # one-sided level of the test that the parts of a series are independent
 START = 0.05  # part of a series that counts in the mean but not in its variance: a transient is no noise
-FEWEST, MOST = 2, 6  # frequencies that the variance at frequency zero is estimated from
-PER_FREQUENCY = 2.5  # correlation times for each of them: there the spectrum is still that at zero
-DOUBT = 0.1  # added to the autocorrelation before they are counted, half of its standard error: too few cost little
+FEWEST = 10  # runs that decide a statistic other than the mean: fewer give no interval
+TOO_SHORT = "the run is too short for its own correlation: no interval"
 SAME_RETURN = 1e-6  # part of a return: smaller differences are rounding and the tolerances of solvers
-ENOUGH = 4.0  # correlation times, below which a series says too little about its own mean
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Mean, standard deviation, median, number and 95 % interval of the mean; NaN where there are too few values."""
+    """Mean, standard deviation, median, number and 95 % interval of the mean; NaN where there are too few values.
+
+    `warning` says why there is no interval although there are values; empty where nothing is to be said.
+    """
 
     mean: float
     std: float
     median: float
     n: int
     ci95: tuple[float, float]
+    warning: str = ""
 
 
 @dataclass(frozen=True)
@@ -77,15 +79,14 @@ class MeanInterval:
         NaN where the series is too short for its correlation: see `reliable`.
     std_error : float
         Standard deviation of the mean.
-    correlation_times : float
-        Length of the series in correlation times (the sum of its autocorrelation over all lags, both signs), as far
-        as the series shows them; infinite where its twentieths look independent.
+    correlation : float
+        Autocorrelation at lag one of the twentieths of the series: what decides whether there is an interval.
     """
 
     mean: float
     ci95: tuple[float, float]
     std_error: float
-    correlation_times: float
+    correlation: float
 
     @property
     def reliable(self) -> bool:
@@ -96,12 +97,11 @@ class MeanInterval:
 def mean_interval(series: ArrayLike) -> MeanInterval:
     """The mean of a stationary, correlated series with the 95 % interval of its expectation.
 
-    The variance of the mean is the spectrum at frequency zero, here the mean square of the first 2 to 6 cosine
-    transforms: as many as the correlation between the twentieths of the series allows, with Student's t for so few.
-    The interval is skewed as the mean is. The first 5 % of the series are left out of the variance (a start is not
-    noise), not out of the mean.
+    The variance of the mean is the spectrum at frequency zero, here the mean square of the first four cosine
+    transforms, with Student's t of four degrees of freedom. The interval is skewed as the mean is. The first 5 % of
+    the series are left out of the variance (a start is not noise), not out of the mean.
 
-    A series shows only what it repeats: variation slower than a few times its length (another driver, another road)
+    A series shows only what it repeats: variation slower than its length (another driver, a level that never changed)
     is in no interval of a single run.
 
     Parameters
@@ -113,8 +113,8 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
     Returns
     -------
     MeanInterval
-        Without an interval where n < 20, or where the series seems to hold fewer than 4 correlation times (it takes
-        about 10 for the interval to cover as often as it says).
+        Without an interval where n < 20, or where von Neumann's test at the level of 1 % finds that neighbouring
+        twentieths of the series move together.
 
     Raises
     ------
@@ -124,28 +124,47 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
     References
     ----------
     Lazarus, Lewis, Stock and Watson, HAR inference: recommendations for practice, Journal of Business & Economic
-    Statistics 36(4), 2018 (cosines, Student's t); Marriott and Pope, Biometrika 41, 1954 (bias of autocorrelations);
-    Hall, On the removal of skewness by transformation, Journal of the Royal Statistical Society B 54, 1992.
+    Statistics 36(4), 2018 (equal-weighted cosines, Student's t); von Neumann, Annals of Mathematical Statistics 12,
+    1941 (the test); Hall, On the removal of skewness by transformation, Journal of the Royal Statistical Society B 54,
+    1992.
     """
     values = finite("series", as_array("series", series, ("n",)))
     mean = float(values.mean()) if len(values) else float("nan")
     settled = values[int(START * len(values)) :]
-    if len(values) < SHORTEST:
+    if len(values) < BATCHES:
         return MeanInterval(mean, (np.nan, np.nan), np.nan, np.nan)
     if np.ptp(settled) == 0:
-        return MeanInterval(mean, (mean, mean), 0.0, np.inf)
+        return MeanInterval(mean, (mean, mean), 0.0, 0.0)
     means = _batch_means(settled)
-    lag_one = _lag_one(means)
-    times = _correlation_times(lag_one)
-    degrees = int(np.clip(_correlation_times(lag_one + DOUBT) / PER_FREQUENCY, FEWEST, MOST))
-    cosines = dct(settled, norm="ortho")[1 : degrees + 1]
+    correlation = _lag_one(means)
+    cosines = dct(settled, norm="ortho")[1 : COSINES + 1]
     error = float(np.sqrt((cosines**2).mean() / len(values)))
-    if times < ENOUGH:
-        return MeanInterval(mean, (np.nan, np.nan), error, times)
-    quantile = float(stats.t.ppf(0.975, degrees))
-    skewness = float(np.clip(stats.skew(means, bias=False) / np.sqrt(BATCHES), -1, 1))
-    low, high = (mean - error * _unskewed(end, skewness) for end in (quantile, -quantile))
-    return MeanInterval(mean, (low, high), error, times)
+    if correlation > float(stats.norm.ppf(INDEPENDENT)) / np.sqrt(BATCHES) - 1 / BATCHES:
+        return MeanInterval(mean, (np.nan, np.nan), error, correlation)
+    return MeanInterval(mean, _skewed(mean, error, _skewness(means), COSINES), error, correlation)
+
+
+def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, float]:
+    """The interval of a statistic by the parts (n,) that independent runs have in it, whose mean it is.
+
+    Such parts are far from normal (of the mean of the worst tenth nine in ten are alike), so the interval is skewed as
+    they are, and Student's t has as many degrees of freedom as their fourth moment leaves, ten at least.
+
+    References
+    ----------
+    Hall, Journal of the Royal Statistical Society B 54, 1992; Satterthwaite, Biometrics Bulletin 2, 1946.
+    """
+    values = as_floats("parts", parts)
+    n = len(values)
+    if n < 2:
+        return (float("nan"), float("nan"))
+    mean = float(values.mean())
+    away = values - mean
+    spread = float(away.std())
+    if spread == 0:
+        return (mean, mean)
+    degrees = min(n - 1.0, max(2 * n / max(float(((away / spread) ** 4).mean()) - 1, 1e-9), FEWEST))
+    return _skewed(mean, spread / np.sqrt(n - 1), _skewness(values), degrees, level)
 
 
 def summarise_returns(rewards: ArrayLike, *, runs: int | None = None) -> Summary:
@@ -166,7 +185,8 @@ def summarise_returns(rewards: ArrayLike, *, runs: int | None = None) -> Summary
     total = float(r.sum())
     of_mean = mean_interval(r[0])
     low, high = (r.shape[1] * end for end in of_mean.ci95)
-    return Summary(total, r.shape[1] * of_mean.std_error, total, 1, (low, high))
+    warning = "" if of_mean.reliable else TOO_SHORT
+    return Summary(total, r.shape[1] * of_mean.std_error, total, 1, (low, high), warning)
 
 
 def paired_returns(a: ArrayLike, b: ArrayLike, *, runs: int | None = None) -> PairedDifference:
@@ -218,30 +238,27 @@ def _batch_means(values: Array) -> Array:
 
 
 def _lag_one(means: Array) -> float:
-    """Autocorrelation of batch means at lag one, its bias to first order taken off."""
+    """Autocorrelation of batch means at lag one."""
     away = means - means.mean()
-    lag_one = float(away[1:] @ away[:-1] / (away @ away)) if away.any() else 0.0
-    return lag_one + (1 + 3 * lag_one) / BATCHES
+    return float(away[1:] @ away[:-1] / (away @ away)) if away.any() else 0.0
 
 
-def _correlation_times(lag_one: float) -> float:
-    """Correlation times in a series whose batch means have this autocorrelation, taken as exponential in time."""
-    if lag_one <= 0.01:
-        return float("inf")
-    highest = min(lag_one, 0.99)
-    return BATCHES / 2 * float(brentq(lambda length: _neighbours(length) - highest, 1e-3, 1e3))
+def _skewness(values: Array) -> float:
+    """Skewness of the mean of values (n,); 0 where they are all alike."""
+    away = values - values.mean()
+    spread = away.std()
+    return float(((away / spread) ** 3).mean() / np.sqrt(len(values))) if spread > 0 else 0.0
 
 
-def _neighbours(length: float) -> float:
-    """Autocorrelation at lag one of batch means of a process with autocorrelation exp(-t), of batches of a length."""
-    return float(np.expm1(-length) ** 2 / (2 * (length + np.expm1(-length))))
-
-
-def _unskewed(quantile: float, skewness: float) -> float:
-    """The quantile of a mean with a small skewness, from that of a symmetric one (Hall's cubic, inverted)."""
+def _skewed(
+    mean: float, error: float, skewness: float, degrees: float, level: float = 0.95
+) -> tuple[float, float]:  # fmt: skip
+    """The interval of a mean with a small skewness, by Student's t (Hall's cubic, inverted)."""
+    quantile = float(stats.t.ppf((1 + level) / 2, degrees))
     if abs(skewness) < 1e-6:
-        return quantile
-    return 3 / skewness * float(np.cbrt(1 + skewness * (quantile - skewness / 6)) - 1)
+        return (mean - error * quantile, mean + error * quantile)
+    low, high = (3 / skewness * (np.cbrt(1 + skewness * (t - skewness / 6)) - 1) for t in (quantile, -quantile))
+    return (mean - error * float(low), mean - error * float(high))
 
 
 def _interval(mean: float, std: float, n: int) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,33 @@ class Trajectory(Immutable):
     def time(self) -> Array:
         """Sample times [s], (T + 1,)."""
         return self.dt * np.arange(self.states.shape[1], dtype=float)
+
+    def plot(self, figure: Any = None) -> Any:
+        """States and inputs over time in a matplotlib Figure, which is returned; of many runs the first 50."""
+        from ccdtools.plotting import plot_trajectory
+
+        return plot_trajectory(self, figure)
+
+    def to_frame(self) -> Any:
+        """A `pandas.DataFrame`, one row a run and sample: run, time, x1, …, u1, …, w1, …; NaN where a run has ended.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            cure = "install it with `pip install pandas`, or take the arrays: time, states, inputs, disturbances"
+            raise ImportError(f"Trajectory.to_frame needs pandas: {cure}") from error
+        n, samples, _ = self.states.shape
+        columns = {"run": np.repeat(np.arange(n), samples), "time": np.tile(self.time, n)}
+        for letter, values in (("x", self.states), ("u", self.inputs), ("w", self.disturbances)):
+            ended = np.full((n, samples - values.shape[1], values.shape[2]), np.nan)
+            rows = np.concatenate([values, ended], axis=1).reshape(n * samples, -1)
+            columns |= {f"{letter}{i + 1}": column for i, column in enumerate(rows.T)}
+        return pd.DataFrame(columns)
 
     def rewards(self, objective: Objective) -> Array:
         """Rewards (n, T); zero after a run was stopped.

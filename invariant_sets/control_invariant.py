@@ -18,7 +18,7 @@ from invariant_sets.results import SetResult
 from invariant_sets.system_checks import Set, checked_system
 from invariant_sets.time_limits import Deadline, check_time_limit
 from invariant_sets.tolerances import GAP
-from invariant_sets.validation import check_count, check_tolerance
+from invariant_sets.validation import as_count, check_tolerance
 
 
 def maximal_control_invariant_set(A: Any, B: Any, X: Set, U: Set, *, E: Any = None,
@@ -86,8 +86,9 @@ class Options:
 
     def limits(self) -> Limits:
         """Return the limits, the time counted from now; raise `InputError` where one is no proper number."""
-        return Limits(check_tolerance(self.tol), check_count(self.max_iterations, "max_iterations", 1),
-                      check_count(self.max_facets, "max_facets", 1), Deadline.after(check_time_limit(self.time_limit)))
+        return Limits(check_tolerance(self.tol), as_count("max_iterations", self.max_iterations),
+                      as_count("max_facets", self.max_facets),
+                      Deadline.after(check_time_limit(self.time_limit)))
 
 
 def control_task(A: Any, B: Any, X: Set, U: Set, options: Options, *, E: Any = None, W: Set | None = None) -> Task:

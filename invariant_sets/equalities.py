@@ -164,7 +164,7 @@ def starting_scale(stated: Stated) -> tuple[Array, Array]:
     known = lengths[lengths > 0]
     usual = 1.0
     if not lengths.all() and right.any():
-        usual = float((known if len(known) else right[right > 0]).min())  # what has no length costs the others no digits
+        usual = float((known if len(known) else right[right > 0]).min())  # the least costs the others no digits
     usual = usual if np.isfinite(usual) else 1.0
     return scale * np.where(lengths > 0, lengths, usual), far
 

@@ -4,35 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from ccdtools_ground.errors import InputError, InvariantSetsError
 
-class InvariantSetsError(Exception):
-    """Base of every error that `invariant_sets` raises on purpose."""
-
-
-class InputError(InvariantSetsError, ValueError):
-    """Bad input, in one line: argument, what was got, what was expected, and the cure.
-
-    Attributes
-    ----------
-    argument : str
-        Name of the argument, as the caller wrote it.
-    got, expected : object
-        What was passed and what would have been accepted, in words or as the value itself.
-    cure : str
-        What to do about it; may be empty.
-    """
-
-    def __init__(self, argument: str, got: object = None, expected: object = None, cure: str = "") -> None:
-        super().__init__(argument, got, expected, cure)  # all of them, so that the exception can be pickled
-        self.argument = argument
-        self.got = got
-        self.expected = expected
-        self.cure = cure
-
-    def __str__(self) -> str:
-        if self.expected is None:
-            return self.argument
-        return f"{self.argument}: got {self.got}, expected {self.expected}." + (f" {self.cure}" if self.cure else "")
+__all__ = ["EmptySetError", "InputError", "InvariantSetsError", "NumericalError", "TimeLimitError", "UnboundedError"]
 
 
 class UnboundedError(InvariantSetsError, ValueError):

@@ -259,7 +259,7 @@ def _box(A: Array, b: Array, terms: Array) -> Body | None:
 
 
 def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array, Array]:
-    """Return the least bound (n,) of each coordinate and its doubt; a bound within its own doubt of another says less."""
+    """Return the least bound (n,) of each coordinate and its doubt; one within its own doubt of another says less."""
     most = np.full(n, np.inf)
     np.minimum.at(most, column, bound + doubt)
     felt = bound + doubt <= most[column]

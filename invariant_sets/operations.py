@@ -19,7 +19,7 @@ from invariant_sets.interior_form import Body
 from invariant_sets.polyhedron import Polyhedron
 from invariant_sets.time_limits import Deadline, LimitReached, check_time_limit
 from invariant_sets.tolerances import CANCELLED, FLAT, GIVEN
-from invariant_sets.validation import as_floats, as_matrix, as_vector, brief, check_finite
+from invariant_sets.validation import as_floats, as_matrix, as_vector, check_finite, shown
 
 Array = np.ndarray
 AnySet = TypeVar("AnySet", bound=Polyhedron)
@@ -217,7 +217,7 @@ class SetOperations(Polyhedron):
 
     def scale(self, factor: float) -> Self:
         """Return {factor·x : x in P}, about the origin. Factor 0 gives {0}, a negative one also reflects."""
-        value = as_floats(factor, "factor")
+        value = as_floats("factor", factor)
         if value.ndim != 0:
             raise InputError("factor", f"shape {value.shape}", "a number", "Use affine_map for a matrix.")
         check_finite(value, "factor")
@@ -239,7 +239,7 @@ class SetOperations(Polyhedron):
             index = np.zeros(0)
         if (index.ndim != 1 or len(index) == 0 or index.dtype.kind not in "iu" or (index < 0).any()
                 or (index >= self.dim).any() or len(np.unique(index)) != len(index)):
-            raise InputError("coordinates", brief(coordinates), f"distinct integers from 0 to {self.dim - 1}")
+            raise InputError("coordinates", shown(coordinates), f"distinct integers from 0 to {self.dim - 1}")
         return index
 
 

@@ -15,7 +15,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
 from invariant_sets.system_checks import Set, as_set_or_numbers
 from invariant_sets.tolerances import FELT, GAP, MEMBERSHIP, NEIGHBOUR_MARGIN, TINY
-from invariant_sets.validation import as_batch, as_floats, as_matrix, as_vector, check_count, check_rng, check_tolerance
+from invariant_sets.validation import as_batch, as_count, as_floats, as_generator, as_matrix, as_vector, check_tolerance
 
 Array = np.ndarray
 SetOfDesign = Callable[[Array], Set]
@@ -171,8 +171,8 @@ class ParametricSet:
 
     def sample(self, p: Any, n: int, *, rng: np.random.Generator) -> Array:
         """Return n states, nearly uniform in C(p): (n, nx) for one design (np,), (k, n, nx) for several (k, np)."""
-        n = check_count(n, "n")
-        rng = check_rng(rng)
+        n = as_count("n", n, least=0)
+        rng = as_generator("rng", rng)
         designs, single = _designs(p)
         drawn = [self.at(design).sample(n, rng=rng) for design in designs]
         x = np.array(drawn).reshape(len(designs), n, self._states(p))
@@ -267,7 +267,7 @@ def _set_at(S: Any, p: Array) -> Set:
 
 def _designs(p: Any) -> tuple[Array, bool]:
     """Return designs (k, np), and whether p was a single one (np,)."""
-    values = as_floats(p, "p")
+    values = as_floats("p", p)
     if values.ndim < 2:
         return as_vector(values, "p")[None], True
     return as_matrix(values, "p"), False

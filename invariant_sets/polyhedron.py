@@ -8,14 +8,14 @@ from typing import Any, Self
 
 import numpy as np
 
-from invariant_sets.exceptions import EmptySetError, InputError, TimeLimitError, UnboundedError
 from invariant_sets.equalities import Stated
+from invariant_sets.exceptions import EmptySetError, InputError, TimeLimitError, UnboundedError
 from invariant_sets.hulls import cone_volume, counter_clockwise, distinct, facets_and_vertices, hull_volume
 from invariant_sets.interior_form import Body, body_of, body_of_vertices, hull_about, support
 from invariant_sets.membership import rows_hold
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, check_time_limit
 from invariant_sets.tolerances import INVARIANT, MEMBERSHIP, PLACE, ROUNDING
-from invariant_sets.validation import as_batch, as_bounds, as_matrix, as_vector, check_count, check_tolerance, frozen
+from invariant_sets.validation import as_batch, as_bounds, as_count, as_matrix, as_vector, check_tolerance, frozen
 
 Array = np.ndarray
 _MANY_VERTICES = 5  # dimensions from which the hull of the vertices takes much longer than that of the rows
@@ -163,7 +163,7 @@ class Polyhedron:
     @classmethod
     def empty(cls, n: int) -> Self:
         """Return the empty set in n dimensions, as the row 0 x <= −1."""
-        return cls(np.zeros((1, check_count(n, "n", 1))), [-1.0])
+        return cls(np.zeros((1, as_count("n", n))), [-1.0])
 
     # --- shape --------------------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from invariant_sets.plotting import plot_polytope
 from invariant_sets.polyhedron import Polyhedron
 from invariant_sets.sampling import hit_and_run
 from invariant_sets.tolerances import MEMBERSHIP
-from invariant_sets.validation import check_count, check_rng, check_tolerance
+from invariant_sets.validation import as_count, as_generator, check_tolerance
 
 Array = np.ndarray
 
@@ -90,8 +90,8 @@ class Polytope(SetOperations):
         ----------
         Smith (1984), Operations Research 32(6); see `sampling`. Assumes a bounded set.
         """
-        n = check_count(n, "n")
-        rng = check_rng(rng)
+        n = as_count("n", n, least=0)
+        rng = as_generator("rng", rng)
         body = self._require_bounded("sample")
         if body.basis.shape[1] == 0:
             return np.repeat(body.centre[None], n, axis=0)

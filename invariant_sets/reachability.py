@@ -24,7 +24,7 @@ from invariant_sets.results import Certificate, SetResult, Status, no_set
 from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached, check_time_limit
 from invariant_sets.tolerances import LOOSE
-from invariant_sets.validation import check_count
+from invariant_sets.validation import as_count
 
 Array = np.ndarray
 _EXACT_SHARE = 0.8  # of the time limit for the exact recursion; the rest is for an inner set
@@ -103,7 +103,7 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
     A, B, U = _with_inputs(A, B, U)
     checked = checked_system(A, B, X, U, E, W)
     goal = as_set(target, "target", len(checked.A))
-    steps = check_count(steps, "steps")
+    steps = as_count("steps", steps, least=0)
     deadline = Deadline.after(check_time_limit(time_limit))
     if steps == 0:
         return _exact(goal.intersection(checked.states).minimal(), 0, Certificate(0.0, 0.0, 0))
@@ -164,7 +164,7 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
     A, B, U = _with_inputs(A, B, U)
     checked = checked_system(A, B, start, U, E, W, name="start")
     within = _whole_space(checked.states) if X is None else as_set(X, "X", len(checked.A))
-    steps = check_count(steps, "steps")
+    steps = as_count("steps", steps, least=0)
     deadline = Deadline.after(check_time_limit(time_limit))
     first = checked.states.intersection(within).minimal()
     if steps == 0 or first.is_empty:

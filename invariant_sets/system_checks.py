@@ -11,7 +11,7 @@ import numpy as np
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
-from invariant_sets.validation import as_floats, as_matrix, brief, check_no_truths
+from invariant_sets.validation import as_floats, as_matrix, shown
 
 Array = np.ndarray
 Set = Polytope | tuple[Any, Any]  # a polytope, or bounds (lower, upper): numbers, or one number a coordinate
@@ -88,7 +88,7 @@ def as_set(value: Any, name: str, dim: int | None = None) -> Polytope:
     if isinstance(value, (tuple, list)) and len(value) == 2:
         return _box(value, name, dim)
     if not isinstance(value, Polytope):
-        got = brief(value) if isinstance(value, (tuple, list, int, float)) else type(value).__name__
+        got = shown(value) if isinstance(value, (tuple, list, int, float)) else type(value).__name__
         raise InputError(name, got, "a Polytope or bounds (lower, upper)")
     if dim is not None and value.dim != dim:
         raise InputError(name, f"a set of dimension {value.dim}", f"dimension {dim}")
@@ -107,9 +107,7 @@ def as_set_or_numbers(value: Any, name: str) -> Set:
 
 def _box(value: Any, name: str, dim: int | None) -> Polytope:
     """Return the box of two bounds; errors name the set and the side."""
-    for i, side in enumerate(value):
-        check_no_truths(side, f"{name}[{i}]")
-    sides = [as_floats(side, f"{name}[{i}]") for i, side in enumerate(value)]
+    sides = [as_floats(f"{name}[{i}]", side) for i, side in enumerate(value)]
     n = max(side.size for side in sides) if dim is None else dim
     for i, side in enumerate(sides):
         if side.ndim > 1 or side.size not in (1, n):

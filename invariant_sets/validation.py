@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
+from ccdtools_ground.door import as_count, as_floats, as_generator, shown  # noqa: F401 (handed on)
 from invariant_sets.exceptions import InputError
 
 Array = np.ndarray
 
 
-def as_floats(value: Any, name: str) -> Array:
-    """Return `value` as a new float64 array, or raise `InputError`."""
-    try:
-        raw = np.asarray(value)
-        if raw.dtype.kind in "biuf" or (raw.dtype.kind == "O" and all(isinstance(v, Real) for v in raw.flat)):
-            return np.array(raw, dtype=np.float64, order="C")
-    except Exception:  # ragged, beyond double precision, or whatever the object raises when it is read as an array
-        pass
-    raise InputError(name, f"{type(value).__name__} {brief(value)}", "an array of real numbers")
-
-
 def as_matrix(value: Any, name: str, *, rows: int | None = None, columns: int | None = None,
               finite: bool = True) -> Array:
     """Return `value` as a two-dimensional float64 copy of the required shape."""
-    array = as_floats(value, name)
+    array = as_floats(name, value)
     if array.ndim != 2 or rows not in (None, array.shape[0]) or columns not in (None, array.shape[1]):
         expected = f"({'m' if rows is None else rows}, {'n' if columns is None else columns})"
         raise InputError(name, f"shape {array.shape}", expected)
@@ -37,7 +26,7 @@ def as_matrix(value: Any, name: str, *, rows: int | None = None, columns: int | 
 
 def as_vector(value: Any, name: str, *, size: int | None = None, finite: bool = True) -> Array:
     """Return `value` as a one-dimensional float64 copy of the required size."""
-    array = as_floats(value, name)
+    array = as_floats(name, value)
     if array.ndim == 0:
         array = array.reshape(1)
     if array.ndim != 1 or size not in (None, array.shape[0]):
@@ -51,7 +40,7 @@ def as_batch(value: Any, name: str, columns: int, *, finite: bool = True,
              copy: bool = True) -> tuple[Array, bool]:
     """Return `value` as a (k, columns) array, and whether it was a single (columns,) point."""
     plain = isinstance(value, np.ndarray) and value.dtype == np.float64 and not copy
-    array = value if plain else as_floats(value, name)
+    array = value if plain else as_floats(name, value)
     single = array.ndim <= 1
     if single:
         array = array.reshape(1, -1)
@@ -64,8 +53,6 @@ def as_batch(value: Any, name: str, columns: int, *, finite: bool = True,
 
 def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
     """Return the bounds (n,) of a box, n >= 1, or raise `InputError`; lower <= upper, ±inf is no bound."""
-    check_no_truths(lower, "lower")
-    check_no_truths(upper, "upper")
     lower = as_vector(lower, "lower", finite=False)
     if len(lower) == 0:
         raise InputError("lower", "no bounds", "one for each coordinate")
@@ -83,15 +70,6 @@ def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
     return lower, upper
 
 
-def check_no_truths(value: Any, name: str) -> None:
-    """Raise `InputError` where a value holds True or False, which would pass for 1 and 0."""
-    if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-        return
-    entries = value if isinstance(value, (tuple, list, np.ndarray)) else (value,)
-    if any(isinstance(entry, (bool, np.bool_)) for entry in entries):
-        raise InputError(name, brief(value), "real numbers, not True or False")
-
-
 def check_finite(array: Array, name: str) -> None:
     """Raise `InputError` where `array` holds NaN or infinity."""
     if not np.isfinite(array).all():
@@ -104,33 +82,13 @@ def check_tolerance(tol: Any, name: str = "tol") -> float:
     try:
         value = np.nan if isinstance(tol, bool) else float(tol)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(name, brief(tol), "a finite number >= 0") from None
+        raise InputError(name, shown(tol), "a finite number >= 0") from None
     if not 0.0 <= value < np.inf:
-        raise InputError(name, brief(tol), "a finite number >= 0")
+        raise InputError(name, shown(tol), "a finite number >= 0")
     return value
-
-
-def check_count(value: Any, name: str, minimum: int = 0) -> int:
-    """Return `value` as an int, or raise `InputError` if it is below `minimum` or no integer."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
-        raise InputError(name, brief(value), f"an integer >= {minimum}")
-    return int(value)
-
-
-def check_rng(rng: Any) -> np.random.Generator:
-    """Return `rng` if it is a `numpy.random.Generator`, else raise `InputError`."""
-    if not isinstance(rng, np.random.Generator):
-        raise InputError("rng", brief(rng), "a numpy.random.Generator", "Make one with numpy.random.default_rng(seed).")
-    return rng
 
 
 def frozen(array: Array) -> Array:
     """Return `array` after making it read-only."""
     array.setflags(write=False)
     return array
-
-
-def brief(value: Any) -> str:
-    """Return the repr of a value in 60 characters at most."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else text[:57] + "..."

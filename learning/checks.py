@@ -7,17 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from ccdtools_ground.door import as_count, as_floats, as_generator  # noqa: F401 (handed on)
 from learning.exceptions import InputError
 
 Array = np.ndarray
 ROUNDING = 1e-9  # a column whose spread is below this part of its size is constant; networks work in single precision
-
-
-def check_count(value: Any, name: str, least: int = 1) -> int:
-    """Return an integer of at least `least`; a float or a bool is refused even where its value is whole."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Integral) or value < least:
-        raise InputError(name, repr(value), f"an integer of at least {least}")
-    return int(value)
 
 
 def check_number(value: Any, name: str, low: float = 0.0, high: float = np.inf, *, closed: bool = False) -> float:
@@ -54,18 +48,10 @@ def as_lengths(value: Any, name: str, total: int) -> list[int]:
         return [total]
     if not isinstance(value, (list, tuple, np.ndarray)):
         raise InputError(name, repr(value)[:60], "a list of lengths")
-    lengths = [check_count(length, name) for length in value]
+    lengths = [as_count(name, length) for length in value]
     if sum(lengths) != total:
         raise InputError(name, f"lengths that sum to {sum(lengths)}", f"{total}, the number of samples")
     return lengths
-
-
-def as_floats(value: Any, name: str) -> Array:
-    """Return a float array of any shape; text and ragged lists are refused."""
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(name, f"a {type(value).__name__} that is no array of numbers", "an array of numbers") from None
 
 
 def check_instance(value: Any, name: str, kind: type) -> Any:
@@ -80,23 +66,16 @@ def as_bounds(value: Any, name: str, size: int) -> tuple[Array, Array]:
     bounds = tuple(value) if isinstance(value, (tuple, list, np.ndarray)) else ()
     if len(bounds) != 2:
         raise InputError(name, repr(value)[:60], f"(lower, upper), each ({size},)")
-    lower, upper = (np.atleast_1d(as_floats(bound, name)) for bound in bounds)
+    lower, upper = (np.atleast_1d(as_floats(name, bound)) for bound in bounds)
     if not lower.shape == upper.shape == (size,):
         raise InputError(name, f"shapes {lower.shape} and {upper.shape}", f"(lower, upper), each ({size},)")
     return lower, upper
 
 
-def check_generator(rng: Any, name: str = "rng") -> np.random.Generator:
-    """Return the generator, or refuse a seed or None."""
-    if not isinstance(rng, np.random.Generator):
-        raise InputError(name, repr(rng), "a numpy.random.Generator", "Pass numpy.random.default_rng(0).")
-    return rng
-
-
 def as_samples(inputs: Any, targets: Any) -> tuple[Array, Array]:
     """Return inputs (n, d) and targets (n, m) as finite float arrays of at least 20 samples."""
-    x = as_floats(inputs, "inputs")
-    y = as_floats(targets, "targets")
+    x = as_floats("inputs", inputs)
+    y = as_floats("targets", targets)
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
         raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", "(n, d), (n, m), n ≥ 20")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):

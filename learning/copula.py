@@ -115,10 +115,6 @@ class InnovationCopula(nn.Module):
         drawn = self.at(self.shifted(quantiles, inputs), torch.special.ndtr(scores))
         return self._within(drawn), self.remember(scores, memory)
 
-    def expected(self, quantiles: Tensor, inputs: Tensor) -> Tensor:
-        """Means (n, m) of the draws without a past, at quantiles (n, levels, m) and inputs (n, d) as for `draw`."""
-        return self._within(self.mean(self.shifted(quantiles, inputs)))
-
     def _within(self, y: Tensor) -> Tensor:
         """Values (n, m) mapped into the subspace of the samples."""
         origin = self.origin.to(y.dtype)
@@ -128,14 +124,6 @@ class InnovationCopula(nn.Module):
         """Quantiles (n, levels, m) at inputs (n, d), moved so that the draws have the right mean."""
         moved = (inputs - self.centre.to(inputs.dtype)) @ self.slope.to(inputs.dtype) + self.shift.to(inputs.dtype)
         return quantiles + moved.unsqueeze(-2)
-
-    def moved(self, slope: Array, centre: Array, shift: Array) -> InnovationCopula:
-        """One whose draws have slopeᵀ (inputs − centre) + shift added, for slope (d, m), centre (d,), shift (m,)."""
-        other = InnovationCopula.from_shape(self.shape())
-        other.load_state_dict(self.state_dict())
-        other.slope.add_(torch.tensor(slope))
-        other.shift.add_(torch.tensor(shift + (self.centre.double().numpy() - centre) @ slope))
-        return other
 
     def at(self, quantiles: Tensor, share: Tensor) -> Tensor:
         """Values (n, m) below which shares (n, m) of the draws lie."""

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from learning.checks import ROUNDING, as_lengths, as_samples, check_count, check_instance
+from learning.checks import ROUNDING, as_count, as_lengths, as_samples, check_instance
 from learning.copula import InnovationCopula, log_width, positions
 from learning.exceptions import InputError
 from learning.quantile import QuantileNetwork
@@ -61,7 +61,7 @@ def fit_copula(
         On mismatched, too few (under 20) or non-finite samples, or a network of a single level.
     """
     network = check_instance(network, "network", QuantileNetwork)
-    orders = check_count(orders, "orders", 0)
+    orders = as_count("orders", orders, least=0)
     x, y = as_samples(inputs, targets)
     if len(network.levels) < 3:
         raise InputError("network", "a single level", "at least three, which draws can follow")

@@ -134,8 +134,8 @@ class ActorCritic(nn.Module):
             ("observation", observation_lower, observation_upper),
             ("action", action_lower, action_upper),
         ):
-            low = as_floats(low, f"{name}_lower").reshape(-1)
-            high = as_floats(high, f"{name}_upper").reshape(-1)
+            low = as_floats(f"{name}_lower", low).reshape(-1)
+            high = as_floats(f"{name}_upper", high).reshape(-1)
             if low.shape != high.shape or not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
                 names = f"{name}_lower, {name}_upper"
                 raise InputError(names, f"{low} and {high}", "finite lower < upper of one length")

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import trange
 
-from learning.checks import check_count, check_instance, check_number
+from learning.checks import as_count, check_instance, check_number
 from learning.exceptions import InputError
 from learning.networks import ActorCritic
 from learning.rollout import Rollout, VectorEnv, collect
@@ -71,8 +71,8 @@ class PPOConfig:
         check_number(self.lam, "lam", 0, 1, closed=True)
         check_number(self.clip, "clip", 0, 1)
         for name in ("passes", "minibatch"):
-            check_count(getattr(self, name), name)
-        check_count(self.critic_only, "critic_only", 0)
+            as_count(name, getattr(self, name))
+        as_count("critic_only", self.critic_only, least=0)
         for name in ("learning_rate", "value_rate", "value_coefficient"):
             check_number(getattr(self, name), name, closed=True)
         check_number(self.max_gradient, "max_gradient")
@@ -267,8 +267,8 @@ def train(
     """
     config = check_instance(PPOConfig() if config is None else config, "config", PPOConfig)
     check_instance(agent, "agent", ActorCritic)
-    check_count(iterations, "iterations")
-    check_count(steps, "steps")
+    as_count("iterations", iterations)
+    as_count("steps", steps)
     ppo = PPO(agent, config)
     first_std = agent.log_std.exp().mean().item()
     for k in trange(iterations, desc="PPO", disable=not progress, leave=False):

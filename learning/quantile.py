@@ -19,12 +19,12 @@ from tqdm import trange
 
 from learning.checks import (
     ROUNDING,
+    as_count,
     as_floats,
+    as_generator,
     as_lengths,
     as_samples,
     as_sizes,
-    check_count,
-    check_generator,
     check_instance,
     check_number,
 )  # fmt: skip
@@ -64,7 +64,7 @@ class QuantileConfig:
     calibration: float = 0.2
 
     def __post_init__(self) -> None:
-        levels = as_floats(self.levels, "levels")
+        levels = as_floats("levels", self.levels)
         odd = levels.ndim == 1 and len(levels) % 2 == 1
         if not odd or not (np.diff(levels) > 0).all() or not 0 < levels[0] <= levels[-1] < 1:
             raise InputError("levels", self.levels, "an odd number of increasing levels in (0, 1)")
@@ -72,7 +72,7 @@ class QuantileConfig:
             raise InputError("levels", f"{levels[len(levels) // 2]:g} in the middle", "the median 0.5")
         object.__setattr__(self, "hidden", as_sizes(self.hidden, "hidden"))
         for name in ("steps", "batch"):
-            check_count(getattr(self, name), name)
+            as_count(name, getattr(self, name))
         check_number(self.learning_rate, "learning_rate")
         check_number(self.weight_decay, "weight_decay", closed=True)
         check_number(self.calibration, "calibration", 0.0, 0.9, closed=True)
@@ -185,7 +185,7 @@ def fit_quantiles(
         On mismatched, too few (under 20) or non-finite samples.
     """
     config = check_instance(QuantileConfig() if config is None else config, "config", QuantileConfig)
-    rng = check_generator(rng)
+    rng = as_generator("rng", rng)
     x, y = as_samples(inputs, targets)
     lengths = as_lengths(stretches, "stretches", len(x))
     held = _last_parts(lengths, config.calibration)

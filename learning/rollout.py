@@ -8,7 +8,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from learning.checks import check_count, check_instance
+from learning.checks import as_count, check_instance
 from learning.exceptions import InputError
 from learning.networks import ActorCritic
 
@@ -67,7 +67,7 @@ def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.
     if not all(callable(getattr(env, name, None)) for name in ("reset", "step")):
         raise InputError("env", repr(env)[:60], "an environment with reset() and step(actions)")
     check_instance(agent, "agent", ActorCritic)
-    check_count(steps, "steps")
+    as_count("steps", steps)
     check_instance(generator, "generator", torch.Generator)
     columns: list[tuple[Tensor, ...]] = []
     observation = env.reset()

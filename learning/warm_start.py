@@ -13,9 +13,9 @@ from tqdm import trange
 from learning.checks import (
     ROUNDING,
     as_bounds,
+    as_count,
     as_floats,
-    check_count,
-    check_generator,
+    as_generator,
     check_instance,
     check_number,
 )  # fmt: skip
@@ -44,8 +44,8 @@ class CloningConfig:
     learning_rate: float = 4e-3
 
     def __post_init__(self) -> None:
-        check_count(self.steps, "steps")
-        check_count(self.batch, "batch")
+        as_count("steps", self.steps)
+        as_count("batch", self.batch)
         check_number(self.learning_rate, "learning_rate")
 
 
@@ -91,7 +91,7 @@ def fit_actor_critic(
     """
     config = check_instance(CloningConfig() if config is None else config, "config", CloningConfig)
     shape = check_instance(NetworkConfig() if network is None else network, "network", NetworkConfig)
-    rng = check_generator(rng)
+    rng = as_generator("rng", rng)
     x, u, v = _checked(inputs, actions, values)
     lower, upper = _range(x) if input_bounds is None else as_bounds(input_bounds, "input_bounds", x.shape[1])
     limits: Any = action_bounds if hasattr(action_bounds, "as_dict") else None
@@ -122,9 +122,9 @@ def fit_actor_critic(
 
 def _checked(inputs: ArrayLike, actions: ArrayLike, values: ArrayLike) -> tuple[Array, Array, Array]:
     """Return the expert's data as float arrays of matching lengths."""
-    x = as_floats(inputs, "inputs")
-    u = as_floats(actions, "actions")
-    v = as_floats(values, "values").reshape(-1)
+    x = as_floats("inputs", inputs)
+    u = as_floats("actions", actions)
+    v = as_floats("values", values).reshape(-1)
     if x.ndim != 2 or u.ndim != 2 or not len(x) == len(u) == len(v) or len(x) == 0:
         shapes = f"shapes {x.shape}, {u.shape}, {v.shape}"
         raise InputError("inputs, actions, values", shapes, "(n, n_obs), (n, nu), (n,)")

@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-from numbers import Integral, Real
+from functools import partial
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccdtools_ground import door
+from ccdtools_ground.door import as_floats, shown
 from mpc.exceptions import InputError, NotConvexError
 from mpc.tolerances import ASYMMETRY, NEGATIVE_WEIGHT
 
 Array = NDArray[np.float64]
+as_count = partial(door.as_count, most=2**31 - 1)  # an int of the solvers
 _OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD and R = D'WD."
-
-
-def as_floats(name: str, value: ArrayLike) -> Array:
-    """Return a C-contiguous float64 copy of `value`, of any shape, finite or not."""
-    expected = "an array of real numbers"
-    try:
-        raw = np.asarray(value)
-    except Exception as error:  # a ragged list, or whatever the object raises when it is read as an array
-        raise InputError(name, f"{type(value).__name__} ({_first_line(error)})", expected) from None
-    real = raw.dtype.kind in "biuf" or (raw.dtype.kind == "O" and all(isinstance(v, Real) for v in raw.flat))
-    if not real:
-        got = "complex numbers" if raw.dtype.kind == "c" else f"{type(value).__name__} {_brief(value)}"
-        raise InputError(name, got, expected)
-    try:
-        return np.array(raw, dtype=np.float64, order="C")
-    except OverflowError:
-        raise InputError(name, _brief(value), "numbers of double precision") from None
 
 
 def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
@@ -99,20 +86,12 @@ def as_cross_weight(value: ArrayLike | None, Q: Array, R: Array) -> Array | None
     return S
 
 
-def as_count(name: str, value: Any) -> int:
-    """Return a positive int."""
-    whole = isinstance(value, Integral) or (isinstance(value, Real) and float(value).is_integer())
-    if isinstance(value, (bool, np.bool_)) or not whole or not 1 <= value < 2**31:
-        raise InputError(name, _brief(value), "an integer >= 1")
-    return int(value)
-
-
 def as_seconds(name: str, value: Any) -> float:
     """Return a wall time > 0 [s]; None and inf are no limit."""
     if value is None:
         return np.inf
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real) or not value > 0.0:  # type: ignore[operator]
-        raise InputError(name, _brief(value), "seconds > 0, or None for no limit")
+        raise InputError(name, shown(value), "seconds > 0, or None for no limit")
     try:
         return float(value)
     except OverflowError:
@@ -138,10 +117,14 @@ def as_soft(value: Any) -> tuple[float, float]:
 
 def as_blocks(value: Any, horizon: int) -> tuple[int, ...]:
     """Return the lengths of the blocks of equal moves, which sum to the horizon."""
-    lengths = np.atleast_1d(as_floats("blocks", value))
-    if lengths.ndim != 1 or not (lengths >= 1).all() or (lengths % 1).any() or lengths.sum() != horizon:
-        raise InputError("blocks", _brief(value), f"whole lengths >= 1 that sum to the horizon {horizon}")
-    return tuple(int(n) for n in lengths)
+    lengths = tuple(value) if isinstance(value, list | tuple | np.ndarray) else (value,)
+    try:
+        lengths = tuple(as_count("blocks", length) for length in lengths)
+    except InputError:
+        lengths = ()
+    if not lengths or sum(lengths) != horizon:
+        raise InputError("blocks", shown(value), f"whole lengths >= 1 that sum to the horizon {horizon}")
+    return lengths
 
 
 def as_set(name: str, value: Any, n: int) -> Any:
@@ -149,7 +132,7 @@ def as_set(name: str, value: Any, n: int) -> Any:
     if value is None or (hasattr(value, "A") and hasattr(value, "b")):
         return value
     if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise InputError(name, _brief(value), "a Polytope with .A and .b, bounds (lower, upper), or None")
+        raise InputError(name, shown(value), "a Polytope with .A and .b, bounds (lower, upper), or None")
     lower, upper = (_bound(f"{name}[{i}]", side, n) for i, side in enumerate(value))
     if (lower == np.inf).any() or (upper == -np.inf).any():
         raise InputError(name, "an infinite bound that excludes every point", "lower < inf and upper > -inf")
@@ -202,14 +185,3 @@ def _bound(name: str, value: Any, n: int) -> Array:
     if side.ndim > 1 or side.size not in (1, n) or np.isnan(side).any():
         raise InputError(name, f"{side}", f"a number or {n} numbers, no NaN")
     return np.broadcast_to(side, (n,))
-
-
-def _brief(value: Any) -> str:
-    """The value in at most 60 characters."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else f"{type(value).__name__} {text[:50]}…"
-
-
-def _first_line(error: Exception) -> str:
-    """The first line of a message."""
-    return str(error).split("\n")[0][:80]

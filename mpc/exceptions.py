@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import invariant_sets.exceptions as sets
+from ccdtools_ground.errors import InputError, MPCError
 
-
-class MPCError(Exception):
-    """Base of every exception raised by `mpc`."""
-
-
-class InputError(MPCError, sets.InputError):
-    """Bad input, in one line; carries `argument`, `got`, `expected` and `cure`, as in `invariant_sets`."""
+__all__ = ["InfeasibleError", "InputError", "MPCError", "NotConvexError", "NotStabilisableError"]
 
 
 class NotConvexError(MPCError, ValueError):

@@ -3,15 +3,33 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgWarning, solve_discrete_are, solve_discrete_lyapunov
+from scipy.linalg import LinAlgWarning, solve_discrete_are
 
 from mpc.checks import Array, as_cross_weight, as_pair, as_weight
 from mpc.exceptions import NotStabilisableError
-from mpc.tolerances import NEGATIVE_WEIGHT, REACH, RICCATI, RICCATI_REFINED, UNIT_CIRCLE, UNSEEN
+from mpc.modes import least_reached, units_of
+from mpc.tolerances import (
+    DOUBLED,
+    GAINED,
+    LEAST_MARGIN,
+    NEAR_CIRCLE,
+    NEGATIVE_WEIGHT,
+    REACH,
+    RICCATI,
+    ROUNDED_COST,
+    SETTLED_MARGIN,
+    UNIT_CIRCLE,
+    UNSEEN,
+)
+
+NEWTON_STEPS = 40  # at most: from a gain far away each step at least halves the distance
+DOUBLINGS = 60  # at most: 2^60 samples
 
 
 def lqr(
@@ -58,26 +76,17 @@ def lqr(
     R = as_weight("R", R, B.shape[1])
     S = as_cross_weight(S, Q, R)
     sx, su = cost_units(A, B, Q, R)
-    # in the units of the weights (x = x̃/sx, u = ũ/su) the tests below do not depend on the user's units
-    As = A * sx[:, None] / sx
-    Bs = B * sx[:, None] / su
-    Qs = Q / sx / sx[:, None]
-    Rs = R / su / su[:, None]
-    Ss = None if S is None else S / su / sx[:, None]
-    _check_reach(As, Bs)
-    _check_cost(As, Bs, Qs, Rs, Ss)
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):  # the checks below decide
-            Ps = _riccati(As, Bs, Qs, Rs, Ss)
-            Ks = _gain_of(Ps, As, Bs, Rs, Ss)
-    except (np.linalg.LinAlgError, ValueError):  # SciPy's names for the same trouble
-        raise NotStabilisableError(
-            "(A, B): got a Riccati equation without a stabilising solution, expected one. Check that "
-            "(A, B) is stabilisable and that Q sees every mode on the unit circle."
-        ) from None
-    _check_solution(As, Bs, Qs, Ss, Ps, Ks)
-    P = Ps * sx * sx[:, None]
-    return Ks * sx / su[:, None], (P + P.T) / 2
+    # in the units of the weights (x = x̃/sx, u = ũ/su) the solver does not depend on the user's units
+    scaled = _Regulation(
+        A * sx[:, None] / sx, B * sx[:, None] / su, Q / sx / sx[:, None], R / su / su[:, None],
+        np.zeros(B.shape) if S is None else S / su / sx[:, None],
+    )  # fmt: skip
+    with np.errstate(all="ignore"):  # what overflows is not accepted
+        found = scaled.solution(1 / sx)
+    if found is None:
+        raise _explained(scaled, 1 / sx)
+    K, P = found
+    return K * sx / su[:, None], P * sx * sx[:, None]
 
 
 def cost_units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
@@ -98,98 +107,174 @@ def cost_units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     return sx, np.where(su > 0, su, 1.0)
 
 
-def _riccati(A: Array, B: Array, Q: Array, R: Array, S: Array | None) -> Array:
-    """Stabilising solution, refined by Newton steps where SciPy's leaves a residual."""
-    P: Array = solve_discrete_are(A, B, Q, R, s=S)
-    K = _gain_of(P, A, B, R, S)
-    residual = _residual(P, K, A, B, Q, S)
-    for _ in range(3):
-        closed = A - B @ K
-        if residual <= RICCATI_REFINED or not _radius(closed) < 1:
-            break
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LinAlgWarning)  # the residual decides
-            cost = Q + K.T @ R @ K
-            refined = solve_discrete_lyapunov(closed.T, cost if S is None else cost - S @ K - K.T @ S.T)
-        K = _gain_of(refined, A, B, R, S)
-        last = residual
-        residual = _residual(refined, K, A, B, Q, S)
-        if not residual < last:
-            break
-        P = refined
-    return P
+@dataclass(frozen=True, eq=False)
+class _Regulation:
+    """A, B, Q, R and S of a regulator."""
+
+    A: Array
+    B: Array
+    Q: Array
+    R: Array
+    S: Array
+
+    def solution(self, user_unit: Array) -> tuple[Array, Array] | None:
+        """Gain and cost matrix, checked; None where there is no solution, or none without an absurd gain."""
+        for first in (self._by_scipy, self._stabilising):
+            found = self._refined(first())
+            if found is not None:
+                return found if self._sane(found[0], user_unit) else None
+        return None
+
+    def _sane(self, K: Array, user_unit: Array) -> bool:
+        """Whether in some units the feedback does not move the states 1 / `REACH` times as far as the plant does."""
+        for unit in units_of(self.A, np.ones(len(self.A)), user_unit):
+            fed, own = (float(np.linalg.norm(M * unit[:, None] / unit)) for M in (self.B @ K, self.A))
+            if REACH * fed <= max(1.0, own):
+                return True
+        return False
+
+    def _by_scipy(self) -> Array:
+        """Root of SciPy's cost matrix; NaN where it finds none."""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", LinAlgWarning)
+                return _root(solve_discrete_are(self.A, self.B, self.Q, self.R, s=self.S if self.S.any() else None))
+        except (np.linalg.LinAlgError, ValueError):  # SciPy's names for the same trouble
+            return np.full_like(self.A, np.nan)
+
+    def _stabilising(self) -> Array:
+        """Root of the cost matrix of a gain that stabilises, whatever the weights are."""
+        nx, nu = self.B.shape
+        K = np.zeros((nu, nx))
+        if _radius(self.A) >= 1:
+            (unit,) = units_of(self.A)
+            length = np.linalg.norm(self.B * unit[:, None], axis=0)
+            length[length == 0] = 1.0
+            A, B = self.A * unit[:, None] / unit, self.B * unit[:, None] / length
+            other = _Regulation(A, B, np.eye(nx), np.eye(nu), np.zeros(B.shape))
+            K = other.gain(other._by_scipy()) * unit / length[:, None]
+        return self._root_of(K)
+
+    def _refined(self, root: Array) -> tuple[Array, Array] | None:
+        """Gain and cost matrix L'L by Newton's steps from a root L; None where they do not settle.
+
+        They settle where a step neither changes P, in units in which its diagonal is one, nor how far the closed loop
+        is from the unit circle: that halves with every step where Q does not see a mode there.
+        """
+        K, P = self.gain(root), root.T @ root
+        for _ in range(NEWTON_STEPS):
+            margin = self._margin(K)
+            if not margin >= LEAST_MARGIN:
+                return None
+            root = self._root_of(K)
+            K_after, after = self.gain(root), root.T @ root
+            settled = abs(self._margin(K_after) - margin) <= SETTLED_MARGIN * margin
+            if settled and _relative(after - P, after) <= RICCATI:  # of the last step most may be rounding
+                gained = _relative(self._missed(K_after, after), P) <= GAINED * _relative(self._missed(K, P), P)
+                K, P = (K_after, after) if gained else (K, P)
+                return (K, P) if margin > NEAR_CIRCLE or self._is_seen(K, P) else None
+            K, P = K_after, after
+        return None
+
+    def _root_of(self, K: Array) -> Array:
+        """Root of the cost matrix of u = -Kx."""
+        n = len(self.A)
+        return _lyapunov_root(self.A - self.B @ K, self._cost_root[:, :n] - self._cost_root[:, n:] @ K)
+
+    def _is_seen(self, K: Array, P: Array) -> bool:
+        """Whether the slowest mode of the closed loop costs more than rounding of Q."""
+        values, vectors = np.linalg.eig(self.A - self.B @ K)
+        slow = int(np.argmax(np.abs(values)))
+        mode = vectors[:, slow]
+        cost = 2 * (1 - abs(values[slow])) * float((mode.conj() @ P @ mode).real)
+        return cost > ROUNDED_COST * float(np.abs(mode) @ np.abs(self.Q) @ np.abs(mode))
+
+    def _missed(self, K: Array, P: Array) -> Array:
+        """What P misses of the Riccati equation."""
+        return self.A.T @ P @ (self.A - self.B @ K) + self.Q - self.S @ K - P
+
+    def _margin(self, K: Array) -> float:
+        """Distance of the closed loop from the unit circle; NaN of a gain that is not finite."""
+        return 1 - _radius(self.A - self.B @ K) if np.isfinite(K).all() else np.nan
+
+    def gain(self, root: Array) -> Array:
+        """Gain that belongs to a root of a cost matrix, by least squares: B'PB would square what cancels in it."""
+        n = len(self.A)
+        M = np.vstack([self._cost_root[:, n:], root @ self.B])
+        right = np.vstack([self._cost_root[:, :n], root @ self.A])
+        if not (np.isfinite(M).all() and np.isfinite(right).all()):
+            return np.full_like(self.B.T, np.nan)
+        d = np.linalg.norm(M, axis=0)
+        d[d == 0] = 1.0
+        return np.asarray(np.linalg.lstsq(M / d, right, rcond=None)[0] / d[:, None])
+
+    @cached_property
+    def _cost_root(self) -> Array:
+        """G (nx + nu, nx + nu) with a stage cost |G [x; u]|²."""
+        return _root(np.block([[self.Q, self.S], [self.S.T, self.R]]))
 
 
-def _gain_of(P: Array, A: Array, B: Array, R: Array, S: Array | None) -> Array:
-    """Gain that belongs to a cost matrix, for symmetric scaling of B'PB + R."""
-    M = R + B.T @ P @ B
+def _relative(M: Array, P: Array) -> float:
+    """Largest entry of a matrix in units in which the diagonal of P is one."""
+    size = np.sqrt(np.abs(np.diag(P)))
+    return float(np.where(M == 0, 0.0, np.abs(M) / size / size[:, None]).max())
+
+
+def _root(M: Array) -> Array:
+    """L with L'L = M for a symmetric M, positive semidefinite but for rounding."""
     d = np.sqrt(np.abs(np.diag(M)))
-    d[d == 0] = 1.0
-    slope = B.T @ P @ A if S is None else B.T @ P @ A + S.T
-    return np.asarray(np.linalg.solve(M / d / d[:, None], slope / d[:, None]) / d[:, None])
+    unit = np.where(d > 0, d, 1.0)
+    values, vectors = np.linalg.eigh(M / unit / unit[:, None])
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * d)
 
 
-def _check_reach(A: Array, B: Array) -> None:
-    """Hautus test: σ_min [A - λI, B] against its scale, for every eigenvalue on or outside the unit circle."""
-    size = max(1.0, float(np.linalg.norm(A, 2)))
-    length = np.linalg.norm(B, axis=0)
-    B = B * size / np.where(length > 0, length, 1.0)  # how strong an actuator is, is a matter of its cost
-    for eigenvalue in np.linalg.eigvals(A):
-        if abs(eigenvalue) < 1 - UNIT_CIRCLE:
-            continue
-        pencil = np.hstack([A - eigenvalue * np.eye(len(A)), B])
-        reach = np.linalg.svd(pencil, compute_uv=False)[-1] / size
-        if reach < REACH:
-            raise NotStabilisableError(
-                f"(A, B): got a pair that cannot be stabilised, the input reaches the mode at eigenvalue "
-                f"{eigenvalue:.4g} (modulus {abs(eigenvalue):.4g}) with relative strength {reach:.1e}, expected >= "
-                f"{REACH:.0e}. Move the actuator, or rescale Q if states are measured in very different units.",
-                complex(eigenvalue),
-            )
+def _lyapunov_root(A: Array, root: Array) -> Array:
+    """L with L'L = P = A'PA + root'root for a stable A, by doubling, which no units of the states change.
 
-
-def _check_cost(A: Array, B: Array, Q: Array, R: Array, S: Array | None) -> None:
-    """The dual test: a mode on the unit circle that Q does not see is never brought back.
-
-    With S it is asked of the plant and the cost that u = v - R⁻¹S'x leaves.
+    Infinite where it does not end.
     """
-    unseen = "Q: got no weight on the mode"
-    if S is not None:
+    for _ in range(DOUBLINGS):
+        more = root @ A
+        root = np.asarray(np.linalg.qr(np.vstack([root, more]), mode="r"))
+        if (np.linalg.norm(more, axis=0) <= DOUBLED * np.linalg.norm(root, axis=0)).all():
+            return root
+        A = A @ A
+    return np.full_like(A, np.inf)
+
+
+def _explained(scaled: _Regulation, user_unit: Array) -> NotStabilisableError:
+    """The error that names the mode in the way: one that the input does not reach, or that Q does not see."""
+    A, B, Q, R, S = scaled.A, scaled.B, scaled.Q, scaled.R, scaled.S
+    none = np.ones(len(A))
+    eigenvalues = np.linalg.eigvals(A)
+    lost = least_reached(A, B, eigenvalues[np.abs(eigenvalues) >= 1 - UNIT_CIRCLE], none, user_unit)
+    what = "Q: got no weight on the mode"
+    if S.any():  # of the plant and the cost that u = v - R⁻¹S'x leaves
         free = np.linalg.pinv(R, rcond=NEGATIVE_WEIGHT, hermitian=True) @ S.T
         A = A - B @ free
         Q = Q - S @ free
-        unseen = "S: got a stage cost without weight on the mode of A - BR⁻¹S'"
-    for eigenvalue in np.linalg.eigvals(A):
-        if abs(abs(eigenvalue) - 1) > UNSEEN:
-            continue
-        pencil = np.vstack([A - eigenvalue * np.eye(len(A)), Q])
-        if np.linalg.svd(pencil, compute_uv=False)[-1] < UNSEEN * max(1.0, float(np.linalg.norm(A, 2))):
-            raise NotStabilisableError(
-                f"{unseen} at eigenvalue {eigenvalue:.4g}, on the unit circle, so the Riccati "
-                "equation has no stabilising solution; expected Q to see it. Give the mode a weight, however small.",
-                complex(eigenvalue),
-            )
-
-
-def _check_solution(A: Array, B: Array, Q: Array, S: Array | None, P: Array, K: Array) -> None:
-    """Raise where the closed loop is not stable or the Riccati equation does not hold."""
-    radius = _radius(A - B @ K) if np.isfinite(K).all() else np.inf
-    residual = _residual(P, K, A, B, Q, S) if np.isfinite(P).all() and np.isfinite(K).all() else np.inf
-    if radius >= 1 or residual > RICCATI:
-        raise NotStabilisableError(
-            f"(A, B): got a Riccati solution with closed-loop spectral radius {radius:.6g} (expected < 1) and "
-            f"relative residual {residual:.1e} (expected <= {RICCATI:.0e}). The pair is close to unstabilisable, "
-            "its weights to not seeing a mode on the unit circle, or the data are badly scaled."
+        eigenvalues = np.linalg.eigvals(A)
+        what = "S: got a stage cost without weight on the mode of A - BR⁻¹S'"
+    unseen = least_reached(A.T, Q, eigenvalues[np.abs(np.abs(eigenvalues) - 1) <= NEAR_CIRCLE], none)
+    if unseen.strength < min(UNSEEN, lost.strength):
+        return NotStabilisableError(
+            f"{what} at eigenvalue {unseen.value}, on the unit circle, so the Riccati "
+            "equation has no stabilising solution; expected Q to see it. Give the mode a weight, however small.",
+            unseen.eigenvalue,
         )
+    if lost.strength < REACH:
+        return NotStabilisableError(
+            f"(A, B): got a pair that cannot be stabilised, the input reaches the mode at eigenvalue {lost.value} "
+            f"(modulus {abs(lost.eigenvalue):.4g}) with relative strength {lost.strength:.1e}, expected >= "
+            f"{REACH:.0e}. Move the actuator.",
+            lost.eigenvalue,
+        )
+    return NotStabilisableError(
+        "(A, B): got a Riccati equation without a stabilising solution that holds to rounding, expected one. The pair "
+        "is close to unstabilisable, its weights to not seeing a mode on the unit circle, or the data are badly scaled."
+    )
 
 
 def _radius(A: Array) -> float:
     """Spectral radius."""
     return float(np.abs(np.linalg.eigvals(A)).max())
-
-
-def _residual(P: Array, K: Array, A: Array, B: Array, Q: Array, S: Array | None) -> float:
-    """Residual of the Riccati equation relative to its largest term."""
-    size = max(float(np.abs(P).max()), float(np.abs(Q).max()), np.finfo(float).tiny)
-    missed = A.T @ P @ (A - B @ K) + Q - P
-    return float(np.abs(missed if S is None else missed - S @ K).max()) / size

@@ -96,19 +96,35 @@ RELAXATION_WIDER = (0.0, 1e-6, 1e-4, 1e-2)
 # ---- regulator ----
 
 REACH = 1e-7
-"""Relative distance to an unstabilisable pair below which no gain is computed [-]."""
+"""Relative distance to an unstabilisable pair below which a mode counts as not reached, and inverse of how many times
+further than the plant a feedback may move the states [-]."""
 
 UNIT_CIRCLE = 1e-9
 """Distance inside the unit circle up to which a mode counts as not decaying [-]."""
 
-RICCATI = 1e-6
-"""Relative residual of the Riccati equation that is accepted [-]."""
+NEAR_CIRCLE = 1e-6
+"""Distance from the unit circle up to which a mode neither grows nor decays within what is computed [-]."""
 
-RICCATI_REFINED = 1e-11
-"""Relative residual of the Riccati equation at which its refinement stops [-]."""
+RICCATI = 1e-4
+"""Last Newton step of the Riccati equation that is accepted, in units in which the solution has a unit diagonal [-]."""
+
+GAINED = 0.1
+"""Part of its residual that a Newton step must leave to be taken where it may be rounding [-]."""
+
+SETTLED_MARGIN = 0.1
+"""Last relative change of the distance of the closed loop from the unit circle that is accepted [-]."""
+
+LEAST_MARGIN = 1e-13
+"""Distance of a closed loop from the unit circle below which rounding decides whether it is stable [-]."""
+
+ROUNDED_COST = 1e-13
+"""Cost of a mode, relative to the terms that it is the sum of, that is rounding [-]."""
+
+DOUBLED = 1e-9
+"""Root of the last term of a sum of doubled terms, relative to that of the sum, that is left out [-]."""
 
 UNSEEN = 1e-8
-"""Distance from the unit circle, and of (Q, A) from not seeing a mode there, at which no gain is computed [-]."""
+"""Relative distance of (Q, A) from not seeing a mode on the unit circle below which it counts as unseen [-]."""
 
 # ---- explained infeasibility ----
 

@@ -2,12 +2,26 @@
 
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 DATA = Path(os.environ.get("CCDTOOLS_DATA") or Path(__file__).resolve().parents[1].parent / "shared" / "data")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark as `check` the cases beyond those that `@pytest.mark.quick(count)` leaves to `make test`."""
+    seen: Counter[str] = Counter()
+    for item in items:
+        quick = item.get_closest_marker("quick")
+        if quick is not None:
+            name = item.nodeid.split("[")[0]
+            seen[name] += 1
+            if seen[name] > quick.args[0]:
+                item.add_marker("check")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -22,6 +36,26 @@ def _one_thread():
 def rng():
     """Return a seeded generator."""
     return np.random.default_rng(20240611)
+
+
+@pytest.fixture(scope="session")
+def stored(tmp_path_factory, worker_id):
+    """Return a function: (name, make) → folder that one process has filled with ``make(folder)`` for all of them."""
+    from filelock import FileLock
+
+    base = tmp_path_factory.getbasetemp()
+    root = base if worker_id == "master" else base.parent
+
+    def folder(name, make):
+        place = root / "stored" / name
+        place.mkdir(parents=True, exist_ok=True)
+        with FileLock(f"{place}.lock"):
+            if not place.with_suffix(".made").exists():
+                make(place)
+                place.with_suffix(".made").touch()
+        return place
+
+    return folder
 
 
 @pytest.fixture(scope="session")
@@ -49,7 +83,7 @@ def study(request):
 @pytest.fixture(scope="session")
 def expert_data():
     """Return a function: study → its expert's data, made once."""
-    from ccdtools.co_design.expert import expert_dataset
+    from ccdtools import expert_dataset
 
     made = {}
 
@@ -88,11 +122,20 @@ def clone(expert_data):
 
 
 @pytest.fixture(scope="session")
-def recorded_road():
-    """Return the recorded road velocity (15000, 1), or skip."""
-    from ccdtools.disturbances.recordings import read_disturbance
+def recorded():
+    """Return a function: name → path of a recorded file, or skip."""
 
-    path = DATA / "dz_dt_mild_driver1.csv"
-    if not path.is_file():
-        pytest.skip("the recorded road is not part of the project; set CCDTOOLS_DATA to its folder")
-    return read_disturbance(path, dt=0.05)[:15000, None]
+    def path(name):
+        if not (DATA / name).is_file():
+            pytest.skip(f"the recorded file {name} is not part of the project; set CCDTOOLS_DATA to its folder")
+        return DATA / name
+
+    return path
+
+
+@pytest.fixture(scope="session")
+def recorded_road(recorded):
+    """Return the recorded road velocity (15000, 1), or skip."""
+    from ccdtools import read_disturbance
+
+    return read_disturbance(recorded("dz_dt_mild_driver1.csv"), dt=0.05)[:15000, None]

@@ -14,6 +14,7 @@ def test_notebook_is_kept_without_outputs(path):
     assert not any(cell.get("outputs") for cell in cells)
 
 
+@pytest.mark.check
 def test_the_loop_runs_as_the_first_notebook_shows(tmp_path):
     from nbclient import NotebookClient
 
@@ -26,6 +27,7 @@ def test_the_loop_runs_as_the_first_notebook_shows(tmp_path):
     assert float(rows[-1].split("[")[1].split(",")[0]) > 0  # better than LQR on the real plant, after one update
 
 
+@pytest.mark.check
 def test_a_nonlinear_plant_of_ones_own_runs_as_its_notebook_shows(tmp_path):
     from nbclient import NotebookClient
 

@@ -66,10 +66,10 @@ class Inner:
             return self._last
         self.solves += 1
         solution = solve(self.program, p=p, start=self._best)
-        if not solution.solved:
+        if not solution.solved_on_mesh:
             solution = solve(self.program, p=p)
         self._last = solution
-        if solution.solved:
+        if solution.solved_on_mesh:
             self._best = solution
         return solution
 
@@ -93,7 +93,7 @@ def nested(plant: Plant, road: Road, start, mesh, *, tolerance: float = 1e-7, mo
         """The optimal cost; infinite where the car cannot stand, or no trajectory is found: the search steps back."""
         at_rest = np.asarray(rules(u)).ravel()[[name.endswith("at rest") for name in space.constraint_names]]
         solution = inner.at(design(u)) if (at_rest <= 0).all() else None
-        return solution.cost if solution is not None and solution.solved else np.inf
+        return solution.cost if solution is not None and solution.solved_on_mesh else np.inf
 
     found = minimize(
         cost, np.clip((first - space.lower) / width, 0, 1),

@@ -18,9 +18,9 @@ from joblib import Parallel, delayed
 
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.redesign import InService
 from ccdtools.studies.stages import LoopStages
 from ccdtools.studies.trust_region import Trust
+from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.twin import DigitalTwin
 from gallery.measure import Measured, measured_first, study_of
 from gallery.reference import STUDIES, reference
@@ -45,8 +45,8 @@ def first_codesigns(name: str, seed: int, root: Path, starts: Sequence[str] = ST
         design = np.array(reference(name)["worst_corner"]) if run.start == "corner" else study.p0
         begun = time.perf_counter()
         twin = DigitalTwin(study.model, scale=evaluation.problem.state_scale)
-        service = InService(initial.networks["agent"], design)
-        found = stages.co_design(evaluation.rng("codesign-1"), service, twin, Trust())
+        service = Deployable(initial.networks["agent"], design, "the start")
+        found = stages.co_design(evaluation.rng("codesign-1"), 1, service, twin, Trust())
         seconds = initialised + time.perf_counter() - begun
         note = {"measured": asdict(measured_first(name, found)), "seconds": seconds, "peak_bytes": 0}
         _kept(run).write_text(json.dumps(note, default=float))

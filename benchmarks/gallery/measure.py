@@ -13,7 +13,6 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.simulation import simulate
 from ccdtools.studies import RunFolder, Study, load_study
-from ccdtools.studies.service import ServiceStatus
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.trajectory import Trajectory
 from gallery.oracle.cost import linear_return, model_step, saturated_return, simulated
@@ -114,7 +113,7 @@ def measured(study_name: str, folder: Path) -> Measured:
     service = returns[0]
     steps = []
     for entry, deployed in zip(generations[1:], returns[1:]):
-        kept = ServiceStatus(entry["delivery"]["status"]).replaces
+        kept = entry["delivery"]["replaces"]
         steps.append(_step(deployed, service, kept))
         service = deployed if kept else service
     return replace(

@@ -33,6 +33,7 @@ from ccdtools.co_design.learned_result import Convergence
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.reinforcement.ppo import PPOPart
 from ccdtools.co_design.result import History
+from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.sample_average import SampleAverage
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.task import Iterate, Task
@@ -68,7 +69,11 @@ class Ascent:
         self.limits = task.limits
         self.region = DesignRegion(task.problem.design, task.problem.design.to_unit(design))
         self.v = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32).requires_grad_(True)
-        self.check = check_gradients(task.problem, agent, design, rng=rng, ppo=config.ppo) if task.moving else None
+        asked = config.design_gradient == "network_input"
+        self.check = (
+            check_gradients(task.problem, agent, design, rng=rng, ppo=config.ppo, network_input=asked)
+            if task.moving else None
+        )  # fmt: skip
         self.ppo = PPOPart(task.problem, agent, self._p(), rng, config)
         self.first_std = agent.log_std.exp().mean().item()
         if task.smooth:  # nothing is explored, and the sampled policy is reported too
@@ -135,11 +140,7 @@ class Ascent:
         self.status = self._verdict(improving, climbing)
 
     def _verdict(self, improving: bool, climbing: bool) -> CoDesignStatus:
-        """How it ended."""
-        if self.best.lost > 0:
-            return CoDesignStatus.DIVERGING
-        if self.best.violation > 0:
-            return CoDesignStatus.LIMITS_BROKEN
+        """How it ended, whatever its closed loop does."""
         if self.task.moving and self._untrusted():
             return CoDesignStatus.GRADIENT_UNTRUSTED
         if improving:
@@ -264,10 +265,7 @@ class Ascent:
         """The present iterate on the fixed scenarios, with a row of the history."""
         seen = self._seen(self)
         values = self.task.judge.risk.values(seen.total)
-        kept = values[~seen.diverged]
-        mean = kept.mean().item() if len(kept) else float("nan")
-        std = kept.std().item() if len(kept) > 1 else 0.0
-        lost = seen.diverged.double().mean().item()
+        mean, std, lost = of_kept_runs(self.task.judge.risk, seen.total.double().numpy(), seen.diverged.numpy())
         steps = self.model_steps + self.ppo.env_steps
         self.rows.append((self.iterations, steps, self._design(), mean, std, lost))
         violation = 0.0

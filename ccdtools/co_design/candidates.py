@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.set_choice import Effort, SetCounts, affordable_designs, sets_in_time
+from ccdtools.co_design.set_choice import Effort, SetCounts, affordable_designs, found_sets
 from ccdtools.design_limits import DesignLimits, Limits, bounds_at
 from ccdtools.exceptions import InputError
 from invariant_sets import ParametricSet, Polytope
@@ -122,7 +122,7 @@ class _Pool:
         regions = LQRRegions.of(problem, p)
         by_region = effort.option != "none" and regions.rows is not None
         if effort.option == "auto" and not reason:
-            sets, counts = sets_in_time(family, p, effort)
+            sets, counts = found_sets(family, p, effort)
         else:
             sets = [None] * len(p)
             counts = SetCounts(effort.option, 0, len(np.unique(p, axis=0)), 0, reason or f'sets = "{effort.option}"')

@@ -12,7 +12,7 @@ from torch import Tensor
 from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.differentiable_model import Stepper, in_double, scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs, simulated
-from ccdtools.co_design.limit_tolerance import measured
+from ccdtools.co_design.limit_tolerance import measured, measurement_errors
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns
 from ccdtools.co_design.risk import fewest_runs
@@ -53,7 +53,11 @@ def closed_loop_returns(
     chosen = ONLINE_RUNS if hasattr(controller, "horizon") else RUNS
     n = fewer_runs(chosen, problem.steps) if runs is None else as_count("runs", runs)
     n = min(max(n, fewest_runs(problem.risk)), len(x0))
-    driver = Driver(controller, Surroundings(np.zeros((n, 0, 0)), None, None, recorded=False), n, problem.model.nu)
+    x0, w = x0[:n], w[:n]
+    if (x0 == x0[0]).all() and (w == w[0]).all():  # all runs are one
+        x0, w = x0[:1], w[:1]
+    own = Surroundings(np.zeros((len(x0), 0, 0)), None, None, recorded=False)
+    driver = Driver(controller, own, len(x0), problem.model.nu)
     sample = iter(range(problem.steps * 2))
 
     def law(x: Tensor) -> Tensor:
@@ -63,7 +67,8 @@ def closed_loop_returns(
         return x.new_tensor(u)
 
     with torch.no_grad():
-        seen = simulated(Stepper.at(in_double(problem), p), law, (x0[:n], w[:n]), depths=True)
-        values = problem.risk.values(seen.total)
+        seen = simulated(Stepper.at(in_double(problem), p), law, (x0, w), depths=True)
     limits = measured(seen)
-    return ClosedLoopReturns(values.numpy(), seen.diverged.numpy(), limits.fraction, limits.depth)
+    total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
+    errors = measurement_errors(seen).values()
+    return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk, errors)

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_flag, as_generator, as_instance, shown
-from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS as LEARNED
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.learned_result import LearnedCoDesign
@@ -22,7 +21,7 @@ from ccdtools.co_design.methods.sequential import Sequential
 from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.settling import Settling
 from ccdtools.co_design.task import LimitPenalty
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
@@ -114,13 +113,11 @@ def codesign(
     began = time.perf_counter()
     result = chosen.run(problem, np.asarray(first), rng, progress=progress)
     seconds = time.perf_counter() - began
-    judged = getattr(chosen, "judge", None) or problem
-    loop = closed_loop_returns(judged, result.controller, result.design, scenarios)
-    known = result.status in (CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
-    told = known or isinstance(result, LearnedCoDesign)  # learning has judged that itself
-    status = CoDesignStatus.DIVERGING if loop.lost.any() and not told else result.status
+    frozen = getattr(getattr(chosen, "config", None), "design_rate", None) == 0
+    measured_elsewhere = callable(getattr(chosen, "of", None))
+    settling = Settling(getattr(chosen, "judge", None) or problem, scenarios, not (frozen or measured_elsewhere))
     described = problem.design.describe(result.design)
-    return replace(result, status=status, closed_loop=loop, seconds=seconds, described=described)
+    return replace(settling.checked(result), seconds=seconds, described=described)
 
 
 def as_method(method: str | Method, **learning: Any) -> Method:

@@ -22,13 +22,9 @@ from ccdtools.co_design.result import CoDesignResult
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.interruptions import interrupted
 from ccdtools.jobs import as_jobs, as_they_end
-from invariant_sets import InvariantSetsError
-from learning.exceptions import LearningError
 from learning.networks import ActorCritic
-from mpc import MPCError
 
 REFERENCE = "nested LQR"
-REFUSALS = (CCDError, MPCError, LearningError, InvariantSetsError)
 
 
 def compare_methods(
@@ -40,7 +36,7 @@ def compare_methods(
     reference: str | None = None,
     agent: ActorCritic | None = None,
     jobs: int = 1,
-    progress: bool = False,
+    progress: bool | None = None,
     each: Callable[[MethodComparison], object] | None = None,
 ) -> MethodComparison:
     """The methods of `codesign` on one problem, measured on the same scenarios.
@@ -62,8 +58,9 @@ def compare_methods(
         Warm start of the methods that learn; by default each makes its own.
     jobs : int
         Processes; −1 for all cores. Times are longer where processes share a core.
-    progress : bool
-        Show a progress bar, which names the method that runs.
+    progress : bool, optional
+        Show a progress bar, which names the method that runs, and with True the bars of the methods, too. By default
+        it is shown unless `each` is given.
     each : callable of MethodComparison, optional
         Called after every method with what is there by then, to show or keep it. Until the reference is there,
         differences are to the first method that found something.
@@ -80,7 +77,7 @@ def compare_methods(
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_count("seed", seed, least=0)
-    as_flag("progress", progress)
+    shown_at_all = each is None if progress is None else as_flag("progress", progress)
     chosen = named_methods(methods, as_agent(agent))
     if reference is None:
         reference = REFERENCE if REFERENCE in chosen else next(iter(chosen))
@@ -89,11 +86,11 @@ def compare_methods(
     first = None if design is None else problem.design.check_feasible(design)
     if each is not None and not callable(each):
         raise InputError("each", shown(each), "a function of a MethodComparison")
-    run = partial(_run, problem, seed, first, progress and jobs == 1)
+    run = partial(_run, problem, seed, first, bool(progress) and jobs == 1)
     ends: dict[str, CoDesignResult | str] = {}
     pairs: dict[str, Pairs] = {}
     found = as_they_end(
-        run, list(chosen.values()), jobs=as_jobs(jobs), label="methods", names=list(chosen), progress=progress
+        run, list(chosen.values()), jobs=as_jobs(jobs), label="methods", names=list(chosen), progress=shown_at_all
     )
     for name, end in zip(chosen, found):
         ends[name] = end
@@ -133,7 +130,7 @@ def _run(
             return found
         loop = closed_loop_returns(problem, found.controller, found.design, scenarios_of(seed))
         return replace(found, closed_loop=loop)  # on the problem, as the others, and not on what judged it
-    except REFUSALS as error:
+    except CCDError as error:
         return " ".join(str(error).split()) or type(error).__name__
     except Exception as error:  # one method that fails must not lose what the others found
         if interrupted():

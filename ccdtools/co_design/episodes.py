@@ -188,7 +188,14 @@ def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progre
 
 
 def mean_law(agent: ActorCritic, p: Tensor) -> Law:
-    """The mean policy at design `p` (np,) or (n, np), as a function of the states (n, nx).
+    """The mean policy at design `p` (np,) or (n, np), as a function of the states (n, nx)."""
+    latent = latent_law(agent, p)
+    action_range = agent.action_range(p)
+    return lambda x: scaled(latent(x), action_range)
+
+
+def latent_law(agent: ActorCritic, p: Tensor) -> Law:
+    """The latent actions (n, nu) of the mean policy, not clipped, as a function of the states (n, nx).
 
     What does not change along an episode, the design's part of the first layer and the scaling of the states, is
     computed once.
@@ -210,17 +217,14 @@ def mean_law(agent: ActorCritic, p: Tensor) -> Law:
     layers = [(layer.weight.T, layer.bias) for layer in others]
     head = (network.head.weight.T, network.head.bias)
     skip = None if network.skip is None else entry(network.skip.weight)
-    action_range = agent.action_range(p)
 
     def law(x: Tensor) -> Tensor:
-        """Inputs (n, nu)."""
+        """Latent actions (n, nu)."""
         hidden = torch.tanh(torch.addmm(b, x, W))
         for weight, bias in layers:
             hidden = torch.tanh(torch.addmm(bias, hidden, weight))
         latent = torch.addmm(head[1], hidden, head[0])
-        if skip is not None:
-            latent = torch.addmm(latent + skip[1], x, skip[0])
-        return scaled(latent, action_range)
+        return latent if skip is None else torch.addmm(latent + skip[1], x, skip[0])
 
     return law
 

@@ -27,7 +27,7 @@ from ccdtools.progress import Echo
 from invariant_sets import ParametricSet
 
 EXPERTS = ("lqr", "mpc", "explicit")
-TIME_LIMIT = 20.0  # for all sets [s]
+TIME_LIMIT = 20.0  # for all sets [s], as work of a usual processor
 ON_EDGE = 1e-3  # of the set's range along a row: inputs at the border of what is admissible end on it
 FAR = 2.0  # largest |x|, in half-widths of X, that is imitated: a run that is being lost teaches nothing
 
@@ -127,11 +127,12 @@ def expert_dataset(
         Distinct designs among the candidates. By default every candidate has its own, unless X_fea(p) takes so long
         that fewer must do.
     sets : {"auto", "lqr", "none"} or ParametricSet
-        "auto": X_fea(p) as far as the time limit goes, elsewhere the region in which saturated LQR keeps the state
+        "auto": X_fea(p) as far as the budget goes, elsewhere the region in which saturated LQR keeps the state
         within X for ever; "lqr": that region everywhere; "none": X itself. Or X_fea, if already at hand, with a
         time limit of its own for each set.
     time_limit : float, optional
-        Processor time for all sets [s]; None for no limit.
+        Budget of all sets [s]: the work of a usual processor, counted in facets and steps, so that every machine takes
+        the same sets; None for no limit.
     progress : bool
         Show progress bars.
     echo : callable, optional

@@ -35,13 +35,16 @@ class GradientCheck(Immutable):
     pathwise : array
         Backpropagation through dynamics, policy and reward.
     network_input : array
-        The paper's: through the networks' inputs of the PPO loss, the states taken as constants.
+        The paper's: through the networks' inputs of the PPO loss, the states taken as constants; NaN where it was not
+        asked for.
     finite_difference_error, pathwise_error : array
         Standard errors over the runs.
     deviation_error : array
         Standard error of the difference between pathwise and finite differences, run by run.
     scale : float
         |mean return| without the cost of the design.
+    blind : float
+        Share of the runs without any pathwise gradient, where it is one of a policy.
     """
 
     names: tuple[str, ...]
@@ -52,15 +55,17 @@ class GradientCheck(Immutable):
     pathwise_error: ArrayField = 0.0
     deviation_error: ArrayField = 0.0
     scale: float = 0.0
+    blind: float = 0.0
 
     def __post_init__(self) -> None:
         size = len(self.names)
-        for column in fields(self)[1:-1]:
+        for column in fields(self)[1:-2]:
             value = np.broadcast_to(np.asarray(getattr(self, column.name), dtype=float), (size,)).copy()
             object.__setattr__(self, column.name, frozen(value))
 
     def __repr__(self) -> str:
-        cosines = (f"{method} {self.cosine(method):.3f}" for method in ("pathwise", "network_input"))
+        known = (method for _, method in ROWS[1:] if np.isfinite(getattr(self, method)).all())
+        cosines = (f"{method} {self.cosine(method):.3f}" for method in known)
         verdict = "trusted" if self.trusted else "not trusted"
         return f"GradientCheck(cosine with finite differences: {', '.join(cosines)}; pathwise {verdict})"
 
@@ -93,6 +98,8 @@ class GradientCheck(Immutable):
         rows = [f"{'design gradient (unit box)':<28}" + "".join(f"{name:>24}" for name in self.names)
                 + "     cosine     length"]  # fmt: skip
         for label, method in ROWS:
+            if np.isnan(getattr(self, method)).all():
+                continue
             errors = getattr(self, f"{method}_error", None)
             columns = [f"{value:.5g}" for value in getattr(self, method)]
             if errors is not None:
@@ -145,6 +152,8 @@ class LearnedCoDesign(CoDesignResult):
     agent : ActorCritic
     gradients : GradientCheck or None
         Before its first move; None when the design is frozen.
+    policy_gradients : GradientCheck or None
+        Slopes of the policy handed out, along a few random changes of its last layer; None where nothing was settled.
     gains : dict
         What did the work, in units of the return: "design" is the gain of the first policy from the given design to the
         one found, "policy" the gain of the policy found over the first one there.
@@ -153,6 +162,7 @@ class LearnedCoDesign(CoDesignResult):
 
     agent: ActorCritic
     gradients: GradientCheck | None = None
+    policy_gradients: GradientCheck | None = None
     gains: dict[str, float] = field(default_factory=dict)
     convergence: Convergence | None = None
 
@@ -183,5 +193,6 @@ class LearnedCoDesign(CoDesignResult):
     def _remarks(self) -> list[str]:
         """What else is to be known, one line each."""
         if self.convergence is not None and self.convergence.by_differences:
-            return [*self.notes, "the design followed finite differences: the gradient through the model was wrong"]
-        return list(self.notes)
+            followed = "the design followed finite differences: the gradient through the model was wrong"
+            return [followed, *super()._remarks()]
+        return super()._remarks()

@@ -90,9 +90,24 @@ def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tenso
     return Tolerance(Pair(fraction, depth), BY_MPC, v.clone(), torch.stack(slopes, dim=1))
 
 
+def tolerance_at(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> tuple[Pair, Pair]:
+    """What MPC lets one design have, and its standard errors; the least there is where there is no MPC."""
+    try:
+        seen = mpc_episodes(problem, v, scenarios)
+    except NotStabilisableError:
+        return Pair(FLOOR, FLOOR), NOTHING
+    errors = (BESIDE_MPC * error for error in measurement_errors(seen).values())
+    return Pair(*_beside(seen).tolist()), Pair(*errors)
+
+
 def _granted(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tensor:
     """What MPC lets one design have, (2,); the least there is where MPC loses every run."""
-    fraction, depth = measured(mpc_episodes(problem, v, scenarios)).values()
+    return _beside(mpc_episodes(problem, v, scenarios))
+
+
+def _beside(seen: Episode) -> Tensor:
+    """What episodes of MPC let a design have, (2,)."""
+    fraction, depth = measured(seen).values()
     return (BESIDE_MPC * torch.tensor([fraction, depth], dtype=torch.float64)).nan_to_num(nan=FLOOR).clamp(min=FLOOR)
 
 
@@ -110,3 +125,11 @@ def measured(episode: Episode) -> Pair:
     """Mean fraction outside, and mean peak depth, of the runs that are not lost; NaN where all are."""
     kept = ~episode.diverged
     return Pair(float(episode.outside.detach()[kept].mean()), float(episode.peak.detach()[kept].mean()))
+
+
+def measurement_errors(episode: Episode) -> Pair:
+    """Standard errors of what is `measured`; 0 of fewer than two runs."""
+    kept = ~episode.diverged
+    parts = (episode.outside.detach()[kept], episode.peak.detach()[kept])
+    fraction, depth = (float(part.std()) / len(part) ** 0.5 if len(part) > 1 else 0.0 for part in parts)
+    return Pair(fraction, depth)

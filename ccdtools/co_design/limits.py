@@ -35,6 +35,7 @@ from ccdtools.co_design.limit_tolerance import (
 )
 from ccdtools.co_design.problem import CoDesignProblem
 
+CHANCE = 2.0  # standard errors by which a measure may exceed its tolerance
 AIM = 0.9  # of the tolerance: what the multipliers aim at, so that some iterates are within
 RESOLVED = 1e-4  # half-widths: smaller depths say nothing of how far the states outside X are
 FIRST_PRICE = 0.02  # of the return, for leaving X by once more than what is granted
@@ -59,6 +60,8 @@ class LimitsOutcome:
         Price of each measure in parts of the return, for as much again as is granted; zero where no limit binds.
     outputs : bool
         Whether limits of outputs count beside X.
+    errors : Pair
+        Standard errors of what is achieved; zero where it is taken as it is.
     """
 
     achieved: Pair
@@ -66,11 +69,13 @@ class LimitsOutcome:
     source: str
     multipliers: Pair
     outputs: bool = False
+    errors: Pair = NOTHING
 
     @property
     def kept(self) -> bool:
-        """Whether neither measure exceeds its tolerance."""
-        return all(a <= t for a, t in zip(self.achieved.values(), self.tolerance.values()))
+        """Whether neither measure exceeds its tolerance beyond chance."""
+        measures = zip(self.achieved.values(), self.errors.values(), self.tolerance.values())
+        return all(value - CHANCE * error <= most for value, error, most in measures)
 
     def __str__(self) -> str:
         where = "samples outside the limits" if self.outputs else "states outside X"

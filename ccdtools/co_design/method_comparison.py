@@ -179,8 +179,11 @@ class MethodComparison(Immutable):
         found = row.result
         mean, (low, high), _ = _summary(row.closed_loop)
         lost = row.closed_loop.lost_share
+        runs = len(row.closed_loop.values)
+        fewer = any(other.result is not None and len(other.closed_loop.values) > runs for other in self.rows)
+        of = f" ({runs} runs)" if fewer else ""
         return (
-            row.name, self.problem.design.describe(found.design), f"{mean:.5g}", f"[{low:.5g}, {high:.5g}]",
+            row.name, self.problem.design.describe(found.design), f"{mean:.5g}{of}", f"[{low:.5g}, {high:.5g}]",
             f"{lost:.2%}" if lost else "0", self.difference_text(row), f"{found.objective:.5g}",
             str(found.evaluations), f"{found.seconds:.3g} s", found.status.name.lower().replace("_", " "),
             held(found) or "–",

@@ -12,9 +12,9 @@ from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns, CoDesignResult
+from ccdtools.co_design.risk_intervals import difference_of_parts
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.exceptions import InputError
-from ccdtools.statistics import PairedDifference, paired_difference
+from ccdtools.statistics import PairedDifference
 from mpc import MPCError
 
 UNSOUND = (CoDesignStatus.DIVERGING, CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
@@ -89,16 +89,17 @@ class Pairs:
         other = self._first(self.reference, runs)
         here, there = self._lqr(result.design, runs), self._lqr(self.reference.design, runs)
         loops = [own, other, *(loop for loop in (here, there) if loop is not None)]
-        kept = ~np.logical_or.reduce([loop.lost for loop in loops])
-        pairs = ~(own.lost | other.lost)
+        kept = np.flatnonzero(~np.logical_or.reduce([loop.lost for loop in loops]))
+        pairs = np.flatnonzero(~(own.lost | other.lost))
+        risk = self.problem.risk
         by_design = by_control = None
-        if here is not None and there is not None:
-            by_design = _difference(here.values[kept], there.values[kept])
-            control = (own.values - here.values)[kept]
-            by_control = _difference(control, (other.values - there.values)[kept])
+        if here is not None and there is not None and len(kept):
+            design = here.parts(kept) - there.parts(kept)
+            by_design = difference_of_parts(risk, design, kept)
+            by_control = difference_of_parts(risk, own.parts(kept) - other.parts(kept) - design, kept)
+        gap = difference_of_parts(risk, own.parts(pairs) - other.parts(pairs), pairs) if len(pairs) else None
         return MethodRow(
-            name=name, result=result, difference=_difference(own.values[pairs], other.values[pairs]),
-            from_design=by_design, from_control=by_control, runs=int(pairs.sum()),
+            name=name, result=result, difference=gap, from_design=by_design, from_control=by_control, runs=len(pairs),
             violation=float(self.problem.design.violation(result.design)),
         )  # fmt: skip
 
@@ -113,7 +114,7 @@ class Pairs:
         """Saturated LQR of a design on them; None where there is none."""
         try:
             controller = saturated_lqr(self.problem, design)
-        except (MPCError, InputError):
+        except MPCError:
             return None
         return self._measured((tuple(design), runs), controller, design, runs)
 
@@ -128,8 +129,3 @@ class Pairs:
 def scenarios_of(seed: int) -> np.random.Generator:
     """What draws the scenarios of a seed that `codesign` measures on."""
     return np.random.default_rng(seed).spawn(1)[0]
-
-
-def _difference(a: Array, b: Array) -> PairedDifference | None:
-    """The paired difference; None of no pairs."""
-    return paired_difference(a, b) if len(a) else None

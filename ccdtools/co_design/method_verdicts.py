@@ -6,10 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.controllers.controllers import LinearFeedback
-from ccdtools.controllers.learned import LearnedPolicy
-
 SAME = 0.5  # per cent of the reference's return that two methods may differ by and be equal
 APART = 5.0  # per cent between a method's own objective and the closed loop that are worth a word
 NEAR = 0.02  # of the unit box: designs this close are one
@@ -17,7 +13,7 @@ OUTSIDE = 1e-3  # of the states outside the limits, beyond twice the reference's
 
 
 def method_verdicts(comparison: Any) -> list[str]:
-    """Of a `MethodComparison`: which methods are equal, which one wins, which lose, and why; which refused."""
+    """Of a `MethodComparison`: which methods are equal, which one wins, which lose, by which part; which refused."""
     rows = [row for row in comparison.rows if row.result is not None]
     refused = [f"{row.name} refused: {row.refused}" for row in comparison.rows if row.result is None]
     if not rows:
@@ -27,7 +23,8 @@ def method_verdicts(comparison: Any) -> list[str]:
         if row.name == comparison.reference or row is comparison.best or not _differs(comparison, row):
             continue
         only = ", in return only" if leaves_limits(comparison, row) and _percent(comparison, row)[0] > 0 else ""
-        lines.append(f"{row.name}: {_difference(comparison, row)}{only}; {_why(comparison, row)}.")
+        said = [f"{_difference(comparison, row)}{only}", _parts(comparison, row)]
+        lines.append(f"{row.name}: {'; '.join(part for part in said if part)}.")
     lines += _unsound(comparison, rows)
     return [line for line in lines if line] + refused
 
@@ -77,7 +74,7 @@ def _equal(comparison: Any, rows: list[Any]) -> str:
 
 
 def _winner(comparison: Any) -> str:
-    """The best method, and why, if it is better than the reference."""
+    """The best method, and by what, if it is better than the reference."""
     best = comparison.best
     if sum(row.result is not None for row in comparison.rows) == 1:
         return ""
@@ -89,7 +86,8 @@ def _winner(comparison: Any) -> str:
         kept = " that keeps the limits" if any(leaves_limits(comparison, row) for row in better) else ""
         return f"No method{kept} is better than {comparison.reference} by more than {SAME:g} %."
     certain = "" if low > 0 else " (the interval holds 0)"
-    return f"{best.name} wins: {_difference(comparison, best)}{certain}; {_why(comparison, best)}."
+    said = [f"{_difference(comparison, best)}{certain}", _parts(comparison, best)]
+    return f"{best.name} wins: {'; '.join(part for part in said if part)}."
 
 
 def _difference(comparison: Any, row: Any) -> str:
@@ -103,51 +101,24 @@ def _difference(comparison: Any, row: Any) -> str:
     return f"{abs(mean):.2f} % [{first:.2f}, {last:.2f}] {better} than {comparison.reference}"
 
 
-def _why(comparison: Any, row: Any) -> str:
-    """Where a difference comes from: the design, the controller or both, and the criterion behind them."""
-    result = row.result
-    if row.from_design is None or row.from_control is None:
-        return f"its criterion is the {result.criterion}" if result.criterion else "nobody knows why"
-    by_design, by_control = (comparison.percent(part.mean) for part in (row.from_design, row.from_control))
-    parts = [f"{signed(by_design)} % by its design, {signed(by_control)} % by its controller"]
-    if abs(by_design) > SAME / 2:
-        parts.append(_of_design(comparison, row, by_design))
-    if abs(by_control) > SAME / 2:
-        parts.append(_of_control(result.controller, by_control))
-    return "; ".join(part for part in parts if part)
+def _parts(comparison: Any, row: Any) -> str:
+    """The parts of a difference that were measured: by the design and by the controller, and what both were made for.
 
-
-def _of_design(comparison: Any, row: Any, by_design: float) -> str:
-    """Why a design is another."""
+    No cause is named: that would take the same method without the supposed cause.
+    """
     result = row.result
-    space = comparison.problem.design
-    text = f"{space.describe(result.design)} is its best {result.criterion}"
-    if by_design > 0:
-        text += f", and {comparison.reference} did not get there"
-    if result.status in (CoDesignStatus.BUDGET_SPENT, CoDesignStatus.STILL_IMPROVING):
-        text += ", as far as its budget went"
+    made_for = f"its criterion is the {result.criterion}" if result.criterion else ""
     loop = row.closed_loop.summary.mean
-    if abs(comparison.percent(result.objective - loop)) > APART:
-        text += f", which is not the closed loop's: {result.objective:.5g} there, {loop:.5g} here"
-    return text
-
-
-def _of_control(controller: Any, by_control: float) -> str:
-    """Why a controller makes more or less of a plant than its saturated LQR."""
-    better = by_control > 0
-    if hasattr(controller, "horizon"):
-        if better:
-            return "its controller plans with the limits, which saturated LQR knows nothing of"
-        return "its controller keeps limits on states, or ends its plans before they pay"
-    if isinstance(controller, LearnedPolicy):
-        if better:
-            return "its policy was trained in these scenarios, limits included"
-        return "its policy falls short of LQR, and would need more iterations"
-    if isinstance(controller, LinearFeedback):
-        if better:
-            return "its gain was fitted to these scenarios and to the limits of the inputs"
-        return "its gain was fitted to few scenarios"
-    return ""
+    if made_for and abs(comparison.percent(result.objective - loop)) > APART:
+        made_for += f", {result.objective:.5g}, beside {loop:.5g} in closed loop"
+    if row.from_design is None or row.from_control is None:
+        return made_for
+    by_design, by_control = (comparison.percent(part.mean) for part in (row.from_design, row.from_control))
+    measured = f"{signed(by_design)} % by its design, {signed(by_control)} % by its controller"
+    if abs(by_design) > SAME / 2:
+        measured += f" at {comparison.problem.design.describe(result.design)}"
+    ended = "" if result.status.settled else result.status.value
+    return "; ".join(part for part in (measured, made_for, ended) if part)
 
 
 def _unsound(comparison: Any, rows: list[Any]) -> list[str]:

@@ -13,11 +13,13 @@ from ccdtools.checks import (
     as_floats,
     as_instance,
     as_limit_tolerance,
+    as_positive,
     as_vector,
     finite,
     has_method,
     shown,
 )
+from ccdtools.co_design.idle_entries import check_every_entry_acts
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
@@ -130,6 +132,9 @@ class CoDesignProblem(Immutable):
     warm_up : int
         First steps of an episode whose rewards and states outside X do not count; 0 by default. For episodes that
         begin at a state that the design and policy in question have not come to themselves.
+    divergence : float
+        Half-widths of X beyond which a run is lost and ends. It bounds what a lost run costs: about the square of it
+        for a quadratic cost. Learning from a policy that loses runs asks for less than the default of 1000.
 
     Raises
     ------
@@ -137,7 +142,8 @@ class CoDesignProblem(Immutable):
         If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
         not in X or not in U, at some design if they depend on it, U is not a box, starts lie outside X at every design
         or break a limit of an output that no input and no design mends, or the box of designs is too narrow or has no
-        entry that is not fixed. If nothing that is chosen changes the objective.
+        entry that is not fixed. If nothing that is chosen changes the objective, or an entry of the design that is not
+        fixed changes nothing.
     """
 
     model: Model
@@ -151,6 +157,7 @@ class CoDesignProblem(Immutable):
     warm_up: int = 0
     risk: Risk = MEAN
     output_limits: OutputLimits | None = None
+    divergence: float = DIVERGENCE
 
     def __post_init__(self) -> None:
         model = as_regulated_model("model", self.model)
@@ -187,11 +194,13 @@ class CoDesignProblem(Immutable):
         if self.output_limits is not None:
             as_instance("output_limits", self.output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
             self.output_limits.check(model.nx, model.nu, model.design.dim)
+        check_every_entry_acts(model, self.X, self.U, self.objective, self.output_limits)
         self._check_over_designs()
         object.__setattr__(self, "warm_up", as_count("warm_up", self.warm_up, least=0))
         if self.warm_up >= self.steps:
             raise InputError("warm_up", self.warm_up, f"less than {self.steps}, the steps of an episode")
         object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
+        object.__setattr__(self, "divergence", as_positive("divergence", self.divergence))
         self._check_discrepancy()
         self._check_scenarios()
 
@@ -327,7 +336,7 @@ class CoDesignProblem(Immutable):
     @property
     def limit(self) -> Array:
         """Divergence limit on |x|, (nx,)."""
-        return DIVERGENCE * self.state_scale
+        return self.divergence * self.state_scale
 
     @property
     def observation_bounds(self) -> tuple[Array, Array]:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField, Immutable, Mask, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable, Indices, Mask, frozen
 from ccdtools.checks import as_vector
 from ccdtools.co_design.limits import LimitsOutcome
+from ccdtools.co_design.risk import MEAN, Mean, Risk, measure
+from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
 from ccdtools.plain_values import jsonable
-from ccdtools.statistics import Summary, summarise
+from ccdtools.statistics import PairedDifference, Summary
 
 HEAVY = 2.0  # standard deviation of the runs, in parts of their mean, beyond which a few of them decide
 FAR = 0.5  # of the return in closed loop: an objective that promises more than this did not see what happens
@@ -90,36 +93,78 @@ class ClosedLoopReturns(Immutable):
     Attributes
     ----------
     values : (n,) array
-        Returns; of a problem with a risk the values whose mean it is. A run that is lost has its whole, huge cost.
+        Returns. A run that is lost has its whole, huge cost, which no summary counts.
     lost : (n,) array of bool
         Runs that diverged.
     outside, depth : float
         Fraction of the states outside the limits, and mean over the runs of the peak depth in half-widths; of the runs
         that are not lost.
+    risk : Risk
+        What of the returns counts.
+    limit_errors : (float, float)
+        Standard errors of both.
     """
 
     values: Array
     lost: Mask
     outside: float = 0.0
     depth: float = 0.0
+    risk: Risk = MEAN
+    limit_errors: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", frozen(np.array(self.values, dtype=float)))
         object.__setattr__(self, "lost", frozen(np.array(self.lost, dtype=bool)))
 
     def __repr__(self) -> str:
-        lost = f", {self.lost_share:.2%} lost" if self.lost.any() else ""
-        return f"ClosedLoopReturns({self.summary.mean:.5g}, {len(self.values)} runs{lost})"
+        return f"ClosedLoopReturns({self})"
 
-    @property
+    def __str__(self) -> str:
+        """What is counted, of how many runs, and what is not."""
+        found = self.summary
+        low, high = found.ci95
+        what = "" if isinstance(self.risk, Mean) else f"{measure(self.risk)} "
+        ends = f" [{low:.6g}, {high:.6g}]" if np.isfinite(found.ci95).all() else ""
+        lost = f"; {self.lost_share:.2%} of the runs lost, not counted" if self.lost.any() else ""
+        return f"{what}{found.mean:.6g}{ends}, {found.n} runs{lost}{found.warning and f'; {found.warning}'}"
+
+    @cached_property
     def summary(self) -> Summary:
-        """Mean, 95 % interval and more of the runs that are not lost."""
-        return summarise(self.values[~self.lost])
+        """The risk, its 95 % interval and more of the runs that are not lost: see `summarise_in_risk`."""
+        return summarise_in_risk(self.risk, self.values, self.lost)
+
+    def parts(self, runs: Indices) -> Array:
+        """The parts (k,) of runs with these numbers in the risk; see `parts_of_risk`."""
+        return parts_of_risk(self.risk, self.values[runs], runs=runs)
 
     @property
     def lost_share(self) -> float:
         """Fraction of the runs that diverged."""
         return float(self.lost.mean()) if len(self.lost) else float("nan")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Baseline(Immutable):
+    """What a result was compared with before it was called settled.
+
+    Attributes
+    ----------
+    name : str
+    design : (np,) array
+    gain : PairedDifference
+        Of the baseline over the result on common scenarios, in parts of the return that control makes.
+    """
+
+    name: str
+    design: ArrayField
+    gain: PairedDifference
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "design", as_vector("design", self.design))
+
+    def __repr__(self) -> str:
+        low, high = self.gain.ci95
+        return f"{self.name}: {100 * self.gain.mean:+.2f} % [{100 * low:+.2f}, {100 * high:+.2f}]"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -155,6 +200,8 @@ class CoDesignResult(Immutable):
         Of the start that won.
     limits : LimitsOutcome or None
         How often and how far X is left, beside what was granted; None where the limits were switched off.
+    baselines : tuple of Baseline
+        What it was compared with before it was called settled.
     valleys : tuple of Valley
         The local optima of the landscape, best first; empty where it was not looked at.
     described : str
@@ -178,6 +225,7 @@ class CoDesignResult(Immutable):
     seconds: float = float("nan")
     history: History
     limits: LimitsOutcome | None = None
+    baselines: tuple[Baseline, ...] = ()
     valleys: tuple[Valley, ...] = ()
     described: str = ""
     notes: tuple[str, ...] = ()
@@ -203,6 +251,7 @@ class CoDesignResult(Immutable):
         return {
             "status": self.status.name, "meaning": self.status.value, "advice": self.status.advice,
             "method": self.method, "valleys": [asdict(valley) for valley in self.valleys],
+            "baselines": [asdict(baseline) for baseline in self.baselines],
             "active_constraints": dict(self.active_constraints), "multipliers": dict(self.multipliers),
             "criterion": self.criterion, "objective": self.objective, "evaluations": self.evaluations,
             "notes": self.notes,
@@ -235,17 +284,15 @@ class CoDesignResult(Immutable):
         if self.closed_loop is None:
             return []
         summary = self.closed_loop.summary
-        low, high = summary.ci95
-        lost = f", {self.closed_loop.lost_share:.2%} of the runs lost" if self.closed_loop.lost.any() else ""
-        told = f"in closed loop: {summary.mean:.6g} [{low:.6g}, {high:.6g}], {summary.n} runs{lost}"
-        if self.limits is None and self.closed_loop.outside > 0:
+        told = f"in closed loop: {self.closed_loop}"
+        if self.closed_loop.outside > 0 and (self.limits is None or not self.limits.kept):
             loop = self.closed_loop
             told += f"; {loop.outside:.2%} of the states outside the limits, {loop.depth:.2g} half-widths deep"
         return [told, *_warnings(self.objective, summary)]
 
     def _remarks(self) -> list[str]:
         """What else is to be known, one line each."""
-        return list(self.notes)
+        return [*self.notes, *(f"beside it, {one!r}" for one in self.baselines)]
 
 
 def _warnings(objective: float, summary: Summary) -> list[str]:

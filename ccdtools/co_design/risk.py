@@ -50,10 +50,10 @@ class MeanSpread:
         object.__setattr__(self, "weight", weight)
 
     def values(self, returns: Any) -> Any:
-        """(..., n) of returns (..., n): each less its part of the spread."""
+        """(..., n) of returns (..., n): each less its part of the spread, as that moves with it."""
         squares = (returns - returns.mean(-1)[..., None]) ** 2
         spread = (squares.mean(-1)[..., None] + TINY) ** 0.5
-        return returns - self.weight * squares / spread
+        return returns - self.weight * (spread + squares / spread) / 2
 
     def describe(self) -> str:
         """In words."""
@@ -141,10 +141,6 @@ class WorstCase:
             raise InputError("risk", "a worst case of scenarios without cases", "a disturbance with Cases",
                              "Such as Stacked((road, Cases.of([-0.2, 0.2]))).")  # fmt: skip
         return replace(self, cases=cases)
-
-    def exact(self) -> WorstCase:
-        """The least mean itself: what is shown, where no slope is asked for."""
-        return replace(self, smoothing=0.0)
 
     def means(self, returns: Any) -> Any:
         """The mean return of every case, (..., m), of returns (..., n).

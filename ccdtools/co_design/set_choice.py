@@ -1,8 +1,7 @@
-"""Which set each design gets: X_fea(p) as far as the time goes, else the region of saturated LQR, else X.
+"""Which set each design gets: X_fea(p) as far as the budget goes, else the region of saturated LQR, else X.
 
-The number of designs is chosen by the measured time of a few sets, on a coarse ladder. Time is that of this thread on
-the processor, so that other programs do not change the choice. Where the first sets say that a set for every candidate
-takes less than the limit, nothing depends on the clock.
+The budget is one of work, facets times steps of the recursion, which every machine counts alike. A time limit is stated
+as the seconds that such work takes on a usual processor; only far beyond it is the clock looked at, and that is said.
 """
 
 from __future__ import annotations
@@ -20,10 +19,12 @@ from invariant_sets import ParametricSet, Polytope
 from invariant_sets.results import Status
 
 SETS = ("auto", "lqr", "none")
-LADDER = tuple(4**k for k in range(3, 12))  # numbers of designs that candidates share
-ONE_SET = 1 / 16  # of the time limit: longest computation of one set
-PROBES = 5  # sets that are computed to see how long one takes; the first is not counted, it loads what it needs
-LONGER = (4, 16)  # times the limit of one set, where other programs took the processor
+WORK = 50_000  # facets times steps: what a usual processor does in a second
+FACETS = 8  # of one set, at most, for every second of the limit
+FEWEST = 64  # designs that candidates may share
+PROBES = 5  # sets that are computed to see how much work one is
+ABORT = 10.0  # times the limit: processor time after which no further set is computed; one set has the limit itself
+LATE = ", by the clock: another machine may get further"
 USABLE = (Status.CONVERGED, Status.EMPTY)
 
 
@@ -35,7 +36,7 @@ class Effort:
     ----------
     option : {"auto", "lqr", "none"}
     time_limit : float or None
-        Processor time for all sets [s].
+        For all sets, as work of a usual processor [s].
     progress : bool
         Show progress bars.
     echo : callable or None
@@ -98,64 +99,44 @@ class SetCounts:
 
 
 def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: int, effort: Effort) -> tuple[int, str]:
-    """How many designs can have a set in time, and if none can, why; `samples` if every candidate can have its own."""
-    if not np.isfinite(effort.seconds):
-        return samples, ""
-    taken = []
+    """How many designs can have a set within the budget, and if too few can, why; `samples` if every candidate can."""
+    work = []
     for design in problem.design.spread()[::-1][: min(PROBES, samples)]:
-        begun = time.thread_time()
-        S = _set_in_time(sets, design)
-        taken.append(time.thread_time() - begun if S is not None else np.inf)
-        if sum(taken) > effort.seconds / 4 or not np.isfinite(taken[-1]):
-            break
-    if not np.isfinite(taken[-1]):
-        return 0, f"X_fea(p) was not found within {effort.seconds * ONE_SET:.3g} s"
-    one = float(np.mean(taken[1:] or taken))
-    if one * samples <= effort.seconds:
-        return samples, ""
-    possible = [number for number in LADDER if number * one <= effort.seconds / 2]
-    return max(possible, default=0), "" if possible else f"X_fea(p) of {LADDER[0]} designs takes longer than allowed"
+        result = sets.result(design)
+        if result.status not in USABLE:
+            late = LATE if result.status is Status.TIME_LIMIT else ""
+            return 0, f"X_fea(p) was not found: {result.status.name}{late}"
+        work.append(max(result.iterations, 1) * max(len(result.set.b), 1))
+    number = min(float(samples), effort.seconds * WORK / float(np.mean(work)))
+    if number < min(FEWEST, samples):
+        return 0, f"X_fea(p) of {FEWEST} designs is more work than allowed"
+    return int(number), ""
 
 
-def sets_in_time(sets: ParametricSet, designs: Array, effort: Effort) -> tuple[list[Polytope | None], SetCounts]:
-    """X_fea of each design (n, np), None where time or the recursion ended first, and what was counted."""
+def found_sets(sets: ParametricSet, designs: Array, effort: Effort) -> tuple[list[Polytope | None], SetCounts]:
+    """X_fea of each design (n, np), None where the recursion did not end in one, and what was counted."""
     begun = time.thread_time()
     unique, index = np.unique(designs, axis=0, return_inverse=True)
     order = np.unique(index.ravel(), return_index=True)[1].argsort()  # as they come
     known: dict[int, Polytope | None] = {}
+    aborted = False
     for i in counted(order, "X_fea(p)", total=len(order), progress=effort.progress, echo=effort.echo):
-        late = time.thread_time() - begun > effort.seconds
-        known[int(i)] = None if late else _set_in_time(sets, unique[i])
+        aborted = aborted or time.thread_time() - begun > ABORT * effort.seconds
+        result = None if aborted else sets.result(unique[i])
+        aborted = aborted or (result is not None and result.status is Status.TIME_LIMIT)
+        known[int(i)] = result.set if result is not None and result.status in USABLE else None
     found = sum(one is not None for one in known.values())
     seconds = time.thread_time() - begun
-    reason = ""
-    if found < len(known):
-        late = seconds > effort.seconds
-        reason = f"time limit of {effort.seconds:g} s reached" if late else "X_fea(p) was not found in time"
+    reason = "" if found == len(known) else "X_fea(p) was not found within its facets"
+    if aborted:
+        reason = f"aborted after {seconds:.3g} s of processor time{LATE}"
     counts = SetCounts(effort.option, found, len(known) - found, 0, reason, seconds)
     return [known[int(i)] for i in index.ravel()], counts
 
 
-def _set_in_time(sets: ParametricSet, design: Array) -> Polytope | None:
-    """X_fea of a design, None if it was not found within the time limit of the family.
-
-    That limit is on the clock on the wall: where this thread had less than half of the processor, it is extended.
-    """
-    for longer in (1, *LONGER):
-        family = sets if longer == 1 or sets.time_limit is None else replace(sets, time_limit=longer * sets.time_limit)
-        wall = time.perf_counter()
-        processor = time.thread_time()
-        result = family.result(design)
-        if result.status in USABLE:
-            return result.set
-        starved = time.thread_time() - processor < (time.perf_counter() - wall) / 2
-        if not starved or result.status is not Status.TIME_LIMIT:
-            break
-    return None
-
-
 def limited(sets: ParametricSet, effort: Effort) -> ParametricSet:
-    """The family with a time limit for each set; one that has a shorter limit keeps it."""
-    own = np.inf if sets.time_limit is None else sets.time_limit
-    limit = min(own, effort.seconds * ONE_SET)
-    return replace(sets, time_limit=limit) if limit < own else sets
+    """The family with the facets of one set that the budget allows; far beyond it, its time is limited."""
+    if not np.isfinite(effort.seconds):
+        return sets
+    facets = max(min(sets.max_facets, int(FACETS * effort.seconds)), 1)
+    return replace(sets, max_facets=facets, time_limit=effort.seconds)

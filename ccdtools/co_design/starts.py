@@ -54,9 +54,9 @@ def _by_default(space: DesignSpace) -> int:
 
 
 def race(
-    task: Task, agent: ActorCritic, starts: list[Array], rng: np.random.Generator, *, progress: bool
+    task: Task, agents: list[ActorCritic], starts: list[Array], rng: np.random.Generator, *, progress: bool
 ) -> list[Ascent]:
-    """The ascents from every start, the best first.
+    """The ascents of every agent from every start, the best first.
 
     They climb a block at a time. One is given up when it has come to the place of a better one, loses runs that a
     better one keeps, or is behind it by more than its last block gained and than chance explains. Each draws from a
@@ -66,6 +66,7 @@ def race(
     evaluation = scenario_tensors(task.judge, fewer_runs(config.evaluation_runs, task.judge.steps), rng)
     ascents = [
         Ascent(task, copy.deepcopy(agent), design, np.random.default_rng(rng.integers(2**63, size=4)), evaluation)
+        for agent in agents
         for design in starts
     ]
     climbing = list(ascents)

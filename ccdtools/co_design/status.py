@@ -13,14 +13,16 @@ class CoDesignStatus(Enum):
     EDGE_OF_TRUST = "converged, with the design at the edge of the trust region"
     STILL_IMPROVING = "still improving"
     BUDGET_SPENT = "budget spent before the design settled"
-    GRADIENT_UNTRUSTED = "design gradient untrusted"
+    GRADIENT_UNTRUSTED = "gradient untrusted"
     DIVERGING = "runs diverge"
     LIMITS_BROKEN = "limits broken"
+    WORSE_THAN_BASELINE = "worse than a baseline"
+    NOT_STATIONARY = "not at an optimum of the policy"
     INFEASIBLE = "no trajectory within the limits"
 
     @property
     def settled(self) -> bool:
-        """Whether more iterations are not expected to gain anything."""
+        """Whether more effort is not expected to gain anything; see `Settling` for what was checked."""
         return self in (CoDesignStatus.CONVERGED, CoDesignStatus.AT_BOUND, CoDesignStatus.EDGE_OF_TRUST)
 
     @property
@@ -41,11 +43,17 @@ _ADVICE = {
     CoDesignStatus.STILL_IMPROVING: "Raise CoDesignConfig.iterations: the last of them still gained significantly.",
     CoDesignStatus.BUDGET_SPENT: (
         "Raise the budget (CoDesignConfig.iterations of learning, Simultaneous.iterations, evaluations or starts of "
-        "other methods): the return still rises along the design, or nobody knows that it does not."
+        "other methods): the return still rises along the design, or it was not seen that it does not."
     ),
     CoDesignStatus.GRADIENT_UNTRUSTED: (
-        "Check that the objective is differentiable, or raise the number of runs: neither the gradient through the "
-        "model nor finite differences could be trusted."
+        "Check that model and objective are differentiable, or raise the number of runs: the gradient through the "
+        'model is not that of the return. Where the plant jumps or the policy saturates, take "ppo" or "search".'
+    ),
+    CoDesignStatus.WORSE_THAN_BASELINE: (
+        "Deploy the named baseline, or start again from it: it is better on the same scenarios and keeps the limits."
+    ),
+    CoDesignStatus.NOT_STATIONARY: (
+        "Start again from another policy or with more iterations: a plain search over its last layer is better."
     ),
     CoDesignStatus.DIVERGING: "Check x0 and U: with this design and policy some runs cannot be recovered.",
     CoDesignStatus.INFEASIBLE: (

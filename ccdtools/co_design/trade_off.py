@@ -15,10 +15,10 @@ from ccdtools.checks import as_choice, as_count, as_flag, as_vector, shown
 from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.risk_intervals import difference_of_parts
 from ccdtools.exceptions import InputError
 from ccdtools.jobs import as_jobs, in_processes
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.statistics import paired_difference
 
 ProblemOf = Callable[[float], CoDesignProblem]
 
@@ -216,10 +216,10 @@ def _intervals(results: tuple[CoDesignResult, ...], costs: Array, returns: Array
     """Intervals (n, 2) of the returns without design costs, by their pairs with the highest one."""
     loops = [result.closed_loop for result in results if result.closed_loop is not None]
     runs = min(len(loop.values) for loop in loops)  # of longer episodes fewer are measured
-    kept = ~np.logical_or.reduce([loop.lost[:runs] for loop in loops])
+    kept = np.flatnonzero(~np.logical_or.reduce([loop.lost[:runs] for loop in loops]))
     top = int(np.where(np.isnan(returns), -np.inf, returns).argmax())
-    best = loops[top].values[:runs][kept] + costs[top]
-    gaps = [paired_difference(loop.values[:runs][kept] + cost, best) for loop, cost in zip(loops, costs)]
+    parts = [loop.parts(kept) + cost for loop, cost in zip(loops, costs)]
+    gaps = [difference_of_parts(loop.risk, part - parts[top], kept) for loop, part in zip(loops, parts)]
     return np.array([np.array(gap.ci95) - gap.mean + value for gap, value in zip(gaps, returns)])
 
 

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_instance, as_mapping
+from ccdtools.checks import as_choice, as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
-from ccdtools.co_design.risk import Risk, WorstCase, as_risk, fewest_runs, measure
+from ccdtools.co_design.risk import Risk, as_risk, measure
+from ccdtools.co_design.risk_intervals import summarise_in_risk
 from ccdtools.comparison.baselines import REFERENCE
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.controllers.controllers import Controller
@@ -47,9 +48,9 @@ class Score:
         Of the returns of the runs that did not diverge. Of a single long run `mean` is its return and `n` is 1; `std`,
         from run to run, and `ci95` come from its own autocorrelation, see `ccdtools.statistics.mean_interval`.
     paired_to_lqr : PairedDifference
-        On the runs that both saw and where neither diverged.
+        To the baseline, LQR by default, on the runs that both saw and where neither diverged.
     lqr_mean : float
-        Mean return of the LQR on those same runs.
+        Mean return of the baseline on those same runs.
     diverged : float
         Fraction of runs.
     violations : float
@@ -67,6 +68,12 @@ class Score:
         What the metrics asked for say of the runs that did not diverge; NaN where all did.
     design_cost : float
         What every return holds for the design: the same for all controllers.
+    in_risk : Summary or None
+        The risk asked for, of the runs that did not diverge, with its interval; None where none was.
+    runs : int
+        That it was tried on.
+    remark : str
+        Why it is not to be compared with, such as a PID whose tuning found no gains; empty of most.
     """
 
     controller: str
@@ -83,6 +90,9 @@ class Score:
     step_time: float
     metrics: dict[str, float] = field(default_factory=dict)
     design_cost: float = 0.0
+    in_risk: Summary | None = None
+    runs: int = 0
+    remark: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,11 +100,25 @@ class Comparison:
     """The scores of all controllers on one scenario: a table with one row per controller.
 
     It is iterated like a list of scores, and indexed by number or by the name of a controller. `limits` says what
-    violations are of: "X", or "the limits" where those of outputs count, too.
+    violations are of: "X", or "the limits" where those of outputs count, too; `baseline` is the controller that the
+    others are paired to.
     """
 
     scores: tuple[Score, ...]
     limits: str = "X"
+    baseline: str = REFERENCE
+
+    @property
+    def notes(self) -> list[str]:
+        """What the rows alone do not say, one line each: means of other runs, what is lost, what is no baseline."""
+        most = max(score.runs for score in self.scores)
+        lines = [
+            f"* {one.controller}: {_shown(one.summary.mean, '.5g')} on the first {one.runs} of {most} runs, where "
+            f"{self.baseline} has {_shown(one.lqr_mean, '.5g')}" for one in self.scores if one.runs < most
+        ]  # fmt: skip
+        if any(one.diverged > 0 for one in self.scores):
+            lines.append("Returns are of the runs that did not diverge.")
+        return lines + [f"{one.controller}: {one.remark}" for one in self.scores if one.remark]
 
     def __iter__(self) -> Iterator[Score]:
         return iter(self.scores)
@@ -112,17 +136,18 @@ class Comparison:
 
     def rows(self) -> list[dict[str, Any]]:
         """One dictionary of plain values per controller."""
+        base = "lqr" if self.baseline == REFERENCE else "baseline"
         return [
             {
                 "controller": score.controller, "mean": score.summary.mean, "std": score.summary.std,
                 "median": score.summary.median, "n": score.summary.n, "ci95_low": score.summary.ci95[0],
-                "ci95_high": score.summary.ci95[1], "minus_lqr": score.paired_to_lqr.mean,
-                "minus_lqr_low": score.paired_to_lqr.ci95[0], "minus_lqr_high": score.paired_to_lqr.ci95[1],
-                "lqr_mean": score.lqr_mean, "diverged": score.diverged,
+                "ci95_high": score.summary.ci95[1], f"minus_{base}": score.paired_to_lqr.mean,
+                f"minus_{base}_low": score.paired_to_lqr.ci95[0], f"minus_{base}_high": score.paired_to_lqr.ci95[1],
+                f"{base}_mean": score.lqr_mean, "diverged": score.diverged,
                 "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
                 "depth_worst": score.depth_worst, "exceeded": score.exceeded,
                 "further_outside_than": ", ".join(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
-                **score.metrics,
+                "runs": score.runs, "remark": score.remark, **score.metrics,
             }
             for score in self.scores
         ]  # fmt: skip
@@ -144,19 +169,26 @@ class Comparison:
         return plot_scores(self, ax=ax)
 
     def __repr__(self) -> str:
-        names = f"{'controller':<20}{'return':>11}{'std':>10}{'n':>7}{'minus LQR':>12}"
+        minus = f"minus {self.baseline}"
         outside = f"outside {self.limits}"
-        width = max(11, len(outside) + 2)
-        lines = [f"{names}  {'95 % interval':<24}{'diverged':>9}{outside:>{width}}{'depth':>9}"]
-        lines += ["".join([*cells[:-2], cells[-2].rjust(width), cells[-1]]) for cells in map(_text_cells, self.scores)]
-        return "\n".join(lines)
+        head = ("controller".ljust(20), f"{'return':>11}", f"{'std':>10}", f"{'n':>7}", minus,
+                f"  {'95 % interval':<24}", f"{'diverged':>9}", outside, f"{'depth':>9}")  # fmt: skip
+        wide = {4: max(12, len(minus) + 2), 7: max(11, len(outside) + 2)}
+        lines = ["".join(cell.rjust(wide.get(i, 0)) for i, cell in enumerate(row)) for row in (head, *self._cells())]
+        return "\n".join([*lines, *self.notes])
+
+    def _cells(self) -> Iterator[tuple[str, ...]]:
+        """The cells of every printed row: no mean where it would be of other runs than those of the rest."""
+        most = max(score.runs for score in self.scores)
+        return (_text_cells(score, self.baseline, whole=score.runs == most) for score in self.scores)
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""
-        head = ("controller", "return", "std", "n", "minus LQR", "95 % interval", "diverged",
+        head = ("controller", "return", "std", "n", f"minus {escape(self.baseline)}", "95 % interval", "diverged",
                 f"outside {self.limits}", "depth")  # fmt: skip
-        body = "".join(f"<tr>{_html_row(_text_cells(score))}</tr>" for score in self.scores)
-        return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>"
+        body = "".join(f"<tr>{_html_row(cells)}</tr>" for cells in self._cells())
+        below = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
+        return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>{below}"
 
 
 def compare(
@@ -171,13 +203,15 @@ def compare(
     output_limits: OutputLimits | None = None,
     metrics: Metrics | None = None,
     risk: Risk | None = None,
+    baseline: str | None = None,
 ) -> Comparison:
-    """Scores of all controllers on one scenario, paired to the one named LQR.
+    """Scores of all controllers on one scenario, paired to one of them: the baseline.
 
     Parameters
     ----------
     controllers : mapping of name to controller
-        "LQR" among them.
+        Functions of the state, see `ccdtools.controllers.controllers`, or models with the ``predict`` of
+        Stable-Baselines3.
     scenario : Scenario
     design : (np,) array_like
         Required when the plant has design parameters.
@@ -194,17 +228,22 @@ def compare(
         `Trajectory` → mapping of names, with units, to numbers: what the scores hold beside the returns. Such as a
         `Ride`.
     risk : Risk, optional
-        Shown beside the metrics: its measure of the returns, such as ``problem.risk`` of scenarios of the problem; NaN
-        where a run diverged. Of a worst case it is the least mean, not rounded; NaN of fewer runs than cases.
+        Shown beside the metrics: its measure of the returns of the runs that did not diverge, such as ``problem.risk``
+        of scenarios of the problem. Of a worst case it is the least mean, not rounded; NaN where a case has no run.
+    baseline : str, optional
+        The controller that the others are paired to; "LQR" by default, or the first where there is none.
 
     Raises
     ------
     InputError
-        If an argument is of the wrong kind or size, or no controller is named LQR.
+        If an argument is of the wrong kind or size, or no controller has the name of the baseline.
     """
     controllers = as_mapping("controllers", controllers, "a mapping of names to controllers")
-    if REFERENCE not in controllers:
-        raise InputError("controllers", sorted(controllers), f"{REFERENCE!r} among them")
+    if not controllers:
+        raise InputError("controllers", "none", "at least one")
+    if baseline is None:
+        baseline = REFERENCE if REFERENCE in controllers else next(iter(controllers))
+    as_choice("baseline", baseline, list(controllers))
     for controller in controllers.values():
         needs_of(controller)
     as_instance("scenario", scenario, Scenario, "a Scenario", "Use Scenario(plant, x0, disturbance).")
@@ -224,29 +263,23 @@ def compare(
     if risk is not None:
         as_risk("risk", risk)
     limits = StateLimits(X)
-    reference = scenario.run(controllers[REFERENCE], design=design, limit=limit)
+    reference = scenario.run(controllers[baseline], design=design, limit=limit)
     scores = []
     outside = {}
     for name, controller in controllers.items():
         at(name)
         seen = scenario.first(runs.get(name, len(scenario.x0)))
-        run = reference if name == REFERENCE else seen.run(controller, design=design, limit=limit)
+        run = reference if name == baseline else seen.run(controller, design=design, limit=limit)
         outside[name] = Outside.of(run, limits, scenario.plant, output_limits)
         score = _score(name, controller, run, reference, objective, outside[name].whole, scenario)
         shown = {} if metrics is None else metrics_of(metrics, run)
         if risk is not None:
-            returns = np.where(run.diverged, np.nan, run.returns(objective))
-            shown |= {f"return, {measure(risk)}": _in_risk(risk, returns)}
+            measured = summarise_in_risk(risk, run.returns(objective), run.diverged)
+            shown |= {f"return, {measure(risk)}": measured.mean}
+            score = replace(score, in_risk=measured)
         scores.append(replace(score, metrics=shown) if shown else score)
     found = (replace(one, further_outside_than=outside[one.controller].further_than(outside)) for one in scores)
-    return Comparison(tuple(found), limits_in_words(output_limits))
-
-
-def _in_risk(risk: Risk, returns: Array) -> float:
-    """The risk of returns (n,); of a worst case the least mean itself, NaN of runs that are fewer than its cases."""
-    if len(returns) < fewest_runs(risk):
-        return float("nan")
-    return float((risk.exact() if isinstance(risk, WorstCase) else risk).values(returns).mean())
+    return Comparison(tuple(found), limits_in_words(output_limits), baseline)
 
 
 def _score(
@@ -273,6 +306,8 @@ def _score(
         further_outside_than=(),
         step_time=step_time(controller, run.states[0, 0], scenario, run.design),
         design_cost=float(objective.cost_of_design(run.design, scenario.steps)),
+        runs=n,
+        remark=getattr(controller, "remark", ""),
     )
 
 
@@ -295,15 +330,15 @@ def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike
     return float(np.median(times))
 
 
-def _text_cells(score: Score) -> tuple[str, ...]:
-    """The cells of a row of the printed table, padded to their columns."""
+def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
+    """The cells of a row of the printed table, padded to their columns; `whole` if it is of all runs."""
     floor = SAME_RETURN * abs(score.lqr_mean)
     paired = score.paired_to_lqr
-    compared = score.controller != REFERENCE and np.isfinite(paired.mean)
+    compared = score.controller != baseline and np.isfinite(paired.mean) and not score.remark
     difference = _shown(paired.mean, ".4g", floor) if compared else "-"
     interval = f"[{', '.join(_shown(end, '.4g', floor) for end in paired.ci95)}]" if compared else "-"
-    mean = _shown(score.summary.mean, ".5g")
-    std = _shown(score.summary.std, ".3g")
+    mean = _shown(score.summary.mean, ".5g") if whole else "*"
+    std = _shown(score.summary.std, ".3g") if whole else "*"
     return (
         f"{score.controller:<20}", f"{mean:>11}", f"{std:>10}", f"{score.summary.n:>7}",
         f"{difference:>12}", f"  {interval:<24}", f"{score.diverged:>9.1%}",

@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 
 from ccdtools.checks import has_method
+from ccdtools.comparison.baselines import REFERENCE
 
 
 def plot_scores(comparison: Any, ax: Any = None) -> Any:
     """Mean returns with their 95 % intervals, one row per controller; those that always diverged stay empty.
+
+    One that was tried on fewer runs stands at the mean of LQR on all runs and its paired difference to it.
 
     Parameters
     ----------
@@ -33,11 +36,15 @@ def plot_scores(comparison: Any, ax: Any = None) -> Any:
 
         ax = Figure(figsize=(6.0, 0.6 + 0.4 * len(comparison)), layout="constrained").add_subplot()
     has_method("ax", ax, "errorbar", "matplotlib axes, or None for a new figure")
-    means = np.array([score.summary.mean for score in comparison])
-    ends = np.array([score.summary.ci95 for score in comparison])
-    rows = np.arange(len(comparison))
+    scores = list(comparison)
+    level = next((score.summary.mean for score in scores if score.controller == REFERENCE), np.nan)
+    most = max(score.runs for score in scores)
+    shown = [(0.0, one.summary) if one.runs == most else (level, one.paired_to_lqr) for one in scores]
+    means = np.array([base + found.mean for base, found in shown])
+    ends = np.array([base + np.array(found.ci95) for base, found in shown])
+    rows = np.arange(len(scores))
     ax.errorbar(means, rows, xerr=np.abs(ends.T - means), fmt="o", capsize=3)
-    ax.set_yticks(rows, [score.controller for score in comparison])
+    ax.set_yticks(rows, [score.controller for score in scores])
     ax.invert_yaxis()
     ax.set_xlabel("return (mean and 95 % interval)")
     return ax

@@ -97,10 +97,10 @@ class Ride(Immutable):
         )
         duration = run.dt * run.inputs.shape[1]
         return {
-            "comfort [m/s²]": float(found.comfort.mean()),
-            "travel, rms [mm]": float(1e3 * found.travel_rms.mean()),
+            "weighted body acceleration [m/s²]": float(found.comfort.mean()),
+            "rms travel [mm]": float(1e3 * found.travel_rms.mean()),
             "largest travel [% of the stop]": float(100 * found.travel_share.max(axis=1).mean()),
-            "tyre load, rms [% of static]": float(100 * found.load_rms.mean()),
+            "rms tyre load [% of static]": float(100 * found.load_rms.mean()),
             "off the road [% of the time]": float(100 * found.lift_off.mean()),
             "actuator power [W]": float(found.energy.sum(axis=1).mean() / duration),
         }

@@ -46,6 +46,9 @@ class Controller(Protocol):
         ...
 
 
+NO_GAINS = "no gains were found that are better than none: this is the passive plant, not a PID to compare with"
+
+
 @dataclass(frozen=True, eq=False)
 class Passive:
     """u = 0: what the plant does alone."""
@@ -129,6 +132,11 @@ class PID(Immutable):
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
         object.__setattr__(self, "_memory", _Memory())
+
+    @property
+    def remark(self) -> str:
+        """What a table says of it: that it acts on nothing, where all gains are zero; else nothing."""
+        return "" if np.any([self.kp, self.ki, self.kd]) else NO_GAINS
 
     def reset(self, n: int) -> None:
         """Forget the past of `n` runs."""

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_instance
 from ccdtools.controllers.controllers import Controller, as_states
-from ccdtools.controllers.signals import needs_of
+from ccdtools.controllers.signals import as_controller, needs_of
 from ccdtools.exceptions import InputError
 from invariant_sets import AdmissibleInputs
 
@@ -96,6 +96,7 @@ class Filtered(Immutable):
     _counter: _Counter = field(default_factory=_Counter, kw_only=True)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "controller", as_controller(self.controller))
         needs_of(self.controller)
         cure = "Use admissible_inputs(problem, design)."
         as_instance("admissible", self.admissible, AdmissibleInputs, "an AdmissibleInputs", cure)

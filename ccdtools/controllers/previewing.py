@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_count, as_floats
 from ccdtools.controllers.controllers import Controller
-from ccdtools.controllers.signals import needs_of
+from ccdtools.controllers.signals import as_controller, needs_of
 from ccdtools.exceptions import InputError
 from ccdtools.plants.preview import as_channels, previewed_state
 
@@ -51,6 +51,7 @@ class Previewing(Immutable):
     channels: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "controller", as_controller(self.controller))
         taken = sorted(needs_of(self.controller) & set(TAKEN))
         if taken:
             raise InputError("controller", f"one that needs {' and '.join(taken)} itself", "one of the state (x, w)")

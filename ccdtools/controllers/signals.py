@@ -141,6 +141,25 @@ class Driver:
         return signals
 
 
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """A model with ``predict(observation, deterministic=True)`` → (action, memory) as a controller of the state."""
+
+    model: Any
+
+    def __call__(self, x: ArrayLike) -> Array:
+        """Inputs (n, nu) or (nu,)."""
+        return np.asarray(self.model.predict(np.asarray(x), deterministic=True)[0], dtype=float)
+
+
+def as_controller(controller: Any) -> Any:
+    """The controller; a model of Stable-Baselines3, or of another library with its ``predict``, as one of its own."""
+    predict = getattr(controller, "predict", None)
+    if callable(controller) or not callable(predict) or "deterministic" not in inspect.signature(predict).parameters:
+        return controller
+    return Predicted(controller)
+
+
 def needs_of(controller: Any) -> frozenset[str]:
     """What a controller needs beside the state.
 
@@ -149,6 +168,7 @@ def needs_of(controller: Any) -> frozenset[str]:
     InputError
         If it cannot be called, or names a signal that does not exist.
     """
+    controller = as_controller(controller)
     if isinstance(controller, type) or not callable(controller):
         cure = "A gain K becomes a controller with LinearFeedback(K), for u = −K x."
         cure = cure if isinstance(controller, np.ndarray | list | tuple) else ""
@@ -204,7 +224,7 @@ def opened(controller: Any, runs: int) -> tuple[frozenset[str], list[Any], bool]
 
 def _in_loop(controller: Any, runs: int) -> Any:
     """The controller itself, or the one with memory that it makes for so many runs."""
-    return controller.loop(runs) if callable(getattr(controller, "loop", None)) else controller
+    return controller.loop(runs) if callable(getattr(controller, "loop", None)) else as_controller(controller)
 
 
 def _copies(controller: Any, runs: int, *, one_by_one: bool) -> tuple[list[Any], bool]:

@@ -135,8 +135,19 @@ class _Table:
     lines: tuple[int, ...]
 
     def fail(self, got: str, expected: str, cure: str = "") -> NoReturn:
-        """Raise an `InputError` that names the argument and the file."""
-        raise InputError(self.argument, f"{self.path}: {got}", expected, cure)
+        """Raise an `InputError` that names the argument and the file, and what is unusual about how it is written."""
+        raise InputError(self.argument, f"{self.path}: {got}", expected, self._unusual() or cure)
+
+    def _unusual(self) -> str:
+        """What to do about a file that is no plain CSV; empty where it is one."""
+        written = "\n".join(",".join(row) for row in (self.header, *self.rows[:20]))
+        if written.startswith("#") or "\n#" in written:
+            return "Remove # and what follows it: a first line with the names of the columns is read, comments are not."
+        for mark, name in (("\t", "tabs"), (";", "semicolons")):
+            if mark in written:
+                return f"Separate the columns by commas, not {name}, and write decimals with a point."
+        twice = [len(row) == 2 * len(self.header) - any(map(_is_time, self.header)) for row in self.rows[:20]]
+        return "Write decimals with a point: a comma separates columns." if any(twice) else ""
 
     def only_value_column(self) -> str:
         """Name of the one column that is not the time."""

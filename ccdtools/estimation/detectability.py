@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.estimation.steady_state import NEAR_CIRCLE, mode_text, relative_rows, seen_least, states_of
+from ccdtools.estimation.steady_state import lasting, mode_text, states_of
 from ccdtools.exceptions import NotDetectableError
-from mpc.tolerances import REACH, UNIT_CIRCLE
+from mpc.modes import Mode, least_reached
+from mpc.tolerances import NEAR_CIRCLE, REACH
 
 POINTS = 16  # about the first estimate, drawn from its covariance, where the linearisation is looked at
 FLAT = 1e-9  # of the largest slope of an output at these points: a slope that is none
@@ -41,14 +41,6 @@ _ADVICE = {
 }
 
 
-class _Mode(NamedTuple):
-    """The mode that is seen least of those that do not decay."""
-
-    eigenvalue: complex
-    strength: float
-    parts: Array
-
-
 def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
     """What a linearisation says at the first estimate, and at points drawn about it.
 
@@ -65,20 +57,20 @@ def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
     finite = np.isfinite(F).all(axis=(1, 2)) & np.isfinite(H).all(axis=(1, 2))
     if not finite.any():
         return Detectability.UNKNOWN
-    F, H = F[finite] * unit / unit[:, None], H[finite] * unit
+    F, H = F[finite], H[finite] * unit
     if not H.any():
         raise NotDetectableError(
             "output: got outputs that do not depend on the state, at x0 or about it, expected a filter with something "
             "to correct. Measure a state, or begin elsewhere.", None, (),
         )  # fmt: skip
-    unseen = [_unseen(A, C) for A, C in zip(F, H)]
+    unseen = [_unseen(A, C / unit, unit) for A, C in zip(F, H)]
     growing = [mode for mode in unseen if mode is not None and abs(mode.eigenvalue) > 1 + NEAR_CIRCLE]
     if len(growing) == len(unseen):
         mode = growing[0]
         raise NotDetectableError(
-            f"output: got outputs that see {mode_text(mode.eigenvalue, mode.parts)} of the linearisation with relative "
+            f"output: got outputs that see {mode_text(mode)} of the linearisation with relative "
             f"strength {mode.strength:.1e}, at x0 and about it, expected >= {REACH:.0e}. Measure it: its variance "
-            "would grow without a bound.", mode.eigenvalue, states_of(mode.parts),
+            "would grow without a bound.", mode.eigenvalue, states_of(mode),
         )  # fmt: skip
     if all(mode is not None for mode in unseen):
         return Detectability.DRIFTING
@@ -87,12 +79,10 @@ def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
     return Detectability.SEEN if at_first else Detectability.SEEN_AWAY
 
 
-def _unseen(A: Array, C: Array) -> _Mode | None:
+def _unseen(A: Array, C: Array, unit: Array) -> Mode | None:
     """The mode that does not decay and is not seen; of several the one that grows most. None where all are seen."""
-    rows = relative_rows(A, C)
-    lasting = [value for value in np.linalg.eigvals(A) if abs(value) >= 1 - UNIT_CIRCLE]
-    for eigenvalue in sorted(lasting, key=abs, reverse=True):
-        _, strength, parts = seen_least(A, rows, eigenvalue)
-        if strength < REACH:
-            return _Mode(complex(eigenvalue), strength, parts)
+    for eigenvalue in sorted(lasting(A), key=abs, reverse=True):
+        mode = least_reached(A.T, C.T, [eigenvalue], unit, np.ones(len(A)))
+        if mode.strength < REACH:
+            return mode
     return None

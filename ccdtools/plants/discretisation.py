@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -60,7 +61,7 @@ def discretise(
     X, U, W : Polytope, or bounds (lower, upper), optional
         Of a nonlinear plant: where the accuracy is asked for. U and W are 0 by default. Each bound is a number for all
         coordinates, or one number each. X and U of a problem or study that depend on the design (`problem.X`) are taken
-        at every design as they are there.
+        at every design as they are there; of a function of p the widest bounds over the box of designs.
     sampling_guard : {"warn", "ignore"}
         Whether a `SamplingWarning` says that some design has an oscillation near or beyond half the sampling rate.
 
@@ -102,7 +103,8 @@ def discretise(
     else:
         model = _accurate(plant, dt, METHODS if method == "auto" else (method,), accuracy, region, jump)
     if jump is not None:
-        warnings.warn(f"{_jump_text(plant, jump)}. {SMOOTHER}", JumpWarning, stacklevel=2)
+        model = replace(model, jump=_jump_text(plant, jump))
+        warnings.warn(f"{model.jump}. {SMOOTHER}", JumpWarning, stacklevel=2)
     return model
 
 
@@ -142,8 +144,8 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
             raise InputError("X", "nothing, beside limits of u or w", "limits of the states too")
         return None
     boxes = [
-        _box("X", X, plant.nx, "one per state"),
-        _box("U", U, plant.nu, "one per input"),
+        _box("X", _over_designs("X", X, plant), plant.nx, "one per state"),
+        _box("U", _over_designs("U", U, plant), plant.nu, "one per input"),
         _box("W", W, plant.nw, "one per disturbance"),
     ]
     of_design = tuple(value if _narrows(value) else None for value in (X, U))
@@ -152,6 +154,19 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
     if len(flat):
         raise InputError("X", f"no width in {plant.state_names[flat[0]]}", "limits with a width for every state")
     return region
+
+
+def _over_designs(name: str, value: Any, plant: Plant) -> Any:
+    """The widest bounds that a function of p gives over the box of designs; anything else as it is."""
+    if not callable(value) or isinstance(value, type):
+        return value
+    try:
+        pairs = [[np.asarray(ca.DM(end), dtype=float).ravel() for end in value(p)] for p in plant.design.spread()]
+        lower, upper = ([pair[side] for pair in pairs] for side in (0, 1))
+        return np.min(lower, axis=0), np.max(upper, axis=0)
+    except (TypeError, ValueError, IndexError, AttributeError, NotImplementedError) as error:
+        expected = "a function of p that returns (lower, upper)"
+        raise InputError(name, f"a function that fails: {error}", expected) from error
 
 
 def _box(name: str, value: Any, size: int, of: str) -> tuple[Array, Array]:
@@ -192,14 +207,14 @@ def _accurate(
             why = "steps grow beyond all numbers" if method == "rk4" else "Newton's method does not converge"
             lost.append(f"{method}: {why} at {_place(plant, error)}")
     assert best is not None
-    reached = f"{best.relative:.2g} is reached (worst at {_place(plant, best)})"
+    reached = f"{best.relative:.4g} is reached (worst at {_place(plant, best)})"
     got = f"{accuracy:g}, of which {reached if math.isfinite(best.relative) else 'nothing is reached'}"
     got = "; ".join([got, *lost])
     cure = "Shorten dt, allow a larger error, or narrow X, U and W to where the plant is smooth."
     if jump is not None:
         got += f"; {_jump_text(plant, jump)}"
         cure = f"{SMOOTHER} Or allow a larger error."
-    raise InputError("accuracy", got, "one that is reached", cure)
+    raise InputError("accuracy", got, "a larger error", cure)
 
 
 def _fewest(

@@ -204,7 +204,7 @@ class LinearModel:
         Raises
         ------
         InputError
-            If the model has a constant term, for which a state space has no place.
+            If the model has a constant term, for which a state space has no place, or there are several designs.
         """
         import control
 
@@ -212,6 +212,8 @@ class LinearModel:
             cure = "Linearise the plant about its equilibrium: linearise(plant, equilibrium(plant, p))."
             raise InputError("model", "a constant term", "a linear model", cure)
         A, B, _ = self.matrices(p)
+        if A.ndim != 2:
+            raise InputError("p", f"shape {np.shape(p)}", "one design")
         return control.ss(A, B, np.eye(self.nx), np.zeros((self.nx, self.nu)), self.dt)
 
     def within(self, design: DesignSpace) -> LinearModel:

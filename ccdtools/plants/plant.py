@@ -190,7 +190,7 @@ class Plant:
     @cached_property
     def right_hand_side(self) -> ca.Function:
         """(x, u, w, p) → dynamics."""
-        return ca.Function("dynamics", [self.x, self.u, self.w, self.p], [self.dynamics])
+        return ca.Function("dynamics", [self.x, self.u, self.w, self.p], [self.dynamics], [*"xuwp"], ["dynamics"])
 
     @cached_property
     def step(self) -> ca.Function:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -70,6 +70,8 @@ class SampledModel:
         Extent of each state, for the tolerances of CasADi's solver of collocation equations.
     errors : bool
         Whether the disturbance is (w, r), of which r (nx,) is added to the next state.
+    jump : str
+        Where the right-hand side of the plant jumps, which derivatives leave out; empty where no jump was found.
     """
 
     plant: Plant
@@ -79,6 +81,7 @@ class SampledModel:
     error: IntegrationError | None = None
     scale: Array | None = field(default=None, repr=False)
     errors: bool = False
+    jump: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         as_instance("plant", self.plant, Plant, "a Plant")
@@ -94,7 +97,7 @@ class SampledModel:
         return f"SampledModel({sizes}, {parts}{error}, design: {self.design!r})"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("plant", "dt", "method", "substeps", "error", "scale", "errors")}
+        return {column.name: getattr(self, column.name) for column in fields(self)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():

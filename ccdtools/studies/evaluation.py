@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.admissible import admissible_inputs
@@ -30,13 +29,13 @@ from ccdtools.studies.real_plant import MINIMUM_LOG
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
 from ccdtools.studies.warm_up import warm_up
-from ccdtools.twin.common_runs import groups, is_common
+from ccdtools.twin.common_runs import is_common
+from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
-from ccdtools.twin.replay import Replay
+from ccdtools.twin.distributions import Served, logged
+from ccdtools.twin.judge import Judge
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
-from ccdtools.twin.twin import DigitalTwin
-from ccdtools.twin.update_judge import served
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
 
@@ -140,37 +139,32 @@ class Evaluation:
         if not logs:
             x0, w = self.problem.scenarios.sample(self.config.model_runs, self.study.steps, self.rng("model scenario"))
             return Scenario(self.study.model, x0, w)
-        return self.on_logs(logs[-1:])[0]
-
-    def on_logs(self, logs: Sequence[Residuals]) -> tuple[Scenario, NDArray[np.int64]]:
-        """The nominal model met by all errors of whole logged runs, and for each run the number of its group.
-
-        Runs that met the same disturbance in several deployments make one group: only groups are independent evidence.
-        """
-        return self._whole_runs(self.split.replayed_model, self.replay(logs))
+        most = self.config.model_runs
+        return logged(self.split, logs[-1:], series=self.single, most=most, rng=self.rng("replayed runs")).scenario
 
     @cached_property
     def split(self) -> ErrorSplit:
         """Of logged errors into what enters through E(p), and the rest."""
         return ErrorSplit(self.study.model, self.problem.state_scale)
 
-    def replay(self, logs: Sequence[Residuals]) -> Replay:
-        """The errors of logs, as they drive the nominal model at any design."""
-        return Replay(tuple(logs), self.split)
+    @property
+    def single(self) -> bool:
+        """Whether a deployment is one long run."""
+        return self.study.real.runs == 1
 
-    def on_updated_logs(self, twin: DigitalTwin) -> tuple[Scenario, NDArray[np.int64]]:
-        """The same runs on the updated model, with what it leaves unexplained replayed."""
-        assert twin.discrepancy is not None
-        plant = TwinPlant(self.study.model, replace(twin.discrepancy, noise="replayed"))
-        return self._whole_runs(plant, Replay(twin.innovations()))
+    @cached_property
+    def served(self) -> Served:
+        """Where what is deployed will serve; its disturbances are other draws than those that are reported."""
+        real = self.study.real
+        runs = self.config.held_out_runs
+        steps = min(self.config.held_out_steps, self.deployment_steps)
+        drawn = {name: one.sample(runs, steps, self.rng(f"judged: {name}")) for name, one in real.fresh.items()}
+        return Served(self.problem, real.x0, drawn, self.config.online.judged)
 
-    def _whole_runs(self, plant: Any, replay: Replay) -> tuple[Scenario, NDArray[np.int64]]:
-        """At most `model_runs` whole runs of a replay as a scenario, with their groups."""
-        x0, w = replay.whole()
-        chosen = np.arange(len(x0))
-        if len(x0) > self.config.model_runs:
-            chosen = self.rng("replayed runs").permutation(len(x0))[: self.config.model_runs]
-        return Scenario(plant, x0[chosen], w[chosen]), groups(replay.logs)[chosen]
+    @cached_property
+    def judge(self) -> Judge:
+        """What compares two deployables."""
+        return Judge(self.problem, self.study.plant, self.admissible, self.window, self.study.accepted_loss)
 
     def nominal_deployment(self) -> Scenario:
         """What the nominal model expects of a deployment, of many runs: a promise should not be wrong by chance."""
@@ -253,7 +247,7 @@ class Evaluation:
         ):
             policy = LearnedPolicy(agent, design)
             admissible = self.admissible(design) if plant == "real" else None
-            in_service = policy if admissible is None else self.in_service(agent, design)
+            in_service = Deployable(agent, design).controller(admissible)
             everyone = {**controllers, "learned": in_service, "learned (sampled)": policy.sampled(rng)}
             if admissible is not None:
                 everyone["learned, no filter"] = policy
@@ -298,9 +292,9 @@ class Evaluation:
         """The filters of the designs that were asked for."""
         return {}
 
-    def in_service(self, agent: ActorCritic, design: Array) -> Controller:
-        """A policy as it would be in service on the real plant, behind the study's filter if there is one."""
-        return served(agent, design, self.admissible(design))
+    def in_service(self, one: Deployable) -> Controller:
+        """A policy as it would be deployed on the real plant, behind the study's filter if there is one."""
+        return one.controller(self.admissible(one.design))
 
     def returns(
         self, agent: ActorCritic, design: Array, *, judged_on: Sequence[Residuals], learned: Discrepancy
@@ -328,7 +322,7 @@ class Evaluation:
             "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
             "depth_worst": score.depth_worst, "exceeded": score.exceeded,
             "further_outside_than": list(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
-            "metrics": score.metrics, "design_cost": score.design_cost,
+            "metrics": score.metrics, "design_cost": score.design_cost, "remark": score.remark,
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:

@@ -15,15 +15,15 @@ from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord
 from ccdtools.studies.presets import StudyConfig
-from ccdtools.studies.redesign import InService
 from ccdtools.studies.report.results import generation_entry, results
 from ccdtools.studies.run_folder import RunFolder
-from ccdtools.studies.service import Served, ServiceStatus, after_deployment
+from ccdtools.studies.service import Deployed, after_deployment
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.studies.stages import LoopStages, unpacked
+from ccdtools.studies.stages import LoopStages, deployable_of, deployed_of, unpacked
 from ccdtools.studies.study import Study
 from ccdtools.studies.trust_region import Trust
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.twin import DigitalTwin
 
 Echo = Callable[[str], None]
@@ -31,15 +31,15 @@ Echo = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where the loop stands between two generations: policy and design in service, the twin, the results so far.
+    """Where the loop stands between two generations: what is deployed, the twin, the results so far.
 
-    `served` is the deployment that speaks for what is in service.
+    `served` is the deployment that speaks for what is deployed.
     """
 
-    service: InService
+    service: Deployable
     twin: DigitalTwin
     stages: tuple[Stage, ...]
-    served: Served | None = None
+    served: Deployed | None = None
     trust: Trust = field(default_factory=Trust)
     entries: tuple[dict[str, Any], ...] = ()
     rows: tuple[dict[str, Any], ...] = ()
@@ -110,7 +110,7 @@ class Generations:
         """The first policy, compared at the start design."""
         study = self.evaluation.study
         initial = self._stage("initialisation", "Step 0: expert, sets and imitation", self.compute.initialise)
-        service = InService(initial.networks["agent"], np.asarray(study.p0))
+        service = Deployable(initial.networks["agent"], np.asarray(study.p0), "the start")
         start = self._stage(
             "comparison-0", "Comparison at the start design", self.compute.compare, 0, service, service, ()
         )
@@ -124,12 +124,12 @@ class Generations:
         title = f"Generation {generation}"
         known = state.twin.logs
         found = self._stage(
-            f"codesign-{generation}", f"{title}: co-design", self.compute.co_design, state.service, state.twin,
-            state.trust, state.history,
+            f"codesign-{generation}", f"{title}: co-design", self.compute.co_design, generation, state.service,
+            state.twin, state.trust, state.history,
         )  # fmt: skip
         deployed = self._stage(
-            f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, state.served,
-            state.trust, state.twin,
+            f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, state.service,
+            state.served, state.trust, state.twin,
         )  # fmt: skip
         log = unpacked(deployed, self.evaluation.study.plant.dt)
         learned = self._stage(
@@ -145,8 +145,8 @@ class Generations:
         returns = self._stage(
             f"evaluation-{generation}", f"{title}: evaluation", self.compute.evaluate, designed, known, twin
         )
-        tried = InService(found.networks["agent"], found.arrays["design"])
-        record = GenerationRecord(tried, following.service, stayed=deployed.values["delivery"]["replaces"])
+        stayed = deployed.values["delivery"]["replaces"]
+        record = GenerationRecord(deployable_of(found), following.service, stayed=stayed)
         entry = generation_entry(
             generation, self.evaluation, found=found, deployed=deployed, learned=learned, returns=returns,
             design=following.service.design,
@@ -158,15 +158,14 @@ class Generations:
         )  # fmt: skip
 
     def _in_service(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:
-        """The state after a deployment: what was deployed is in service, or what was before it again."""
-        redesign = found.values["redesign"]
-        served = Served(generation, InService(found.networks["agent"], found.arrays["design"]), log)
-        status = ServiceStatus(deployed.values["delivery"]["status"])
+        """The state after a deployment: what was deployed stays, or what was before it is deployed again."""
+        delivery = deployed.values["delivery"]
+        now = deployed_of(
+            generation, deployable_of(found), deployed.networks["agent"], log, deployed.values["updates"]
+        )
         service, speaks = after_deployment(
-            status, served, deployed.networks["agent"], state.service, state.served,
-            redesigned=redesign is not None and redesign["accepted"],
-            updated=any(update["accepted"] for update in deployed.values["updates"]),
-        )  # fmt: skip
+            now, state.service, state.served, replaces=delivery["replaces"], carried=delivery["carried"]
+        )
         return replace(state, service=service, served=speaks, trust=Trust(**deployed.values["trust"]))
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
@@ -177,7 +176,7 @@ class Generations:
         self.echo(label)
         start = time.perf_counter()
         told = None if self.compute.progress or name == "initialisation" else self.echo  # which tells of itself
-        with telling(told):
+        with telling(told, label):
             computed = compute(self.evaluation.rng(name), *inputs)
         timed = replace(computed, values=computed.values | {"seconds": time.perf_counter() - start})
         stage = self.folder.keep_stage(name, timed)

@@ -11,26 +11,29 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.comparison.comparison import compare
+from ccdtools.comparison.metric_changes import MetricChange, metric_changes
 from ccdtools.scenario import Scenario
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import SOURCES, Step, gains_by_source
-from ccdtools.studies.redesign import InService, same_design, same_service
+from ccdtools.studies.redesign import same_design
 from ccdtools.studies.stage_storage import Stage
+from ccdtools.twin.deployable import Deployable
 
 MPC_RUNS = 2  # of the held-out runs, those that online MPC sees
 REAL_RUNS = 500  # of a real plant of short runs, those that the gains are measured on
+OWN_START = "the study's start"
 
 
 @dataclass(frozen=True, eq=False)
 class GenerationRecord:
-    """A generation as it was designed, and what was in service after its deployment.
+    """A generation as it was designed, and what was deployed at its end.
 
     The start counts as a generation: both are the first policy at the first design. `stayed` says whether what was
     deployed stayed in service.
     """
 
-    designed: InService
-    after: InService
+    designed: Deployable
+    after: Deployable
     stayed: bool = True
 
 
@@ -46,32 +49,39 @@ def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) 
 
 
 def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
-    """Where gains are measured: where the plant was deployed, or on runs like it, and on every held-out disturbance."""
+    """Where gains are measured, on the real plant: where it was deployed or on runs like it, on every held-out
+    disturbance, and from where the study starts if the deployment starts elsewhere.
+    """
     deployed = evaluation.on_real()
-    single = evaluation.study.real.runs == 1
+    study = evaluation.study
+    single = study.real.runs == 1
     own = {"deployed drive": deployed} if single else {"real plant": deployed.first(REAL_RUNS)}
-    return own | evaluation.held_out
+    if study.starts is None and np.array_equal(study.real.x0, study.x0):
+        return own | evaluation.held_out
+    rng = evaluation.rng(OWN_START)
+    x0, w = evaluation.problem.scenarios.sample(REAL_RUNS, study.steps, rng)
+    return own | evaluation.held_out | {OWN_START: Scenario(study.real.plant, x0, w)}
 
 
-def former_services(history: Sequence[GenerationRecord], current: InService) -> dict[str, InService]:
+def former_services(history: Sequence[GenerationRecord], current: Deployable) -> dict[str, Deployable]:
     """The start, and what was in service after every generation, by name: each once, and not what is in service now.
 
     What a deployment has shown to fall short is left out.
     """
     known = [current, *(record.designed for record in history if not record.stayed)]
-    found: dict[str, InService] = {}
+    found: dict[str, Deployable] = {}
     for number, record in enumerate(history):
-        if not any(same_service(record.after, one) for one in known):
+        if not any(record.after.same_as(one) for one in known):
             found[f"generation {number}" if number else "the start"] = record.after
             known.append(record.after)
     return found
 
 
-def held_out_rows(evaluation: Evaluation, generation: int, service: InService) -> list[dict[str, Any]]:
+def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) -> list[dict[str, Any]]:
     """A row per held-out disturbance and controller at one design, as in the comparison."""
-    everyone = evaluation.baselines(service.design) | {"learned": evaluation.in_service(service.agent, service.design)}
+    everyone = evaluation.baselines(service.design) | {"learned": evaluation.in_service(service)}
     rows = []
-    for name, scenario in evaluation.held_out.items():
+    for name, scenario in list(places_of(evaluation).items())[1:]:
         scores = compare(
             everyone, scenario, design=service.design, objective=evaluation.study.objective,
             X=evaluation.problem.state_limits(service.design), limit=evaluation.problem.limit, few={"MPC": MPC_RUNS},
@@ -96,7 +106,7 @@ def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> lis
     before = first.after
     for generation in history[2:]:
         service = generation.after
-        if same_service(service, before):
+        if service.same_as(before):
             continue
         if same_design(evaluation.problem.design, service.design, generation.designed.design):
             steps.append(_learned(evaluation, "redesign", generation.designed))
@@ -116,8 +126,10 @@ def gains_in(evaluation: Evaluation, scenario: Scenario, steps: Sequence[Step]) 
     rewards = [run.rewards(evaluation.study.objective)[kept] for run in runs]
     gains = gains_by_source([step.source for step in steps], rewards, runs=len(scenario.x0))
     paid = float(evaluation.study.objective.cost_of_design(steps[0].design, scenario.steps))
+    metrics = evaluation.study.metrics
+    changes: Sequence[MetricChange] = () if metrics is None else metric_changes(metrics, runs[0], runs[-1])
     of = {"runs": len(scenario.x0), "steps": scenario.steps, "left_out": 1 - kept.mean(), "design_cost": paid}
-    return of | asdict(gains)
+    return of | asdict(gains) | {"metrics": [asdict(change) for change in changes]}
 
 
 def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:
@@ -125,12 +137,12 @@ def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:
     return Step(source, saturated_lqr(evaluation.problem, design), design, b"LQR" + design.tobytes())
 
 
-def _learned(evaluation: Evaluation, source: str, service: InService) -> Step:
+def _learned(evaluation: Evaluation, source: str, service: Deployable) -> Step:
     """The step to a policy at its design."""
-    return Step(source, evaluation.in_service(service.agent, service.design), service.design, _key(service))
+    return Step(source, evaluation.in_service(service), service.design, _key(service))
 
 
-def _key(service: InService) -> bytes:
+def _key(service: Deployable) -> bytes:
     """Bytes that only the same policy at the same design has."""
     weights = [value.numpy(force=True).tobytes() for value in service.agent.state_dict().values()]
     return b"".join([*weights, np.asarray(service.design, dtype=float).tobytes()])

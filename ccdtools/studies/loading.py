@@ -16,8 +16,7 @@ from types import ModuleType
 from ccdtools.exceptions import InputError
 from ccdtools.studies.options import known_studies, study_names
 from ccdtools.studies.study import Study
-
-OURS = ("ccdtools", "mpc", "learning", "invariant_sets")
+from ccdtools_ground.packages import NAMES, what_hides_ours
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +71,7 @@ def _executed(path: Path) -> tuple[ModuleType, list[ModuleType]]:
         try:
             spec.loader.exec_module(module)
         except (Exception, SystemExit) as error:
-            raise InputError("study", _place_and_reason(path, error), "a file that runs") from error
+            raise _stopped(path, _place(path, error), error) from error
     return module, neighbours
 
 
@@ -85,10 +84,10 @@ def blamed_on_source(study: str) -> Iterator[None]:
         raise
     except Exception as error:
         path = Path(study)
-        place = _place_and_reason(path, error)
-        if not study.endswith(".py") or place.startswith(f"{path}, "):
+        place = _place(path, error)
+        if not study.endswith(".py") or place == str(path):
             raise
-        raise InputError("study", place, "a file that runs") from error
+        raise _stopped(path, place, error) from error
 
 
 @contextmanager
@@ -112,11 +111,11 @@ def _is_beside(file: Path, folder: Path) -> bool:
     if not file.is_absolute() or not file.resolve().is_relative_to(folder):
         return False
     parts = file.resolve().relative_to(folder).parts
-    return parts[0] not in OURS and not {"site-packages", "dist-packages"} & set(parts)
+    return parts[0] not in NAMES and not {"site-packages", "dist-packages"} & set(parts)
 
 
-def _place_and_reason(path: Path, error: BaseException) -> str:
-    """FILE:LINE of an error in a study file, or in a file beside it, and what the error says, on one line."""
+def _place(path: Path, error: BaseException) -> str:
+    """FILE:LINE of an error in a study file, or in a file beside it."""
     place = str(path)
     folder = path.resolve().parent
     for frame in traceback.extract_tb(error.__traceback__):
@@ -125,8 +124,14 @@ def _place_and_reason(path: Path, error: BaseException) -> str:
             place = f"{path}:{frame.lineno}"
         elif _is_beside(file, folder):
             place = f"{file}:{frame.lineno}"
-    if isinstance(error, SyntaxError) and error.filename:
-        place = f"{error.filename}:{error.lineno}"
+    return f"{error.filename}:{error.lineno}" if isinstance(error, SyntaxError) and error.filename else place
+
+
+def _stopped(path: Path, place: str, error: BaseException) -> InputError:
+    """What an error at a place of a study file says, on one line."""
+    if isinstance(error, InputError):
+        got = f"{place}, which stops with {error.argument}: got {error.got}"
+        return InputError("study", got, error.expected, error.cure)
     reason = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
-    kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-    return f"{place}, which stops with {kind}{reason}".rstrip(". ")
+    got = f"{place}, which stops with {type(error).__name__}: {reason}".rstrip(". ")
+    return InputError("study", got, "a file that runs", what_hides_ours() if isinstance(error, ImportError) else "")

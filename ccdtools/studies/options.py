@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from ccdtools.checks import TOLERANCES, as_choice, as_count, as_limit_tolerance, as_positive, shown
+from ccdtools.checks import TOLERANCES, as_choice, as_count, as_limit_tolerance, as_positive, nearest, shown
 from ccdtools.exceptions import InputError
-from ccdtools.studies.price import RedesignPrice
+from ccdtools.studies.price import RedesignPrice, accepted_loss
 
 PRESETS = ("default", "paper")
 EXPERTS = ("lqr", "mpc", "explicit")
@@ -37,7 +39,7 @@ class Options:
         As in `Generations` and `configuration`.
     x0, p0 : list of float or None
         Another initial state and first design.
-    redesign_price, filter : str or None
+    redesign_price, accept_loss, filter : str or None
         As in `Study`; the study's own where None.
     limits : str or None
         The `limit_tolerance` of the study: mpc, off, or two numbers "0.01,0.05".
@@ -70,6 +72,7 @@ class Options:
     redesign_price: str | None = None
     limits: str | None = None
     filter: str | None = None
+    accept_loss: str | None = None
 
     def __post_init__(self) -> None:
         _check_study(self.study)
@@ -91,6 +94,8 @@ class Options:
             as_choice("--driver", self.driver, DRIVERS)
         if self.redesign_price is not None:
             RedesignPrice.parse(self.redesign_price, "--redesign-price")
+        if self.accept_loss is not None:
+            accepted_loss(self.accept_loss, "--accept-loss")
         self.limit_tolerance()
         if self.filter is not None:
             as_choice("--filter", self.filter, FILTERS)
@@ -165,6 +170,24 @@ def known_studies() -> str:
     return f"one of {', '.join(study_names())}, or a Python file"
 
 
+@contextmanager
+def blamed_on_options(names: dict[str, str]) -> Iterator[None]:
+    """Have an `InputError` name the option that an argument came from; other arguments keep their names."""
+    try:
+        yield
+    except InputError as error:
+        if error.argument not in names:
+            raise
+        raise InputError(names[error.argument], error.got, error.expected, error.cure) from None
+
+
+def described_studies() -> dict[str, str]:
+    """What every study of the package is about, by name: the first line of its source, which is not run for it."""
+    cases = Path(__file__).parent / "cases"
+    sources = {name: (cases / f"{name}.py").read_text(encoding="utf-8") for name in study_names()}
+    return {name: (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0] for name, text in sources.items()}
+
+
 def located(study: str) -> str:
     """The study's name, or the absolute path of its file: a run may be resumed from elsewhere."""
     return str(Path(study).resolve()) if study.endswith(".py") and "\0" not in study else study
@@ -177,12 +200,11 @@ def whole_number(argument: str, text: str) -> int:
     return int(text)
 
 
-def one_number(argument: str, text: str | None) -> float | None:
+def seconds(argument: str, text: str | None) -> float | None:
     """The number that a text holds; None of None."""
-    found = numbers(argument, text)
-    if found is not None and len(found) != 1:
-        raise InputError(argument, repr(str(text)[:40]), "one number")
-    return None if found is None else found[0]
+    if text is not None and not NUMBER.fullmatch(text.strip()):
+        raise InputError(argument, repr(text[:40]), "one number, in seconds, such as 3600 for an hour")
+    return None if text is None else float(text)
 
 
 def numbers(argument: str, text: str | None) -> list[float] | None:
@@ -203,7 +225,7 @@ def _check_study(study: Any) -> None:
     if study.endswith(".py") and not _is_file(study):
         raise InputError("study", f"{study}, which is not a file", "a Python file that declares `study`")
     if not study.endswith(".py") and study not in study_names():
-        cure = f"A file needs its ending: {study}.py." if _is_file(f"{study}.py") else ""
+        cure = f"A file needs its ending: {study}.py." if _is_file(f"{study}.py") else nearest(study, study_names())
         raise InputError("study", repr(study[:60]), expected, cure)
 
 

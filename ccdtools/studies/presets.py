@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from ccdtools.checks import as_choice, as_flag, as_positive
+from ccdtools.checks import as_choice, as_positive
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.risk import check_followed
 from ccdtools.studies.options import EXPERTS, PRESETS, SETS
@@ -37,18 +37,15 @@ class StudyConfig:
     sets : {"auto", "lqr", "none"}
         Which sets they are taken from, as in `expert_dataset`.
     sets_time_limit : float
-        Processor time for these sets [s].
+        Budget for these sets [s], as work of a usual processor.
     model_runs, real_runs : int
-        Rollouts of a comparison on the model (and of the judgement of a redesign on recombined runs), and on a real
-        plant of short runs.
+        Rollouts of a comparison on the model, and on a real plant of short runs.
     mpc_runs : int
         Of them, those that online MPC sees.
     real_steps : int or None
         Cap on the length of a deployment.
     held_out_runs, held_out_steps : int
         Fresh runs of each held-out disturbance, and their length.
-    recombine : bool
-        Whether runs are recombined step by step where their errors do not depend on each other in time.
     network, cloning, codesign, redesign, online, quantile
         Configurations of the stages; `redesign` is the co-design on the updated model.
     """
@@ -66,16 +63,12 @@ class StudyConfig:
     real_steps: int | None = None
     held_out_runs: int = 20
     held_out_steps: int = 500
-    recombine: bool = True
     network: NetworkConfig = field(default_factory=NetworkConfig)
     cloning: CloningConfig = field(default_factory=CloningConfig)
     codesign: CoDesignConfig = field(default_factory=CoDesignConfig)
     redesign: CoDesignConfig = field(default_factory=lambda: CoDesignConfig(iterations=200, policy_rate=3e-4))
     online: OnlineConfig = field(default_factory=OnlineConfig)
     quantile: QuantileConfig = field(default_factory=QuantileConfig)
-
-    def __post_init__(self) -> None:
-        as_flag("recombine", self.recombine)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""

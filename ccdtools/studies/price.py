@@ -11,6 +11,7 @@ from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
 
 DEFAULT_PRICE = "0.5 %"
+ACCEPTED_LOSS = "0.5 %"
 PRICE = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(%|return)\s*")
 EXPECTED = "a price ≥ 0 with its unit"
 CURE = 'Write "0.5 %" (of the return in service), or "12 return" (in units of the return of an evaluation).'
@@ -54,3 +55,21 @@ class RedesignPrice:
     def of(self, size: float, part: float) -> float:
         """The gain needed where the return in service has that size, over that part of the length of an evaluation."""
         return self.amount / 100 * size if self.relative else self.amount * part
+
+
+def accepted_loss(text: Any, argument: str = "accept_loss") -> float:
+    """The part of a return that a text such as "0.5 %" accepts to lose.
+
+    Raises
+    ------
+    InputError
+        If it is negative, more than all, or not in per cent.
+    """
+    expected = "a loss from 0 % to 100 %"
+    try:
+        loss = RedesignPrice.parse(text, argument)
+    except InputError:
+        loss = None
+    if loss is None or not loss.relative or loss.amount > 100:
+        raise InputError(argument, shown(text), expected, 'Write "1 %": of the return on each distribution.')
+    return loss.amount / 100

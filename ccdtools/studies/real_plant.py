@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ccdtools.arrays import ArrayField, Immutable
-from ccdtools.checks import as_count, as_instance, as_vector
+from ccdtools.checks import as_count, as_flag, as_instance, as_vector
 from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
@@ -37,6 +37,9 @@ class RealPlant(Immutable):
         Disturbances by name that no generation meets: fresh draws of each are driven at the end, beside the deployment.
         By default `disturbance` drawn afresh, if a deployment is one run of it and it is no recording; of several runs
         the comparison on the real plant is fresh already.
+    road : bool
+        Whether the one disturbance is the vertical velocity of the road under a wheel [m/s]. Then the command line may
+        replace it by a recorded or a generated drive (``--road``, ``--speed``, ``--driver``), and not otherwise.
 
     Raises
     ------
@@ -50,6 +53,7 @@ class RealPlant(Immutable):
     runs: int
     steps: int
     held_out: Mapping[str, Disturbance] | None = None
+    road: bool = False
 
     def __post_init__(self) -> None:
         as_instance("real.plant", self.plant, (Plant, SampledModel), "a ccdtools.Plant")
@@ -60,6 +64,8 @@ class RealPlant(Immutable):
             got = f"{self.runs} of {self.steps} steps"
             raise InputError("real.runs", got, f"at least {MINIMUM_LOG} samples to learn the discrepancy from")
         check_disturbance("real.disturbance", self.disturbance, self.plant)
+        if as_flag("real.road", self.road) and self.plant.nw != 1:
+            raise InputError("real.road", f"True of {self.plant.nw} disturbances", "one, the road under one wheel")
         if self.held_out is not None:
             object.__setattr__(self, "held_out", checked_held_out(self.held_out, self.plant))
 

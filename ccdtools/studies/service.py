@@ -1,8 +1,8 @@
-"""Whether what was deployed stays in service: it must not be worse than what it replaces."""
+"""Whether what was deployed stays: it must not be worse, as measured, than what was deployed before."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import Any
@@ -10,159 +10,205 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ccdtools.arrays import Array
-from ccdtools.co_design.risk import MEAN, Mean, Risk, measure
-from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, summarise_returns
-from ccdtools.studies.redesign import InService
+from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Pairing, Violation
+from ccdtools.evidence.verdict import Status, Verdict, decide
+from ccdtools.statistics import SAME_RETURN, Summary, summarise_returns
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.common_runs import common_runs
-from ccdtools.twin.paired_risk import paired_in_risk, parts_of_risk
+from ccdtools.twin.common_runs import is_common
+from ccdtools.twin.deployable import Deployable
 
-FALSE_ALARM = 0.002  # chance that a judge who is right is called wrong in one generation: one per cent in five
-STRETCH = 100  # steps of a single run that stand for a run
+FALSE_ALARM = 0.002  # chance that a prediction that is right is called wrong in one generation: one per cent in five
 FEWEST_DEGREES = 2  # of freedom in the interval of a single run
+DEPLOYMENT = "the deployment"
+
+Limits = Callable[[Trajectory, Trajectory], Violation | None]
 
 
-class ServiceStatus(Enum):
-    """What became of a deployed generation."""
-
-    FIRST = "the first in service"
-    BETTER = "better"
-    NOT_WORSE = "not worse"
-    NOT_BETTER = "not better"
-    WORSE = "worse"
-    DIVERGED = "more of its runs diverged"
-    LIMITS = "further outside the limits than granted"
-
-    @property
-    def replaces(self) -> bool:
-        """Whether it stays in service."""
-        return self in (ServiceStatus.FIRST, ServiceStatus.BETTER, ServiceStatus.NOT_WORSE)
-
-    @property
-    def advice(self) -> str:
-        """What the user may do about it."""
-        if self.replaces:
-            return ""
-        return "What was in service before is in service again; the log of this generation still teaches the twin."
-
-
-class JudgeStatus(Enum):
-    """How a promise and what was delivered agree."""
+class Agreement(Enum):
+    """How a predicted and a measured return agree."""
 
     AGREED = "within chance"
-    MORE = "more than promised"
-    LESS = "less than promised: the judge was wrong"
+    MORE = "more than predicted"
+    LESS = "less than predicted"
     OPEN = "too few runs to tell"
 
     @property
     def kept(self) -> bool | None:
-        """What it says of the judge: right, wrong, or nothing."""
-        return {JudgeStatus.AGREED: True, JudgeStatus.LESS: False}.get(self)
+        """What it says of the prediction: right, wrong, or nothing."""
+        return {Agreement.AGREED: True, Agreement.LESS: False}.get(self)
 
 
 @dataclass(frozen=True, eq=False)
-class Served:
-    """A generation in service: its number, what was deployed, and the log of its newest deployment."""
+class Deployed:
+    """One deployment, and which stretch of its log each policy stands for.
+
+    Attributes
+    ----------
+    generation : int
+    designed, after : Deployable
+        What it began with, and what it ended with.
+    log : Trajectory
+    changes : tuple of int
+        Samples logged before every update that was accepted: of one run its steps, of several their runs times steps.
+    """
 
     generation: int
-    designed: InService
+    designed: Deployable
+    after: Deployable
     log: Trajectory
+    changes: tuple[int, ...] = ()
+
+    @property
+    def samples(self) -> int:
+        """Of all runs."""
+        return self.log.inputs.shape[0] * self.log.inputs.shape[1]
+
+    def stretch(self, one: Deployable) -> tuple[int, int]:
+        """First sample, and the one after the last, of the stretch that a policy drove alone; none of another's."""
+        if one.same_as(self.designed):
+            return (0, self.changes[0] if self.changes else self.samples)
+        if one.same_as(self.after):
+            return (self.changes[-1] if self.changes else 0, self.samples)
+        return (0, 0)
+
+    def part(self, first: int, last: int, *, common: bool = False) -> Trajectory:
+        """The log from one sample to another; of several runs whole ones, `common` those that are met every time."""
+        log = self.log
+        runs, steps = log.inputs.shape[:2]
+        chosen: Any = slice(None)
+        span = slice(first, last)
+        if runs > 1:
+            own = np.arange(-(-first // steps), last // steps)
+            chosen = own[is_common(own)] if common else own
+            span = slice(0, steps)
+        lost = log.diverged_at[chosen]
+        return replace(
+            log, states=log.states[chosen, span.start : span.stop + 1], inputs=log.inputs[chosen, span],
+            disturbances=log.disturbances[chosen, span],
+            diverged_at=np.where((lost >= 0) & (lost < span.stop), np.maximum(lost - span.start, 0), -1),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """What a deployment delivered, beside what was promised and what the generation in service had delivered.
+    """What a deployment brought, beside what was predicted and what was deployed before.
 
     Attributes
     ----------
-    returns : Summary
-        Of the deployment.
-    promised : Summary
-        Predicted for it.
-    judge : JudgeStatus
+    predicted, returns : Summary
+        Of the policy as designed, on the stretch that it drove.
+    agreement : Agreement
         How the two agree.
-    change : PairedDifference
-        Deployed return, in the study's risk, minus that of what was in service; NaN for the first generation.
-    paired : bool
-        Whether both met the same disturbances.
+    verdict : Verdict
+        On the stretches that either policy drove under the same disturbance; it says who is compared with whom.
     size : float
-        The mean return that was in service, without the cost of its design.
-    status : ServiceStatus
-    measure : str
-        What of the returns the change is of: "mean", or the study's risk in words.
+        The mean return of what was deployed before there, without the cost of its design.
+    carried : bool
+        Whether nothing was redesigned and the updates of the deployment before are what is compared.
+    former : int or None
+        The generation that was deployed before.
     """
 
+    predicted: Summary
     returns: Summary
-    promised: Summary
-    judge: JudgeStatus
-    change: PairedDifference
-    paired: bool
+    agreement: Agreement
+    verdict: Verdict
     size: float
-    status: ServiceStatus
-    measure: str = "mean"
+    carried: bool = False
+    former: int | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""
-        return {
-            "promised": asdict(self.promised), "judge": self.judge.value, "change": asdict(self.change),
-            "paired": self.paired, "size": self.size, "status": self.status.value, "replaces": self.status.replaces,
-            "measure": self.measure,
+        evidence = self.verdict.evidence
+        broken = next((one.violation for one in evidence if one.violation is not None), None)
+        return self.verdict.as_dict() | {
+            "promised": asdict(self.predicted), "returns": asdict(self.returns), "judge": self.agreement.value,
+            "change": asdict(evidence[0].gain if evidence else NOTHING), "size": self.size, "carried": self.carried,
+            "former": self.former, "paired": self.former is not None,
+            "measure": evidence[0].measure if evidence else "mean",
+            "breach": "" if broken is None else str(broken),
         }  # fmt: skip
 
 
-def judge_deployment(
-    log: Trajectory, former: Trajectory | None, objective: Any, promised: Summary, *, redesigned: bool,
-    risk: Risk = MEAN, stretch: int = STRETCH,
-) -> Delivery:  # fmt: skip
-    """Whether a deployment replaces what was in service before it.
+def measured(
+    pairing: Pairing, candidate: Deployable, deployed: Deployed, current: Deployable, former: Deployed, asked: Asked,
+    limits: Limits | None = None,
+) -> Evidence | None:  # fmt: skip
+    """Two policies on the samples that each drove alone under the same disturbance; None where there are none.
 
-    It does if its return is better beyond chance; or if it is not worse and was asked for: by the judge, to whom it had
-    promised a gain beyond its price, where no loss was delivered; or because nothing was redesigned. It does not if
-    more runs diverged. Where there is no interval (a single run that is short for its correlation, or drifts) nothing
-    can be said beyond that run, and a loss on it is enough for updates, too, to be taken back.
+    Of several runs these are common runs, of a single one the same stretch of time.
+    """
+    one, other = deployed.stretch(candidate), former.stretch(current)
+    first, last = max(one[0], other[0]), min(one[1], other[1])
+    runs, steps = deployed.log.inputs.shape[:2]
+    if last <= first or deployed.log.inputs.shape != former.log.inputs.shape:
+        return None
+    after, before = (one.part(first, last, common=True) for one in (deployed, former))
+    if not len(after.states) or not np.array_equal(after.disturbances, before.disturbances):
+        return None
+    where = f"steps {first} to {last}" if runs == 1 else f"runs {-(-first // steps) + 1} to {last // steps}"
+    names = tuple(f"{policy.name} in deployment {of.generation}, {where}"
+                  for policy, of in ((candidate, deployed), (current, former)))  # fmt: skip
+    found = pairing.evidence(after, before, names=names, distribution=DEPLOYMENT, asked=asked, series=runs == 1)  # type: ignore[arg-type]
+    return found if limits is None else replace(found, violation=limits(after, before))
+
+
+def judge_deployment(
+    deployed: Deployed, former: Deployed | None, current: Deployable | None, pairing: Pairing,
+    predicted: Callable[[int | None], Summary], *, redesigned: bool, limits: Limits | None = None,
+) -> Delivery:  # fmt: skip
+    """Whether a deployment stays, compared with what was deployed before it, stretch by stretch of one policy each.
+
+    It stays if its return is not worse beyond chance; where a redesign was deployed, which must bring something, or
+    where there is no interval, if it is no loss in the mean either. It must lose no more runs, and leave the limits no
+    further than the tolerance.
 
     Parameters
     ----------
-    log : Trajectory
-        Of the deployment.
-    former : Trajectory or None
-        Log of what was in service before. Runs that met the same disturbances are compared in pairs, a single run as
-        a correlated series, others by Welch's interval.
-    objective : QuadraticObjective or CustomObjective
-    promised : Summary
-        Predicted return.
+    former, current : Deployed and Deployable, or None
+        The deployment before, and the policy that was deployed at its end.
+    pairing : Pairing
+    predicted : callable
+        Steps of a single run, or None for all → predicted return of what was designed.
     redesigned : bool
-        Whether a redesign was deployed, which must bring something; what was in service before need not.
-    risk : Risk
-        What of the returns is compared with what was in service; promises are of their mean.
-    stretch : int
-        Steps of a stretch of a single run, which stands for a run where the risk is not the mean.
+    limits : callable, optional
+        (runs of the candidate, runs of the current one) → limits that are broken.
     """
-    rewards = log.rewards(objective)
-    returns = summarise_returns(rewards[~log.diverged], runs=len(rewards))
-    judge = _agreement(promised, returns, SAME_RETURN * log.size_of(promised.mean, objective))
-    if former is None:
-        none = PairedDifference(np.nan, (np.nan, np.nan))
-        size = log.size_of(returns.mean, objective)
-        return Delivery(returns, promised, judge, none, False, size, ServiceStatus.FIRST, measure(risk))
-    others = former.rewards(objective)
-    size = former.size_of(float(others[~former.diverged].sum(axis=1).mean()), objective)
-    change, paired = _change(log, former, rewards, others, risk, stretch)
-    lost = _more_diverged(log, former, everywhere=redesigned or not paired)
-    status = ServiceStatus.DIVERGED if lost else _status(change, SAME_RETURN * size, redesigned=redesigned)
-    return Delivery(returns, promised, judge, change, paired, size, status, measure(risk))
+    first, last = deployed.stretch(deployed.designed)
+    own = deployed.part(first, last)
+    runs = len(deployed.log.inputs)
+    rewards = own.rewards(pairing.objective)
+    returns = summarise_returns(rewards[~own.diverged], runs=runs)
+    expected = predicted(last if runs == 1 and deployed.changes else None)
+    agreement = _agreement(expected, returns, SAME_RETURN * own.size_of(expected.mean, pairing.objective))
+    size = own.size_of(returns.mean, pairing.objective)
+    if former is None or current is None:
+        return Delivery(expected, returns, agreement, Verdict(Status.FIRST), size)
+    carried = deployed.designed.same_as(current) and deployed.after.same_as(current)
+    reference = former.designed if carried else current
+    changed = [deployed.designed] + [deployed.after] * (not deployed.after.same_as(deployed.designed))
+    candidates = [one for one in changed if not one.same_as(reference)]
+    candidates.sort(key=lambda one: deployed.stretch(one)[0] - deployed.stretch(one)[1])  # the longest stretch first
+    asked = Asked.NO_LOSS if redesigned else Asked.NO_SURE_LOSS
+    found = [measured(pairing, one, deployed, reference, former, asked, limits) for one in candidates]
+    evidence = [one for one in found if one is not None]
+    for k, one in enumerate(evidence[1:], 1):
+        sure = np.isfinite(one.gain.ci95).all()
+        evidence[k] = replace(one, asked=Asked.NO_SURE_LOSS if sure else Asked.SHOWN)
+    verdict = decide(evidence) if evidence else Verdict(Status.NOT_WORSE, reason="nothing was changed")
+    size = evidence[0].size if evidence else size
+    return Delivery(expected, returns, agreement, verdict, size, carried and bool(evidence), former.generation)
 
 
-def _agreement(promised: Summary, returns: Summary, rounding: float = 0.0) -> JudgeStatus:
-    """How a promise and what was delivered agree: apart where chance would hardly ever part them so far."""
-    if np.isfinite(promised.mean) and not np.isfinite(returns.mean):
-        return JudgeStatus.LESS
-    if not np.isfinite([*promised.ci95, *returns.ci95]).all():
-        return JudgeStatus.OPEN
-    if _apart(returns, promised, rounding):
-        return JudgeStatus.LESS
-    return JudgeStatus.MORE if _apart(promised, returns, rounding) else JudgeStatus.AGREED
+def _agreement(predicted: Summary, returns: Summary, rounding: float = 0.0) -> Agreement:
+    """How a predicted and a measured return agree: apart where chance would hardly ever part them so far."""
+    if np.isfinite(predicted.mean) and not np.isfinite(returns.mean):
+        return Agreement.LESS
+    if not np.isfinite([*predicted.ci95, *returns.ci95]).all():
+        return Agreement.OPEN
+    if _apart(returns, predicted, rounding):
+        return Agreement.LESS
+    return Agreement.MORE if _apart(predicted, returns, rounding) else Agreement.AGREED
 
 
 def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:
@@ -177,76 +223,17 @@ def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:
     return bool(upper.mean - lower.mean > wider * half + rounding)
 
 
-def _change(
-    log: Trajectory, former: Trajectory, own: Array, others: Array, risk: Risk, stretch: int
-) -> tuple[PairedDifference, bool]:  # fmt: skip
-    """Difference of the deployed returns in a risk with its interval, and whether it is of pairs."""
-    runs = len(own)
-    common = common_runs(runs)
-    same = log.disturbances.shape == former.disturbances.shape and np.array_equal(
-        log.disturbances[common], former.disturbances[common]
-    )
-    if same and (runs == 1 or runs >= 4):
-        kept = ~(log.diverged | former.diverged)[common]
-        after, before = (rewards[common][kept] for rewards in (own, others))
-        return paired_in_risk(risk, after, before, np.arange(len(after)), runs=runs, stretch=stretch), True
-    each = (run[~one.diverged].sum(axis=1) for run, one in ((own, log), (others, former)))
-    parts = each if isinstance(risk, Mean) else (parts_of_risk(risk, returns) for returns in each)
-    a, b = parts
-    return welch_difference(a, b), False
-
-
-def welch_difference(a: Array, b: Array) -> PairedDifference:
-    """Difference of the means of two independent samples with its 95 % interval by Welch."""
-    if min(len(a), len(b)) < 2:
-        mean = float(a.mean() - b.mean()) if min(len(a), len(b)) else float("nan")
-        return PairedDifference(mean, (float("nan"), float("nan")))
-    interval = stats.ttest_ind(a, b, equal_var=False).confidence_interval()
-    return PairedDifference(float(a.mean() - b.mean()), (float(interval.low), float(interval.high)))
-
-
-def _more_diverged(log: Trajectory, former: Trajectory, *, everywhere: bool) -> bool:
-    """Whether more runs diverged than before: of all, or of those that met the same disturbances."""
-    common = common_runs(len(log.diverged))
-    if log.diverged[common].mean() > former.diverged[common].mean():
-        return True
-    return everywhere and bool(log.diverged.mean() > former.diverged.mean())
-
-
-def _status(change: PairedDifference, floor: float, *, redesigned: bool) -> ServiceStatus:
-    """What becomes of a deployment with that change; below `floor` it is rounding."""
-    if change.ci95[1] < -floor:
-        return ServiceStatus.WORSE
-    if change.ci95[0] > floor:
-        return ServiceStatus.BETTER
-    asked = redesigned or not np.isfinite(change.ci95).all()
-    return ServiceStatus.NOT_BETTER if asked and change.mean < -floor else ServiceStatus.NOT_WORSE
-
-
 def after_deployment(
-    status: ServiceStatus, deployed: Served, agent_at_end: Any, before: InService, former: Served | None,
-    *, redesigned: bool, updated: bool,
-) -> tuple[InService, Served]:  # fmt: skip
-    """What is in service after a deployment, and the deployment that speaks for it.
+    deployed: Deployed, current: Deployable, former: Deployed | None, *, replaces: bool, carried: bool
+) -> tuple[Deployable, Deployed]:  # fmt: skip
+    """What is deployed next, and the deployment that speaks for it.
 
-    A generation that changed nothing serves under the number of the one that it repeats.
-
-    Where a redesign fell short, that is what was in service before. Where nothing but updates of the policy came
-    between two deployments and the later one is worse, it is the policy that the former deployment began with.
+    Where a deployment fell short, that is what was deployed before: of updates that a whole deployment has shown to be
+    worse, the policy before them. A generation that changed nothing keeps the number of the one that it repeats.
     """
-    if status.replaces or former is None:
-        idle = former is not None and not redesigned and not updated
-        speaks = replace(deployed, generation=former.generation) if idle and former is not None else deployed
-        return InService(agent_at_end, deployed.designed.design), speaks
-    return (before if redesigned else former.designed), former
-
-
-def promise_of(values: Mapping[str, Any]) -> Summary:
-    """The predicted return that a stage has kept."""
-    def real(value: float | None) -> float:
-        """The value; NaN where JSON has none."""
-        return float("nan") if value is None else value
-
-    mean, std, median = (real(values[name]) for name in ("mean", "std", "median"))
-    low, high = map(real, values["ci95"])
-    return Summary(mean, std, median, values["n"], (low, high))
+    if former is None:
+        return deployed.after, deployed
+    if not replaces:
+        return (former.designed if carried else current), former
+    idle = deployed.designed.same_as(current) and deployed.after.same_as(current)
+    return deployed.after, replace(deployed, generation=former.generation) if idle else deployed

@@ -8,42 +8,35 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array
 from ccdtools.co_design.codesign import codesign
-from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.learned_result import LearnedCoDesign
-from ccdtools.controllers.controllers import Controller
+from ccdtools.evidence.evidence import Pairing, Violation
+from ccdtools.evidence.verdict import Verdict
 from ccdtools.exceptions import InputError
 from ccdtools.progress import Echo
 from ccdtools.scenario import Scenario
+from ccdtools.statistics import summarise_returns
 from ccdtools.studies.account import account, region_line
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, former_services, held_out_stage
-from ccdtools.studies.redesign import (
-    InService,
-    RedesignDecision,
-    judge_redesign,
-    promised,
-    same_design,
-    same_service,
-)
+from ccdtools.studies.redesign import RedesignJudge, described, predicted, same_design
 from ccdtools.studies.report.formatting import FORMER
-from ccdtools.studies.service import Served, ServiceStatus, judge_deployment, promise_of
+from ccdtools.studies.service import Deployed, judge_deployment
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.trust_region import Trust, doubt_of, edges, in_whole_box, within
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
 from ccdtools.twin.free_running import held_out_bands
-from ccdtools.twin.limits_kept import Breach, breach
-from ccdtools.twin.recombined_returns import NOT_ASKED, Independence, independence
-from ccdtools.twin.replay import replay_problem, updated_problem
+from ccdtools.twin.limits_kept import violation
+from ccdtools.twin.replay import Replay, replay_problem, updated_problem
 from ccdtools.twin.residuals import Residuals, residuals
 from ccdtools.twin.twin import DigitalTwin
+from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 
-MORE_EPISODES = 4  # a climb fits the runs that it is given: of 256, with tall costs, hardly anything is left on others
 POLICY_ALONE = "its policy at the present design"
 
 
@@ -90,86 +83,78 @@ class LoopStages:
         return Stage(values | {"report": report}, networks={"agent": agent})
 
     def co_design(
-        self, rng: np.random.Generator, current: InService, twin: DigitalTwin, trust: Trust,
+        self, rng: np.random.Generator, generation: int, current: Deployable, twin: DigitalTwin, trust: Trust,
         history: Sequence[GenerationRecord] = (),
     ) -> Stage:  # fmt: skip
-        """The first co-design on the nominal model; later ones on the updated model, taken if they are worth it.
+        """The first co-design on the nominal model; later ones on the updated model, deployed if they are worth it.
 
-        A redesign is trained on the median model, with what that leaves unexplained replayed, and judged on replays of
+        A redesign is trained on the median model, with what that leaves unexplained replayed, and ranked on replays of
         the logged errors themselves: a model fitted in closed loop can mistake the road for a consequence of the state.
-        Where the errors do not depend on each other in time it is trained on what it is judged on, recombined: there
-        the median has nothing to tell, and what it says is chance.
-        Beside it stand the start of the study and what has been in service before: the best of those taken is deployed.
+        Half of its episodes start where the log was, half where else it will serve. Beside it stand the start of the
+        study and what has been deployed before: the best of those that may replace what is deployed is deployed.
         """
         problem = self.evaluation.problem
         config = self.evaluation.config
+        name = f"the design of generation {generation}"
         if twin.discrepancy is None:
             first = codesign(
                 problem, agent=current.agent, design=current.design, rng=rng, method=config.method,
                 config=config.codesign, progress=self.progress,
             )  # fmt: skip
-            return self._co_designed(first, InService(first.agent, first.design), twin, None)
+            return self._co_designed(first, Deployable(first.agent, first.design, name), twin, None)
         doubt = doubt_of(twin, problem.state_scale)
         limited = trust.limits(doubt)
         region = within(problem, current.design, trust.radius) if limited else problem
         window, before = self.evaluation.training_episode(twin.logs, region.design)
-        judge = replay_problem(problem, twin.logs, window, warm_up=before)
-        recombines = self.evaluation.replay(twin.logs).recombines
-        training = judge if recombines else updated_problem(problem, twin, window, warm_up=before)
+        starts = self.evaluation.served.trained_from(current.design, self.evaluation.rng("starts"))
+        ranking = replay_problem(problem, twin.logs, window, warm_up=before, starts=starts)
+        training = updated_problem(problem, twin, window, warm_up=before, starts=starts)
         if limited:  # only now: a log may be from outside the region
-            training, judge = (within(one, current.design, trust.radius) for one in (training, judge))
+            training, ranking = (within(one, current.design, trust.radius) for one in (training, ranking))
         result = codesign(
             training, agent=current.agent, design=current.design, rng=rng, method=config.method,
-            config=_of_many_runs(config.redesign) if recombines else config.redesign, judge=judge,
-            progress=self.progress,
+            config=config.redesign, judge=ranking, progress=self.progress,
         )  # fmt: skip
         result = in_whole_box(result, region.design, problem.design)
-        proposals = self._proposals(result, current, history)
-        decisions = self._judged(proposals, current, twin)
-        taken = [name for name, decision in decisions.items() if decision.accepted]
-        best = max(taken, key=lambda name: decisions[name].gain.mean, default=None)
-        chosen = current if best is None else proposals[best]
-        redesign = self._redesign(result, best, current, decisions)
-        redesign["region"] = {
-            "radius": trust.radius if limited else None, **asdict(doubt), "text": doubt.describe(),
-            "edges": edges(result.design, region.design, problem.design),
+        judge = RedesignJudge(self.evaluation, current, twin)
+        proposals = self._proposals(Deployable(result.agent, result.design, name), current, history)
+        verdicts = self._verdicts(proposals, judge)
+        deployed = [name for name, verdict in verdicts.items() if verdict.replaces]
+        best = max(deployed, key=lambda name: verdicts[name].evidence[0].gain.mean, default=None)
+        space = problem.design
+        decisions = {name: judge.as_dict(proposals[name], verdict) for name, verdict in verdicts.items()}
+        redesign = {
+            "proposed": space.as_dict(result.design), "accepted": best is not None, "chosen": best,
+            "from": space.as_dict(current.design), "decisions": decisions,
+            "texts": [described(name, decision) for name, decision in decisions.items()],
+            "region": {
+                "radius": trust.radius if limited else None, **asdict(doubt), "text": doubt.describe(),
+                "edges": edges(result.design, region.design, problem.design),
+            },
         }  # fmt: skip
-        return self._co_designed(result, chosen, twin, redesign)
+        return self._co_designed(result, current if best is None else proposals[best], twin, redesign)
 
     def _proposals(
-        self, result: LearnedCoDesign, current: InService, history: Sequence[GenerationRecord]
-    ) -> dict[str, InService]:
-        """What is judged, by name: the redesign, its policy without its design, the start, and what was in service."""
-        proposals = {"redesign": InService(result.agent, result.design)}
-        if not same_design(self.evaluation.problem.design, result.design, current.design):
-            proposals[POLICY_ALONE] = InService(result.agent, current.design)
+        self, redesign: Deployable, current: Deployable, history: Sequence[GenerationRecord]
+    ) -> dict[str, Deployable]:
+        """What is judged, by name: the redesign, its policy without its design, the start, and what was deployed."""
+        proposals = {"redesign": redesign}
+        if not same_design(self.evaluation.problem.design, redesign.design, current.design):
+            proposals[POLICY_ALONE] = replace(redesign, design=current.design)
         return proposals | {FORMER + name: service for name, service in former_services(history, current).items()}
 
-    def _judged(
-        self, proposals: Mapping[str, InService], current: InService, twin: DigitalTwin
-    ) -> dict[str, RedesignDecision]:
-        """The decisions by name; the policy of a redesign is looked at alone only if the redesign is not taken."""
-        decisions: dict[str, RedesignDecision] = {}
+    def _verdicts(self, proposals: Mapping[str, Deployable], judge: RedesignJudge) -> dict[str, Verdict]:
+        """The verdicts by name; the policy of a redesign is looked at alone only if the redesign is refused."""
+        verdicts: dict[str, Verdict] = {}
         for name, proposal in proposals.items():
-            if name != POLICY_ALONE or not decisions["redesign"].accepted:
-                decisions[name] = judge_redesign(self.evaluation, proposal, current, twin.logs, twin)
-        return decisions
-
-    def _redesign(
-        self, result: LearnedCoDesign, chosen: str | None, current: InService, decisions: Mapping[str, RedesignDecision]
-    ) -> dict[str, Any]:
-        """What became of a redesign, as plain values; `chosen` names what is deployed in the place of `current`."""
-        space = self.evaluation.problem.design
-        return {
-            "proposed": space.as_dict(result.design), "accepted": chosen is not None, "chosen": chosen,
-            "from": space.as_dict(current.design), "texts": [d.describe(name) for name, d in decisions.items()],
-            "decisions": {name: decision.as_dict() for name, decision in decisions.items()},
-        }  # fmt: skip
+            if name != POLICY_ALONE or not verdicts["redesign"].replaces:
+                verdicts[name] = judge.verdict(proposal)
+        return verdicts
 
     def _co_designed(
-        self, result: LearnedCoDesign, chosen: InService, twin: DigitalTwin, redesign: dict[str, Any] | None
+        self, result: LearnedCoDesign, chosen: Deployable, twin: DigitalTwin, redesign: dict[str, Any] | None
     ) -> Stage:
-        """A co-design, with the policy and design that go into service, the decisions, and what they promise."""
+        """A co-design, with the policy and design that are deployed, the decisions, and what they predict."""
         history = result.history
         space = self.evaluation.problem.design
         arrays = {f"history_{name}": getattr(history, name) for name in history.__dataclass_fields__}
@@ -186,69 +171,69 @@ class LoopStages:
         report.append(f"{space.describe(chosen.design)}; {held}")
         if result.limits is not None:
             report.append(str(result.limits))
-        promise = promised(self.evaluation, chosen, twin.logs)
-        report.append(f"promised return of the deployment {promise.mean:.4g}")
+        promise = predicted(self.evaluation, chosen, twin.logs)
+        report.append(f"predicted return of the deployment {promise.mean:.4g}")
         values = {"active_bounds": active, "gradient_check": check, "ended": result.as_dict(), "redesign": redesign,
-                  "promised": asdict(promise), "limits": _limits(result), "report": report}  # fmt: skip
+                  "promised": asdict(promise), "limits": _limits(result), "report": report,
+                  "name": chosen.name}  # fmt: skip
         return Stage(values, {"design": chosen.design, **arrays}, {"agent": chosen.agent})
 
     def deploy(
-        self, rng: np.random.Generator, generation: int, found: Stage, former: Served | None, trust: Trust,
-        twin: DigitalTwin | None = None,
+        self, rng: np.random.Generator, generation: int, found: Stage, current: Deployable, former: Deployed | None,
+        trust: Trust, twin: DigitalTwin | None = None,
     ) -> Stage:  # fmt: skip
-        """The policy on the real plant, updated on the way; the log, and whether it stays in service."""
-        real = self.evaluation.study.real
+        """The policy on the real plant, updated on the way; the log, and whether it stays deployed."""
         evaluation = self.evaluation
-        online = evaluation.config.online
-        current = InService(found.networks["agent"], found.arrays["design"])
+        study = evaluation.study
+        real = study.real
+        config = evaluation.config
+        designed = deployable_of(found)
         deployment = deploy_and_update(
-            evaluation.problem, real.plant, current.agent, current.design, x0=np.tile(real.x0, (real.runs, 1)),
+            evaluation.problem, real.plant, designed.agent, designed.design, x0=np.tile(real.x0, (real.runs, 1)),
             disturbance=evaluation.deployment(generation), rng=rng,
             config=replace(
-                online, window=evaluation.window, recombine=evaluation.config.recombine and online.recombine
+                config.online, window=evaluation.window, quantile=config.quantile, accept_loss=study.accepted_loss
             ),
-            progress=self.progress, admissible=evaluation.admissible(current.design),
-            former=[] if twin is None else [one for one in twin.logs if one.independent], twin=twin,
+            progress=self.progress, admissible=evaluation.admissible(designed.design),
+            former=[] if twin is None else twin.logs, served=evaluation.served,
         )  # fmt: skip
         log = deployment.log
         if former is None and log.diverged.all():
-            place = evaluation.problem.design.describe(current.design)
+            place = evaluation.problem.design.describe(designed.design)
             got = f"a start from which every run of deployment {generation} diverged at {place}"
             raise InputError("real.x0", got, "one that some design can recover from")
         redesign = found.values["redesign"]
         redesigned = redesign is not None and redesign["accepted"]
+        values: dict[str, Any] = {
+            "diverged": log.diverged.mean(), "updates": [update.as_dict() for update in deployment.updates]
+        }
+        known = () if twin is None else twin.logs
         delivery = judge_deployment(
-            log, None if former is None else former.log, evaluation.study.objective,
-            promise_of(found.values["promised"]), redesigned=redesigned, risk=evaluation.study.judged_in,
-            stretch=evaluation.window,
+            deployed_of(generation, designed, deployment.agent, log, values["updates"]), former, current,
+            Pairing(study.objective, study.judged_in, evaluation.window),
+            lambda steps: predicted(evaluation, designed, known, steps), redesigned=redesigned, limits=self._violation,
         )  # fmt: skip
-        updates = [asdict(update) for update in deployment.updates]
-        carried = former is not None and not redesigned and not same_service(current, former.designed)
-        broken = None
-        if former is not None and delivery.status.replaces and (redesigned or carried or deployment.changed):
-            broken = self._breach(log, former.log)
-            delivery = delivery if broken is None else replace(delivery, status=ServiceStatus.LIMITS)
         moved = redesigned and redesign["decisions"][redesign["chosen"]]["moved"]
-        kept = delivery.judge.kept if moved else None  # only a design that moved shows how errors follow the design
-        values = {
-            "deployed_return": asdict(delivery.returns), "diverged": log.diverged.mean(), "updates": updates,
-            "delivery": delivery.as_dict() | {
-                "former": None if former is None else former.generation, "carried": carried,
-                "breach": "" if broken is None else str(broken),
-            },
-            "trust": asdict(trust.after(kept)),
+        kept = delivery.agreement.kept if moved else None  # only a design that moved shows how errors follow the design
+        rewards = log.rewards(study.objective)[~log.diverged]
+        values |= {
+            "deployed_return": asdict(summarise_returns(rewards, runs=len(log.diverged))),
+            "delivery": delivery.as_dict(), "trust": asdict(trust.after(kept)),
         }  # fmt: skip
-        space = evaluation.problem.design
-        sentence = account(generation, values, redesign, space.describe(current.design))
-        return Stage(values | {"account": sentence, "report": [sentence]}, packed(log), {"agent": deployment.agent})
+        sentence = account(generation, values, redesign, evaluation.problem.design.describe(designed.design))
+        refused = [f"update {k} refused, {update['status']}: {update['reason']}"
+                   for k, update in enumerate(values["updates"], 1) if not update["accepted"]]  # fmt: skip
+        return Stage(values | {"account": sentence, "report": [sentence, *refused]}, packed(log),
+                     {"agent": deployment.agent})  # fmt: skip
 
-    def _breach(self, log: Trajectory, former: Trajectory) -> Breach | None:
+    def _violation(self, log: Trajectory, former: Trajectory) -> Violation | None:
         """How a deployment broke limits that the one before it had kept; MPC is asked on the errors that it met."""
-        study = self.evaluation.study
-        errors = residuals(study.model, log)
-        x0, w = self.evaluation.replay([errors]).whole()
-        scenario = Scenario(self.evaluation.split.replayed_model, x0, w)
-        return breach(self.evaluation.problem, scenario, log, former, study.real.plant)
+        evaluation = self.evaluation
+        if log.diverged.all():
+            return None
+        x0, w = Replay((residuals(evaluation.study.model, log),), evaluation.split).whole()
+        scenario = Scenario(evaluation.split.replayed_model, x0, w)
+        return violation(evaluation.problem, scenario, log, former, evaluation.study.real.plant)
 
     def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory, deployed: Stage) -> Stage:
         """The quantiles of the one-step errors of the nominal model along all logs, and how well draws hold."""
@@ -264,39 +249,19 @@ class LoopStages:
         assert updated.scores is not None
         scores = updated.scores
         report = [f"held-out coverage {_shares(scores.coverage)} (nominal {scores.nominal_coverage:.0%})"]
-        policy = self.evaluation.in_service(deployed.networks["agent"], log.design)
+        policy = self.evaluation.in_service(Deployable(deployed.networks["agent"], log.design))
         since = max((update["after"] for update in deployed.values["updates"] if update["accepted"]), default=0)
         bands = held_out_bands(updated, log, policy, rng=rng, since=since)
         if bands is not None:
             report += [f"free-running bands of {bands.steps[-1]} steps: coverage {_shares(bands.coverage[-1])} of 80%"]
-        independent = self._independence(log, policy, len(twin.logs))
-        if len(log.diverged) > 1:
-            report.append(independent.describe())
-        values = {"scores": asdict(scores), "free_running": None if bands is None else bands.summary(),
-                  "independence": asdict(independent)}  # fmt: skip
+        values = {"scores": asdict(scores), "free_running": None if bands is None else bands.summary()}
         return Stage(values | {"report": report}, networks=_networks(updated.discrepancy))
-
-    def _independence(self, log: Trajectory, policy: Controller, number: int) -> Independence:
-        """Whether the runs of a log may be recombined; decided once, on all of them."""
-        evaluation = self.evaluation
-        replay = evaluation.replay([residuals(evaluation.study.model, log)])
-
-        def drive(x0: Array, w: Array) -> tuple[Trajectory]:
-            """The runs of the policy in service."""
-            scenario = Scenario(evaluation.split.replayed_model, x0, w)
-            return (scenario.run(policy, design=log.design, limit=evaluation.problem.limit),)
-
-        if not evaluation.config.recombine:
-            return NOT_ASKED
-        return independence(replay, drive, evaluation.study.objective, evaluation.rng(f"independence-{number}"))
 
     def learned_twin(self, twin: DigitalTwin, log: Trajectory, learned: Stage) -> DigitalTwin:
         """The twin that `learn` has left behind."""
         if log.diverged.all():
             return twin
         taught = twin.remembering(log)
-        newest = replace(taught.logs[-1], independent=learned.values["independence"]["independent"])
-        taught = replace(taught, logs=(*taught.logs[:-1], newest))
         discrepancy = Discrepancy(
             learned.networks["quantiles"], self.evaluation.study.weight, transport=taught.transport,
             copula=learned.networks.get("copula"),
@@ -304,7 +269,7 @@ class LoopStages:
         return replace(taught, discrepancy=discrepancy, scores=QuantileScores(**learned.values["scores"]))
 
     def compare(
-        self, rng: np.random.Generator, generation: int, designed: InService, deployed: InService,
+        self, rng: np.random.Generator, generation: int, designed: Deployable, deployed: Deployable,
         logs: Sequence[Residuals],
     ) -> Stage:  # fmt: skip
         """Every controller at the design: on the model that it was judged on, and on the real plant."""
@@ -317,16 +282,11 @@ class LoopStages:
         return held_out_stage(self.evaluation, history)
 
     def evaluate(
-        self, rng: np.random.Generator, designed: InService, logs: Sequence[Residuals], twin: DigitalTwin
+        self, rng: np.random.Generator, designed: Deployable, logs: Sequence[Residuals], twin: DigitalTwin
     ) -> Stage:
         """Returns of the policy as designed, on every model."""
         assert twin.discrepancy is not None
         return self.evaluation.returns(designed.agent, designed.design, judged_on=logs, learned=twin.discrepancy)
-
-
-def _of_many_runs(config: CoDesignConfig) -> CoDesignConfig:
-    """The co-design with more episodes a gradient: where runs are recombined there are as many as are asked for."""
-    return replace(config, pathwise_runs=MORE_EPISODES * config.pathwise_runs)
 
 
 def _limits(result: LearnedCoDesign) -> dict[str, Any] | None:
@@ -345,6 +305,20 @@ def _networks(discrepancy: Discrepancy) -> dict[str, Any]:
 def _shares(values: Sequence[float]) -> str:
     """Whole per cents, one after the other."""
     return ", ".join(f"{value:.0%}" for value in values)
+
+
+def deployable_of(found: Stage) -> Deployable:
+    """What a co-design leaves to be deployed."""
+    return Deployable(found.networks["agent"], found.arrays["design"], found.values["name"])
+
+
+def deployed_of(
+    generation: int, designed: Deployable, agent: ActorCritic, log: Trajectory, updates: Sequence[Mapping[str, Any]]
+) -> Deployed:  # fmt: skip
+    """The deployment of what was designed, with the stretch that each policy drove, from its kept updates."""
+    changes = tuple(update["after"] for update in updates if update["accepted"])
+    after = replace(designed, agent=agent, name=f"{designed.name}, updated") if changes else designed
+    return Deployed(generation, designed, after, log, changes)
 
 
 def packed(log: Trajectory) -> dict[str, Any]:

@@ -36,7 +36,7 @@ from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.studies.disturbance_checks import check_disturbance
 from ccdtools.studies.options import FILTERS, SETS
 from ccdtools.studies.plant_checks import check_finite, check_same_plant
-from ccdtools.studies.price import DEFAULT_PRICE, RedesignPrice
+from ccdtools.studies.price import ACCEPTED_LOSS, DEFAULT_PRICE, RedesignPrice, accepted_loss
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.studies.real_step import check_real_step, extent_of
 from ccdtools.twin.transport import check_disturbance_enters
@@ -78,16 +78,19 @@ class Study(Immutable):
     sets : {"auto", "lqr", "none"}
         Sets that the samples are taken from: X_fea(p) as far as the time goes; what saturated LQR keeps within X; X.
     sets_time_limit : float
-        Processor time for these sets [s].
+        Budget for these sets [s]: the work of a usual processor, counted alike on every machine.
     limit_tolerance : "mpc", "off" or (fraction, depth)
         How often and how far the co-designed policy may leave X, see `CoDesignProblem`; a redesign or an update that
-        leaves it further, and further than what is in service, is refused.
+        leaves it further, and further than what is deployed, is refused.
     filter : {"none", "admissible"}
         What stands behind the policy in service on the real plant: nothing, or a filter that keeps the next state of
         the nominal model in X_fea(p).
     redesign_price : str
         The gain that a redesign must promise: "0.5 %" of the return in service without the cost of the design, or
         "12 return", in units of the return of an evaluation.
+    accept_loss : str
+        What a redesign or an update may lose, on any distribution that it will serve, for a gain where it was made for:
+        "0.5 %" of the return there by default.
     sampling_guard : {"warn", "ignore"}
         Whether a sampling time that does not resolve the plant is warned of, see `discretise`, and steps of the real
         plant that may be wrong by a tenth of X.
@@ -129,6 +132,7 @@ class Study(Immutable):
     paper_networks: tuple[int, ...] = (32, 32, 16, 16)
     samples: int = 1000
     redesign_price: str = DEFAULT_PRICE
+    accept_loss: str = ACCEPTED_LOSS
     limit_tolerance: str | tuple[float, float] = "mpc"
     filter: str = "none"
     sampling_guard: str = "warn"
@@ -187,6 +191,7 @@ class Study(Immutable):
         object.__setattr__(self, "paper_networks", widths)
 
         RedesignPrice.parse(self.redesign_price)
+        accepted_loss(self.accept_loss)
         object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
         as_choice("filter", self.filter, FILTERS)
         object.__setattr__(self, "accuracy", as_positive("accuracy", self.accuracy))
@@ -263,6 +268,11 @@ class Study(Immutable):
     def price(self) -> RedesignPrice:
         """The gain that a redesign must promise."""
         return RedesignPrice.parse(self.redesign_price)
+
+    @property
+    def accepted_loss(self) -> float:
+        """The loss that a change may bring on any distribution, as a part of the return there."""
+        return accepted_loss(self.accept_loss)
 
     @property
     def weight(self) -> Array:

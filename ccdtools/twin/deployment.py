@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -23,11 +24,14 @@ from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.common_runs import is_common
+from ccdtools.twin.deployable import Deployable
+from ccdtools.twin.distributions import Distribution, Served, logged, on_updated
+from ccdtools.twin.judge import Judge
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.replay import replay_problem
 from ccdtools.twin.residuals import Residuals, check_errors, residuals
-from ccdtools.twin.twin import DigitalTwin
-from ccdtools.twin.update_judge import UpdateJudge, served
+from ccdtools.twin.transport import ErrorSplit
+from ccdtools.twin.updated_plant import UpdatedPlant
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
 
@@ -39,9 +43,9 @@ class Deployment(Immutable):
     Attributes
     ----------
     log : Trajectory
-        All runs as they happened, under the policies then in service.
+        All runs as they happened, under the policies then deployed.
     agent : ActorCritic
-        In service at the end.
+        Deployed at the end.
     updates : tuple of OnlineUpdate
     """
 
@@ -50,13 +54,12 @@ class Deployment(Immutable):
     updates: tuple[OnlineUpdate, ...]
 
     @property
-    def changed(self) -> bool:
-        """Whether any update was accepted."""
-        return any(update.accepted for update in self.updates)
+    def changes(self) -> tuple[int, ...]:
+        """Samples logged before every update that was accepted."""
+        return tuple(update.after for update in self.updates if update.accepted)
 
     def __repr__(self) -> str:
-        accepted = sum(update.accepted for update in self.updates)
-        return f"Deployment({self.log!r}, {accepted} of {len(self.updates)} updates accepted)"
+        return f"Deployment({self.log!r}, {len(self.changes)} of {len(self.updates)} updates accepted)"
 
 
 def deploy(
@@ -111,23 +114,21 @@ def deploy_and_update(
     config: OnlineConfig | None = None,
     admissible: AdmissibleInputs | None = None,
     former: Sequence[Residuals] = (),
-    twin: DigitalTwin | None = None,
+    served: Served | None = None,
     progress: bool = False,
 ) -> Deployment:
     """A deployment in stretches, with an update of the policy after each but the last.
 
     After a stretch, the errors of the nominal model along all stretches so far are replayed as disturbances. A
-    candidate is trained on the first part of every stretch and goes into service only if its paired return on the
-    rest is better: the interval of the difference excludes zero, and it is worth a change. Returns are compared in
-    `problem.risk`; a candidate must keep the limits as far as `problem.limit_tolerance` grants, where the policy in
-    service does. Of a single run both are replayed from the start of every stretch, so that what is judged begins in
-    states of their own; several runs are judged from their own starts; where the errors logged so far do not depend on
-    each other in time, on runs recombined of them step by step (see `independence`).
+    candidate is trained on the first part of every stretch, and from the starts that it will serve. It is deployed only
+    if its paired return on the rest is better, and if it loses no more than is accepted on every other distribution:
+    see `Judge` and `Served`. Of a single run both are replayed from the start of every stretch, so that what is judged
+    begins in states of their own; several runs are judged from their own starts.
 
     Parameters
     ----------
     problem : CoDesignProblem
-        Gives the nominal model and the objective.
+        Gives the nominal model, the objective, the risk, and how far limits may be left.
     plant : Plant, or anything else that `simulate` takes
         The real one.
     x0 : (n, nx) array
@@ -136,15 +137,14 @@ def deploy_and_update(
         One long run is cut in time, several are dealt out in groups. A deployment too short to judge so many
         updates gets fewer, or none.
     admissible : AdmissibleInputs, optional
-        A filter behind the policy in service, see `Filtered`; it is judged with the filter, too.
+        A filter behind the deployed policy, see `Filtered`; it is judged with the filter, too.
     former : sequence of Residuals
-        Errors along former deployments of several runs, as long as these: candidates, which are not trained on them,
-        are judged on them, too. Each is met through E(p) of this design. Every second run, from the first on, counts
-        as one that met the same disturbance in every deployment: together these are one piece of evidence, and those
-        of a disturbance that a candidate was trained on are left out.
-    twin : DigitalTwin, optional
-        What former deployments of several runs have taught: a candidate must be better on its updated model, too, and
-        beyond chance. There errors follow the state and the input, while logged ones stay those of another policy.
+        Errors along former deployments, from which the model is updated, too. On those of several runs as long as these
+        candidates, which are not trained on them, are judged besides. Every second run, from the first on, counts as
+        one that met the same disturbance in every deployment: together these are one piece of evidence, and those of a
+        disturbance that a candidate was trained on are left out.
+    served : Served, optional
+        The other starts and disturbances that the policy will serve; by default the problem's, and its box of starts.
     """
     config = OnlineConfig() if config is None else config
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
@@ -159,42 +159,39 @@ def deploy_and_update(
         raise InputError("former", shown(former), "a sequence of Residuals")
     for k, log in enumerate(former):
         check_errors(f"former[{k}]", problem.model, log)
-    if twin is not None:
-        as_instance("twin", twin, DigitalTwin, "a DigitalTwin or None")
-    several = len(whole.x0) > 1
-    alike = [log for log in former if log.runs > 1 and log.steps == whole.steps and several]
-    taught = twin if twin is not None and {log.steps for log in twin.logs} == {whole.steps} and several else None
-    return _Service(problem, whole, design, agent, rng, config, admissible, alike, taught).run(progress)
+    served = Served(problem, whole.x0[0], runs=config.judged) if served is None else served
+    as_instance("served", served, Served, "a Served or None")
+    deployed = Deployable(agent, design, "the deployed policy")
+    return _Service(whole, deployed, rng, config, admissible, former, served).run(progress)
 
 
 class _Service:
-    """A policy in service: its log so far, and the updates it has had.
+    """A deployed policy: its log so far, and the updates it has had.
 
     Attributes
     ----------
-    former : sequence of Residuals
-        Errors of other deployments, which candidates are judged on, too.
     logs, train, test : list of Residuals
         Errors of every part of the log: all of them, what candidates are trained on, and what they are judged on. Of a
         single run, `test` holds whole stretches, of which only the last part is judged.
     """
 
     def __init__(
-        self, problem: CoDesignProblem, whole: Scenario, design: Array, agent: ActorCritic, rng: np.random.Generator,
-        config: OnlineConfig, admissible: AdmissibleInputs | None, former: Sequence[Residuals],
-        twin: DigitalTwin | None,
+        self, whole: Scenario, deployed: Deployable, rng: np.random.Generator, config: OnlineConfig,
+        admissible: AdmissibleInputs | None, former: Sequence[Residuals], served: Served,
     ) -> None:  # fmt: skip
-        self.problem = problem
+        self.problem = served.problem
         self.whole = whole
-        self.design = design
-        self.agent = agent
+        self.deployed = deployed
         self.rng = rng
         self.config = config
         self.admissible = admissible
         self.former = former
+        self.split = ErrorSplit(self.problem.model, self.problem.state_scale)
+        self.served = served
         self.pieces: list[Trajectory] = []
         self.updates: list[OnlineUpdate] = []
-        self.judge = UpdateJudge(problem, design, config, len(whole.x0), rng.spawn(1)[0], rng, admissible, twin)
+        self.judged_by = rng.spawn(1)[0]
+        self.judge = Judge(self.problem, whole.plant, lambda _: admissible, config.window, config.accept_loss)
         self.logs: list[Residuals] = []
         self.train: list[Residuals] = []
         self.test: list[Residuals] = []
@@ -210,15 +207,14 @@ class _Service:
             if len(self.pieces) <= count and self._learn(piece, part[0].start):
                 at(f"update {k + 1} of {count}")
                 self._update()
-        return Deployment(joined(self.pieces, runs), self.agent, tuple(self.updates))
+        return Deployment(joined(self.pieces, runs), self.deployed.agent, tuple(self.updates))
 
     def _serve(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
-        """The log of the policy in service on one part of the deployment, from where the last one ended."""
+        """The log of the deployed policy on one part of the deployment, from where the last one ended."""
         x0 = self.pieces[-1].states[:, -1] if self.pieces and steps.start > 0 else self.whole.x0[runs]
-        controller = served(self.agent, self.design, self.admissible)
         return deploy(
-            self.whole.plant, controller, self.design, self.whole.disturbance[runs, steps],
-            x0=x0, limit=self.problem.limit, progress=progress,
+            self.whole.plant, self.deployed.controller(self.admissible), self.deployed.design,
+            self.whole.disturbance[runs, steps], x0=x0, limit=self.problem.limit, progress=progress,
         )  # fmt: skip
 
     def _learn(self, piece: Trajectory, before: int) -> bool:
@@ -241,31 +237,56 @@ class _Service:
         """Whether more than one run is deployed."""
         return len(self.whole.x0) > 1
 
+    @cached_property
+    def _starts(self) -> Array:
+        """Where a training starts, beside the states of the log."""
+        return self.served.trained_from(self.deployed.design, self.judged_by)
+
     def _update(self) -> None:
-        """Train a candidate, and put it into service if it is better on what it was not trained on."""
+        """Train a candidate, and deploy it if it is better on what it was not trained on, and loses nowhere."""
         config = self.config
-        training = replace(config.training, design_rate=0.0)
-        told = self.judge.told(self.logs, self.agent)
-        trained = [replace(log, independent=told.possible) for log in self.train]  # what it finds there is judged
-        problem = replay_problem(self.problem, trained, self.config.window)
-        candidate = codesign(problem, agent=self.agent, design=self.design, rng=self.rng, config=training).agent
-        evidence = [replace(log, independent=told.independent and log.independent) for log in self._unseen()]
-        evidence += [replace(log, independent=told.independent) for log in self.test]
-        gain, size = self.judge.gain(candidate, self.agent, evidence, self.logs, told)
-        accepted = gain.ci95[0] > 0 and gain.mean > config.least * size
-        updated = self.judge.updated_gain(candidate, self.agent) if accepted else None
-        accepted = bool(accepted and (updated is None or updated.ci95[0] > 0))
-        broken = self.judge.breach(candidate, self.agent, self.logs, self.whole.plant) if accepted else None
-        accepted = accepted and broken is None
+        problem = replay_problem(self.problem, self.train, config.window, starts=self._starts)
+        agent = codesign(
+            problem, agent=self.deployed.agent, design=self.deployed.design, rng=self.rng,
+            config=replace(config.training, design_rate=0.0),
+        ).agent  # fmt: skip
+        candidate = replace(self.deployed, agent=agent, name=f"update {len(self.updates) + 1}")
+        verdict = self.judge.verdict(
+            candidate, self.deployed, self._held_out(), self.served.nominal(self.judged_by),
+            lambda size, _: config.least * size, self._other_distributions,
+        )  # fmt: skip
         after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
-        self.updates.append(OnlineUpdate(after, gain, accepted, updated, str(broken or "")))
-        self.agent = candidate if accepted else self.agent
+        self.updates.append(OnlineUpdate(after, verdict))
+        self.deployed = candidate if verdict.replaces else self.deployed
+
+    def _held_out(self) -> Distribution:
+        """The held-out parts of the log, and former runs: what no candidate was trained on."""
+        several = self._several
+        return logged(
+            self.split, [*self._unseen(), *self.test] if several else _equally_long(self.test), series=not several,
+            most=self.config.judged, rng=self.judged_by, held_out=None if several else self.config.held_out,
+        )  # fmt: skip
+
+    def _other_distributions(self) -> list[Distribution]:
+        """What else the policy serves, on the model as updated by the log so far."""
+        logs = [*self.former, *self.logs]
+        plant = UpdatedPlant.of(self.split, logs, rng=self.judged_by, config=self.config.quantile)
+        whole = [log for log in logs if log.steps == self.whole.steps] if self._several else _equally_long(self.logs)
+        again = on_updated(plant, whole, series=not self._several, most=self.config.judged, rng=self.judged_by)
+        return [again, *self.served.on(logs, plant, self.deployed.design, self.judged_by)]
 
     def _unseen(self) -> list[Residuals]:
         """Former runs without those of a disturbance that candidates are trained on."""
         trained = np.concatenate([log.numbers for log in self.train])
-        kept = [~(is_common(log.numbers) & np.isin(log.numbers, trained)) for log in self.former]
-        return [log.part(own, slice(None)) for log, own in zip(self.former, kept) if own.any()]
+        former = [log for log in self.former if log.runs > 1 and log.steps == self.whole.steps]
+        kept = [~(is_common(log.numbers) & np.isin(log.numbers, trained)) for log in former]
+        return [log.part(own, slice(None)) for log, own in zip(former, kept) if own.any()]
+
+
+def _equally_long(logs: Sequence[Residuals]) -> list[Residuals]:
+    """The logs without their first steps, as long as the shortest: stretches of a run differ by one step at most."""
+    shortest = min(log.steps for log in logs)
+    return [log.part(slice(None), slice(log.steps - shortest, None)) for log in logs]
 
 
 def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:

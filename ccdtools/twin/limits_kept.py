@@ -6,7 +6,6 @@ is higher than that of each of its parts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from ccdtools.co_design.design_controllers import linear_mpc
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.limit_tolerance import BESIDE_MPC, FLOOR, MPC_RUNS, Pair
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.evidence.evidence import Violation
 from ccdtools.limits import StateLimits
 from ccdtools.outside import Outside
 from ccdtools.scenario import Scenario
@@ -26,39 +26,9 @@ from mpc import InputError, MPCError
 MEASURES = ("fraction", "peak")
 
 
-@dataclass(frozen=True)
-class Breach:
-    """Limits that a candidate leaves further than granted, and further than what is in service.
-
-    Attributes
-    ----------
-    achieved, before : Pair
-        Of the candidate and of what is in service, on the same runs.
-    granted : Pair
-        What the user's tolerance grants at the design of the candidate.
-    exceeded : str
-        The limit that is exceeded most.
-    by_mpc : bool
-        Whether it is granted because MPC of the same design does it.
-    """
-
-    achieved: Pair
-    before: Pair
-    granted: Pair
-    exceeded: str
-    by_mpc: bool
-
-    def __str__(self) -> str:
-        source = " by what MPC does" if self.by_mpc else ""
-        return (
-            f"it leaves the limits further than granted ({self.exceeded}: {_text(self.achieved)}; granted{source} "
-            f"{_text(self.granted)}; in service {_text(self.before)})"
-        )
-
-
-def breach(
+def violation(
     problem: CoDesignProblem, scenario: Scenario, after: Trajectory, before: Trajectory, plant: Any
-) -> Breach | None:
+) -> Violation | None:
     """How a candidate breaks the limits; None where it keeps them, or as well as before, or may do as it likes.
 
     It breaks them if a measure, the fraction of the samples outside or the mean over the runs of the peak depth, is
@@ -92,7 +62,8 @@ def breach(
     broken = {name: a > g for name, a, g in zip(MEASURES, achieved.values(), granted.values())}
     if not any(broken[name] for name in suspect):
         return None
-    return Breach(achieved, _pair(other, runs), granted, own.whole.exceeded, by_mpc)
+    before_it = _pair(other, runs).values()
+    return Violation(achieved.values(), before_it, granted.values(), own.whole.exceeded, by_mpc)
 
 
 def _asked(problem: CoDesignProblem) -> Pair:
@@ -132,8 +103,3 @@ def _further(own: Outside, other: Outside, name: str) -> bool:
         return False
     found = mean_interval(values - others) if own.single else paired_difference(values, others)
     return not np.isfinite(found.ci95).all() or found.ci95[0] > 0
-
-
-def _text(pair: Pair) -> str:
-    """Both measures in words."""
-    return f"{pair.fraction:.2%} of the samples, {pair.depth:.3g} half-widths at the peak"

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from ccdtools.arrays import Immutable
-from ccdtools.checks import as_count, as_flag, as_instance, as_number, as_share
+from ccdtools.checks import as_count, as_instance, as_number, as_share
 from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.evidence.evidence import NOTHING
+from ccdtools.evidence.verdict import TOLERANCE, Verdict
 from ccdtools.statistics import PairedDifference
+from ccdtools.twin.distributions import UPDATED
+from learning.quantile import QuantileConfig
 
 ONLINE_TRAINING = CoDesignConfig(
     iterations=20, pathwise_runs=256, design_rate=0.0, policy_rate=3e-4, evaluate_every=5, evaluation_runs=200
@@ -27,15 +32,16 @@ class OnlineConfig:
     held_out : float
         Last fraction of every part of the log, on which a candidate is judged.
     judged : int
-        Largest number of runs of that judgement, where several are deployed; where runs are recombined, about their
-        number.
+        Largest number of runs of that judgement, where several are deployed.
     least : float
-        Part of the return in service, without the cost of the design, that an update has to bring; 0 for any gain
+        Part of the deployed return, without the cost of the design, that an update has to bring; 0 for any gain
         beyond chance.
-    recombine : bool
-        Whether runs are recombined step by step where their errors do not depend on each other in time.
+    accept_loss : float
+        Part of the return that an update may lose on a distribution that it was not made for.
     training : CoDesignConfig
         Of the candidate; the design is frozen, whatever its `design_rate`, as the plant is built.
+    quantile : QuantileConfig
+        Of the discrepancy that a candidate is judged on; its median alone is fitted.
     """
 
     updates: int = 4
@@ -43,43 +49,47 @@ class OnlineConfig:
     held_out: float = 0.3
     judged: int = 400
     least: float = 0.001
-    recombine: bool = True
+    accept_loss: float = TOLERANCE
     training: CoDesignConfig = field(default_factory=lambda: ONLINE_TRAINING)
+    quantile: QuantileConfig = field(default_factory=QuantileConfig)
 
     def __post_init__(self) -> None:
         for name, least in (("updates", 0), ("window", 1), ("judged", 2)):
             as_count(name, getattr(self, name), least=least)
         as_share("held_out", self.held_out)
-        as_number("least", self.least, expected="a fraction from 0 to 1", low=0.0, high=1.0)
-        as_flag("recombine", self.recombine)
+        for name in ("least", "accept_loss"):
+            as_number(name, getattr(self, name), expected="a fraction from 0 to 1", low=0.0, high=1.0)
         as_instance("training", self.training, CoDesignConfig, "a CoDesignConfig")
+        as_instance("quantile", self.quantile, QuantileConfig, "a QuantileConfig")
 
 
 @dataclass(frozen=True, eq=False)
 class OnlineUpdate(Immutable):
-    """One attempt to improve the policy in service.
+    """One attempt to improve the deployed policy.
 
     Attributes
     ----------
     after : int
         Samples logged before it.
-    gain : PairedDifference
-        Return of the candidate minus that of the policy in service, in the problem's risk, on the held-out parts: of
-        all held-out stretches of a single run (the interval is of their series); of a run where several are deployed
-        (of the mean over the runs, or over blocks of them where they were recombined).
-    accepted : bool
-        Whether the interval of the gain lies above zero, on the updated model too, the gain matters, and the limits are
-        kept as far as is granted.
-    updated_gain : PairedDifference or None
-        The same on the model that former deployments have taught, with what it leaves unexplained replayed; NaN where
-        more runs of the candidate diverge. None where there is no such model, or the update is not accepted anyway.
-    breach : str
-        How the candidate breaks the limits on the logged errors where what is in service keeps them; empty where it
-        does not, or the update is not accepted anyway.
+    verdict : Verdict
+        On the held-out parts of the log, and on every other distribution that the policy serves.
     """
 
     after: int
-    gain: PairedDifference
-    accepted: bool
-    updated_gain: PairedDifference | None = None
-    breach: str = ""
+    verdict: Verdict
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it replaced the policy."""
+        return self.verdict.replaces
+
+    @property
+    def gain(self) -> PairedDifference:
+        """Return of the candidate minus that of the deployed policy on the held-out parts of the log."""
+        return self.verdict.evidence[0].gain if self.verdict.evidence else NOTHING
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for results.json."""
+        updated = self.verdict.on(UPDATED)
+        gains = {"gain": vars(self.gain), "updated_gain": None if updated is None else vars(updated.gain)}
+        return {"after": self.after, "accepted": self.accepted} | gains | self.verdict.as_dict()

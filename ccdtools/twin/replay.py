@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
 from ccdtools.checks import as_count, as_generator, as_instance, shown
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.exceptions import InputError
-from ccdtools.twin.recombination import Indices, dealt, drawn, shuffled
+from ccdtools.twin.common_runs import groups
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
 
-FEWEST_ROUNDS = 2  # in which every logged error is met: with one there are no more runs than were logged
-NUMBERS_AT_ONCE = 4_000_000  # errors of recombined runs that are in memory
+OTHER_STARTS = 0.5  # of the windows, where other starts are given: the rest begins where the log was
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,12 +30,14 @@ class Replay(Immutable):
         Drawn from in proportion to the windows they hold.
     split : ErrorSplit, optional
         Of every error into (ŵ, r), for the model that these drive at any design; without it errors are as logged.
-
-    Where runs are recombined, every step of an episode is of another run of its log, drawn at the same time.
+    starts : (m, nx) array, optional
+        States that half of the windows begin in, in the place of logged ones: a policy that is trained where the log
+        was, and nowhere else, is changed everywhere.
     """
 
     logs: Sequence[Residuals]
     split: ErrorSplit | None = None
+    starts: ArrayField = None
     _entering: tuple[Array, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -61,22 +62,31 @@ class Replay(Immutable):
         InputError
             If no logged run is as long as `steps`.
         """
+        x0, w, _ = self.windows(runs, steps, rng)
+        if self.starts is not None and len(self.starts):
+            other = rng.random(runs) < OTHER_STARTS
+            x0[other] = self.starts[rng.integers(0, len(self.starts), int(other.sum()))]
+        return x0, w
+
+    def windows(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array, Indices]:
+        """As `sample` from logged states, and the group of every window: those of one logged stretch are alike."""
         as_count("runs", runs)
         as_generator("rng", rng)
         self._require(steps)
         windows = np.array([len(e.x) * max(e.x.shape[1] - steps + 1, 0) for e in self.logs])
-        recombines = self.recombines
         draw = np.sort(rng.integers(0, windows.sum(), runs))
         edges = np.concatenate([[0], np.cumsum(windows)])
+        own = np.split(groups(self.logs), np.cumsum([log.runs for log in self.logs])[:-1])
         x0 = []
         w = []
-        for errors, entering, first, last in zip(self.logs, self._entering, edges[:-1], edges[1:]):
+        labels = []
+        for errors, entering, alike, first, last in zip(self.logs, self._entering, own, edges[:-1], edges[1:]):
             chosen = draw[(draw >= first) & (draw < last)] - first
             run, start = np.divmod(chosen, max(errors.x.shape[1] - steps + 1, 1))
-            source = drawn(run, errors.runs, steps, rng) if recombines else run[:, None]
             x0.append(errors.x[run, start])
-            w.append(entering[source, start[:, None] + np.arange(steps)])
-        return np.concatenate(x0), np.concatenate(w)
+            w.append(entering[run[:, None], start[:, None] + np.arange(steps)])
+            labels.append(alike[run] * errors.steps + start // steps)
+        return np.concatenate(x0), np.concatenate(w), np.concatenate(labels)
 
     def whole(self) -> tuple[Array, Array]:
         """First states (n, nx) and all errors (n, T, ·) of every run: what a controller is judged on.
@@ -94,41 +104,6 @@ class Replay(Immutable):
             raise InputError("logs", f"runs of {min(lengths)} to {max(lengths)} steps", "logs of one length")
         return np.concatenate([errors.x[:, 0] for errors in self.logs]), np.concatenate(self._entering)
 
-    def blocks(self) -> Indices | None:
-        """The block of every run, in the order of `whole`; None where there are too few runs."""
-        return dealt(np.concatenate([errors.numbers for errors in self.logs]))
-
-    def rounds(self, count: int) -> int:
-        """How often every logged error is met in about so many recombined runs, twice at least."""
-        return max(count // sum(errors.runs for errors in self.logs), FEWEST_ROUNDS)
-
-    @property
-    def recombines(self) -> bool:
-        """Whether runs are recombined, to train and to judge: all logs are `independent`, and hold enough runs."""
-        return all(errors.independent for errors in self.logs) and self.blocks() is not None
-
-    def recombined(self, rounds: int, rng: np.random.Generator) -> Iterator[tuple[Array, Array, Indices]]:
-        """First states, errors and blocks of recombined runs, in parts that fit into memory.
-
-        The runs of a block of one log are recombined. In every round each of its errors is met once.
-
-        Raises
-        ------
-        InputError
-            If the logs are not equally long.
-        """
-        x0, w = self.whole()
-        blocks = self.blocks()
-        assert blocks is not None
-        logs = np.repeat(np.arange(len(self.logs)), [errors.runs for errors in self.logs])
-        own = logs * (blocks.max() + 1) + blocks
-        steps = np.arange(w.shape[1])
-        at_once = int(np.clip(NUMBERS_AT_ONCE // w.size, 1, rounds))
-        for begun in range(0, rounds, at_once):
-            n = min(at_once, rounds - begun)
-            source = np.concatenate([shuffled(own, len(steps), rng) for _ in range(n)])
-            yield np.tile(x0, (n, 1)), w[source, steps], np.tile(blocks, n)
-
     def _require(self, steps: int) -> None:
         """Raise an `InputError` unless some logged run is as long as `steps`."""
         as_count("steps", steps)
@@ -138,8 +113,9 @@ class Replay(Immutable):
 
 
 def replay_problem(
-    problem: CoDesignProblem, errors: Sequence[Residuals], window: int, *, warm_up: int = 0
-) -> CoDesignProblem:
+    problem: CoDesignProblem, errors: Sequence[Residuals], window: int, *, warm_up: int = 0,
+    starts: ArrayField = None,
+) -> CoDesignProblem:  # fmt: skip
     """The nominal model driven by logged errors, as they would be at whichever design.
 
     An error logged at p is split into E(p) ŵ and a rest r; at a design q it is E(q) ŵ + r, so that the scenarios are
@@ -155,6 +131,8 @@ def replay_problem(
     warm_up : int
         Steps before them that do not count: an episode starts where the log was, and these bring each design and
         policy to a state of its own.
+    starts : (m, nx) array, optional
+        States that half of the episodes begin in.
 
     Raises
     ------
@@ -165,17 +143,18 @@ def replay_problem(
     steps = as_count("window", window) + as_count("warm_up", warm_up, least=0)
     split = ErrorSplit(problem.model, problem.state_scale)
     return replace(
-        problem, model=split.replayed_model, scenarios=Replay(errors, split), steps=steps, warm_up=warm_up,
+        problem, model=split.replayed_model, scenarios=Replay(errors, split, starts), steps=steps, warm_up=warm_up,
         discrepancy=None, risk=of_logged_runs(problem.risk),
     )  # fmt: skip
 
 
 def updated_problem(
-    problem: CoDesignProblem, twin: DigitalTwin, window: int | None = None, *, warm_up: int = 0
-) -> CoDesignProblem:
+    problem: CoDesignProblem, twin: DigitalTwin, window: int | None = None, *, warm_up: int = 0,
+    starts: ArrayField = None,
+) -> CoDesignProblem:  # fmt: skip
     """`problem` on the updated model: nominal + median, its unexplained rest replayed from the logs.
 
-    Episodes start where the log was; the width of the quantiles is penalised. `window` and `warm_up` as for
+    Episodes start where the log was; the width of the quantiles is penalised. `window`, `warm_up` and `starts` as for
     `replay_problem`; by default an episode is that of the problem, or as long as the shortest log.
 
     Raises
@@ -191,4 +170,5 @@ def updated_problem(
     window = min(problem.steps, min(log.steps for log in logs)) if window is None else as_count("window", window)
     steps = window + as_count("warm_up", warm_up, least=0)
     discrepancy = replace(twin.discrepancy, noise="replayed")
-    return replace(problem, discrepancy=discrepancy, scenarios=Replay(logs), steps=steps, warm_up=warm_up)
+    scenarios = Replay(logs, starts=starts)
+    return replace(problem, discrepancy=discrepancy, scenarios=scenarios, steps=steps, warm_up=warm_up)

@@ -29,9 +29,6 @@ class Residuals(Immutable):
         e⁺ = x⁺ − f(x, u, 0, p), at the measured state; f is A(p) x + B(p) u + c(p) of a linear model.
     numbers : (n,) int array
         Of the runs in their deployment, where some that diverged have been left out; 0, 1, … by default.
-    independent : bool
-        Whether errors of different steps were found not to depend on each other: then runs may be recombined step by
-        step, see `independence`.
     """
 
     e: Array
@@ -40,7 +37,6 @@ class Residuals(Immutable):
     p: Array
     e_next: Array
     numbers: ArrayField = None
-    independent: bool = False
 
     def __post_init__(self) -> None:
         for name in ("e", "x", "u", "p", "e_next"):

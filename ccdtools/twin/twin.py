@@ -14,7 +14,6 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
-from ccdtools.twin.loop_moments import matched_in_the_loop
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
 from ccdtools.twin.transport import Transport, as_extent, carried
 from learning.copula_fit import fit_copula
@@ -119,9 +118,7 @@ class DigitalTwin(Immutable):
         discrepancy = Discrepancy(network, weight, design_as_feature, transport=twin.transport)
         if len(network.levels) > 1:
             copula = fit_copula(network, inputs, train[-1])  # without memory: e and x hold the past
-            newest = block_parts(logs[-1], held_out, blocks, last=False)
-            drawing = replace(discrepancy, copula=copula)
-            discrepancy = replace(drawing, copula=matched_in_the_loop(drawing, self.model, newest, rng.spawn(1)[0]))
+            discrepancy = replace(discrepancy, copula=copula)
         return replace(
             twin,
             discrepancy=discrepancy,

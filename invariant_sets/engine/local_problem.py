@@ -257,7 +257,8 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     """Return an equilibrium (y, v) deep inside all rows; None if there is none."""
     dynamics = problem.dynamics
     matrix = np.hstack([np.eye(len(dynamics.A)) - dynamics.A, -dynamics.B])
-    scale = 1.0 / np.maximum(np.hypot.reduce(matrix, axis=0, initial=0.0), 1.0)  # strong inputs need only a small part of U
+    size = np.hypot.reduce(matrix, axis=0, initial=0.0)
+    scale = 1.0 / np.maximum(size, 1.0)  # strong inputs need only a small part of U
     rows, right = _lifted(problem)
     matrix = matrix * scale
     rows = rows * scale

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import zipfile
-import zlib
+import threading
+import uuid
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,12 @@ from mpc.explicit.piecewise_law import LawParts, PiecewiseLaw
 from mpc.explicit.search_tree import SearchTree, TreeStatus
 from mpc.parametric_qp import Constraint, ParametricQP
 
-_FORMAT = "explicit-mpc/2"
+_FORMAT = "explicit-mpc/3"
 _QP = ("H", "F", "f", "Y", "y", "G", "w", "S", "Lz", "Lt", "l", "Xz", "Xt", "x")
 _PARTITION = ("H", "h", "offsets", "law", "centre", "half")
 _TREE = ("planes", "nodes", "leaf_regions", "border", "centre")
-_UNREADABLE = (ValueError, KeyError, TypeError, IndexError, EOFError, OSError, MemoryError, OverflowError,
-               RecursionError, NotImplementedError, zipfile.BadZipFile, zlib.error)  # fmt: skip
 Arrays = dict[str, np.ndarray[Any, Any]]
+_together = threading.Lock()  # two threads that save to one path do not mix their files
 
 
 class _Inconsistent(ValueError):
@@ -44,22 +44,33 @@ def save_explicit(law: PiecewiseLaw, path: Path) -> tuple[Path, Path]:
     data |= {"input_H": law.input_rows[0], "input_h": law.input_rows[1], "members": members}
     data["member_counts"] = np.array([len(active) for active in partition.active_sets], dtype=np.int64)
     text = {
-        "format": _FORMAT, "fingerprint": _fingerprint(data), "regions": len(partition),
+        "format": _FORMAT, "regions": len(partition),
         "status": partition.status.name, "tree_status": law.tree.status.name, "nu": problem.nu,
         "parameters": [list(p) for p in problem.parameters], "constant_cost": problem.c,
         "solve_time": partition.solve_time, "uncovered": partition.uncovered,
         "labels": [list(label) for label in problem.labels],
     }  # fmt: skip
+    text["fingerprint"] = _fingerprint(data, text)
+    readable = json.dumps(text, indent=1) + "\n"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        half_written = arrays.with_name(arrays.name + ".part")
-        with half_written.open("wb") as stream:
-            np.savez_compressed(stream, **data)
-        os.replace(half_written, arrays)
-        manifest.write_text(json.dumps(text, indent=1) + "\n")
+        with _together:
+            _replace(arrays, lambda stream: np.savez_compressed(stream, **data))
+            _replace(manifest, lambda stream: stream.write(readable.encode()))
     except OSError as error:
         raise InputError("path", f"{str(path)!r} ({error.strerror})", "a place that can be written to") from error
     return arrays, manifest
+
+
+def _replace(file: Path, write: Callable[[Any], Any]) -> None:
+    """Write a file beside its place, under a name of its own, and move it there when it is complete."""
+    half_written = file.with_name(f"{file.name}.{uuid.uuid4().hex}.part")
+    try:
+        with half_written.open("wb") as stream:
+            write(stream)
+        os.replace(half_written, file)
+    finally:
+        half_written.unlink(missing_ok=True)
 
 
 def load_parts(path: Path) -> LawParts:
@@ -81,13 +92,13 @@ def load_parts(path: Path) -> LawParts:
             raise InputError("path", f"{manifest.name} of format {got!r}", repr(_FORMAT), "Save it again.")
         with arrays.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             data = {name: file[name] for name in file.files}
-        if text["fingerprint"] != _fingerprint(data):
+        if text.pop("fingerprint") != _fingerprint(data, text):
             raise _Inconsistent(f"{arrays.name} is not the file that {manifest.name} was written with")
         _check_arrays(data, text)
         return _assemble(text, data)
     except InputError:
         raise
-    except _UNREADABLE as error:
+    except Exception as error:  # whatever damaged bytes lead their readers to raise
         why = str(error) or type(error).__name__
         raise InputError(
             "path", f"{manifest.name} and {arrays.name} that cannot be read ({why})", "an undamaged pair of files",
@@ -101,12 +112,12 @@ def _files(path: Path) -> tuple[Path, Path]:
     return stem.with_name(stem.name + ".npz"), stem.with_name(stem.name + ".json")
 
 
-def _fingerprint(data: Arrays) -> str:
-    """SHA-256 of names, types, shapes and contents of the arrays."""
-    digest = hashlib.sha256()
+def _fingerprint(data: Arrays, text: dict[str, Any]) -> str:
+    """SHA-256 of the manifest, and of names, types, shapes and contents of the arrays."""
+    digest = hashlib.sha256(json.dumps(text, sort_keys=True).encode())
     for name in sorted(data):
         array = np.ascontiguousarray(data[name])
-        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
 

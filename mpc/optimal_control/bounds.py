@@ -1,4 +1,4 @@
-"""Bounds as a user states them: numbers, None where there is none, one for all entries or one each."""
+"""Bounds, names and guesses as a user states them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mpc.optimal_control.functions import brief
 
 Bounds = Any
 INF = np.inf
+RISING = "rising fractions of the duration, from 0 to 1"
 
 
 def as_bounds(name: str, value: Any, size: int) -> tuple[Array, Array]:
@@ -97,3 +98,45 @@ def as_duration(value: Any, discrete: bool) -> tuple[float, float]:
     if discrete and (raw[0] != raw[1] or raw[0] % 1):
         raise InputError("duration", brief(repr(value)), "a whole number of steps, for discrete dynamics")
     return float(raw[0]), float(raw[1])
+
+
+def as_names(name: str, value: Any, usual: str, size: int) -> tuple[str, ...]:
+    """So many names; `usual` and a number each where none are given."""
+    if isinstance(value, str) or not isinstance(value, list | tuple):
+        raise InputError(name, brief(repr(value)), f"a list of {size} names")
+    names = tuple(value) or tuple(f"{usual}{i + 1}" for i in range(size))
+    strange = next((entry for entry in names if not isinstance(entry, str)), None)
+    if strange is not None:
+        raise InputError(name, brief(repr(strange)), "names, which are text")
+    if len(names) != size:
+        raise InputError(name, f"{len(names)} names", f"{size}, one each")
+    if len(set(names)) < size:
+        double = next(entry for entry in names if names.count(entry) > 1)
+        raise InputError(name, f"{double!r} twice", "names that differ")
+    return names
+
+
+
+
+def as_guess(value: Any, states: int, inputs: int) -> tuple[Array, Array, Array]:
+    """Times (n,) as fractions of the duration, states (n, nx) and inputs (n, nu)."""
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise InputError("guess", brief(repr(value)), "(times, x, u)")
+    times, x, u = (as_floats("guess", part) for part in value)
+    n = len(np.atleast_1d(times))
+    if states == 1 and x.shape == (n,):
+        x = x[:, None]
+    if inputs == 1 and u.shape == (n,):
+        u = u[:, None]
+    shapes = ((n,), (n, states), (n, inputs))
+    finite = all(np.isfinite(part).all() for part in (times, x, u))
+    if (times.shape, x.shape, u.shape) != shapes or not finite:
+        got = f"shapes {times.shape}, {x.shape}, {u.shape}" if finite else "numbers that are not finite"
+        raise InputError(
+            "guess", got, f"(n,) fractions, (n, {states}) states and (n, {inputs}) inputs, finite"
+        )
+    if not n or (np.diff(times) < 0).any():
+        raise InputError("guess", "times that fall" if n else "no times", RISING)
+    if times[0] < 0 or times[-1] > 1:
+        raise InputError("guess", f"times from {times[0]:g} to {times[-1]:g}", RISING, "Divide them by the duration.")
+    return times, x, u

@@ -1,10 +1,20 @@
-"""What constraints and unknowns of a program are called, and when they are."""
+"""What constraints and unknowns of a program are called, and which are violated or stand in the way, in words."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import numpy as np
+
 from mpc.checks import Array
+from mpc.optimal_control.piece import Numbers
 from mpc.optimal_control.program import NonlinearProgram, Rows
 from mpc.optimal_control.unknowns import coordinates
+
+HOLDS = 0.01  # multiplier, beside the largest, of a limit that stands in the way
+NEARLY = 1e-6  # of an unknown's size: what two bounds that count as one differ by
+SHOWN = 5  # violated constraints that are named, and others that stand in the way
+BOUNDS = 10  # that are named
 
 
 def rows_of(program: NonlinearProgram, row: int) -> Rows:
@@ -56,3 +66,105 @@ def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
         return f"bound of {name}{of_phase(program, k)} at t = {start + length * fraction[own]:.6g}"
     own = index - program.parameters.start
     return f"bound of {program.problem.p_names[own]}" if 0 <= own < program.problem.parameters else "cost of a scenario"
+
+
+def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: float) -> tuple[str, ...]:
+    """Constraints that are violated (m,), in sizes, by more than what passes for feasible; the worst first.
+
+    Each is named once for all times and scenarios, where it is violated most, with the amount in its own unit.
+    """
+    broken = violations > feasible
+    groups = {name: rows[broken[rows]] for name, rows in _limits(program).items() if broken[rows].any()}
+    worst = {name: int(rows[np.argmax(violations[rows])]) for name, rows in groups.items()}
+    order = sorted(groups, key=lambda name: -violations[worst[name]])
+    found = []
+    for name in order[:SHOWN]:
+        row = worst[name]
+        more = len(groups[name]) - 1
+        points = f" (and at {more} more point{'s' * (more > 1)})" if more else ""
+        found.append(f"{describe_row(program, row, v)}, by {violations[row] * program.row_scale[row]:.3g}{points}")
+    return _shortened(found, len(order), "constraint")
+
+
+def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds: Array, violations: Array,
+                  feasible: float) -> tuple[str, ...]:  # fmt: skip
+    """What cannot hold together, of the unknowns with the least violations and the multipliers there.
+
+    First the constraints that are violated, then those and the bounds whose multipliers hold against them.
+    """
+    pushing = np.abs(on_rows * program.row_scale)
+    strong = HOLDS * pushing.max(initial=0.0)
+    others = [
+        int(rows[pushing[rows].argmax()])
+        for rows in _limits(program, without=("dynamics",)).values()
+        if pushing[rows].max() > strong and not (violations[rows] > feasible).any()
+    ]
+    others.sort(key=lambda i: -pushing[i])
+    named = [describe_row(program, i, v) for i in others[:SHOWN]]
+    return (
+        *violated(program, v, violations, feasible), *_shortened(named, len(others), "constraint"),
+        *_bounds_in_the_way(program, v, on_bounds),
+    )  # fmt: skip
+
+
+def _limits(program: NonlinearProgram, without: tuple[str, ...] = ()) -> dict[str, Numbers]:
+    """The rows of every limit, at all times and in all scenarios, by its name."""
+    found: dict[str, list[Numbers]] = {}
+    for rows in program.rows:
+        if rows.name in without:
+            continue
+        for first in range(rows.first, rows.first + len(rows.entries)):
+            own = np.arange(first, rows.last, len(rows.entries))
+            found.setdefault(limit_of_row(program, first), []).append(own)
+    return {name: np.concatenate(each) for name, each in found.items()}
+
+
+def _bounds_in_the_way(program: NonlinearProgram, v: Array, on_bounds: Array) -> tuple[str, ...]:
+    """Bounds that a violation would fall with, in words, each limit of each entry once, by decades of their weight."""
+    weights = on_bounds[: len(v)] * program.scale
+    groups: dict[str, float] = {}
+    for i, text in _texts(program, v, weights):
+        groups[text] = groups.get(text, 0.0) + abs(weights[i])
+    largest = max(groups.values(), default=0.0)
+    held = [text for text, weight in groups.items() if weight > HOLDS * largest]
+    held.sort(key=lambda text: -round(np.log10(groups[text])))
+    return _shortened(held[:BOUNDS], len(held), "bound")
+
+
+def _shortened(named: list[str], count: int, what: str) -> tuple[str, ...]:
+    """Names, and how many there are besides."""
+    more = count - len(named)
+    return (*named, f"and {more} more {what}{'s' * (more > 1)}") if more else tuple(named)
+
+
+def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tuple[int, str]]:
+    """What the bound of each unknown with a multiplier is called."""
+    for k, part in enumerate(program.parts):
+        phase = of_linked_phase(program, k)
+        numbers, _ = coordinates(part.layout, part.mesh)
+        names = (*part.phase.state_names, *part.phase.input_names)
+        ends = {part.first: "start of ", part.last - part.layout.node: "end of "}
+        whole = part.phase.x_bounds
+        for i in range(part.first, part.last):
+            entry = int(numbers[i - part.first])
+            where = next((ends[i - n] for n in (entry,) if i - n in ends and entry < part.layout.nx), "")
+            if where and (program.lower[i], program.upper[i]) == (whole[0][entry], whole[1][entry]):
+                where = ""
+            if weights[i]:
+                yield i, f"{where}{names[entry]} {_side(program, i, weights[i], v[i])}{phase}"
+        if part.duration >= 0:
+            i = part.duration
+            yield i, f"duration {_side(program, i, weights[i], v[i])}{phase}"
+    for number, i in enumerate(range(program.parameters.start, program.parameters.stop)):
+        yield i, f"{program.problem.p_names[number]} {_side(program, i, weights[i], v[i])}"
+
+
+def _side(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
+    """Which bound of an unknown a multiplier is of, and the bound; where one is held besides, its value."""
+    low, high = program.lower[i], program.upper[i]
+    if high - low <= NEARLY * program.scale[i]:
+        return f"= {high:.6g}"
+    bound = high if weight > 0 else low
+    if abs(bound - value) > HOLDS * program.scale[i]:
+        return f"= {value:.6g}"
+    return f"{'≤' if weight > 0 else '≥'} {bound:.6g}"

@@ -51,9 +51,9 @@ def starts(program: NonlinearProgram, stopped: Array, lower: Array, upper: Array
     yield shaken(program, lower, upper)
 
 
-def shaken(program: NonlinearProgram, lower: Array, upper: Array) -> Array:
+def shaken(program: NonlinearProgram, lower: Array, upper: Array, seed: int = 0) -> Array:
     """The guess, each state and input of it moved along a line of its own, by a part of its size."""
-    random = np.random.default_rng(0)
+    random = np.random.default_rng(seed)
     move = random.uniform(-SHAKEN, SHAKEN, len(lower))
     for part in program.parts:
         numbers, fractions = coordinates(part.layout, part.mesh)

@@ -104,7 +104,7 @@ def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIte
         return made[key]  # type: ignore[no-any-return]
     statement, functions = program.derivatives.scaled
     watch = BestIterate(len(program.lower), len(program.row_lower)) if settings.keep_best else None
-    plain = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False}
+    plain = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "inputs_check": False}
     own: dict[str, Any] = {"ipopt": ipopt} | ({} if watch is None else {"iteration_callback": watch}) | plain
     try:
         solver = ca.nlpsol("solver", "ipopt", statement, own | functions)

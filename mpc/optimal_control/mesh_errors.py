@@ -1,16 +1,16 @@
-"""How much a solution misses the dynamics between the points of its mesh."""
+"""How much a solution misses the dynamics and the cost between the points of its mesh."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.interval import interval_function, runge_kutta
+from mpc.optimal_control.interval import interval_function, layout_of, times_of
 from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.phase_solution import PhaseSolution
-from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
 
 QUADRATURE = 8  # Gauss points an interval at which the dynamics are compared
@@ -18,82 +18,86 @@ TIGHTER = 0.01  # tolerance of CVODES that its result is compared with, beside i
 STILL = 1e-6  # extent of a state, beside what its rate would make of it over the phase, that is rounding
 
 
-def mesh_errors(phase: PhaseSolution, p: Array) -> Array:
-    """What a phase misses of the dynamics over each interval, relative to the extent of each state, (N,).
+class Missed(NamedTuple):
+    """What is missed over each interval, (N,) each: the dynamics, relative, and of the cost about."""
+
+    dynamics: Array
+    cost: Array
+
+
+def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
+    """What a phase misses of the dynamics over each interval, relative to the extent of each state, and of its cost.
 
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
-    or with CVODES a hundredth of its tolerance.
-    Zero for discrete dynamics; infinite where the dynamics are not finite between the points.
+    or with CVODES a hundredth of its tolerance. The cost feels that by the costates, λ·(f − dx/dt), and by its own
+    quadrature. Zero for discrete dynamics; infinite where the dynamics are not finite between the points.
 
     References
     ----------
-    Betts, "Practical Methods for Optimal Control Using Nonlinear Programming", 3rd ed., SIAM 2020, section 4.7.
+    Betts, "Practical Methods for Optimal Control Using Nonlinear Programming", 3rd ed., SIAM 2020, section 4.7; Becker
+    and Rannacher, "An optimal control approach to a posteriori error estimation", Acta Numerica 10, 2001.
     """
-    scheme = phase.part.scheme
+    scheme, N = phase.part.scheme, phase.part.intervals
     if phase.part.phase.discrete:
-        return np.zeros(phase.part.intervals)
+        return Missed(np.zeros(N), np.zeros(N))
     moved = np.abs(phase.stages.rates).max(axis=(0, 1)) * phase.duration
-    size = np.maximum(np.abs(phase.states).max(axis=0), STILL * moved)
-    if isinstance(scheme, Collocation):
-        missed = _by_residual(phase, scheme, p)
-    elif scheme.integrator == "cvodes":
-        missed = _by_tighter_steps(phase, replace(scheme, tolerance=TIGHTER * scheme.tolerance), p)
-    else:
-        missed = _by_half_steps(phase, scheme.substeps, p)
-    relative = missed / np.where(size > 0, size, 1.0)
-    return np.asarray(np.where(np.isfinite(relative), relative, np.inf).max(axis=1))
+    largest = np.maximum(np.abs(phase.states).max(axis=0), np.abs(phase.stages.states).max(axis=(0, 1)))
+    size = np.maximum(largest, STILL * moved)
+    found = _by_residual(phase, scheme, p) if isinstance(scheme, Collocation) else _by_finer_steps(phase, scheme, p)
+    relative = found.dynamics / np.where(size > 0, size, 1.0)
+    worst, cost = relative.max(axis=1), np.abs(found.cost)
+    return Missed(*(np.asarray(np.where(np.isfinite(value), value, np.inf)) for value in (worst, cost)))
 
 
-def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Array:
-    """∫ |dx/dt − f| over every interval, (N, nx)."""
+def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
+    """∫ |dx/dt − f| over every interval, (N, nx), and what is missed of the cost."""
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(QUADRATURE, 2 * scheme.stages))
     tau, weights = 0.5 * (tau + 1), 0.5 * weights
-    h = np.diff(phase.times)
-    basis = scheme.basis(tau)
+    h, basis = np.diff(phase.times), scheme.basis(tau)
+    k, at = np.repeat(np.arange(N), len(tau)), np.tile(tau, N)
+    x, u = phase.states_within(k, at), np.clip(phase.inputs_within(k, at), *part.phase.u_bounds)
+    times = phase.times[k] + h[k] * at
     given = np.einsum("tj,kji->kti", basis, phase.stages.rates)
-    x = phase.states[:-1, None] + h[:, None, None] * np.einsum("tj,kji->kti", scheme.integrals(tau), phase.stages.rates)
-    u = np.clip(np.einsum("tj,kji->kti", basis, phase.stages.inputs), *part.phase.u_bounds)
-    times = phase.times[:-1, None] + h[:, None] * tau
-    states, inputs = (value.reshape(N * len(tau), -1) for value in (x, u))
-    rates = evaluated(part, states, inputs, times.ravel(), p, signal_at(part.phase, times.ravel()))
-    missed = np.abs(given - rates.reshape(N, len(tau), -1))
-    return np.asarray(h[:, None] * np.einsum("t,kti->ki", weights, missed))
+    missed = evaluated(part.functions.dynamics, phase, x, u, times, p).reshape(given.shape) - given
+    of_cost = np.einsum("t,tj,kji,kti->k", weights, basis, phase.stages.costates, missed, optimize=True)
+    if part.functions.stage_cost is not None:
+        cost, stages, places = part.functions.stage_cost, phase.stages, phase.stages.times.ravel()
+        fine = evaluated(cost, phase, x, u, times, p).reshape(N, -1) @ weights
+        known = stages.states.reshape(len(places), -1), phase.inputs
+        counted = evaluated(cost, phase, *known, places, p).reshape(N, -1) @ scheme.matrix[-1]
+        of_cost = of_cost + phase.weight * (fine - counted)
+    return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost)
 
 
-def _by_half_steps(phase: PhaseSolution, substeps: int, p: Array) -> Array:
-    """The difference (N, nx) that twice the Runge–Kutta steps make at the end of every interval."""
-    part, steps = phase.part, 2 * substeps
-    h = np.diff(phase.times) / steps
-    u = phase.stages.inputs[:, 0]
-    z, t = phase.states[:-1].T, phase.times[:-1].copy()
-
-    def rate(x: Array, at: Array, signal: Array) -> Array:
-        return evaluated(part, x.T, u, at, p, signal).T
-
-    for _ in range(steps):
-        z = runge_kutta(rate, z, t, h, [signal_at(part.phase, at) for at in (t, t + h / 2, t + h)])
-        t = t + h
-    return np.abs(z.T - phase.states[1:])
+def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> Missed:
+    """The difference (N, nx) that half the steps, or a tighter tolerance, make at the end of every interval."""
+    finer = replace(scheme, substeps=2 * scheme.substeps, tolerance=TIGHTER * scheme.tolerance)
+    (ends, fine), (_, coarse) = (_shot(phase, one, p) for one in (finer, scheme))
+    of_cost = phase.weight * (fine[:, 0] - coarse[:, 0]) + np.einsum("kji,ki->k", phase.stages.costates, ends)
+    return Missed(np.abs(ends), of_cost)
 
 
-def _by_tighter_steps(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> Array:
-    """The difference (N, nx) of an integration by this scheme at the end of every interval."""
+def _shot(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> tuple[Array, Array]:
+    """What the ends (N, nx) of intervals miss by a scheme, and their costs (N, 1)."""
     part, N = phase.part, phase.part.intervals
-    interval = interval_function(part.phase, part.functions, scheme, part.layout, len(p))
-    times = phase.times[:-1, None] + np.diff(phase.times)[:, None] * np.asarray(part.layout.signals)
+    layout = layout_of(part.phase, part.layout.nw, scheme)
+    interval = interval_function(part.phase, part.functions, scheme, layout, len(p))
+    times = phase.times[0] + phase.duration * times_of(layout.signals, part.mesh)
     w = signal_at(part.phase, times.ravel()).reshape(N, -1).T
     none = np.zeros((0, N))
     found = interval.map(N)(
         phase.states[:-1].T, none, phase.stages.inputs[:, 0].T, phase.states[1:].T, none,
         np.tile(p[:, None], (1, N)), phase.times[None, :-1], np.diff(phase.times)[None], w,
     )  # fmt: skip
-    return np.abs(np.asarray(found[0], dtype=float)).T
+    defects, cost = (np.asarray(value, dtype=float).T for value in found[:2])
+    return defects, cost
 
 
-def evaluated(part: PhasePart, x: Array, u: Array, t: Array, p: Array, w: Array) -> Array:
-    """dx/dt (n, nx) at states (n, nx), inputs (n, nu), times (n,) and signals (n, nw)."""
-    n = len(x)
-    found = part.functions.dynamics.map(n)(x.T, u.T, w.T, np.tile(p[:, None], (1, n)), t[None])
-    return np.asarray(found, dtype=float).reshape(part.layout.nx, n).T
+def evaluated(function: Any, phase: PhaseSolution, x: Array, u: Array, t: Array, p: Array) -> Array:
+    """Values (n, m) of a function of a phase at states (n, nx), inputs (n, nu) and times (n,)."""
+    n = len(t)
+    w = signal_at(phase.part.phase, t)
+    values = np.asarray(function.map(n)(x.T, u.T, w.T, np.tile(p[:, None], (1, n)), t[None]), dtype=float)
+    return values.reshape(-1, n).T

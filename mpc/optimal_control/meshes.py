@@ -1,4 +1,4 @@
-"""Meshes as a user states them: fractions of every phase."""
+"""Meshes as a user states them, and cut where dynamics or limits are missed, or an input jumps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,49 @@ import numpy as np
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.functions import brief
+from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem
+from mpc.optimal_control.schemes import Collocation
+
+SAFETY = 0.05  # part of the tolerance that new intervals aim at
+MOST_PARTS = 6  # that an interval is cut into at once
+PINNED = 0.1  # of the root of the tolerance, to which the place of a jump is known
+JUMP = 0.5  # of an input's range, crossed within one interval
+LEAST_INTERVAL = 1e-9  # of the phase
+
+
+def finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: float) -> Array:
+    """A mesh whose intervals are cut into as many parts as errors ask for, and the excess of limits, and at jumps.
+
+    Of an excess (N,) that counts from 1 on; where an input jumps, too.
+    """
+    part = phase.part
+    order = part.scheme.stages + 1 if isinstance(part.scheme, Collocation) else 5
+    asked = np.clip((np.maximum(errors, tolerance) / (SAFETY * tolerance)) ** (1 / order), 2, MOST_PARTS)
+    steps = np.diff(part.mesh)
+    parts = np.where(errors > tolerance, np.ceil(asked).astype(int), 1)
+    long = steps > PINNED * np.sqrt(tolerance)
+    parts = np.where(excess > 1, np.maximum(parts, np.clip(np.ceil(np.cbrt(excess)), 2, MOST_PARTS)), parts).astype(int)
+    parts[_jumps(phase) & long] = MOST_PARTS
+    parts[steps <= LEAST_INTERVAL] = 1
+    if part.phase.discrete:
+        return part.mesh
+    inner = [left + step * np.arange(n) / n for left, step, n in zip(part.mesh[:-1], steps, parts)]
+    return np.append(np.concatenate(inner), 1.0)
+
+
+def _jumps(phase: PhaseSolution) -> Array:
+    """Intervals (N,) within which an input crosses most of its range: the jump's own place is known no better.
+
+    Not where it crosses back and forth in neighbours, as inputs do along a singular arc: there is no jump to find.
+    """
+    inputs = phase.stages.inputs
+    if not inputs.size:
+        return np.zeros(len(inputs), dtype=bool)
+    whole = np.ptp(inputs, axis=(0, 1))
+    crossing = (np.ptp(inputs, axis=1) > JUMP * np.where(whole > 0, whole, np.inf)).any(axis=1)
+    beside = np.convolve(crossing, [1, 0, 1], mode="same") > 0
+    return np.asarray(crossing & ~beside)
 
 
 def as_meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> list[Array]:

@@ -17,10 +17,10 @@ from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import Statement, compiled
+from mpc.optimal_control.linear_law import INVARIANT, invariant_set
 from mpc.optimal_control.model_derivatives import ModelDerivatives
 from mpc.optimal_control.planner import Effort, Planner
 from mpc.optimal_control.steady_state import SteadyStates
-from mpc.optimal_control.terminal import INVARIANT, invariant_set
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
 from mpc.sensitivities.along_plan import sensitivity_of

@@ -61,7 +61,8 @@ def _rough(program: NonlinearProgram, of_kinks: bool) -> Iterator[str]:
                 )
             elif kinks and of_kinks:
                 what = ", ".join(kinks)
-                yield f"The {name}{of_phase} has kinks ({what}): round them, such as sqrt(x² + ε²) for fabs."
+                cure = "round them, such as sqrt(x² + ε²) for fabs; for a cost |u| take u = a − b, a, b ≥ 0, at a + b"
+                yield f"The {name}{of_phase} has kinks ({what}): {cure}."
 
 
 def operations(function: ca.Function | None) -> set[int]:

@@ -12,10 +12,8 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_duration, as_end
+from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_duration, as_end, as_guess, as_names
 from mpc.optimal_control.functions import Statement, brief, compiled, wanted
-from mpc.optimal_control.guess import as_guess
-from mpc.optimal_control.names import as_names
 
 COSTED = ("dynamics", "stage_cost", "terminal_cost")
 LIMITED = ("path", "boundary")  # functions whose values have bounds and names

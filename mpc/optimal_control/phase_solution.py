@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
-from mpc.optimal_control.interval import at_points, times_of
+from mpc.optimal_control.interval import times_of
 from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation
@@ -26,12 +26,15 @@ class Stages:
     inputs : (N, d, nu) array
     rates : (N, d, nx) array
         dx/dt there; of shooting at both ends of an interval.
+    costates : (N, d, nx) array
+        Of collocation: by the multipliers of the dynamics, through the quadrature. Of shooting at the ends.
     """
 
     times: Array
     states: Array
     inputs: Array
     rates: Array
+    costates: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +52,8 @@ class PhaseSolution:
         What is known at the points of every interval.
     part : PhasePart
         The phase of the program that it solves.
+    weight : float
+        Of its cost.
     """
 
     times: Array
@@ -56,6 +61,7 @@ class PhaseSolution:
     costates: Array
     stages: Stages
     part: PhasePart
+    weight: float
 
     @property
     def duration(self) -> float:
@@ -76,27 +82,30 @@ class PhaseSolution:
     def x(self, t: ArrayLike) -> Array:
         """States (..., nx) at times (...), by the polynomials of the scheme; held beyond both ends."""
         k, tau, shape = self._located(t)
-        h = np.diff(self.times)[k][:, None]
-        if self.part.phase.discrete:
-            value = self.states[np.minimum(np.round(k + tau).astype(int), len(self.states) - 1)]
-        elif isinstance(self.part.scheme, Collocation):
-            weights = self.part.scheme.integrals(tau)
-            value = self.states[k] + h * np.einsum("nj,nji->ni", weights, self.stages.rates[k])
-        else:
-            value = _hermite(
-                tau[:, None], h, self.states[k], self.states[k + 1], self.stages.rates[k, 0], self.stages.rates[k, 1]
-            )
-        return np.asarray(value.reshape(*shape, -1))
+        return self.states_within(k, tau).reshape(*shape, -1)
 
     def u(self, t: ArrayLike) -> Array:
         """Inputs (..., nu) at times (...)."""
         k, tau, shape = self._located(t)
+        return self.inputs_within(k, tau).reshape(*shape, -1)
+
+    def states_within(self, k: Any, tau: Array) -> Array:
+        """States (n, nx) at fractions (n,) of intervals k (n,)."""
+        h = np.diff(self.times)[k][:, None]
+        if self.part.phase.discrete:
+            return self.states[np.minimum(np.round(k + tau).astype(int), len(self.states) - 1)]
+        if isinstance(self.part.scheme, Collocation):
+            weights = self.part.scheme.integrals(tau)
+            return np.asarray(self.states[k] + h * np.einsum("nj,nji->ni", weights, self.stages.rates[k]))
+        first, last = self.stages.rates[k, 0], self.stages.rates[k, 1]
+        return _hermite(tau[:, None], h, self.states[k], self.states[k + 1], first, last)
+
+    def inputs_within(self, k: Any, tau: Array) -> Array:
+        """Inputs (n, nu) at fractions (n,) of intervals k (n,)."""
         inputs = self.stages.inputs[k]
-        if isinstance(self.part.scheme, Collocation) and not self.part.phase.discrete:
-            value = np.einsum("nj,nji->ni", self.part.scheme.basis(tau), inputs)
-        else:
-            value = inputs[:, 0]
-        return np.asarray(value.reshape(*shape, -1))
+        if not isinstance(self.part.scheme, Collocation) or self.part.phase.discrete:
+            return np.asarray(inputs[:, 0])
+        return np.einsum("nj,nji->ni", self.part.scheme.basis(tau), inputs)
 
     def at_fractions(self, at: Array) -> tuple[Array, Array]:
         """States and inputs at fractions (n,) of the phase."""
@@ -121,10 +130,8 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     """A phase of the unknowns (n,) of a program; `weight` is that of its cost."""
     layout, N = part.layout, part.intervals
     start, length = clock
-    columns, last = part.columns(v)
-    nodes = np.column_stack([columns[: layout.node], last])
-    x, shared, own = nodes[: layout.nx], nodes[layout.nx :], columns[layout.node :]
-    states, inputs = at_points(layout, x[:, :-1], shared[:, :-1], own, x[:, 1:], shared[:, 1:])
+    nodes, own, states, inputs = part.unknowns(v)
+    x = nodes[: layout.nx]
     fractions = times_of(layout.points, part.mesh)
     at_signals = times_of(layout.signals, part.mesh)
     times = start + length * fractions
@@ -138,25 +145,38 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * at_signals.ravel()).reshape(N, -1)
     stage_states = np.stack(states, axis=0).transpose(2, 0, 1)
     stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
-    rates = stage_rates(part, stage_states, stage_inputs, w, p, times, x.T)
+    rates = _rates(part, stage_states, stage_inputs, w, p, times, (mesh_times, x.T))
     costates = _costates(part, nodes, own, p, mesh_times[:-1], h, w, multipliers, weight)
-    return PhaseSolution(mesh_times, x.T, costates, Stages(times, stage_states, stage_inputs, rates), part)
+    of_stages = _stage_costates(part, multipliers)
+    return PhaseSolution(
+        mesh_times, x.T, costates, Stages(times, stage_states, stage_inputs, rates, of_stages), part, weight
+    )  # fmt: skip
 
 
-def stage_rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Array, times: Array, nodes: Array) -> Array:
-    """dx/dt (N, d, nx) at the points of every interval; of shooting at both its ends."""
+def _rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Array, times: Array,
+           nodes: tuple[Array, Array]) -> Array:  # fmt: skip
+    """dx/dt (N, d, nx) at the points of every interval; of shooting at both its ends, the times and states of nodes."""
     N, d, nx = states.shape
     if isinstance(part.scheme, Collocation) or part.phase.discrete:
         x, u, t, signal = states, inputs, times, w.reshape(N, d, -1)
     else:
-        x = np.stack([nodes[:-1], nodes[1:]], axis=1)
+        t, x = (np.stack([known[:-1], known[1:]], axis=1) for known in nodes)
         u = np.repeat(inputs, 2, axis=1)
-        t = np.stack([times[:, 0], np.append(times[1:, 0], times[-1, 0])], axis=1)
         signal = w.reshape(N, len(part.layout.signals), -1)[:, [0, -1]]
     count = x.shape[1] * N
     flat = (x.reshape(count, -1).T, u.reshape(count, -1).T, signal.reshape(count, -1).T,
             np.tile(p[:, None], (1, count)), t.reshape(1, count))  # fmt: skip
     return np.asarray(part.functions.dynamics.map(count)(*flat), dtype=float).T.reshape(N, -1, nx)
+
+
+def _stage_costates(part: PhasePart, multipliers: Array) -> Array:
+    """Costates (N, d, nx) at the points of every interval, of the multipliers of all rows."""
+    of_defects = multipliers[part.defects].reshape(part.intervals, -1, part.layout.nx)
+    if not isinstance(part.scheme, Collocation) or part.phase.discrete:
+        return of_defects
+    matrix = part.scheme.matrix
+    after = matrix[np.asarray(part.scheme.points) > 0]
+    return np.asarray(np.einsum("ij,kin->kjn", after / matrix[-1], of_defects))
 
 
 def _costates(part: PhasePart, nodes: Array, own: Array, p: Array, times: Array, h: Array, w: Array, multipliers: Array,

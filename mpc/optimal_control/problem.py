@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import Bounds, as_parameter_bounds
+from mpc.optimal_control.bounds import Bounds, as_names, as_parameter_bounds
 from mpc.optimal_control.functions import Statement, brief, compiled
-from mpc.optimal_control.names import as_names
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 
 RISKS = ("sum", "worst", "spread")
@@ -116,7 +115,7 @@ class OptimalControlProblem:
         if self.p_guess is None:
             middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 0.0)
             return np.asarray(np.clip(middle, low, high))
-        guess = as_floats("p_guess", self.p_guess)
+        guess = np.atleast_1d(as_floats("p_guess", self.p_guess))
         if guess.shape != low.shape or not np.isfinite(guess).all():
             raise InputError("p_guess", brief(repr(self.p_guess)), f"{len(low)} finite numbers")
         return np.asarray(np.clip(guess, low, high))

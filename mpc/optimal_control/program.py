@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
-from mpc.optimal_control.interval import Layout
+from mpc.optimal_control.interval import Layout, at_points
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
@@ -79,13 +78,13 @@ class PhasePart:
         """N."""
         return len(self.mesh) - 1
 
-    def columns(self, v: Any) -> tuple[Any, Any]:
-        """Unknowns (column, N) of intervals and their first nodes, and (node,) of the last, of the vector of all."""
-        own = v[self.first : self.last]
-        cut = self.layout.column * self.intervals
-        if isinstance(own, np.ndarray):
-            return own[:cut].reshape(self.intervals, self.layout.column).T, own[cut:]
-        return ca.reshape(own[:cut], self.layout.column, self.intervals), own[cut:]
+    def unknowns(self, v: Array) -> tuple[Array, Array, list[Array], list[Array]]:
+        """Of the vector of all: unknowns of nodes (node, N + 1) and intervals (own, N), states and inputs at points."""
+        nx, node, cut = self.layout.nx, self.layout.node, self.first + self.layout.column * self.intervals
+        columns = v[self.first : cut].reshape(self.intervals, self.layout.column).T
+        nodes, own = np.column_stack([columns[:node], v[cut : self.last]]), columns[node:]
+        x, shared = nodes[:nx], nodes[nx:]
+        return nodes, own, *at_points(self.layout, x[:, :-1], shared[:, :-1], own, x[:, 1:], shared[:, 1:])
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,10 @@
-"""Finer meshes where the dynamics are missed."""
+"""Finer meshes where the dynamics are missed or limits are passed."""
 
 from __future__ import annotations
 
 import sys
 import time
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -12,14 +13,14 @@ from tqdm import tqdm
 
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.finer_meshes import finer_mesh
+from mpc.optimal_control.elastic import shaken
 from mpc.optimal_control.functions import brief
-from mpc.optimal_control.path_excess import intervals_passed
+from mpc.optimal_control.meshes import finer_mesh
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Scheme
-from mpc.optimal_control.solution import OptimalControlStatus, Solution
+from mpc.optimal_control.solution import PASSED, OptimalControlStatus, Solution
 from mpc.optimal_control.solving import LEAST_SECONDS, solve
 from mpc.optimal_control.transcription import build
 
@@ -28,7 +29,10 @@ GROWTH = 1.5  # of the program, by those last solves
 AT_BOUND = 1e-6  # of an input's range
 FALLS = 0.8  # of what the mesh before missed: a finer mesh that misses more has not helped
 NO_TIME, NO_ROUNDS, FINER = "the time was up", "these were all the rounds", "on a finer mesh"
+PASSING = (OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.STOPPED, OptimalControlStatus.INACCURATE)
 STILL = 2  # meshes in a row that have not helped, after which none is made: what is left is rounding
+THROUGH = 1e-2  # excess of a limit that a finer mesh does not lower where the trajectory jumps over it
+GUESSES = 3  # that a trajectory which jumps over a limit is looked for from, each on a mesh twice as fine
 
 
 def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, *, intervals: Any = 10,
@@ -36,7 +40,8 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
            **options: Any) -> Solution:  # fmt: skip
     """Solve on meshes that are made finer where the dynamics are missed, until they are met to a tolerance.
 
-    Intervals in which a path limit is passed between the points are halved, too, in as many rounds as there are.
+    Intervals in which a limit is passed between the points are cut, too. Where that does not help, as a trajectory
+    jumps over an obstacle, it is looked for anew, from a guess that is moved aside.
 
     Where an input jumps, intervals are cut to a tenth of the root of the tolerance: the cost feels the square of that,
     parameters the length itself.
@@ -62,9 +67,9 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     Returns
     -------
     Solution
-        SOLVED if its mesh meets the tolerance. Else STOPPED, of the mesh that missed the dynamics least: when rounds or
-        time were up, or when twice in a row a finer mesh missed as much as the one before; `advice` says which, and
-        what tolerance was reached.
+        SOLVED if its mesh meets the tolerance and limits are kept between the points. Else of the mesh that missed
+        least, LIMITS_PASSED or STOPPED: when rounds or time were up, or when twice in a row a finer mesh missed as much
+        as the one before; `advice` says which, and what tolerance was reached. `cost_error` estimates the cost's error.
     """
     asked = as_floats("tolerance", tolerance)
     if asked.ndim or not 0 < asked < 1:
@@ -73,13 +78,19 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     with tqdm(total=meshes, desc="refining", disable=not progress, leave=False) as bar:
         run = _Rounds(options, float(asked), meshes - 1, began + seconds, bar)
         program = build(problem, scheme, intervals)
-        solution = run.solved(program, None)
-        if not solution.solved:
-            return _ended(solution, "", run, began)
-        solution, reason = run.refined(solution)
-        if not reason and _reach_bounds(solution):
+        solution, reason = run.refined(run.solved(program, None))
+        for seed in range(GUESSES):
+            if not _jumps_over(solution) or time.perf_counter() >= run.end:
+                break
+            program = build(program.problem, scheme, meshes=[_halved(part.mesh) for part in program.parts])
+            run.left = meshes - 1
+            moved = replace(program, guess=shaken(program, program.lower, program.upper, seed))
+            other, ended = run.refined(run.solved(moved, None))
+            if other.solved_on_mesh and (not solution.solved_on_mesh or run.missed(other) < run.missed(solution)):
+                solution, reason = other, ended
+        if solution.solved_on_mesh and not reason and _reach_bounds(solution):
             finer = run.sharper().sharpened(solution)
-            return _ended(solution if finer is None else finer, "", run, began)
+            solution = solution if finer is None else finer
         return _ended(solution, reason, run, began)
 
 
@@ -97,33 +108,33 @@ class _Rounds:
 
     def sharper(self) -> _Rounds:
         """The rounds that are left, with a tighter tolerance of the solver."""
-        rounds = _Rounds(
-            self.options | {"tolerance": SHARPNESS * self.tolerance}, self.tolerance, self.left, self.end, self.bar
-        )
-        rounds.iterations = self.iterations
+        rounds = copy(self)
+        rounds.options = self.options | {"tolerance": SHARPNESS * self.tolerance}
         return rounds
 
     def refined(self, solution: Solution) -> tuple[Solution, str]:
         """The best solution, and why it is not the one that was asked for, if it is not."""
         best, still = solution, 0
-        while (meshes := self._meshes(solution)) is not None:
+        while solution.solved_on_mesh and (meshes := self._meshes(solution)) is not None:
             if reason := self._over(still):
-                return best, "" if self.met(best) else reason
+                return best, "" if self.missed(best) <= 1 else reason
             self.left -= 1
             program = build(solution.program.problem, solution.phases[0].part.scheme, meshes=meshes)
             if program.v.numel() > self.most:
                 return best, "a mesh that meets it is too large"
             finer = self.solved(program, solution)
-            if not finer.solved:
+            if not finer.solved_on_mesh:
                 return best, self._over(0) or f"{FINER} the problem is {finer.status.name}"
-            still = still + 1 if _worst(finer) > max(FALLS * _worst(solution), self.tolerance) else 0
+            through = finer.excess > max(THROUGH, FALLS * solution.excess)
+            helped = self.missed(finer) <= max(FALLS * self.missed(solution), 1)
+            still = 0 if helped else STILL if through else still + 1
             solution = finer
-            best = solution if _worst(solution) <= max(_worst(best), self.tolerance) else best
-        return best, "" if self.met(best) else "intervals are as short as they may be"
+            best = solution if self.missed(solution) <= max(self.missed(best), 1) else best
+        return best, "" if self.missed(best) <= 1 else "intervals are as short as they may be"
 
-    def met(self, solution: Solution) -> bool:
-        """Whether the dynamics are met."""
-        return _worst(solution) <= self.tolerance
+    def missed(self, solution: Solution) -> float:
+        """By how many times its tolerance a mesh misses the dynamics or a limit, whichever is more."""
+        return max(solution.mesh_error / self.tolerance, solution.excess / PASSED)
 
     def _over(self, still: int) -> str:
         """Why there is no further round, if there is none."""
@@ -140,7 +151,7 @@ class _Rounds:
         """
         self.most = int(GROWTH * len(solution.unknowns))
         sharp = self.solved(solution.program, solution)
-        if not sharp.solved:
+        if not sharp.solved_on_mesh:
             return None
         sharp, reason = self.refined(sharp)
         return None if reason else sharp
@@ -148,12 +159,12 @@ class _Rounds:
     def solved(self, program: NonlinearProgram, start: Solution | None) -> Solution:
         """From the solution of another mesh, or the user's start; if that fails, from the guess."""
         found = self._once(program, self.options if start is None else self.options | {"start": start})
-        if not found.solved and start is not None and time.perf_counter() < self.end:
+        if not found.solved_on_mesh and start is not None and time.perf_counter() < self.end:
             fresh = self._once(program, {name: value for name, value in self.options.items() if name != "start"})
-            found = min(found, fresh, key=lambda one: (not one.solved, one.residuals.worst))
-        if found.solved:
+            found = min(found, fresh, key=lambda one: (not one.solved_on_mesh, one.residuals.worst))
+        if found.solved_on_mesh:
             intervals = sum(part.intervals for part in program.parts)
-            self.bar.set_postfix_str(f"{intervals} intervals miss {_worst(found):.1e}")
+            self.bar.set_postfix_str(f"{intervals} intervals miss {found.mesh_error:.1e}")
         self.bar.update()
         return found
 
@@ -168,8 +179,8 @@ class _Rounds:
         """Finer meshes; None where none is asked for."""
         meshes = []
         for k, (phase, error) in enumerate(zip(solution.phases, solution.errors)):
-            passed = intervals_passed(solution.program, k, phase, solution.p) > self.tolerance
-            meshes.append(finer_mesh(phase, error, passed, self.tolerance))
+            excess = solution.path_excess[k].intervals / PASSED
+            meshes.append(finer_mesh(phase, error, excess, self.tolerance))
         same = all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases))
         return None if same else meshes
 
@@ -184,30 +195,33 @@ def _reach_bounds(solution: Solution) -> bool:
     return False
 
 
+def _jumps_over(solution: Solution) -> bool:
+    """Whether limits are passed between the points after all rounds, or where the solver gave up."""
+    return solution.status in PASSING and solution.excess > PASSED
+
+
+def _halved(mesh: Array) -> Array:
+    """A mesh whose every interval is cut in two."""
+    return np.sort(np.concatenate([mesh, (mesh[:-1] + mesh[1:]) / 2]))
+
+
 def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solution:
-    """The best solution, STOPPED for a reason if its mesh misses more than the tolerance."""
+    """The best solution, with the reason why it misses more than the tolerances if it does, and STOPPED by them."""
     found = replace(solution, iterations=run.iterations[0], solve_time=time.perf_counter() - began)
-    if not solution.solved or run.met(solution):
+    if not solution.solved_on_mesh or run.missed(solution) <= 1:
         return found
-    worst = _worst(solution)
+    worst, passed = solution.mesh_error, _jumps_over(solution)
     missed = f"{reason}: the mesh misses the dynamics by {worst:.1e}"
     more = ", or for more rounds or time" if reason in (NO_TIME, NO_ROUNDS) else ""
     ask = f"Ask for {_rounded_up(worst):g}{more}."
-    if reason.startswith(FINER):
+    if reason.startswith(FINER) or passed:
         ask = "What holds here may hold at the points of the mesh alone: relax limits, or give a guess nearer to them."
     cure = f"This is the optimum on its mesh, but {missed} where {run.tolerance:.1e} was asked for. {ask}"
-    return replace(
-        found, status=OptimalControlStatus.STOPPED, message=f"{solution.message}; {missed}",
-        notes=(cure, *solution.notes),
-    )  # fmt: skip
+    status = solution.status if passed else OptimalControlStatus.STOPPED
+    return replace(found, status=status, message=f"{solution.message}; {missed}", notes=(cure, *solution.notes))
 
 
 def _rounded_up(value: float) -> float:
     """A value, up to one digit."""
     digit = 10.0 ** np.floor(np.log10(value)) if np.isfinite(value) else 1.0
     return float(np.ceil(value / digit) * digit)
-
-
-def _worst(solution: Solution) -> float:
-    """The largest error of a mesh."""
-    return max(float(error.max(initial=0.0)) for error in solution.errors)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
 from typing import Any
@@ -12,20 +12,35 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.mesh_errors import mesh_errors
-from mpc.optimal_control.path_excess import Excess, path_excess, path_sizes
+from mpc.optimal_control.descriptions import of_phase
+from mpc.optimal_control.mesh_errors import Missed, mesh_errors
+from mpc.optimal_control.path_excess import Excess, path_excess
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.solution_sensitivity import SolutionSensitivity, solution_sensitivity
 from mpc.plan import Residuals
 
-PASSED = 1e-5  # of the size of a path limit: an excess between the points that is told
+PASSED = 1e-5  # relative excess of a limit between the points that a solution may have
+COARSE = 0.05  # relative error of the dynamics over an interval that a solution may have
+DEARER = 0.003  # estimated error of the cost, beside it, that a solution may have: the true one is up to three times it
+ROUNDED = 1e-6  # of the cost's size, or of its slope's: an error of the cost that is rounding
 
 
 class OptimalControlStatus(Enum):
     """Outcome of a solve; the value is the advice."""
 
-    SOLVED = "Solved: the optimality conditions hold to the tolerance, checked apart from the solver."
+    SOLVED = (
+        "Solved: the optimality conditions hold to the tolerance, checked apart from the solver, limits are kept "
+        "between the points, too, and the mesh is fine enough for the dynamics and the cost."
+    )
+    LIMITS_PASSED = (
+        "An optimum on its mesh, but between the points a limit is passed. Call `refine`, take more intervals, or keep "
+        "a margin; where the trajectory jumps over an obstacle, give a guess that goes round it."
+    )
+    COARSE = (
+        "An optimum on its mesh, but the mesh is too coarse for what is asked. Call `refine`, or take more intervals "
+        "or a higher degree."
+    )
     INFEASIBLE = (
         "No feasible trajectory was found: not by the solver, nor by making violations least from several starts. "
         "Relax what `conflicts` names, or give a guess nearer to feasible."
@@ -46,6 +61,9 @@ class OptimalControlStatus(Enum):
         return self.value
 
 
+ON_MESH = (OptimalControlStatus.SOLVED, OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.COARSE)
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """An optimal control problem's solution on a mesh.
@@ -53,6 +71,8 @@ class Solution:
     Attributes
     ----------
     cost : float
+    cost_size : float
+        That of the guess, without sign: what a cost that vanishes at the optimum is small beside.
     p : (np,) array
         The shared parameters.
     phases : tuple of PhaseSolution
@@ -76,6 +96,7 @@ class Solution:
     program: NonlinearProgram
     unknowns: Array
     cost: float
+    cost_size: float
     p: Array
     phases: tuple[PhaseSolution, ...]
     status: OptimalControlStatus
@@ -90,36 +111,84 @@ class Solution:
 
     def __repr__(self) -> str:
         return (
-            f"Solution(cost={self.cost:.8g}, status={self.status.name}, kkt={self.residuals.worst:.1e}, "
+            f"Solution(cost={self.cost:.8g} ± {self.cost_error:.1g}, status={self.status.name}, "
+            f"kkt={self.residuals.worst:.1e}, mesh error {self.mesh_error:.1e}, excess {self.excess:.1e}, "
             f"{self.iterations} iterations, {1e3 * self.solve_time:.1f} ms, {self.solver})"
         )
 
     @property
     def solved(self) -> bool:
-        """Whether it is an optimum."""
+        """Whether it is an optimum that keeps limits and dynamics between the points of its mesh, too."""
         return self.status is OptimalControlStatus.SOLVED
 
     @property
+    def solved_on_mesh(self) -> bool:
+        """Whether it is an optimum of the program, whatever happens between the points."""
+        return self.status in ON_MESH
+
+    @property
     def advice(self) -> str:
-        """What to do about the outcome: that of the status, the notes, and path limits that are passed on the way."""
-        return " ".join([self.status.advice, *self.notes, *self._passed()])
+        """What to do about the outcome: that of the status, the notes, and what is missed between the points."""
+        return " ".join([self.status.advice, *self.notes, *(self._missed() if self.solved_on_mesh else ())])
 
     @cached_property
     def path_excess(self) -> tuple[Excess, ...]:
-        """By how much path limits are exceeded between the points of the mesh, (m,) a phase, and when."""
-        return tuple(path_excess(phase, self.p) for phase in self.phases)
+        """By how much limits are exceeded between the points of the mesh, and when, one a phase: see `Excess`."""
+        return path_excess(self.program, self.unknowns, self.phases, self.p)
 
-    def _passed(self) -> list[str]:
-        """Path limits that are exceeded between the points by more than rounding."""
-        said = []
-        for k, excess in enumerate(self.path_excess):
-            sizes, names = path_sizes(self.program, k), self.program.problem.functions[k].path_names
-            of_phase = f" of phase {k + 1}" if len(self.phases) > 1 else ""
-            said += [
-                f"Between the points of the mesh {name}{of_phase} is exceeded by {value:.3g} at t = {time:.6g}: "
-                "cut the intervals there, or keep a margin."
-                for name, value, time, size in zip(names, *excess, sizes) if value > PASSED * size
-            ]  # fmt: skip
+    @property
+    def excess(self) -> float:
+        """The largest relative excess of a limit between the points."""
+        return max(float(excess.relative.max(initial=0.0)) for excess in self.path_excess)
+
+    @cached_property
+    def missed(self) -> tuple[Missed, ...]:
+        """What dynamics and cost miss between the points, one a phase: see `mesh_errors`."""
+        return tuple(mesh_errors(phase, self.p) for phase in self.phases)
+
+    @property
+    def errors(self) -> tuple[Array, ...]:
+        """What the dynamics miss between the points, relative to the extents of states, (N,) a phase."""
+        return tuple(one.dynamics for one in self.missed)
+
+    @property
+    def mesh_error(self) -> float:
+        """The largest of `errors`."""
+        return max(float(error.max(initial=0.0)) for error in self.errors)
+
+    @property
+    def cost_error(self) -> float:
+        """What the mesh makes the cost miss, about: to first order, by the costates and the cost's quadrature."""
+        return float(sum(one.cost.sum() for one in self.missed))
+
+    def looked_between(self) -> Solution:
+        """With the status that it deserves between the points."""
+        status = OptimalControlStatus.SOLVED
+        if not self.excess <= PASSED:
+            status = OptimalControlStatus.LIMITS_PASSED
+        elif not (self.mesh_error <= COARSE and self._cost_is_fine):
+            status = OptimalControlStatus.COARSE
+        return replace(self, status=status) if self.solved_on_mesh else self
+
+    @property
+    def _cost_is_fine(self) -> bool:
+        """Whether the mesh hardly changes the cost."""
+        size = max(self.cost_size, self.program.cost_scale)
+        return self.cost_error <= max(DEARER * abs(self.cost), ROUNDED * size)
+
+    def _missed(self) -> list[str]:
+        """Limits that are exceeded between the points by more than rounding, and what a coarse mesh misses."""
+        said = [
+            f"Between the points of the mesh {name}{of_phase(self.program, k)} is exceeded by {value:.3g} at "
+            f"t = {time:.6g}: cut the intervals there, or keep a margin."
+            for k, excess in enumerate(self.path_excess)
+            for name, value, time, relative in zip(excess.names, excess.value, excess.time, excess.relative)
+            if not relative <= PASSED
+        ]
+        if self.mesh_error > COARSE:
+            said.append(f"The dynamics are missed by {self.mesh_error:.1e} of the extent of a state.")
+        if not self._cost_is_fine:
+            said.append(f"The cost may be off by about {self.cost_error:.2g}.")
         return said
 
     @property
@@ -155,7 +224,7 @@ class Solution:
         Fiacco, *Introduction to Sensitivity and Stability Analysis in Nonlinear Programming*, 1983; Pirnay,
         López-Negrete and Biegler, "Optimal sensitivity based on IPOPT", Mathematical Programming Computation 4, 2012.
         """
-        return solution_sensitivity(self.program, self.unknowns, self.multipliers, self.solved)
+        return solution_sensitivity(self.program, self.unknowns, self.multipliers, self.solved_on_mesh)
 
     def x(self, t: ArrayLike) -> Array:
         """States (..., nx) at times (...), of the phase that they fall in."""
@@ -205,8 +274,3 @@ class Solution:
         which = np.searchsorted(ends, given.ravel(), side="right")
         values = [getattr(self.phases[k], name)(one) for k, one in zip(which, given.ravel())]
         return np.asarray(values).reshape(*given.shape, -1)
-
-    @cached_property
-    def errors(self) -> tuple[Array, ...]:
-        """What the dynamics miss between the points, (N,) a phase: see `mesh_errors`."""
-        return tuple(mesh_errors(phase, self.p) for phase in self.phases)

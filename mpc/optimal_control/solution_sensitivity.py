@@ -13,13 +13,13 @@ from scipy.sparse.linalg import splu
 
 from mpc.checks import Array
 from mpc.optimal_control.descriptions import describe_row, describe_unknown
-from mpc.optimal_control.interval import at_points
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.sensitivities.plan_sensitivity import SensitivityStatus
 
 BLURRED = 10.0  # sizes of what an interior point leaves between a bound and its multiplier, within which both may be 0
 RELAXED = 1e-6  # distance from a bound, scaled, that says nothing: Ipopt moves bounds by 1e-8 of their size
 LEVEL = 1e-3  # curvature, beside the largest, that an unknown is taken to have at least
+SAME = 9  # digits in which the directions of two constraints agree that are one
 CONDITION = 1e13  # of the KKT system, in scaled unknowns, above which it is singular but for rounding
 
 
@@ -96,6 +96,7 @@ def solution_sensitivity(
     of_rows = J[on_rows]
     reached = np.flatnonzero(np.diff(of_rows[:, free].tocsr().indptr) > 0)
     of_rows = of_rows[reached]
+    of_rows = of_rows[_once_each(of_rows)]
     K = bmat([[W[free][:, free], of_rows[:, free].T], [of_rows[:, free], None]], format="csc")
     right = -np.vstack([W[free][:, held].toarray(), of_rows[:, held].toarray()])
     found = _solved(K, right)
@@ -152,6 +153,14 @@ def _acting(
     return equal | (~weak & (passed > room)), weak
 
 
+def _once_each(rows: Any) -> NDArray[np.int64]:
+    """The rows (n,) that are no multiple of one before: a limit that is stated twice is one limit."""
+    along = rows @ np.random.default_rng(0).normal(size=(rows.shape[1], 2))
+    length = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
+    along = along / (np.where(along[:, 0] < 0, -1, 1) * length)[:, None]
+    return np.sort(np.unique(np.round(along, SAME), axis=0, return_index=True)[1])
+
+
 def _solved(K: Any, right: Array) -> Array | None:
     """Solution of the KKT system; None where it is singular."""
     try:
@@ -191,11 +200,8 @@ def _along(part: PhasePart, moves: Array) -> tuple[Array, Array]:
     states = np.empty((part.intervals + 1, layout.nx, moves.shape[1]))
     inputs = np.empty((part.intervals * len(layout.points), layout.nu, moves.shape[1]))
     for i, move in enumerate(moves.T):
-        columns, last = part.columns(move)
-        nodes = np.column_stack([columns[: layout.node], last])
-        x, shared = nodes[: layout.nx], nodes[layout.nx :]
-        _, values = at_points(layout, x[:, :-1], shared[:, :-1], columns[layout.node :], x[:, 1:], shared[:, 1:])
-        states[:, :, i] = x.T
+        nodes, _, _, values = part.unknowns(move)
+        states[:, :, i] = nodes[: layout.nx].T
         inputs[:, :, i] = np.stack(values, axis=0).transpose(2, 0, 1).reshape(-1, layout.nu)
     return states, inputs
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.conflicts import contradiction, violated
+from mpc.optimal_control.descriptions import contradiction, violated
 from mpc.optimal_control.elastic import elastic, shaken, starts
 from mpc.optimal_control.functions import brief
 from mpc.optimal_control.ipopt import FEASIBLE, Found, Settings, once
@@ -107,6 +107,7 @@ class _Run:
         self.lower = lower
         self.upper = upper
         self.settings = settings
+        self.cost_size = abs(float(program.derivatives.values(program.guess)[0]))
         self.began = time.perf_counter()
         self.iterations = 0
 
@@ -215,12 +216,12 @@ class _Run:
             phase_solution(part, v, p, clock, multipliers["rows"], float(weight))
             for part, clock, weight in zip(program.parts, program.times(v), weights)
         )  # fmt: skip
+        notes = notes_of(program, v, status is OptimalControlStatus.SOLVED)
         return Solution(
-            program=program, unknowns=v, cost=cost, p=p, phases=phases, status=status, residuals=found.residuals,
-            conflicts=conflicts, notes=notes_of(program, v, status is OptimalControlStatus.SOLVED),
-            multipliers=multipliers, iterations=self.iterations, solve_time=time.perf_counter() - self.began,
-            solver="ipopt", message=found.said,
-        )  # fmt: skip
+            program=program, unknowns=v, cost=cost, cost_size=self.cost_size, p=p, phases=phases, status=status,
+            residuals=found.residuals, conflicts=conflicts, notes=notes, multipliers=multipliers,
+            iterations=self.iterations, solve_time=time.perf_counter() - self.began, solver="ipopt", message=found.said,
+        ).looked_between()  # fmt: skip
 
 
 def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -> None:

@@ -14,10 +14,9 @@ from mpc.optimal_control.meshes import as_meshes
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_equations import PhaseToCome, phase_equations
 from mpc.optimal_control.phase_unknowns import phase_unknowns
-from mpc.optimal_control.pieces import Clock, link_piece, parameter_piece
+from mpc.optimal_control.pieces import Clock, itself, link_piece, mean_and_spread, parameter_piece
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
-from mpc.optimal_control.scenario_costs import itself, mean_and_spread
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
 from mpc.optimal_control.unknowns import first_duration
 

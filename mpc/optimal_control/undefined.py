@@ -12,7 +12,7 @@ from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import describe_row, of_phase
 from mpc.optimal_control.functions import brief
-from mpc.optimal_control.interval import at_points, times_of
+from mpc.optimal_control.interval import times_of
 from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
 
@@ -57,12 +57,8 @@ def functions_not_finite(program: NonlinearProgram, v: Array) -> Iterator[str]:
 
 def _along(program: NonlinearProgram, part: PhasePart, v: Array, clock: tuple[float, float]) -> dict[str, Array]:
     """Columns at all points of the intervals of a phase."""
-    layout, (columns, last) = part.layout, part.columns(v)
-    nodes = np.column_stack([columns[: layout.node], last])
-    x, shared = nodes[: layout.nx], nodes[layout.nx :]
-    own = columns[layout.node :]
-    states, inputs = at_points(layout, x[:, :-1], shared[:, :-1], own, x[:, 1:], shared[:, 1:])
-    at = times_of(layout.points, part.mesh).T.ravel()
+    *_, states, inputs = part.unknowns(v)
+    at = times_of(part.layout.points, part.mesh).T.ravel()
     w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * at).T
     return {"x": np.hstack(states), "u": np.hstack(inputs), "w": w, "t": (clock[0] + clock[1] * at)[None]}
 

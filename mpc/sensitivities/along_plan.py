@@ -57,7 +57,8 @@ def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
     status = SensitivityStatus.SMOOTH
     if idle.weak.any():
         status = SensitivityStatus.ONE_SIDED
-    if (idle.dependent & ~idle.together).any():
+    parting = idle.dependent & ~idle.together
+    if parting.any():
         status = SensitivityStatus.DEPENDENT
     pushing = np.flatnonzero(linear.worth(linear.multipliers) > WEAKLY_ACTIVE)
     keep = np.r_[0:nt, at["z"].start : linear.width]
@@ -66,7 +67,7 @@ def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
         for form in (linear.U, linear.X)
     )
     held, weak = (linear.rows[rows][:, keep] for rows in (point.acting, idle.weak))
-    local = LocalProgram(linear.H, linear.F, held, weak, inputs, states)
+    local = None if (parting & ~idle.weak).any() else LocalProgram(linear.H, linear.F, held, weak, inputs, states)
     return PlanSensitivity(
         plan=plan, status=status, cost_by_state=cost[at["x"]], cost_by_parameters=by_parameters,
         inputs_by_state=U[:, :, at["x"]], inputs_by_parameters=U[:, :, at["p"]],

@@ -13,6 +13,7 @@ from mpc.checks import Array, as_array
 from mpc.dense_qp import DenseQP
 from mpc.parametric_qp import Constraint
 from mpc.plan import Plan
+from mpc.tolerances import KKT_REPORTED
 
 
 class SensitivityStatus(Enum):
@@ -71,8 +72,8 @@ class LocalProgram:
     inputs: Array
     states: Array
 
-    def rate(self, theta: Array) -> Array:
-        """Rate (n,) of z as θ (nt,) moves that way."""
+    def rate(self, theta: Array) -> Array | None:
+        """Rate (n,) of z as θ (nt,) moves that way; None where the program has no solution."""
         nt = len(theta)
         held, at = self.held[:, nt:], self.held[:, :nt] @ theta
         d = 1 / np.sqrt(np.abs(np.diag(self.H)))
@@ -83,7 +84,9 @@ class LocalProgram:
         bounds = -(self.weak[:, :nt] @ theta + self.weak[:, nt:] @ first)
         H = free.T @ self.H @ free
         slope = free.T @ (self.H @ first + self.F @ theta)
-        return first + free @ DenseQP((H + H.T) / 2, self.weak[:, nt:] @ free).solve(slope, bounds).z
+        found = DenseQP((H + H.T) / 2, self.weak[:, nt:] @ free).solve(slope, bounds, confirm_infeasible=True)
+        solved = not found.infeasible and found.residuals.worst <= KKT_REPORTED
+        return first + free @ found.z if solved else None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,8 +164,9 @@ class PlanSensitivity:
         """Rates of change as x, p and the last input move along dx (nx,), dp (np,) and du_prev (nu,): one-sided.
 
         At weakly active constraints they are not linear in the direction: a quadratic program says which of them begin
-        to act (Jittorntrum, Mathematical Programming Study 21, 1984). NaN where the active constraints are dependent,
-        or the plan is no optimum.
+        to act (Jittorntrum, Mathematical Programming Study 21, 1984). NaN where that has no solution: the way
+        leads out, or dependent constraints push otherwise there; or where acting constraints are dependent, or the plan
+        is no optimum.
         """
         nx, nu = self.cost_by_state.size, self.plan.inputs.shape[1]
         count, last = self.cost_by_parameters.size, self.inputs_by_last_input.shape[-1]
@@ -170,11 +174,12 @@ class PlanSensitivity:
             np.zeros(n) if value is None else as_array(name, value, (n,))
             for name, value, n in (("dx", dx, nx), ("dp", dp, count), ("du_prev", du_prev, last))
         ]
-        if self.local is None or self.status is SensitivityStatus.DEPENDENT:
+        theta = np.concatenate(parts)
+        rate = None if self.local is None else self.local.rate(theta)
+        if self.local is None or rate is None:
             N = len(self.plan.inputs)
             return Rates(np.nan, np.full((N, nu), np.nan), np.full((N + 1, nx), np.nan))
-        theta = np.concatenate(parts)
-        move = np.concatenate([theta, self.local.rate(theta)])
+        move = np.concatenate([theta, rate])
         cost = float(self.cost_by_state @ parts[0] + self.cost_by_parameters @ parts[1] + self._cost_by_last @ parts[2])
         return Rates(cost, self.local.inputs @ move, self.local.states @ move)
 

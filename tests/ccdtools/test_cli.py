@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.check  # whole runs, in processes of their own
+
 CCDTOOLS = [sys.executable, "-m", "ccdtools"]
 
 TWO_MASSES = '''

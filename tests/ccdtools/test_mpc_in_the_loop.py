@@ -4,8 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from ccdtools import LinearFeedback, LinearModel, Reference, Scenario, compare, simulate
-from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools import LinearFeedback, LinearModel, QuadraticObjective, Reference, Scenario, compare, simulate
 from invariant_sets import Polytope
 from mpc import LinearMPC, OffsetFreeMPC, lqr
 

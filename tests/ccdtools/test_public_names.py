@@ -6,7 +6,10 @@ import sys
 import pytest
 
 import ccdtools
+import invariant_sets
 import learning
+import mpc
+from ccdtools import studies
 
 
 @pytest.mark.parametrize("package", [ccdtools, learning])
@@ -44,3 +47,10 @@ def test_every_error_of_the_packages_has_one_base():
     assert issubclass(ccdtools.InputError, ccdtools.CCDError)
     assert issubclass(learning.exceptions.InputError, learning.LearningError)
     assert issubclass(learning.exceptions.CheckpointError, learning.LearningError)
+
+
+def test_what_everybody_needs_is_where_everybody_looks():
+    assert ccdtools.Polytope is invariant_sets.Polytope
+    assert ccdtools.LinearMPC is mpc.LinearMPC
+    assert ccdtools.StudyConfig is studies.StudyConfig
+    assert len(ccdtools.__all__) <= 112

@@ -1,15 +1,24 @@
 """Closing the loop: batches, disturbances, divergence, and clear refusals."""
 
+import sys
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import control
 import numpy as np
 import pytest
 
-from ccdtools import InputError, LinearModel, QuadraticObjective, simulate
-from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
-from ccdtools.disturbances.disturbance import Gaussian
-from ccdtools.trajectory import Trajectory
+from ccdtools import (
+    PID,
+    Gaussian,
+    InputError,
+    LinearFeedback,
+    LinearModel,
+    Passive,
+    QuadraticObjective,
+    Trajectory,
+    simulate,
+)
 from mpc import lqr
 
 SCALAR = control.ss([[0.5]], [[1.0]], [[1.0]], 0, True)
@@ -210,6 +219,7 @@ def test_saturated_lqr_on_the_illustrative_example_gives_the_known_returns(illus
     assert mean == pytest.approx(expected, abs=5 * error + 0.05)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     ("p", "real", "expected"),
     [((27692.0, 1906.5), True, -5298), ((1e4, 3000.0), True, -4089), ((1e4, 3000.0), False, -4084)],
@@ -261,3 +271,25 @@ def test_runs_of_no_step_are_refused():
     nothing = np.zeros((2, 0, 1))
     with pytest.raises(InputError, match="inputs: got runs of 0 steps, expected at least one step"):
         Trajectory(np.zeros((2, 1, 2)), nothing, nothing, np.full(2, -1), np.zeros(1), 0.1)
+
+
+@pytest.mark.parametrize("controller", [lambda x: -np.ones((1, 2)) @ x, lambda x: -0.5 * float(x[0]), lambda x: -x[0]])
+def test_a_controller_of_one_state_is_told_that_it_meets_all_runs(controller):
+    model = LinearModel.from_state_space(control.ss([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.1]], np.eye(2), 0, 0.1))
+    with pytest.raises(InputError, match=r"controller: got .*, expected .*\(5, 1\).*x @ K.T for K @ x"):
+        simulate(model, controller, x0=np.ones((5, 2)), steps=3)
+
+
+def test_a_trajectory_is_drawn_and_becomes_a_table(monkeypatch):
+    run = Trajectory(np.zeros((2, 4, 3)), np.ones((2, 3, 1)), np.zeros((2, 3, 1)), [-1, -1], [], 0.1)
+    axes = run.plot().axes
+    assert [ax.get_ylabel() for ax in axes] == ["x1", "x2", "x3", "u1"]
+    assert [len(ax.lines) for ax in axes] == [2, 2, 2, 2]
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+    frame = run.to_frame()
+    assert list(frame) == ["run", "time", "x1", "x2", "x3", "u1", "w1"]
+    assert frame["run"].tolist() == [0] * 4 + [1] * 4
+    np.testing.assert_array_equal(frame["u1"], [1, 1, 1, np.nan] * 2)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match="pip install pandas"):
+        run.to_frame()

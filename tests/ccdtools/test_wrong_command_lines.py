@@ -7,8 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from ccdtools.cli import main
-from ccdtools.console import plain_where_needed
+from ccdtools.cli import main, plain_where_needed
 
 RUN = ["run", "suspension"]
 TIMES = "time,dz_dt\n" + "".join(f"{0.05 * i:.2f},0.1\n" for i in range(600))
@@ -44,7 +43,7 @@ WRONG = [
     (["run"], "study: got nothing, expected the name of a study"),
     (["run", "unheard-of"], "study: got 'unheard-of', expected one of dc_servo, full_car, full_car_heights, "),
     (["run", ""], "study: got ''"),
-    (["run", "Suspension"], "study: got 'Suspension'"),
+    (["run", "Suspension"], "or a Python file. Did you mean suspension?"),
     (["run", "a"], "A file needs its ending: a.py."),
     (["run", "note.txt"], "study: got 'note.txt'"),
     (["run", "absent.py"], "absent.py, which is not a file"),
@@ -54,7 +53,7 @@ WRONG = [
     (["run", "suspension", "illustrative"], "arguments: got illustrative besides"),
     (["run", "../suspension"], "study: got '../suspension'"),
     # Commands and options that do not exist
-    (["rum", "suspension"], "command: got 'rum', expected run, resume, new or studies"),
+    (["rum", "suspension"], "command: got 'rum', expected run, resume, codesign, new or studies. Did you mean run?"),
     (["Run", "suspension"], "command: got 'Run'"),
     (["suspension"], "command: got 'suspension'"),
     (["--quick"], "--quick: got an unknown option"),
@@ -94,7 +93,8 @@ WRONG = [
     ([*RUN, "--sets", "off"], "--sets: got 'off', expected one of auto, lqr, none"),
     ([*RUN, "--sets-time-limit", "0"], "--sets-time-limit: got 0"),
     ([*RUN, "--sets-time-limit", "soon"], "--sets-time-limit: got 'soon'"),
-    ([*RUN, "--sets-time-limit", "3,4"], "--sets-time-limit: got '3,4', expected one number"),
+    ([*RUN, "--sets-time-limit", "3,4"], "--sets-time-limit: got '3,4', expected one number, in seconds"),
+    ([*RUN, "--sets-time-limit", "1h"], "such as 3600 for an hour"),
     ([*RUN, "--design-gradient", "up"], "--design-gradient: got 'up', expected one of pathwise, network_input"),
     ([*RUN, "--design-gradient", "network-input"], "--design-gradient: got 'network-input'"),
     ([*RUN, "--driver", "wild"], "--driver: got 'wild', expected one of mild, aggressive"),
@@ -140,7 +140,13 @@ WRONG = [
     ([*RUN, "--disturbance", "ragged.csv"], "--disturbance: got ragged.csv"),
     ([*RUN, "--disturbance", "latin.csv"], "--disturbance: got latin.csv"),
     (["run", "illustrative", "--disturbance", "rest.csv"], "--disturbance: got 1 channel, expected 2"),
-    (["run", "illustrative", "--driver", "mild"], "--driver: got 1 channel, expected 2, one per disturbance"),
+    (["run", "illustrative", "--driver", "mild"], "--driver: got it for 'illustrative', whose disturbance is"),
+    (["run", "wind_turbine", "--driver", "mild"], "expected a study that declares a road, such as suspension"),
+    (["run", "dc_servo", "--road", "road.csv", "--speed", "speed.csv"], "--road: got it for 'dc_servo'"),
+    (["run", "half_car", "--driver", "mild"], "--driver: got it for 'half_car'"),
+    (["codesign", "illustrative", "--x0=9,9"], "--x0: got [9.0, 9.0], which is outside X"),
+    (["codesign", "illustrative", "--x0=a"], "--x0: got 'a', expected finite numbers"),
+    (["codesign", "Illustrative"], "Did you mean illustrative?"),
     ([*RUN, "--column", "dz_dt"], "--column: got it without --disturbance"),
     # Roads
     ([*RUN, "--road", "road.csv"], "--road: got it without --speed"),
@@ -242,6 +248,7 @@ def test_a_wrong_option_is_answered_before_anything_slow_is_imported(tmp_path):
     assert "--preset: got 'papr'" in done.stderr
 
 
+@pytest.mark.check
 def test_a_terminal_without_unicode_gets_plain_characters(tmp_path):
     done = ccdtools("run", "suspension", "--p0=1e4,5000", cwd=tmp_path, PYTHONIOENCODING="cp1252")
     assert done.returncode == 2

@@ -8,8 +8,7 @@ import pytest
 from scipy.optimize import linprog, minimize_scalar
 from set_plants import ILLUSTRATIVE_U, ILLUSTRATIVE_X, SUSPENSION_U, SUSPENSION_X, illustrative, suspension
 
-from invariant_sets import AdmissibleInputs, Polytope, maximal_control_invariant_set
-from invariant_sets.admissible_inputs import AdmissibleInputFamily
+from invariant_sets import AdmissibleInputFamily, AdmissibleInputs, Polytope, maximal_control_invariant_set
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from set_plants import ILLUSTRATIVE_U, ILLUSTRATIVE_X, STABLE, A, B, U, W, X, il
 
 import invariant_sets
 from invariant_sets import (
+    AdmissibleInputFamily,
     AdmissibleInputs,
     InvariantSetsError,
     ParametricSet,
@@ -21,7 +22,6 @@ from invariant_sets import (
     predecessor_set,
     reachable_set,
 )
-from invariant_sets.admissible_inputs import AdmissibleInputFamily
 
 box = Polytope.from_bounds
 P = Polytope.from_vertices([[0, 0], [2, 0], [0, 1]])

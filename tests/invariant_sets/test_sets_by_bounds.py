@@ -69,12 +69,12 @@ def test_a_filter_and_a_family_take_bounds():
     ((-1, [1, 2]), r"U\[1\]: got shape \(2,\), expected a number"),
     ((-1, np.nan), r"U\[1\]: got nan at index .*, expected finite numbers"),
     ((np.inf, np.inf), r"U\[0\]: got an infinite bound that excludes every point"),
-    ((-1, "one"), r"U\[1\]: got str 'one', expected an array of real numbers"),
+    ((-1, "one"), r"U\[1\]: got 'one', expected an array of real numbers"),
     ((-1, np.eye(2)), r"U\[1\]: got shape \(2, 2\), expected a number"),
     ((-1, 0, 1), r"U: got \(-1, 0, 1\), expected a Polytope or bounds \(lower, upper\)"),
-    ((False, True), r"U\[0\]: got False, expected real numbers, not True or False"),
-    ((-1, [True]), r"U\[1\]: got \[True\], expected real numbers, not True or False"),
-    ((-1, np.array([True])), r"U\[1\]: got .*True.*, expected real numbers, not True or False"),
+    ((False, True), r"U\[0\]: got False, expected an array of real numbers, not True or False"),
+    ((-1, [True]), r"U\[1\]: got \[True\], expected an array of real numbers, not True or False"),
+    ((-1, np.array([True])), r"U\[1\]: got .*True.*, expected an array of real numbers, not True or False"),
     (1.0, r"U: got 1.0, expected a Polytope or bounds \(lower, upper\)"),
     (([], []), r"U\[0\]: got shape \(0,\), expected a number"),
 ])
@@ -110,7 +110,7 @@ def test_a_number_holds_for_every_coordinate_of_a_family_as_of_a_single_set(rng)
 
 
 def test_truths_are_no_bounds_of_a_box():
-    with pytest.raises(InputError, match=r"lower: got False, expected real numbers"):
+    with pytest.raises(InputError, match=r"lower: got False, expected an array of real numbers"):
         Polytope.from_bounds(False, True)
-    with pytest.raises(InputError, match=r"upper: got \[1.0, True\], expected real numbers"):
+    with pytest.raises(InputError, match=r"upper: got \[1.0, True\], expected an array of real numbers"):
         Polytope.from_bounds([0.0, 0.0], [1.0, True])

@@ -10,6 +10,7 @@ from nbclient import NotebookClient
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.check
 def test_notebook_runs_and_is_stored_without_outputs():
     notebook = nbformat.read(ROOT / "notebooks" / "02_invariant_sets.ipynb", as_version=4)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]

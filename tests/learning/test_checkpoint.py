@@ -10,7 +10,6 @@ from toys import agent
 
 from learning import LearningError, load, save
 from learning.exceptions import CheckpointError
-from learning.quantile import QuantileNetwork
 
 
 @pytest.mark.parametrize("std_network", [False, True])
@@ -24,18 +23,6 @@ def test_an_agent_comes_back_as_it_was(tmp_path, std_network):
     x = torch.randn(5, 2)
     for name in ("latent", "value", "std"):
         assert torch.equal(getattr(again, name)(x), getattr(net, name)(x))
-
-
-def test_quantiles_come_back_as_they_were(tmp_path):
-    net = QuantileNetwork(3, 2, (0.1, 0.5, 0.9), (6,), seed=1)
-    net.calibration.mul_(1.3)
-    net.input_lower.fill_(-2.0)
-    save(str(tmp_path / "q.safetensors"), net)
-    again, extra = load(str(tmp_path / "q.safetensors"))
-    assert extra == {}
-    assert again.levels == net.levels
-    x = 5 * torch.randn(9, 3)
-    assert torch.equal(again(x), net(x))
 
 
 def refused(path, message):

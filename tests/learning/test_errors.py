@@ -9,18 +9,20 @@ import torch
 
 from learning import (
     PPO,
+    ActorCritic,
     CloningConfig,
+    NetworkConfig,
     PPOConfig,
     QuantileConfig,
     collect,
     fit_actor_critic,
     fit_quantiles,
     gae,
+    load,
+    save,
     train,
 )  # fmt: skip
-from learning.checkpoint import load, save
 from learning.exceptions import CheckpointError, InputError
-from learning.networks import ActorCritic, NetworkConfig
 
 BOX = ([-1.0], [1.0])
 FEW = torch.zeros(3, 2)

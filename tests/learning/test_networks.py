@@ -5,9 +5,8 @@ import pytest
 import torch
 from toys import agent
 
-from learning import ActorCritic, LearningError, NetworkConfig, checkpoint, load, save
-from learning.exceptions import CheckpointError, InputError
-from learning.networks import FeedForward
+from learning import ActorCritic, LearningError, NetworkConfig
+from learning.exceptions import InputError
 
 
 def test_observations_at_the_bounds_become_plus_and_minus_one():
@@ -80,15 +79,6 @@ def test_the_seed_decides_the_weights_and_the_global_generator_is_left_alone():
     assert not torch.allclose(first.latent(x), other.latent(x))
 
 
-def test_a_skip_is_a_linear_map_beside_the_hidden_layers():
-    torch.manual_seed(0)
-    net = FeedForward(3, 2, (5,), skip=True)
-    x = torch.randn(7, 3)
-    torch.testing.assert_close(net(x), net.head(net.body(x)) + x @ net.skip.weight.T)
-    assert FeedForward(3, 2, (5,), skip=False).skip is None
-    assert [layer.out_features for layer in FeedForward(3, 2, (5, 4), skip=False).linear_layers()] == [5, 4]
-
-
 def test_a_network_rebuilt_from_its_shape_takes_the_same_weights():
     net = agent(hidden=(7, 5), std_network=True)
     again = ActorCritic.from_shape(net.shape())
@@ -142,13 +132,3 @@ def test_actions_fill_bounds_that_depend_on_the_observation():
     torch.testing.assert_close(slope, torch.tensor([[0.0, -2.0, -0.5]] * 2))
     with pytest.raises(InputError, match="observations"):
         net.action(torch.zeros(2, 2))
-
-
-def test_such_a_policy_comes_back_with_its_bounds(tmp_path):
-    net = ActorCritic([-1] * 3, [1] * 3, *Widening.box, action_limits=Widening())
-    save(tmp_path / "net.safetensors", net)
-    with pytest.raises(CheckpointError, match="action limits"):
-        load(tmp_path / "net.safetensors")
-    again, _ = checkpoint.load(tmp_path / "net.safetensors", action_limits=lambda kept: Widening())
-    seen = torch.randn(4, 3)
-    torch.testing.assert_close(again.action(again.latent(seen), seen), net.action(net.latent(seen), seen))

@@ -4,14 +4,12 @@ import copy
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 
-import control
 import numpy as np
 import pytest
 from plants import box, double_integrator
 
 from invariant_sets import Polytope
 from mpc import InputError, LinearMPC, NotConvexError, NotStabilisableError, OffsetFreeMPC, lqr
-from mpc.problem import MPCProblem
 
 A, B = double_integrator()
 DATA = dict(Q=np.eye(2), R=[[0.1]], horizon=10, X=box([5, 5]), U=box([1]))
@@ -92,16 +90,6 @@ def test_weights_may_be_numbers_and_sets_may_be_bounds():
     assert isinstance(short.U, Polytope)
     K, _ = lqr(A, B, Q=1.0, R=0.1)
     np.testing.assert_allclose(K, lqr(A, B, Q=np.eye(2), R=[[0.1]])[0])
-
-
-def test_a_problem_can_be_stated_inspected_and_built_without_a_solver():
-    problem = MPCProblem(control.ss(A, B, np.eye(2), 0, 1.0), **DATA)
-    assert (problem.nx, problem.nu, problem.nw) == (2, 1, 0)
-    np.testing.assert_array_equal(problem.row_units["state"], 5.0)
-    moved = problem.with_model(0.5 * A, B)
-    assert type(moved) is MPCProblem
-    assert moved.given_P is None
-    np.testing.assert_allclose(moved.P, lqr(0.5 * A, B, Q=np.eye(2), R=[[0.1]])[1])
 
 
 def test_no_weight_at_all_is_legal_where_nothing_has_to_be_stabilised():

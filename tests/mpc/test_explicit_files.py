@@ -2,9 +2,11 @@
 
 import hashlib
 import json
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from adversarial_laws import edited
 from plants import box, double_integrator
 
 from mpc import ExplicitMPC, InputError, LinearMPC
@@ -25,12 +27,14 @@ def rewrite(folder, change, text_change=None):
     with np.load(folder / "law.npz") as file:
         data = {name: file[name] for name in file.files}
     change(data)
-    digest = hashlib.sha256()
+    text = json.loads((folder / "law.json").read_text()) | (text_change or {})
+    del text["fingerprint"]
+    digest = hashlib.sha256(json.dumps(text, sort_keys=True).encode())
     for name in sorted(data):
         array = np.ascontiguousarray(data[name])
-        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode())
         digest.update(array.tobytes())
-    text = json.loads((folder / "law.json").read_text()) | {"fingerprint": digest.hexdigest()} | (text_change or {})
+    text["fingerprint"] = digest.hexdigest()
     np.savez(folder / "law.npz", **data)
     (folder / "law.json").write_text(json.dumps(text))
 
@@ -122,6 +126,24 @@ def test_missing_files_and_places_that_cannot_be_written_to_are_refused(law, tmp
             ExplicitMPC.load(path)
         with pytest.raises(InputError, match="path: got"):
             law.save(path)
+
+
+def test_forged_files_that_change_nothing_are_read(law, tmp_path):
+    law.save(tmp_path / "law")
+    rewrite(tmp_path, lambda data: None)
+    assert len(ExplicitMPC.load(tmp_path / "law")) == len(law)
+
+
+def test_one_byte_edits_are_refused_or_change_nothing(law):
+    assert set(edited(law, 200, np.random.default_rng(1))) <= {"refused", "read as it was"}
+
+
+def test_threads_that_save_to_one_path_leave_a_law(law, tmp_path):
+    laws = [law, law_of(3)]
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(lambda i: laws[i % 2].save(tmp_path / "law"), range(24)))
+    assert len(ExplicitMPC.load(tmp_path / "law")) in {len(one) for one in laws}
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["law.json", "law.npz"]
 
 
 def test_random_damage_is_refused_or_harmless(law, tmp_path):

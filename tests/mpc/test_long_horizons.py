@@ -8,13 +8,9 @@ from adversarial_mpc import promises, random_case, verdict
 from plants import box
 
 from mpc import LinearMPC, NotStabilisableError, Status
-from mpc.condensing import condense
-from mpc.dense_qp import DenseQP
-from mpc.solve_arguments import spread_signals
-from mpc.stages import Staging
-from mpc.stagewise import solve_stagewise
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("block", range(4))
 def test_random_unstable_plants_keep_every_promise_and_agree_with_the_oracles(block):
     solved = 0
@@ -64,22 +60,7 @@ def test_blocks_of_moves_over_a_long_horizon_of_an_unstable_plant(blocks):
         np.testing.assert_array_equal(plan.inputs[start:end], np.tile(plan.inputs[start], (end - start, 1)))
 
 
-@pytest.mark.parametrize("extra", [{}, {"soft": (10.0, 1e3)}, {"rate_limit": 0.3}, {"blocks": (1, 2, 3, 6)}], ids=str)
-def test_the_stagewise_solver_agrees_with_the_dense_one(extra):
-    mpc = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=12, X=box([5, 5]), U=box([1]), **extra)
-    x = np.array([0.4, -0.1])
-    signals = {"x_ref": [0.1, 0.0]} | ({"u_prev": [0.1]} if "rate_limit" in extra else {})
-    given = spread_signals(mpc, signals)
-    staging = Staging(mpc, x, given, mpc.soft)
-    found = solve_stagewise(staging.stages, staging.start, staging.first_guess(np.zeros((12, 1))))
-    inputs, _ = staging.plan(found.states, found.variables, x)
-    qp = condense(mpc, tuple(sorted(given)))
-    theta = np.concatenate([x if name == "x" else given[name] for name, _ in qp.parameters])
-    dense = DenseQP(qp.H, qp.G).solve(*qp.at(theta))
-    assert found.converged
-    np.testing.assert_allclose(inputs, qp.inputs(dense.z, theta), atol=1e-6)
-
-
+@pytest.mark.check
 @pytest.mark.parametrize("solver", ["osqp", "clarabel"])
 def test_the_forms_with_states_kept_agree_with_the_condensed_one(solver):
     compared = 0

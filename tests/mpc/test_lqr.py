@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+from adversarial_regulator import agrees, judged, oracle, out_of_reach, pair, pole_on_a_cart, unseen, weights
 from plants import double_integrator, suspension
 
 from mpc import InputError, NotConvexError, NotStabilisableError, lqr
@@ -52,12 +53,43 @@ def test_a_mode_on_the_unit_circle_without_cost_is_refused():
         lqr([[1.0]], [[1.0]], Q=[[0.0]], R=[[1.0]])
 
 
+@pytest.mark.parametrize("kind", ["plain", "zeros", "Q = 0", "dense"])
+def test_weights_over_14_decades_are_regulated_as_in_200_digits(kind):
+    rng = np.random.default_rng([3, len(kind)])
+    for _ in range(3):
+        A, B = pair(rng)
+        assert judged(A, B, *weights(rng, *B.shape, kind)).startswith("right")
+
+
+def test_the_weights_do_not_say_what_a_force_reaches():
+    A, B = pole_on_a_cart()
+    Q, R = np.diag([1.0, 1e-8, 1.0, 1e-8]), np.eye(1)
+    assert agrees(*lqr(A, B, Q=Q, R=R), oracle(A, B, Q, R), Q, R)
+
+
+def test_of_several_modes_the_one_out_of_reach_is_named():
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        A, B, modes = out_of_reach(rng)
+        if modes:
+            assert judged(A, B, *weights(rng, *B.shape, "plain"), modes) == "rightly refused"
+        A, B, Q = unseen(rng)
+        assert judged(A, B, Q, np.eye(B.shape[1]), [1.0]) == "rightly refused"
+
+
+@pytest.mark.parametrize("A", [np.diag([0.5, -0.9]), np.array([[0.0, 1.0], [0.0, 0.0]]), [[0.3, 5.0], [0.0, 0.3]]])
+def test_without_a_weight_a_stable_plant_is_left_alone(A):
+    K, P = lqr(A, [[1.0], [1.0]], Q=0.0, R=1.0)
+    np.testing.assert_array_equal(K, np.zeros((1, 2)))
+    np.testing.assert_array_equal(P, np.zeros((2, 2)))
+
+
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
         ({"A": [[1.0, np.nan], [0.0, 1.0]]}, InputError, r"A: got nan at index \(0, 1\)"),
         ({"A": np.ones((2, 3))}, InputError, r"A: got shape \(2, 3\), expected a square"),
-        ({"A": "x"}, InputError, "A: got str .*, expected an array of real numbers"),
+        ({"A": "x"}, InputError, "A: got '.*, expected an array of real numbers"),
         ({"B": np.ones((3, 1))}, InputError, r"B: got shape \(3, 1\), expected \(2, any\)"),
         ({"B": np.ones((2, 0))}, InputError, "at least one input"),
         ({"B": None}, InputError, "B: got nothing"),

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from adversarial_laws import KINDS, rows
 from differences import distance, slope, slopes
 from plants import double_integrator, suspension
 
-from mpc import InputError, LinearMPC, SensitivityStatus
-from mpc.parametric_qp import Constraint
+from mpc import Constraint, InputError, LinearMPC, SensitivityStatus
 
 REQUIRED = 1e-5
 
@@ -39,6 +39,7 @@ def compared(make, x, found, parameters, signals, step=1e-4):
         assert distance(getattr(found, name), expected) < REQUIRED, name
 
 
+@pytest.mark.quick(6)
 @pytest.mark.parametrize(
     ("limits", "signals", "active"),
     [
@@ -252,6 +253,13 @@ def test_dependent_constraints_that_part_are_flagged():
     assert not found.regular
     assert found.dependent == (Constraint("state", 2, 3),)
     assert np.isnan(found.along([1.0, 0.0]).cost)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_at_the_corners_of_a_law_rates_are_its_gains_or_none(kind):
+    ((_, found),) = rows(60, 3, (kind,))
+    assert set(found) <= {"right", "DEPENDENT, NaN"}
+    assert found["right"] > 20
 
 
 def test_a_constraint_stated_twice_changes_nothing():

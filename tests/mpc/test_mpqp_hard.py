@@ -6,12 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from partitions import law_is_optimal_on_samples, membership
 from plants import box, double_integrator
 from random_problems import random_plant
-from test_mpqp import law_is_optimal_on_samples, membership
 
 from mpc import InputError, LinearMPC, MPQPStatus, NotConvexError, solve_mpqp
-from mpc.explicit.partition import Partition
 
 
 def integrators(N=4, sx=(1.0, 1.0, 1.0, 1.0), su=(1.0, 1.0), cost=1.0):
@@ -186,20 +185,6 @@ def test_objects_that_are_no_problem_are_refused():
             solve_mpqp(mpc.build(), theta_set)
     with pytest.raises(NotConvexError, match="Hessian H has the smallest scaled eigenvalue"):
         solve_mpqp(replace(mpc.build(), H=-mpc.build().H), mpc.X)
-
-
-def test_a_partition_is_small_to_print_and_can_be_copied(natural):
-    import copy
-    import pickle
-
-    for again in (pickle.loads(pickle.dumps(natural)), copy.deepcopy(natural)):
-        np.testing.assert_array_equal(again.law, natural.law)
-        np.testing.assert_array_equal(again([1.0, 0, 0, 1]), natural([1.0, 0, 0, 1]))
-        assert isinstance(again.partition, Partition)
-        assert not again.partition.law.flags.writeable
-        assert len(repr(again)) < 250
-    with pytest.raises(ValueError, match="read-only"):
-        natural.law[0] = 0.0
 
 
 def test_a_problem_whose_unconstrained_optimum_is_zero_everywhere():

@@ -9,6 +9,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.methods.descent import Cost, value_of
+from ccdtools.plants.design_constraints import ON_EDGE, held
 from ccdtools.plants.design_space import DesignSpace
 
 STEP = 1e-4  # of the unit box: of the differences that a slope is confirmed by
@@ -32,28 +33,31 @@ class Held:
     rest: float
 
 
-def held_by(space: DesignSpace, v: Array, slope: Array) -> Held:
-    """What holds a point of the unit box where the cost has this slope (np,); of one that is unknown, NaN is left."""
+def held_by(space: DesignSpace, v: Array, slope: Array, violations: dict[str, Array] | None = None) -> Held:
+    """What holds a point of the unit box where the cost has this slope (np,); of one that is unknown, NaN is left.
+
+    Active limits of the closed loop are constraints, too: by name, the slopes (np,) of their violations.
+    """
     if not np.isfinite(slope).all():
         return Held({}, float("nan"))
     free = space.allowed.free
-    limits = space.allowed.limits
-    width = space.allowed.width
     push = np.where(free, -slope, 0.0)
-    prices: dict[str, float] = {}
-    if limits is not None:
-        paid, bounds, rest = limits.prices(v, push, free)
+    eye = np.eye(len(v))
+    at = free & ((v <= 0) | (v >= 1))
+    edges = [np.asarray(normal) for normal in (violations or {}).values()]
+    named = [(name, 1.0) for name in violations or {}]
+    if space.allowed.limits is not None:
+        normals, distances = space.allowed.limits.edges(v, push)
         steepness = _steepness(space, v)
-        prices |= {
-            name: float(price / steep)
-            for name, price, steep in zip(space.constraint_names, paid, steepness)
-            if price > 0 and steep > 0
-        }
-    else:
-        bounds = np.where((v <= 0) & (push < 0) | (v >= 1) & (push > 0), push, 0.0)
-        rest = push - bounds
-    prices |= {name: abs(float(price)) / float(wide) for name, price, wide in zip(space.names, bounds, width) if price}
-    return Held(prices, float(np.linalg.norm(rest)))
+        for k in np.flatnonzero(distances <= ON_EDGE):
+            edges.append(normals[k])
+            named.append((space.constraint_names[int(k)], steepness[k] if steepness[k] > 0 else np.inf))
+    edges += [eye[i] if v[i] >= 1 else -eye[i] for i in np.flatnonzero(at)]
+    named += [(space.names[i], space.allowed.width[i]) for i in map(int, np.flatnonzero(at))]
+    normals = np.reshape(edges, (-1, len(v))) * free
+    paid = held(normals, push)
+    prices = {name: float(price / unit) for (name, unit), price in zip(named, paid) if price > 0}
+    return Held(prices, float(np.linalg.norm(push - paid @ normals)))
 
 
 def _steepness(space: DesignSpace, v: Array) -> Array:

@@ -12,8 +12,10 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import HORIZON, linear_mpc, nonlinear_mpc, saturated_lqr
 from ccdtools.co_design.design_sensitivity import regulator_of
+from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import Law
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.secant import fitted
 from ccdtools.controllers.controllers import Controller, Passive
 
 
@@ -72,6 +74,23 @@ class LQRLaw:
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
         """Saturated LQR."""
         return saturated_lqr(problem, p)
+
+
+@dataclass(frozen=True, eq=False)
+class SecantLaw:
+    """Saturated LQR of the linearisation over the states that the loop of each design visits on given scenarios."""
+
+    scenarios: ScenarioTensors
+    words = "saturated LQR of the secant over the visited states"
+    differentiable = False
+
+    def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
+        """Fitted anew at every design."""
+        return _on_line(self.controller(problem, p.detach().numpy()), problem.limit)
+
+    def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
+        """Saturated LQR."""
+        return fitted(problem, p, self.scenarios).controller
 
 
 @dataclass(frozen=True)

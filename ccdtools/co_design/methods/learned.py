@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +13,9 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, has_method
 from ccdtools.co_design.agents import as_agent, check_agent
 from ccdtools.co_design.ascent import Ascent
+from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.learned_result import LearnedCoDesign
@@ -21,12 +24,15 @@ from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
 from ccdtools.co_design.risk import check_followed, measure
-from ccdtools.co_design.starts import chosen_valleys, leader, race, start_designs
+from ccdtools.co_design.starts import HOPEFUL, chosen_valleys, leader, race, start_designs
 from ccdtools.co_design.task import LimitPenalty, Task
+from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
+from mpc import MPCError
 
+SPOILT_RUNS = 64  # scenarios that a warm start is looked at on
 SAMPLES = 1000  # candidates of the expert's data, where no agent is given
 
 
@@ -41,7 +47,8 @@ class Learned:
         the design.
     agent : ActorCritic, optional
         Warm start, from `learning.fit_actor_critic`; copied, not changed. By default one that imitates saturated LQR
-        is made.
+        is made, and beside one that is far worse than saturated LQR at the first design, too: a policy that saturates
+        wherever it is has no gradient. The better end is handed out.
     config : CoDesignConfig
     judge : CoDesignProblem, optional
         What the iterates are scored on, if not the problem itself: for example replays of what was logged, where
@@ -88,7 +95,10 @@ class Learned:
             warn_of_unavoidable_depth(judge, design)
         task = Task(problem, judge, self.by, config, limits)
         found = chosen_valleys(task, design, rng)
-        ascents = race(task, agent, start_designs(task, design, found), rng, progress=progress)
+        agents = [agent]
+        if self.agent is not None and (task.pathwise or task.ppo) and _spoilt(judge, agent, design, rng):
+            agents.append(warm_start(problem, rng, progress=progress))
+        ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
         return _result(task, ascents, agent, design, found)
 
 
@@ -99,6 +109,23 @@ def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: 
         data.inputs, data.actions, data.values, action_bounds=problem.action_bounds,
         input_bounds=problem.observation_bounds, rng=rng, progress=progress,
     )  # fmt: skip
+
+
+def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:
+    """Whether a policy loses runs that saturated LQR of its design keeps, or a fifth of what that brings."""
+    drawn = copy.deepcopy(rng)
+    try:
+        lqr = saturated_lqr(problem, design)
+    except MPCError:
+        return False
+    own, other = (
+        closed_loop_returns(problem, controller, design, copy.deepcopy(drawn), runs=SPOILT_RUNS)
+        for controller in (LearnedPolicy(agent, design), lqr)
+    )
+    if own.lost.any() or other.lost.any():
+        return own.lost_share > other.lost_share
+    size = float(problem.made_by_control(other.summary.mean, design))
+    return other.summary.mean - own.summary.mean > HOPEFUL * size
 
 
 def _result(

@@ -15,6 +15,7 @@ from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.laws import DesignLaw
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
+from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.task import LimitPenalty
 from ccdtools.controllers.controllers import Controller
 from mpc import NotStabilisableError
@@ -95,6 +96,21 @@ class LoopCost:
             slope[i] = (above - below) / (high - low)
         return slope
 
+    def slopes(self, v: Array) -> tuple[Array, dict[str, Array]]:
+        """Slopes (np,) of the cost without its penalty, and of the mean and the peak violation of the limits."""
+        slopes = np.zeros((3, len(v)))
+        for i in np.flatnonzero(self.problem.design.allowed.free):
+            ends = []
+            for side in (STEP, -STEP):
+                at = v.copy()
+                at[i] = np.clip(v[i] + side, 0.0, 1.0)
+                seen = self.seen(at)
+                cost = -self.problem.risk.values(seen.total).mean()
+                ends.append((at[i], np.array([float(cost), float(seen.depth.mean()), float(seen.peak.mean())])))
+            (high, above), (low, below) = ends
+            slopes[:, i] = (above - below) / (high - low)
+        return slopes[0], dict(zip(("mean violation of the limits", "peak violation of the limits"), slopes[1:]))
+
     def _cost(self, point: Tensor, v: Array | None) -> Tensor | None:
         """The cost at a point; None where the law has no gain there. A point `v` is a row of the history."""
         self.evaluations += 1
@@ -104,7 +120,7 @@ class LoopCost:
             return None
         values = self.problem.risk.values(seen.total)
         if v is not None:
-            self._remember(v, values.detach(), seen.diverged)
+            self._remember(v, seen)
         cost = -values.mean()
         if self.penalty is not None and self.penalty.active and not bool(seen.diverged.any()):
             cost = cost + self.penalty.cost(seen, point)
@@ -130,15 +146,13 @@ class LoopCost:
         watched = depths or (self.penalty is not None and self.penalty.active)
         return simulated(Stepper.at(self.problem, p), law, self.scenarios, depths=watched)
 
-    def _remember(self, v: Array, values: Tensor, lost: Tensor) -> None:
+    def _remember(self, v: Array, seen: Episode) -> None:
         """Another row of the history."""
-        kept = values[~lost]
-        mean = kept.mean().item() if len(kept) else float("nan")
-        std = kept.std().item() if len(kept) > 1 else 0.0
+        mean, std, lost = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
         count = len(self.rows) + 1
         samples = self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
         design = self.problem.design.from_unit(v)
-        self.rows.append((count, count * samples, design, mean, std, lost.double().mean().item()))
+        self.rows.append((count, count * samples, design, mean, std, lost))
 
     def controller(self, p: Array) -> Controller:
         """The law at a design, for use."""

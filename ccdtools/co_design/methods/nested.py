@@ -10,7 +10,8 @@ problems", Journal of Mechanical Design 141, 2019.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -20,7 +21,7 @@ from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.agents import as_agent
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, NonlinearMPCLaw
+from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, NonlinearMPCLaw, SecantLaw
 from ccdtools.co_design.methods.learned import warm_start
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
@@ -30,6 +31,9 @@ from ccdtools.co_design.methods.searched import DesignCost, Plan, searched
 from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.secant import fitted, visited
+from ccdtools.exceptions import InputError
+from ccdtools.plants.sampled_model import SampledModel
 from learning.networks import ActorCritic
 from mpc import NotStabilisableError
 
@@ -67,6 +71,10 @@ class Nested:
         What trains the policy of "rl".
     agent : ActorCritic, optional
         Its warm start; by default one that imitates saturated LQR is made.
+    linearisation : {"auto", "tangent", "secant"}
+        What the LQR of a plant that is not linear is of: the tangent at rest, or the secant over the states that its
+        own loop visits (see `stochastic_linearisation`; slopes by differences). "auto": the secant where it is better
+        in closed loop at the design that the tangent finds; the result's `notes` hold both returns.
     """
 
     inner: str = "lqr"
@@ -77,6 +85,7 @@ class Nested:
     control: str = "lqr"
     by: str = "pathwise"
     agent: ActorCritic | None = None
+    linearisation: str = "auto"
 
     def __post_init__(self) -> None:
         as_choice("inner", self.inner, tuple(RUNS))
@@ -88,6 +97,7 @@ class Nested:
             if getattr(self, name) is not None:
                 as_count(name, getattr(self, name))
         as_agent(self.agent)
+        as_choice("linearisation", self.linearisation, ("auto", "tangent", "secant"))
 
     @property
     def name(self) -> str:
@@ -100,9 +110,35 @@ class Nested:
         """The best design found from a feasible design (np,) and other valleys, with its controller."""
         starts = 1 if self.inner == "rl" else self.starts
         plan = Plan(self.name, starts, self.evaluations or OUTER.get(self.inner, ALL))
+        if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):
+            return self._of_better_linearisation(plan, problem, design, rng, progress)
         cost_from = self._cost_from(problem, rng, progress)
         hopeful = partial(_keeps_its_runs, problem, cost_from) if self.inner in ("mpc", "nmpc") else None
         return searched(plan, problem, cost_from, design, rng, hopeful=hopeful, progress=progress)
+
+    def _of_better_linearisation(
+        self, plan: Plan, problem: CoDesignProblem, design: Array, rng: np.random.Generator, progress: bool
+    ) -> CoDesignResult:  # fmt: skip
+        """The result of LQR of the tangent, or of the secant where that is asked for or better in closed loop."""
+        scenarios = scenario_tensors(problem, fewer_runs(self.runs or RUNS["lqr"], problem.steps), rng)
+        tangent: CoDesignResult | None = None
+        if self.linearisation == "auto":
+            with suppress(InputError, NotStabilisableError):  # the tangent may have no input at all
+                tangent = searched(
+                    plan, problem, lambda v: LoopCost(problem, LQRLaw(), scenarios), design, rng, progress=progress
+                )
+        scenario = visited(problem, rng)
+        if tangent is not None:
+            here = fitted(problem, tangent.design, scenario)
+            if not here.better:
+                return replace(tangent, notes=(*tangent.notes, str(here)))
+        plan = replace(plan, starts=1)
+        first = design if tangent is None else np.asarray(tangent.design)
+        law = SecantLaw(scenario)
+        found = searched(plan, problem, lambda v: LoopCost(problem, law, scenarios), first, rng, progress=progress)
+        if tangent is not None and not found.objective > tangent.objective and np.isfinite(tangent.objective):
+            found = tangent
+        return replace(found, notes=(*found.notes, str(fitted(problem, found.design, scenario))))
 
     def _cost_from(
         self, problem: CoDesignProblem, rng: np.random.Generator, progress: bool

@@ -125,7 +125,6 @@ class Search:
         outcome = None
         if loop is not None and loop.penalty is not None:
             outcome = loop.outcome(box.best_v)
-            status = status if outcome.kept else CoDesignStatus.LIMITS_BROKEN
         words = "the given function" if loop is None else loop.cost.words
         controller = controller_of("lqr", problem, design) if loop is None else law.controller(problem, design)
         return CoDesignResult(

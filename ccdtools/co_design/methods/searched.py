@@ -13,7 +13,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import FEASIBLE, Descent, descend, value_of
-from ccdtools.co_design.methods.holding import confirmed, held_by
+from ccdtools.co_design.methods.holding import Held, confirmed, held_by
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.simultaneous import OTHERS
@@ -33,6 +33,7 @@ STILL = 6  # or that bring no other design where none keeps them, are enough
 LITTLE = 1e-3  # of the return that control makes: a gain of a round without consequence
 DEARER = 2.0  # times the price of limits, beside what it grows by anyway, where a round has not led within them
 HALVINGS = 8  # of the way from a design that keeps the limits to one that does not
+USED = 0.8  # of a tolerance, from which on a limit may hold a design: prices aim at nine tenths
 LEVEL = 1e-3  # of the return that control makes, per length of the unit box: a slope without consequence
 
 
@@ -179,7 +180,8 @@ def _within_limits(plan: Plan, problem: CoDesignProblem, cost: LoopCost, found: 
         plain = float(-problem.risk.values(seen.total).mean())
         ends.append(End(cost, replace(found, cost=plain), size, penalty, penalty.violation(seen)))
         unpriced = cost.penalty is None
-        if not penalty.active or found.spent or (unpriced and ends[-1].violation <= 0) or _settled(ends):
+        enough = ends[-1].violation <= 0 and (unpriced or found.spent)
+        if not penalty.active or enough or _settled(ends):
             break
         if not unpriced and ends[-1].violation > 0:
             penalty = penalty.dearer(DEARER)
@@ -243,7 +245,7 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
     """The result of the best end."""
     space = problem.design
     design = space.check_feasible(space.settled(best.found.v))
-    held = held_by(space, best.found.v, best.found.slope)
+    held = _held(problem, best)
     size = _size(problem, best.found.cost, best.found.v)
     outcome = None
     if best.penalty is not None and isinstance(best.cost, LoopCost):
@@ -256,6 +258,18 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
         active_constraints=space.active_constraints(design), multipliers=held.multipliers, slope=held.rest / size,
         evaluations=evaluations, history=history, limits=outcome,
     )  # fmt: skip
+
+
+def _held(problem: CoDesignProblem, best: End) -> Held:
+    """What holds the best end; limits that have a price and are used up are constraints, whatever the price came to."""
+    v = best.found.v
+    if best.penalty is None or not best.penalty.active or not isinstance(best.cost, LoopCost):
+        return held_by(problem.design, v, best.found.slope)
+    slope, violations = best.cost.slopes(v)
+    outcome = best.penalty.outcome(best.cost.seen(v))
+    used = zip(outcome.achieved.values(), outcome.tolerance.values(), outcome.multipliers.values())
+    active = [price > 0 and value >= USED * most for value, most, price in used]
+    return held_by(problem.design, v, slope, dict(one for one, is_so in zip(violations.items(), active) if is_so))
 
 
 def _without_trajectory(name: str, problem: CoDesignProblem, cost: TrajectoryCost, v: Array) -> CoDesignResult:
@@ -272,11 +286,7 @@ def _without_trajectory(name: str, problem: CoDesignProblem, cost: TrajectoryCos
 
 
 def _status(problem: CoDesignProblem, best: End, rest: float, held: bool) -> CoDesignStatus:
-    """How a search ended."""
-    if isinstance(best.cost, LoopCost) and bool(best.cost.seen(best.found.v).diverged.any()):
-        return CoDesignStatus.DIVERGING
-    if best.violation > 0:
-        return CoDesignStatus.LIMITS_BROKEN
+    """How a search ended, whatever its closed loop does."""
     if not rest <= LEVEL:
         trained = isinstance(best.cost, LearnedCost)  # never twice to the same policy: differences would say nothing
         agree = trained or confirmed(best.cost, problem.design, best.found.v, size=best.size)

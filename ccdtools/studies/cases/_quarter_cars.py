@@ -40,7 +40,7 @@ def quarter_car_study(name: str, title: str, *, nonlinear: bool = False, actuato
         steps=300,
         real=RealPlant(
             quarter_car(actuator_lag=actuator_lag, real=True), _road("C"), x0=start, runs=1, steps=12000,
-            held_out={"average road (C)": _road("C"), "poor road (D)": _road("D")},
+            held_out={"average road (C)": _road("C"), "poor road (D)": _road("D")}, road=True,
         ),
         metrics=quarter_car_ride(stop=STATES[2], forces=[4] if actuator_lag else None),
     )  # fmt: skip

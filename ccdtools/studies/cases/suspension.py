@@ -44,7 +44,7 @@ study = Study(
     p0=[27692.0, 1906.5],
     real=RealPlant(
         quarter_car(nonlinear=True), GeneratedRoad("mild"), x0=np.zeros(4), runs=1, steps=15000,
-        held_out={"mild driver": GeneratedRoad("mild"), "aggressive driver": GeneratedRoad("aggressive")},
+        held_out={"mild driver": GeneratedRoad("mild"), "aggressive driver": GeneratedRoad("aggressive")}, road=True,
     ),
     paper_networks=(16, 32, 32, 16),
     samples=1000,

@@ -18,6 +18,7 @@ from ccdtools.studies.report.formatting import generation_name, place, share
 from ccdtools.studies.report.landscape import landscape
 from ccdtools.studies.report.report_figure import ReportFigure
 from ccdtools.studies.report.set_figure import feasible_set_figure
+from ccdtools.studies.report.summary import in_first_place
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.twin import BLOCKS, HELD_OUT
@@ -30,12 +31,28 @@ SHOWN_ERRORS = 150
 def figures(run: FinishedRun) -> Iterator[ReportFigure]:
     """Every figure that the study can have."""
     makers: list[Callable[[FinishedRun], list[ReportFigure]]] = [
-        _history, landscape, _comparison, feasible_set_figure, _policy_surface, _trajectories, _quantiles,
+        _changes, _history, landscape, _comparison, feasible_set_figure, _policy_surface, _trajectories, _quantiles,
     ]  # fmt: skip
     for make in makers:
         with style.styled():
             made = make(run)
         yield from made
+
+
+def _changes(run: FinishedRun) -> list[ReportFigure]:
+    """What changed from LQR at the start design, and what each source brought."""
+    rows = in_first_place(run.results)
+    places = run.results["gains"]
+    figure = style.blank(11, 1.0 + 0.36 * max(len(rows), 2 * len(places)), quick=run.quick)
+    left, right = figure.subplots(1, 2)
+    return_plots.plot_changes(left, rows)
+    return_plots.plot_gains(right, places)
+    caption = (
+        "From LQR at the start design to what is deployed at the end, on the real plant and the same disturbances. "
+        "Left: the cost in every place, and every other number where the plant was deployed, with 95 % intervals. "
+        "Right: the gain in return by what brought it."
+    )
+    return [ReportFigure("changes", "What changed", caption, figure)]
 
 
 def _history(run: FinishedRun) -> list[ReportFigure]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
+
+from ccdtools.evidence.percent import in_measure, percent_interval, share, signed_percent, with_minus  # noqa: F401  (re-exported)
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PLACES = {"nominal": "nominal model", "real": "real plant"}
@@ -25,61 +27,14 @@ def number(value: float | None, digits: int = 4) -> str:
     return f"{shown:.{decimals}f}"
 
 
-def share(fraction: float | None) -> str:
-    """A fraction in per cent, without false digits: "0.07 %", "12 %"; "n/a" for nothing."""
-    if fraction is None:
-        return "n/a"
-    percent = 100 * fraction
-    if percent == 0:
-        return "0 %"
-    return "< 0.01 %" if 0 < percent < 0.01 else f"{_rounded(percent)} %"
-
-
-def signed_percent(percent: float) -> str:
-    """A change in per cent with its sign: "+0.34 %", "−12 %"; what rounds to nothing is "0 %"."""
-    text = _rounded(percent)
-    return "0 %" if float(text) == 0 else with_minus(f"{'+' if percent > 0 else ''}{text} %")
-
-
 def capitalised(text: str) -> str:
     """A text with its first letter in upper case, the others as they are."""
     return text[:1].upper() + text[1:]
 
 
-def percent_interval(mean: float | None, ci95: Sequence[float | None], size: float | None) -> str:
-    """A change with its 95 % interval in per cent of a size: "+0.1 % [−0.2, +0.4]"; "n/a" where there is none."""
-    if not _finite(mean) or not _finite(size) or size == 0:
-        return "n/a"
-    values = [signed_percent(100 * value / abs(size)) for value in (mean, *ci95) if _finite(value)]  # type: ignore
-    ends = f" [{', '.join(value.removesuffix(' %') for value in values[1:])}]" if len(values) == 3 else ""
-    return values[0] + ends
-
-
 def limits_of(results: Mapping[str, Any]) -> str:
     """What a controller of a run leaves: "X", or "the limits" where those of outputs count, too."""
     return str(results.get("limits", "X"))
-
-
-def in_measure(measure: str) -> str:
-    """What of the returns a change is of, behind it: " in the mean of the worst 10 %"; nothing for their mean."""
-    return "" if measure == "mean" else f" in the {measure}"
-
-
-def _finite(value: float | None) -> bool:
-    """Whether there is a value, and a finite one."""
-    return value is not None and math.isfinite(value)
-
-
-def _rounded(percent: float) -> str:
-    """Two decimals below 1, one below 10, none above."""
-    decimals = 2 if abs(percent) < 1 else 1 if abs(percent) < 10 else 0
-    text = f"{percent:.{decimals}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
-
-
-def with_minus(text: str) -> str:
-    """`text` with the minus sign of a printed page."""
-    return text.replace("-", "−")
 
 
 def duration(seconds: float) -> str:

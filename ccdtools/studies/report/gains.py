@@ -85,7 +85,7 @@ def held_out_phrase(results: Values) -> str:
     for place in places:
         percent = gain_percent(place, "total")
         changes.append(f"{'n/a' if percent is None else signed_percent(-percent[0])} ({place['place']})")
-    return f"on {places[0]['runs']} held-out runs each: {', '.join(changes)}" if changes else ""
+    return f"elsewhere: {', '.join(changes)}" if changes else ""
 
 
 def console_lines(results: Values) -> list[str]:

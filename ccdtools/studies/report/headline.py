@@ -16,7 +16,16 @@ from ccdtools.studies.report.formatting import (
     signed_percent,
 )
 from ccdtools.studies.report.gains import held_out_phrase
-from ccdtools.studies.report.verdicts import EQUAL, NOT_WORSE, outside_text, percent_of_reference, size_of, verdict
+from ccdtools.studies.report.summary import bare, of_word
+from ccdtools.studies.report.verdicts import (
+    EQUAL,
+    NOT_WORSE,
+    outside_text,
+    percent_of_reference,
+    reference_of,
+    size_of,
+    verdict,
+)
 
 Results = Mapping[str, Any]
 SMALL_PART = 0.02  # of a whole: a part below it goes unmentioned
@@ -26,14 +35,23 @@ def headline(results: Results) -> str:
     """Cost on the real plant before and after, where the change comes from, and what each generation did."""
     last = len(results["generations"])
     idle = _idle(results)
-    changes = [] if idle else _generations(results)
-    parts = [
-        _cost(results, last), held_out_phrase(results), _policy(results, last), _limits(results, last),
-        _judged_by(results), *changes,
+    changes = [idle] if idle else _generations(results)
+    cost = "; ".join(part for part in (_cost(results, last), held_out_phrase(results)) if part)
+    sentences = [
+        cost, _worse(results), _policy(results, last), _limits(results, last), _judged_by(results), "; ".join(changes),
     ]  # fmt: skip
-    text = "; ".join(part for part in parts if part) + "."
-    quick = "QUICK run, not a result: " if results["quick"] else ""
-    return capitalised(quick + (f"{idle}. {capitalised(text)}" if idle else text))
+    text = " ".join(f"{capitalised(sentence)}." for sentence in sentences if sentence)
+    return f"QUICK run, not a result. {text}" if results["quick"] else text
+
+
+def _worse(results: Results) -> str:
+    """The numbers other than the cost that got worse, each with its change and, where not in the first place, where."""
+    first = results["gains"][0]["place"] if results.get("gains") else ""
+    named = [
+        f"{bare(name)} {one.text.split(' [')[0]}" + ("" if one.place == first else f" ({one.place})")
+        for name, one in of_word(results, "worse").items()
+    ]
+    return f"worse: {', '.join(named)}" if named else ""
 
 
 def _judged_by(results: Results) -> str:
@@ -55,7 +73,7 @@ def _idle(results: Results) -> str:
     if not later or any(_brought(generation) for generation in later):
         return ""
     several = f"generations 2 to {len(later) + 1} brought nothing; " if len(later) > 1 else ""
-    return several + later[-1]["account"]
+    return several + later[-1]["account"].split(": ")[0]
 
 
 def _brought(generation: Mapping[str, Any]) -> bool:
@@ -105,7 +123,24 @@ def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) 
 
 
 def _policy(results: Results, last: int) -> str:
-    """The learned policy beside LQR at the same design."""
+    """The learned policy beside LQR at the same design, where it was deployed and wherever it is worse or not told."""
+    rows = [row for row in results.get("held_out", ()) if row["generation"] == last]
+    words: dict[str, list[str]] = {}
+    for row in rows:
+        reference = reference_of(rows, row)
+        percent = percent_of_reference(row, reference)
+        word = verdict(row, reference)
+        if row["controller"] == "learned" and word in ("worse", "open"):
+            cost = f" ({signed_percent(-percent[0])} cost)" if percent is not None else ""
+            words.setdefault(word, []).append(row["model"] + cost)
+    elsewhere = [f"worse than LQR with {', '.join(words['worse'])}"] if "worse" in words else []
+    elsewhere += [f"not told apart from LQR with {', '.join(words['open'])}"] if "open" in words else []
+    there = _where_deployed(results, last)
+    return ", but ".join(part for part in (there, f"it is {' and '.join(elsewhere)}" if elsewhere else "") if part)
+
+
+def _where_deployed(results: Results, last: int) -> str:
+    """The learned policy beside LQR at the same design, on the runs where it was deployed."""
     row = _row(results, last, "learned")
     reference = _row(results, last, "LQR")
     percent = percent_of_reference(row, reference)
@@ -130,10 +165,10 @@ def _limits(results: Results, last: int) -> str:
     achieved, granted = ((of["fraction"], of["depth"]) for of in (found["achieved"], found["tolerance"]))
     outside = f"{share(achieved[0])} of the states outside {limits_of(results)}"
     left = f"{outside}, {number(achieved[1], 2)} half-widths at the peak"
-    asked = f"granted were {share(granted[0])} and {number(granted[1], 2)}"
+    asked = f"the tolerance is {share(granted[0])} and {number(granted[1], 2)}"
     exceeded = _row(results, last, "learned")["exceeded"]
     which = f"; on the real plant most {exceeded}" if exceeded else ""
-    return f"its co-design breaks the limits ({left}, {asked}{which})"
+    return f"the co-design breaks the limits ({left}, {asked}{which})"
 
 
 def _limits_in_service(results: Results) -> Mapping[str, Any] | None:
@@ -198,8 +233,8 @@ def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> 
         why = delivery["status"] if delivery.get("breach") else "worse"
         if delivery.get("carried"):
             updates = f"the updates of generation {delivery['former']}"
-            return f"{name} took {updates} back, which a whole deployment showed to be {why}"
-        return f"{name} was taken back, because it was {why}"
+            return f"{name} rolled {updates} back, which a whole deployment showed to be {why}"
+        return f"{name} was rolled back: it was {why}"
     if redesign["accepted"] and redesign["chosen"].startswith(FORMER):
         return f"{name} returned to {redesign['chosen'].removeprefix(FORMER)}"
     if moved:

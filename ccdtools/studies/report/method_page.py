@@ -32,11 +32,11 @@ def check_folder(path: str | Path, *, overwrite: bool = False) -> RunFolder:
     """
     folder = Path(path)
     if not str(path).strip():
-        raise InputError("--out", repr(str(path)), "the path of a new folder")
+        raise InputError("--output", repr(str(path)), "the path of a new folder")
     if os.path.lexists(folder) and not overwrite:
-        raise InputError("--out", f"{folder}, which exists", "a new folder", "Choose another, or add --overwrite.")
+        raise InputError("--output", f"{folder}, which exists", "a new folder", "Choose another, or add --overwrite.")
     if os.path.lexists(folder) and not (folder / TABLE).is_file():
-        raise InputError("--out", f"{folder}, which holds no {TABLE}", "a comparison's folder to overwrite")
+        raise InputError("--output", f"{folder}, which holds no {TABLE}", "a comparison's folder to overwrite")
     return RunFolder(folder)
 
 
@@ -45,8 +45,8 @@ def write_table(found: Any, folder: RunFolder) -> None:
     try:
         folder.path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError("--out", f"{folder.path} ({error.strerror})", "a folder that can be made") from None
-    with held_back(), folder.writing("--out"):  # half a table would be of fewer methods than have ended
+        raise InputError("--output", f"{folder.path} ({error.strerror})", "a folder that can be made") from None
+    with held_back(), folder.writing("--output"):  # half a table would be of fewer methods than have ended
         found.to_csv(folder.path / TABLE)
         for name in (PICTURE, PAGE):  # of another table
             (folder.path / name).unlink(missing_ok=True)

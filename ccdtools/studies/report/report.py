@@ -33,8 +33,16 @@ from ccdtools.studies.report.formatting import (
 )
 from ccdtools.studies.report.gains import gain_headings, gain_rows, held_out_rows
 from ccdtools.studies.report.metric_tables import held_out_metrics, metric_table
+from ccdtools.studies.report.summary import in_first_place, next_steps
 from ccdtools.studies.report.tables import fewer_runs_notes, write_tables
-from ccdtools.studies.report.verdicts import difference_text, limit_notes, reference_of, saw_fewer_runs, verdict
+from ccdtools.studies.report.verdicts import (
+    difference_text,
+    limit_notes,
+    on_same_runs,
+    reference_of,
+    saw_fewer_runs,
+    verdict,
+)
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 
@@ -83,6 +91,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
         gains={"headings": gain_headings(results), "rows": gain_rows(results),
                "held_out": held_out_rows(results, run.study.steps), "metrics": held_out_metrics(results)},
+        glance=in_first_place(results), next_steps=next_steps(results),
         sampling=sampling_note(run.study.plant), no_sets=_no_sets(run),
         limits=limits_of(results), single=run.study.real.runs == 1, real_is_model=run.study.real_is_model,
         risk=_risk_text(run), measure=measure(run.study.judged_in),
@@ -137,7 +146,7 @@ def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
             {"label": label, "values": values.tolist(), "errors": _errors(check, label, labels),
              "cosine": _cosine(values, reference),
              "length": _ratio(np.linalg.norm(values), np.linalg.norm(reference))}
-            for label, values in gradients.items()
+            for label, values in gradients.items() if np.isfinite(values).all()
         ]  # fmt: skip
         tables.append({"generation": generation["generation"], "names": check["names"], "rows": rows})
     return tables
@@ -169,7 +178,7 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
         for row in rows:
             gain, ends = difference_text(row)
             word = "reference" if row is reference else verdict(row, reference)
-            shown.append({"row": row, "verdict": word, "gain": gain, "ends": ends,
+            shown.append({"row": on_same_runs(row, reference), "verdict": word, "gain": gain, "ends": ends,
                           "star": saw_fewer_runs(row, reference)})  # fmt: skip
         blocks.append({
             "generation": g, "plant": place(rows[0]), "design": design_text(results, rows[0]["design"]),

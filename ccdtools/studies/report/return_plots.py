@@ -23,8 +23,14 @@ from ccdtools.figure_style import (
 )
 from ccdtools.landscape_map import draw_map
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.studies.gains import SOURCES
 from ccdtools.studies.report.formatting import axis_label, generation_name, place, share, signed_percent
+from ccdtools.studies.report.gains import gain_percent
+from ccdtools.studies.report.summary import COST, Change
 from ccdtools.studies.report.verdicts import NOT_WORSE, percent_of_reference
+
+WORDS = {"better": "#1B7F3B", "worse": "#B00020", "same": "#7F7F7F", "open": "#7F7F7F"}
+SOURCE_COLOURS = ("#3D3D3D", "#D55E00", "#E69F00", "#0072B2")
 
 
 def plot_history(
@@ -127,6 +133,40 @@ def _differences(ax: Axes, names: Sequence[str], chosen: Mapping[str, Mapping[st
         weight = "bold" if name == "learned" else "normal"
         ax.annotate(note, (1.015, y), xycoords=("axes fraction", "data"), va="center", fontsize=8, weight=weight)
     return ends
+
+
+def plot_changes(ax: Axes, rows: Sequence[Change]) -> list[Any]:
+    """Changes in per cent with their intervals, one below the other; left of zero is less."""
+    artists: list[Any] = [ax.axvline(0, color="#444444", lw=1)]
+    for y, row in enumerate(rows):
+        note = row.text
+        if row.percent is not None:
+            mean, low, high = row.percent
+            bar = [[mean - low], [high - mean]]
+            artists.append(ax.errorbar(mean, y, xerr=bar, fmt="o", color=WORDS[row.word], ms=7, capsize=4, lw=2))
+            note = signed_percent(mean)
+        ax.annotate(note, (1.015, y), xycoords=("axes fraction", "data"), va="center", fontsize=8)
+    several = len({row.place for row in rows}) > 1
+    names = [f"{row.name}, {row.place}" if row.name == COST and several else row.name for row in rows]
+    ax.set_yticks(range(len(rows)), names)
+    ax.set_ylim(len(rows) - 0.5, -0.5)
+    ax.set_xlabel("change from LQR at the start design [%]; less is better")
+    return artists
+
+
+def plot_gains(ax: Axes, places: Sequence[Mapping[str, Any]]) -> list[Any]:
+    """The gain in return by source, one bar of parts per place."""
+    artists = []
+    for i, source in enumerate(SOURCES[1:]):
+        parts = [(gain_percent(place, source) or (0.0,))[0] for place in places]
+        offset = (i - 1.5) * 0.2
+        artists.append(ax.barh(np.arange(len(places)) + offset, parts, 0.19, color=SOURCE_COLOURS[i], label=source))
+    ax.axvline(0, color="#444444", lw=1)
+    ax.set_yticks(range(len(places)), [place["place"] for place in places])
+    ax.set_ylim(len(places) - 0.4, -0.6)
+    ax.set_xlabel("gain in return [% of LQR at the start design], by source")
+    ax.legend(loc="best")
+    return artists
 
 
 def _per_cent_axis(ax: Axes, low: float, high: float) -> None:

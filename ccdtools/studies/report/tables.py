@@ -21,7 +21,13 @@ from ccdtools.studies.report.formatting import (
 )
 from ccdtools.studies.report.gains import console_lines
 from ccdtools.studies.report.metric_tables import metrics_in
-from ccdtools.studies.report.verdicts import difference_text, limit_notes, reference_of, saw_fewer_runs
+from ccdtools.studies.report.verdicts import (
+    difference_text,
+    limit_notes,
+    on_same_runs,
+    reference_of,
+    saw_fewer_runs,
+)
 from ccdtools.studies.run_folder import RunFolder
 
 Row = dict[str, Any]
@@ -153,15 +159,16 @@ def console_table(results: Mapping[str, Any]) -> str:
 
 
 def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """One line per controller and generation that saw fewer runs than LQR did, with LQR's mean on those runs."""
+    """One line per controller and generation that saw fewer runs than LQR did, with both means, or is no baseline."""
     notes: dict[tuple[str, int], list[str]] = {}
     for row in rows:
         reference = reference_of(rows, row)
         if reference is not None and saw_fewer_runs(row, reference):
             runs = f"first {row['n']} of {reference['n']} runs"
-            text = f"{place(row)}, {runs}, mean of LQR on these {number(row['lqr_mean'])}"
+            text = f"{place(row)}, {runs}, mean {number(row['mean'])}, of LQR on these {number(row['lqr_mean'])}"
             notes.setdefault((row["controller"], row["generation"]), []).append(text)
-    return [f"* {name}, {generation_name(g)}: {'; '.join(texts)}" for (name, g), texts in notes.items()]
+    remarks = dict.fromkeys(f"{row['controller']}: {row['remark']}" for row in rows if row.get("remark"))
+    return [f"* {name}, {generation_name(g)}: {'; '.join(texts)}" for (name, g), texts in notes.items()] + [*remarks]
 
 
 def _block_title(results: Mapping[str, Any], row: Mapping[str, Any]) -> str:
@@ -173,11 +180,12 @@ def _block_title(results: Mapping[str, Any], row: Mapping[str, Any]) -> str:
 def _cells(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The cells of one row; a star marks a controller that saw fewer runs than LQR."""
     mean, interval = difference_text(row)
-    reference = row["controller"] == "LQR"
+    apart = row["controller"] == "LQR" or bool(row.get("remark"))
     star = " *" if saw_fewer_runs(row, reference_of(rows, row)) else ""
+    shown = on_same_runs(row, reference_of(rows, row))
     return [
-        place(row), str(row["generation"]), row["controller"] + star, number(row["mean"]), number(row["std"], 3),
-        str(row["n"]), "-" if reference else mean, "-" if reference else interval, share(row["diverged"]),
+        place(row), str(row["generation"]), row["controller"] + star, number(shown["mean"]), number(shown["std"], 3),
+        str(row["n"]), "-" if apart else mean, "-" if apart else interval, share(row["diverged"]),
         share(row["violations"]), number(row["depth_peak"], 2), number(row["step_time_us"], 3),
     ]  # fmt: skip
 

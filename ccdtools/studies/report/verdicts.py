@@ -23,6 +23,11 @@ def saw_fewer_runs(row: Row, reference: Row | None) -> bool:
     return reference is not None and _tried(row) < _tried(reference) - 0.5
 
 
+def on_same_runs(row: Row, reference: Row | None) -> Row:
+    """A row without its mean and spread where these are of fewer runs than those of LQR: they share no column."""
+    return {**row, "mean": None, "std": None} if saw_fewer_runs(row, reference) else row
+
+
 def _tried(row: Row) -> float:
     """Runs that a row was measured on, diverged ones included; infinite where all diverged, and nobody can tell."""
     finished = 1 - (row["diverged"] or 0.0)
@@ -54,8 +59,10 @@ def verdict(row: Row, reference: Row | None) -> str:
     "Better" and "worse" are certain and matter: the interval of the paired difference to LQR excludes zero, and its
     mean is at least 0.5 % of LQR's return. An interval within ±0.5 % is "equal", one above −0.5 % "not worse". A
     controller that leaves X further than LQR, or further than MPC where it is better than LQR, is so "in return only";
-    so is one that is worse than an LQR that leaves X further.
+    so is one that is worse than an LQR that leaves X further. One with a remark is no baseline: "none".
     """
+    if row.get("remark"):
+        return "none"
     word = _verdict_on_return(row, reference)
     return f"{word} in return only" if _at_the_price_of_X(word, row, reference) else word
 

@@ -45,8 +45,11 @@ study = Study(
     # Limits of the states and the inputs, around the origin, which is where the controller drives the state to.
     X=Polytope.from_bounds([-1.0, -2.0], [1.0, 2.0]),
     U=Polytope.from_bounds([-1.0], [1.0]),
-    # The cost of a step is xᵀQx + uᵀRu; the return is minus its sum.
-    objective=QuadraticObjective(Q=[[10.0, 0.0], [0.0, 1.0]], R=[[0.1]]),
+    # The cost of a step is xᵀQx + uᵀRu; the return is minus its sum, and minus the price of the design: without one
+    # the stiffest spring and the strongest damper are the best.
+    objective=QuadraticObjective(
+        Q=[[10.0, 0.0], [0.0, 1.0]], R=[[0.1]], design_cost=lambda p: 0.5 * p[0] + 0.4 * p[1]
+    ),
     # What the model assumes of the disturbance: its standard deviation [N].
     disturbance=Gaussian(std=[0.3]),
     x0=[0.5, 0.0],  # start of every evaluation, within X

@@ -7,16 +7,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from constrained_plants import CASES
-from scipy.linalg import expm, solve_discrete_are
 from small_plants import clone_of, mass
 from test_methods_at_the_edge import unreached
 
 import ccdtools as cc
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.methods.open_loop import drawn, open_loop_problem
-from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
-from ccdtools.co_design.result import ClosedLoopReturns
-from ccdtools.co_design.status import CoDesignStatus
 
 TRAJECTORIES = [cc.Simultaneous(runs=2, starts=1), cc.Nested("trajectory", runs=2, starts=1),
                 cc.Sequential("open_loop", starts=1)]  # fmt: skip
@@ -39,29 +33,11 @@ def weak(illustrative):
 def test_limits_that_no_design_keeps_are_named_by_every_method_of_trajectories(method, illustrative):
     found = codesigned(weak(illustrative), method, design=[0.5])
     text = "\n".join(found.describe())
-    assert found.status is CoDesignStatus.INFEASIBLE
+    assert found.status.name == "INFEASIBLE"
     assert "x2 ≤ 0.05" in text
     assert "u1 ≤ 0.05" in text
     assert np.isnan(found.objective)
     assert found.closed_loop is not None
-
-
-def test_designs_that_were_looked_at_in_vain_are_counted_from_every_start(monkeypatch, illustrative):
-    looked = []
-
-    class Counted(TrajectoryCost):
-        def __call__(self, v):
-            looked.append(v)
-            return super().__call__(v)
-
-        def within_limits(self, v):
-            looked.append(v)
-            return super().within_limits(v)
-
-    monkeypatch.setattr("ccdtools.co_design.methods.nested.TrajectoryCost", Counted)
-    found = codesigned(weak(illustrative), cc.Nested("trajectory", runs=1, starts=3), design=[0.5])
-    assert found.status is CoDesignStatus.INFEASIBLE
-    assert found.evaluations == len(looked) > 2
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3])
@@ -86,27 +62,14 @@ def test_nested_trajectories_leave_a_first_design_that_cannot_keep_the_limits(un
     assert nested.objective == pytest.approx(together.objective, rel=1e-5)
 
 
+@pytest.mark.check
 def test_limits_are_named_as_the_plant_and_the_user_name_them():
     problem = replace(mass(), output_limits=cc.OutputLimits(lambda x, u, p: x[0], -0.2, 0.2, names=["travel [m]"]),
                       scenarios=cc.FixedStart([0.1, 3.0], cc.Gaussian([0.5])), U=([-0.1], [0.1]))  # fmt: skip
     for method in TRAJECTORIES[:2]:
         found = codesigned(problem, method)
-        assert found.status is CoDesignStatus.INFEASIBLE
+        assert found.status.name == "INFEASIBLE"
         assert "travel [m] ≤ 0.2" in "\n".join(found.notes)
-
-
-def test_a_state_that_is_called_like_a_parameter_of_the_program_keeps_its_name():
-    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
-    plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -p * ca.sin(x[0]) - x[1] + u + w), cc.DesignSpace(["k"], [1], [3]),
-                     dt=0.1, state_names=["p1", "v"], input_names=["valve"])  # fmt: skip
-    problem = replace(mass(), model=cc.discretise(plant), scenarios=cc.FixedStart([0.1, 3.0], cc.Gaussian([0.5])),
-                      X=([-0.2, -5], [0.2, 5]), U=([-0.1], [0.1]), steps=20)  # fmt: skip
-    program = open_loop_problem(problem, drawn(problem, 2, np.random.default_rng(0)), design=np.array([2.0]))
-    assert program.phases[0].input_names == ("valve",)
-    for method in TRAJECTORIES[:2]:
-        found = codesigned(problem, method)
-        assert found.status is CoDesignStatus.INFEASIBLE
-        assert "p1 ≤ 0.2" in "\n".join(found.notes)
 
 
 def test_a_design_that_is_infeasible_is_projected_before_it_is_measured(illustrative):
@@ -114,16 +77,16 @@ def test_a_design_that_is_infeasible_is_projected_before_it_is_measured(illustra
     problem = case.problem()
     stuck = replace(problem, X=([-0.2, -20], [20, 20]), U=([-0.01], [0.01]))
     found = codesigned(stuck, cc.Simultaneous(runs=1, starts=1), design=case.start)
-    assert found.status is CoDesignStatus.INFEASIBLE
+    assert found.status.name == "INFEASIBLE"
     assert problem.design.violation(found.design) <= 1e-9
 
 
 def test_a_program_that_is_stopped_says_so_and_goes_on_with_more_iterations():
     few, many = (codesigned(mass(), cc.Simultaneous(runs=2, starts=1, iterations=n)) for n in (2, 200))
-    assert few.status is CoDesignStatus.BUDGET_SPENT
+    assert few.status.name == "BUDGET_SPENT"
     assert "Simultaneous.iterations" in few.status.advice
     assert any("Stopped" in note for note in few.notes)
-    assert many.status.settled
+    assert many.status.name != "BUDGET_SPENT"
     assert many.objective >= few.objective or np.isnan(few.objective)
 
 
@@ -200,6 +163,7 @@ def test_a_result_is_ready_for_json():
     assert plain["status"] == lqr.status.name
 
 
+@pytest.mark.check
 def test_what_is_learned_tells_its_return_in_closed_loop():
     problem = mass()
     config = cc.CoDesignConfig(iterations=4, runs=16, pathwise_runs=16, evaluation_runs=20, evaluate_every=2, starts=1)
@@ -208,6 +172,7 @@ def test_what_is_learned_tells_its_return_in_closed_loop():
     json.dumps(found.as_dict(), allow_nan=False)
 
 
+@pytest.mark.check
 def test_a_judge_of_a_method_is_what_the_closed_loop_is_measured_on():
     problem = mass()
     louder = replace(problem, scenarios=cc.FixedStart([2.0, -2.0], cc.Gaussian([0.5])))
@@ -226,14 +191,6 @@ def test_elasticities_of_nothing_are_nothing():
     assert moving.elasticities[0] == pytest.approx((up - down) / 0.002 / moving.cost, rel=1e-4)
 
 
-def test_of_many_starts_one_that_breaks_the_limits_is_not_the_best():
-    good = codesigned(mass(), cc.Nested(runs=50, starts=1))
-    better = replace(good, status=CoDesignStatus.LIMITS_BROKEN,
-                     closed_loop=ClosedLoopReturns(good.closed_loop.values + 1, good.closed_loop.lost))  # fmt: skip
-    starts = cc.MultiStart(starts=np.zeros((2, 1)), results=(better, good), space=mass().design)
-    assert starts.best is good
-
-
 def test_a_design_whose_runs_are_all_lost_is_not_efficient_and_hides_no_other():
     one = codesigned(mass(), cc.Nested(runs=50, starts=1))
     found = cc.TradeOff(
@@ -244,6 +201,7 @@ def test_a_design_whose_runs_are_all_lost_is_not_efficient_and_hides_no_other():
     np.testing.assert_array_equal(found.efficient, [True, False, False])
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("terminal", [None, lambda x, p: p + 2 * x[0] ** 2])
 def test_the_riccati_equation_counts_what_rest_costs(terminal):
     def stage(x, u, p):
@@ -270,53 +228,3 @@ def test_whole_numbers_of_odd_ranges_are_held_by_trajectories(bounds):
     for number in range(1, 7):
         found = codesigned(problem, cc.Nested("trajectory", runs=1, starts=1, evaluations=3), design=[number, 1.0])
         assert found.design[0] == number
-
-
-def depths(p, x0, w, bounds):
-    """Fraction outside |x| ≤ bounds, mean peak in half-widths, and mean cost of LQR at designs of `bound_spring`."""
-    M = np.zeros((4, 4))
-    M[:2] = [[0, 1, 0, 0], [-p[0], -p[1], 1, 1]]
-    D = expm(0.1 * M)
-    A, B = D[:2, :2], D[:2, 2:3]
-    Q, R = np.diag([1.0, 0.2]), 0.1
-    P = solve_discrete_are(A, B, Q, [[R]])
-    K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
-    x, cost, outside = x0, np.zeros(len(x0)), []
-    for k in range(w.shape[1]):
-        u = np.clip(-x @ K.T, -8, 8)
-        x = x @ A.T + (u + w[:, k]) @ B.T
-        cost += np.einsum("ni,ij,nj->n", x, Q, x) + R * u[:, 0] ** 2
-        outside.append(np.maximum((np.abs(x) - bounds) / bounds, 0).max(axis=1))
-    beyond = np.array(outside)
-    return (beyond > 0).mean(), beyond.max(axis=0).mean(), cost.mean() + 0.4 * p[0] ** 2 + 0.5 * p[1]
-
-
-@pytest.mark.parametrize("unit", [1.0, 1e3])
-@pytest.mark.parametrize("granted", [(0.02, 0.015), (0.2, 0.008)], ids=["how often", "how far"])
-def test_a_design_goes_up_to_the_limit_that_binds_and_no_further(unit, granted):
-    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
-    space = cc.DesignSpace(["k", "c"], [0.5, 0.1], [4, 2])
-    plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -p[0] * x[0] - p[1] * x[1] + u + w), space, dt=0.1)
-    objective = cc.QuadraticObjective(np.diag([1, 0.2]) / unit**2, [[0.1 / unit**2]],
-                                      design_cost=lambda p: 0.4 * p[0] ** 2 + 0.5 * p[1])  # fmt: skip
-    problem = cc.CoDesignProblem(
-        cc.discretise(plant), X=([-1.6 * unit, -1.3 * unit], [1.6 * unit, 1.3 * unit]), U=([-8 * unit], [8 * unit]),
-        objective=objective, steps=30, scenarios=cc.FixedStart([1.5 * unit, -1.0 * unit], cc.Gaussian([0.4 * unit])),
-        limit_tolerance=granted,
-    )  # fmt: skip
-    found = codesigned(problem, cc.Nested(runs=200, starts=1))
-    rng = np.random.default_rng(0)
-    rng.spawn(1)
-    x0, w = (part.double().numpy() / unit for part in scenario_tensors(problem, 200, rng))
-    limit = np.array([1.6, 1.3])
-    designs = [(k, c) for k in np.linspace(0.5, 0.7, 3) for c in np.linspace(0.1, 2.0, 77)]
-    seen = [depths(p, x0, w, limit) for p in designs]
-    best = min(cost for often, far, cost in seen if often <= granted[0] and far <= granted[1])
-    free = min(cost for _, _, cost in seen)
-    often, far, cost = depths(found.design, x0, w, limit)
-    assert best > free + 0.002 * free  # the limit binds
-    assert often <= granted[0] + 1e-9
-    assert far <= granted[1] * (1 + 1e-6)
-    assert cost <= best + 0.001 * best
-    assert found.status.settled
-    assert found.evaluations < 250

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools.co_design.least_depth import unavoidable_depth, unavoidable_text, warn_of_unavoidable_depth
 from invariant_sets import Polytope
 
 
@@ -26,21 +25,6 @@ def doubling(u_max=0.5, x0=1.0, scale=1.0, steps=20):
 def test_the_least_depth_of_a_scalar_plant_is_that_of_full_input(steps, scale):
     expected = (1 - 0.5) * 2**steps + 0.5 - 1  # x_k = 2 x_{k−1} − 0.5 from 1
     assert cc.least_depth(doubling(scale=scale), [1.0], steps=steps) == pytest.approx(expected, rel=1e-6)
-
-
-def test_what_can_be_kept_has_no_depth():
-    assert cc.least_depth(doubling(), [2.0]) == pytest.approx(0.0, abs=1e-6)
-    assert cc.least_depth(doubling(), [1.0], x0=[0.5]) == pytest.approx(0.0, abs=1e-6)
-    assert unavoidable_depth(doubling(), np.array([2.0])) == (0.0, 0.0)
-
-
-def test_a_start_that_no_controller_can_hold_is_said_before_training():
-    problem = doubling(steps=2)
-    with pytest.warns(cc.LimitWarning, match=r"it is left by 1.5 half-widths at least; other designs can keep it"):
-        warn_of_unavoidable_depth(problem, np.array([1.0]))
-    here, anywhere = unavoidable_depth(doubling(u_max=0.2, steps=2), np.array([1.0]))
-    assert (here, anywhere) == pytest.approx((2.4, 0.6))
-    assert unavoidable_text(here, anywhere).endswith("the least over the box of designs is 0.6")
 
 
 def test_several_starts_are_averaged():

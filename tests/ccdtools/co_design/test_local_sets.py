@@ -26,6 +26,7 @@ def sets_of(cubic):
     return expert_dataset(problem, samples=400, rng=np.random.default_rng(0)).sets
 
 
+@pytest.mark.check
 def test_states_that_the_model_carries_out_of_a_set_of_its_linearisation_are_counted():
     """Where a x + 3 x³ > 1 the largest input does not hold the model; its linearisation is held up to |x| = 1."""
     sets = sets_of(3.0)

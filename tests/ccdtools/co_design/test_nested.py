@@ -9,18 +9,8 @@ from constrained_plants import CASES
 from small_plants import best_design, exact_return, mass, two_valleys
 
 import ccdtools as cc
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.methods.laws import LQRLaw
-from ccdtools.co_design.methods.loop_cost import LoopCost
-from ccdtools.co_design.methods.riccati_cost import RiccatiCost
-from ccdtools.co_design.status import CoDesignStatus
 
 QUICK = cc.Nested(runs=200)
-
-
-def slope_by_differences(cost, v, step=1e-5):
-    """Central differences of a cost in the unit box."""
-    return np.array([(cost(v + h)[0] - cost(v - h)[0]) / (2 * step) for h in step * np.eye(len(v))])
 
 
 def spring_plant(unit=1.0):
@@ -44,27 +34,7 @@ def spring_problem(unit=1.0, **changes):
     return cc.CoDesignProblem(cc.discretise(spring_plant(unit)), **(given | changes))
 
 
-@pytest.mark.parametrize("risk", [cc.Mean(), cc.MeanSpread(0.5), cc.CVaR(0.3)])
-@pytest.mark.parametrize("unit", [1.0, 1000.0])
-def test_slope_of_a_closed_loop_is_that_of_central_differences(unit, risk):
-    problem = spring_problem(unit, risk=risk)
-    cost = LoopCost(problem, LQRLaw(), scenario_tensors(problem, 20, np.random.default_rng(0)))
-    for v in ([0.3, 0.6], [0.8, 0.2]):
-        shown = slope_by_differences(cost, np.array(v))
-        assert cost(np.array(v))[1] == pytest.approx(shown, rel=2e-4, abs=1e-6 * abs(shown).max())
-
-
-@pytest.mark.parametrize("name", sorted(CASES))
-def test_riccati_slope_is_that_of_central_differences(name):
-    case = CASES[name]
-    problem = case.problem()
-    cost = RiccatiCost(problem)
-    free = problem.design.allowed.free
-    v = np.where(free, 0.4, problem.design.allowed.rounded(problem.design.to_unit(case.start)))
-    shown = slope_by_differences(cost, v)
-    assert cost(v)[1][free] == pytest.approx(shown[free], rel=1e-4, abs=1e-7 * abs(cost(v)[0]))
-
-
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", sorted(CASES))
 @pytest.mark.parametrize("method", [cc.Nested("riccati"), QUICK], ids=["riccati", "lqr"])
 def test_constrained_designs_are_those_of_slsqp_on_the_exact_cost(name, method):
@@ -75,7 +45,7 @@ def test_constrained_designs_are_those_of_slsqp_on_the_exact_cost(name, method):
     assert problem.design.feasible(found.design)
     assert problem.design.violation(found.design) <= 1e-9
     assert case.cost(found.design) <= 1.005 * cost
-    assert found.status in (CoDesignStatus.CONVERGED, CoDesignStatus.AT_BOUND)
+    assert found.status.name in ("CONVERGED", "AT_BOUND")
     assert found.slope < 1e-3
 
 
@@ -88,6 +58,7 @@ def test_a_multiplier_is_what_more_of_the_budget_brings():
     assert found.multipliers[name] == pytest.approx((more.objective - found.objective) / 0.01, rel=0.02)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("make", [mass, two_valleys])
 @pytest.mark.parametrize("start", [0.02, 0.3, 0.97])
 def test_the_best_valley_is_found_from_any_start(make, start):
@@ -98,6 +69,7 @@ def test_the_best_valley_is_found_from_any_start(make, start):
     assert found.closed_loop.summary.ci95[0] <= exact_return(problem, found.design) <= found.closed_loop.summary.ci95[1]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("x0", "expected"), [((0, 0), (0.66, 0.71)), ((-2, -2), (2.35, 2.55)), ((-3.5, -2), (3, 3))])
 def test_known_optima_of_the_illustrative_example(illustrative, x0, expected):
     problem = illustrative.problem()
@@ -112,10 +84,11 @@ def test_known_optimum_of_the_suspension_and_what_holds_it(suspension):
     np.testing.assert_allclose(found.design, [1e4, 3000])
     assert found.active_bounds == {"k_s": "lower", "c_s": "upper"}
     assert set(found.multipliers) == {"k_s", "c_s"}
-    assert found.status is CoDesignStatus.AT_BOUND
+    assert found.status.name == "AT_BOUND"
     assert found.closed_loop.summary.mean == pytest.approx(-47.7, abs=1.0)
 
 
+@pytest.mark.check
 def test_linear_and_nonlinear_mpc_inside_find_the_same_design_of_a_linear_plant(illustrative):
     problem = replace(illustrative.problem(), steps=25)
     problem = replace(problem, scenarios=cc.FixedStart([-2, -2], problem.scenarios.disturbance))
@@ -128,6 +101,7 @@ def test_linear_and_nonlinear_mpc_inside_find_the_same_design_of_a_linear_plant(
     assert found[0].objective == pytest.approx(found[1].objective, rel=2e-3)
 
 
+@pytest.mark.check
 def test_a_policy_trained_at_every_design_finds_what_lqr_finds():
     problem = mass()
     _, value = best_design(problem)
@@ -138,6 +112,7 @@ def test_a_policy_trained_at_every_design_finds_what_lqr_finds():
     np.testing.assert_allclose(found.controller.design, found.design)
 
 
+@pytest.mark.check
 def test_state_limits_are_kept_where_a_design_can_keep_them():
     # the softer the spring, the further the mass strays: the best design without limits leaves X, the tolerance is set
     free = spring_problem(limit_tolerance="off", U=([-8], [8]), X=([-1.6, -3], [1.6, 3]))
@@ -159,4 +134,4 @@ def test_lost_runs_are_told(illustrative):
     # LQR that never saturates prefers a weak actuator, with which the true loop cannot be recovered
     found = cc.codesign(illustrative.problem(), method=cc.Nested("riccati"), rng=np.random.default_rng(0))
     assert found.closed_loop.lost_share > 0.5
-    assert found.status is CoDesignStatus.DIVERGING
+    assert found.status.name == "DIVERGING"

@@ -8,7 +8,6 @@ from scipy.optimize import minimize_scalar
 from small_plants import best_design, exact_return, mass, two_valleys
 
 from ccdtools import InputError, Nested, QuadraticObjective, multi_start, optimum_sensitivity, trade_off
-from ccdtools.figure_style import png
 
 NESTED = Nested(starts=1, runs=200)
 
@@ -52,9 +51,10 @@ def test_what_is_paid_falls_and_so_does_what_control_brings(found):
     np.testing.assert_allclose(found.design_costs, found.designs[:, 0])  # at price 1, one a kilogram
 
 
-def test_a_trade_off_is_shown(found):
+def test_a_trade_off_is_shown(found, tmp_path):
     assert len(str(found).splitlines()) == 4
-    assert png(found.plot()).startswith(b"\x89PNG")
+    found.plot().savefig(tmp_path / "shown.png")
+    assert (tmp_path / "shown.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_function_of_a_weight_gives_the_same_as_prices():
@@ -74,6 +74,7 @@ def test_trade_offs_without_a_meaning_are_refused(args, argument):
     assert error.value.argument == argument
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("inner", ["riccati", "lqr"])
 def test_the_slope_of_the_optimum_is_that_of_the_exact_one(inner):
     h = 0.02

@@ -6,8 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import CoDesignProblem, CustomObjective, InputError, LinearModel, QuadraticObjective
-from ccdtools.co_design.problem import FixedStart
+from ccdtools import CoDesignProblem, CustomObjective, FixedStart, InputError, LinearModel, QuadraticObjective
 from invariant_sets import Polytope
 
 
@@ -47,7 +46,7 @@ def test_limits_of_a_problem_may_be_given_by_their_bounds(illustrative):
         ({"U": Polytope.from_bounds([-1] * 2, [1] * 2)}, "U: got dimension 2, expected 1"),
         ({"X": Polytope(np.array([[1.0, 0.0]]), np.array([1.0]))}, "X: got an unbounded set"),
         ({"X": (-1.0, np.inf)}, "X: got an unbounded set"),
-        ({"U": (False, True)}, r"U\[0\]: got False, expected real numbers, not True or False"),
+        ({"U": (False, True)}, r"U\[0\]: got False, expected an array of real numbers, not True or False"),
         ({"U": 1.0}, r"U: got 1.0, expected a Polytope or bounds \(lower, upper\)"),
         ({"objective": QuadraticObjective(np.eye(3), [[1]])}, r"Q: got shape \(3, 3\), expected \(2, 2\)"),
         ({"objective": QuadraticObjective(np.eye(2), np.eye(2))}, r"R: got shape \(2, 2\), expected \(1, 1\)"),

@@ -18,8 +18,8 @@ from ccdtools import (
     discretise,
     expert_dataset,
     feasible_sets,
+    least_depth,
 )
-from ccdtools.co_design.least_depth import least_depth
 from ccdtools.plants.library import mass_chain
 from invariant_sets import Polytope
 

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import CVaR, InputError, MeanSpread
-from ccdtools.co_design.risk import Mean
+from ccdtools import CVaR, InputError, Mean, MeanSpread
 
 
 def mean_less_spread(r):

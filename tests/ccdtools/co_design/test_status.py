@@ -4,13 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from small_plants import best_design, clone_of, exact_return, mass, two_valleys
 
 from ccdtools import CoDesignConfig, FixedStart, Gaussian, QuadraticObjective, codesign
-from ccdtools.co_design.design_gradients import Differences, Slope
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.exceptions import LimitWarning
 from invariant_sets import Polytope
 
@@ -37,6 +33,7 @@ def run(problem, agent, design, seed=0, **changes):
     )
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("starts", [1, None])
 @pytest.mark.parametrize("design", [0.2, 3.0])
 def test_the_independent_optimum_is_reached_from_either_end(mass_and_clone, design, starts):
@@ -45,11 +42,12 @@ def test_the_independent_optimum_is_reached_from_either_end(mass_and_clone, desi
     found = run(problem, agent, [design], starts=starts)
     assert 0.3 < best[0] < 2.9
     assert exact_return(problem, found.design) >= expected - 0.002 * abs(expected)
-    assert found.status is CoDesignStatus.CONVERGED
+    assert found.status.name == "CONVERGED"
     policy = found.history.model_return.max()
     assert policy >= expected - 0.02 * abs(expected)  # 400 runs
 
 
+@pytest.mark.check
 def test_from_the_basin_of_the_lesser_valley_the_better_one_is_found_and_the_lesser_one_named(valleys_and_clone):
     problem, agent = valleys_and_clone
     _, expected = best_design(problem)
@@ -68,32 +66,16 @@ def test_from_the_basin_of_the_lesser_valley_the_better_one_is_found_and_the_les
 
 def test_a_design_at_a_bound_says_so(illustrative, clone):
     found = run(replace(illustrative.problem(), steps=40), clone(illustrative), [1.0])
-    assert found.status is CoDesignStatus.AT_BOUND
+    assert found.status.name == "AT_BOUND"
     assert found.status.settled
     assert "bounds" in found.status.advice
     assert found.convergence.slope[0] == 0.0  # what remains points out of the box
 
 
-def test_a_bound_is_named_only_where_the_return_rises_across_it(mass_and_clone):
-    problem, agent = mass_and_clone
-    differences = Differences(problem, agent, scenario_tensors(problem, 64, np.random.default_rng(0)))
-    at_the_light_end, at_the_heavy_end = (Slope.measured(differences, torch.tensor([v])) for v in (0.0, 1.0))
-    for slope in (at_the_light_end, at_the_heavy_end):  # the optimum lies inside: nothing rises across
-        assert slope.promises(0.01)
-        assert not slope.rises_across_bounds(0.01)
-    objective = problem.objective
-    upwards = replace(problem, objective=Reversed(objective.Q, objective.R))
-    slope = Slope.measured(replace(differences, problem=upwards), torch.tensor([1.0]))
-    assert slope.rises_across_bounds(0.01)
-    assert not slope.promises(0.01)
-    nothing = replace(slope, across=np.zeros(1), across_error=np.zeros(1))
-    assert not nothing.rises_across_bounds(0.0)
-
-
 def test_a_budget_that_ends_while_the_return_rises_says_so(mass_and_clone):
     problem, agent = mass_and_clone
     found = run(problem, agent, [3.0], iterations=3, starts=1)
-    assert found.status is CoDesignStatus.STILL_IMPROVING
+    assert found.status.name == "STILL_IMPROVING"
     assert found.convergence.gain.ci95[0] > 0
     assert "iterations" in found.status.advice
 
@@ -115,13 +97,6 @@ class Detached(QuadraticObjective):
         return seen if isinstance(seen, np.ndarray) else 2.0 * seen.detach() - seen
 
 
-class Reversed(QuadraticObjective):
-    """What costs becomes a gain, and the other way round."""
-
-    def rewards(self, x_next, u, x=None, p=None):
-        return -super().rewards(x_next, u)
-
-
 def test_where_the_gradient_is_wrong_the_design_follows_finite_differences(mass_and_clone):
     problem, agent = mass_and_clone
     _, expected = best_design(problem)
@@ -140,10 +115,11 @@ def test_runs_that_nothing_can_recover_are_named(illustrative, clone):
     )
     with pytest.warns(LimitWarning, match="no controller keeps X"):
         found = run(lost, clone(illustrative), [1.0], iterations=4, starts=1, evaluation_runs=50)
-    assert found.status is CoDesignStatus.DIVERGING
+    assert found.status.name == "DIVERGING"
     assert not found.status.settled
 
 
+@pytest.mark.check
 def test_a_design_that_the_judge_finds_level_has_settled_whatever_the_training_model_promises(mass_and_clone):
     judge, agent = mass_and_clone
     best, _ = best_design(judge)
@@ -155,7 +131,7 @@ def test_a_design_that_the_judge_finds_level_has_settled_whatever_the_training_m
         problem, agent=first.agent, design=first.design, rng=np.random.default_rng(1), judge=judge,
         config=replace(SMALL, starts=1),
     )  # fmt: skip
-    assert found.status is CoDesignStatus.CONVERGED
+    assert found.status.name == "CONVERGED"
     np.testing.assert_allclose(found.design, first.design, atol=0.05)
 
 
@@ -163,7 +139,3 @@ def test_along_the_gradient_through_the_model_nothing_is_explored(mass_and_clone
     problem, agent = mass_and_clone
     found = run(problem, agent, [1.0], iterations=10, block=10, starts=1)
     np.testing.assert_allclose(found.agent.log_std.exp().detach().numpy(), SMALL.ppo.final_std, rtol=1e-5)
-
-
-def test_every_status_has_advice():
-    assert all(len(status.advice) > 20 for status in CoDesignStatus)

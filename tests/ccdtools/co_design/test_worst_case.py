@@ -5,35 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-import uncertain_plants
 from scipy.optimize import minimize
 from uncertain_plants import MASSES, STEPS, exact_costs, minimax, problem
 
 from ccdtools import (
     Cases,
     CoDesignConfig,
-    Constant,
     FixedStart,
     Gaussian,
     InputError,
     Mean,
-    Mixture,
-    RandomStarts,
     Scenario,
-    Stacked,
-    Sum,
-    Uniform,
     WorstCase,
     codesign,
     compare,
     expert_dataset,
     saturated_lqr,
 )
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.landscape import Landscape
-from ccdtools.disturbances.combinations import cases_in
 from learning import CloningConfig, NetworkConfig, fit_actor_critic
-from mpc import lqr
 
 
 def means_by_hand(returns, cases):
@@ -106,21 +95,6 @@ def test_runs_take_the_cases_in_turn_and_parameters_are_held():
     np.testing.assert_array_equal(w[3], np.tile([-0.2, 1.0], (4, 1)))
 
 
-def test_cases_are_found_wherever_their_order_is_kept():
-    two, three = Cases.of([0, 1]), Cases.of([0, 1, 2])
-    noise = Gaussian([1.0])
-    assert cases_in(noise) == 1
-    assert cases_in(Stacked((noise, two))) == 2
-    assert cases_in(Stacked((two, Constant(three)))) == 6
-    assert cases_in(Sum((two, three))) == 6
-    assert cases_in(Cases((two, noise))) == 4
-    assert cases_in(Mixture((two, noise))) == 1
-    assert WorstCase().over(FixedStart([0.0], Stacked((noise, three)))).cases == 3
-    assert WorstCase().over(RandomStarts(Cases((Uniform([0], [1]), Uniform([1], [2]))), three)).cases == 6
-    w = Cases((two, Cases.of([5, 6]))).sample(8, 1, np.random.default_rng(0)).ravel()
-    np.testing.assert_array_equal(w, [0, 5, 1, 6, 0, 5, 1, 6])
-
-
 @pytest.mark.parametrize(
     ("make", "argument"),
     [
@@ -156,21 +130,6 @@ def test_following_the_measure_leads_to_the_minimax_of_scipy():
     assert exact_costs(z[0], z[1:]).max() < least * (1 + 2e-3)
     mean = minimax(np.mean)
     assert exact_costs(mean[1], mean[2]).max() > least * 1.03  # what a design for the mean does
-
-
-def lqr_costs(own, k):
-    """Exact costs of the nominal LQR at a spring."""
-    A, B, _ = own.model.matrices([k])
-    return exact_costs(k, lqr(A, B, Q=uncertain_plants.Q, R=[[uncertain_plants.R]])[0][0])
-
-
-@pytest.mark.parametrize("unit", [1.0, 1e5])
-def test_the_landscape_is_that_of_the_worst_mass(unit):
-    own = problem(WorstCase(smoothing=0), unit=unit)
-    V = np.array([[0.02], [0.2], [0.6], [1.0]])
-    exact = np.array([lqr_costs(own, k).max() for k in own.design.from_unit(V)[:, 0]])
-    found = Landscape(own, np.random.default_rng(0), runs=1500).returns(V)
-    np.testing.assert_allclose(-found / unit, exact, rtol=0.06)
 
 
 def test_a_comparison_shows_the_worst_case_beside_the_means():
@@ -211,15 +170,6 @@ def test_a_co_design_reaches_the_minimax_of_linear_feedback():
 def test_a_worst_case_that_does_not_know_its_cases_says_so_and_is_not_the_mean():
     with pytest.raises(InputError, match="does not know its cases"):
         WorstCase().values(np.arange(6.0))
-
-
-def test_every_case_is_met_however_few_runs_are_asked_for():
-    """The last mass is the worst: with two runs of three cases it would not be seen."""
-    own = problem(WorstCase(smoothing=0))
-    x0, w = scenario_tensors(own, 2, np.random.default_rng(0))
-    assert len(x0) == len(w) == len(MASSES)
-    mean = replace(own, risk=Mean())
-    assert len(scenario_tensors(mean, 2, np.random.default_rng(0))[0]) == 2
 
 
 def test_a_comparison_shows_the_least_mean_itself_and_nothing_of_too_few_runs():

@@ -2,17 +2,21 @@
 
 from dataclasses import replace
 
-import control
 import numpy as np
 import pytest
 
-from ccdtools import InputError, simulate
-from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.comparison.baselines import baselines
-from ccdtools.comparison.comparison import compare, step_time
-from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
-from ccdtools.scenario import Scenario
-from ccdtools.statistics import summarise
+from ccdtools import (
+    PID,
+    InputError,
+    LinearFeedback,
+    Passive,
+    Scenario,
+    baselines,
+    compare,
+    load_study,
+    saturated_lqr,
+    simulate,
+)
 from mpc import LinearMPC
 
 DESIGN = [2.0]
@@ -27,6 +31,13 @@ def controllers(illustrative):
 def scenario(illustrative):
     x0, w = illustrative.problem().scenarios.sample(120, 40, np.random.default_rng(1))
     return Scenario(illustrative.model, x0, w)
+
+
+def compared(study, controllers, scenario, **options):
+    problem = study.problem()
+    return compare(
+        controllers, scenario, design=DESIGN, objective=problem.objective, X=problem.X, limit=problem.limit, **options
+    )
 
 
 def scored(study, controllers, scenario, **options):
@@ -57,24 +68,6 @@ def test_every_controller_has_a_score_in_order(scores, controllers):
 def test_lqr_differs_from_itself_by_nothing(scores):
     assert scores["LQR"].paired_to_lqr.mean == 0
     assert scores["LQR"].paired_to_lqr.ci95 == (0, 0)
-
-
-def test_differences_are_paired_on_the_same_runs(illustrative, scores, controllers, scenario):
-    problem = illustrative.problem()
-
-    def returns(name, n):
-        run = simulate(
-            scenario.plant, controllers[name], x0=scenario.x0[:n], steps=40, disturbance=scenario.disturbance[:n],
-            design=DESIGN,
-        )  # fmt: skip
-        return run.returns(problem.objective)
-
-    difference = returns("MPC", 100) - returns("LQR", 100)
-    score = scores["MPC"].paired_to_lqr
-    assert score.mean == pytest.approx(difference.mean())
-    assert score.ci95 == pytest.approx(summarise(difference).ci95)
-    unpaired = summarise(returns("MPC", 100)).ci95
-    assert score.ci95[1] - score.ci95[0] < 0.5 * (unpaired[1] - unpaired[0])
 
 
 def test_an_unstable_plant_left_alone_diverges_and_is_counted(illustrative, controllers):
@@ -135,9 +128,39 @@ def test_the_depth_of_a_single_long_run_is_paired_as_a_correlated_series(illustr
     assert table["weak"].further_outside_than == ("LQR",)
 
 
-def test_a_comparison_without_lqr_is_refused(illustrative, controllers, scenario):
-    with pytest.raises(InputError, match=r"controllers: got \['passive'\], expected 'LQR' among them"):
-        scored(illustrative, {"passive": controllers["passive"]}, scenario)
+def test_a_baseline_that_is_not_there_is_refused(illustrative, controllers, scenario):
+    with pytest.raises(InputError, match=r"baseline: got 'LQR', expected one of passive"):
+        scored(illustrative, {"passive": controllers["passive"]}, scenario, baseline="LQR")
+    with pytest.raises(InputError, match=r"controllers: got none, expected at least one"):
+        scored(illustrative, {}, scenario)
+
+
+def test_any_controller_is_the_baseline_and_without_lqr_the_first(illustrative, controllers, scenario):
+    by_lqr = compared(illustrative, controllers, scenario)
+    others = {name: controllers[name] for name in ("passive", "MPC")}
+    table = compared(illustrative, others, scenario)
+    assert table.baseline == "passive"
+    assert "minus passive" in repr(table)
+    named = compared(illustrative, controllers, scenario, baseline="passive")
+    assert named["LQR"].paired_to_lqr.mean == pytest.approx(-by_lqr["passive"].paired_to_lqr.mean)
+    assert "minus_baseline" in named.rows()[0]
+    assert "minus_lqr" in by_lqr.rows()[0]
+
+
+class Model:
+    """A model as Stable-Baselines3 hands it over: predict(observation, …, deterministic) → (action, memory)."""
+
+    def __init__(self, law):
+        self.law = law
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        assert deterministic
+        return self.law(observation).astype(np.float32), state
+
+
+def test_a_model_with_predict_is_a_controller(illustrative, controllers, scenario):
+    table = scored(illustrative, controllers | {"agent": Model(controllers["LQR"])}, scenario)
+    assert table["agent"].summary.mean == pytest.approx(table["LQR"].summary.mean, rel=1e-5)
 
 
 # ── the table ──
@@ -169,7 +192,7 @@ def test_the_rows_hold_what_the_scores_hold(table):
 
 
 def test_the_table_prints_and_shows_every_controller(table):
-    assert len(repr(table).splitlines()) == 4
+    assert len(repr(table).splitlines()) == 4 + len(table.notes)
     html = table._repr_html_()
     assert html.count("<tr>") == 4
     assert all(name in html for name in ("LQR", "weak", "passive"))
@@ -194,8 +217,31 @@ def test_the_lqr_stands_beside_a_controller_on_the_runs_that_both_saw(illustrati
 # ── time per step ──
 
 
-def test_timing_a_controller_leaves_it_ready_for_one_run():
-    controller = PID([[1.0]], [0.0], [1.0], [0.0], dt=1.0, lower=[-9e9], upper=[9e9])
-    scenario = Scenario(control.ss([[0.5]], [[1.0]], [[1.0]], 0, True), [1.0], np.zeros((5, 0)))
-    assert step_time(controller, np.array([1.0]), scenario) > 0
-    assert controller(np.array([1.0])) == pytest.approx([-1.0])
+def test_a_mean_of_fewer_runs_shares_no_column_with_means_of_all():
+    problem = load_study("illustrative").problem()
+    law = saturated_lqr(problem, [1.5])
+    scenario = Scenario(problem.model, *problem.scenarios.sample(20, 40, np.random.default_rng(0)))
+    table = compare({"LQR": law, "MPC": law}, scenario, design=[1.5], objective=problem.objective, X=problem.X,
+                    few={"MPC": 2})  # fmt: skip
+    returns = scenario.run(law, design=[1.5]).returns(problem.objective)
+    lqr, mpc = repr(table).splitlines()[1:3]
+    assert f"{returns.mean():.5g}" in lqr
+    assert f"{returns[:2].mean():.5g}" not in mpc
+    assert table.notes == [f"* MPC: {returns[:2].mean():.5g} on the first 2 of 20 runs, where LQR has "
+                           f"{returns[:2].mean():.5g}"]  # fmt: skip
+    lines = table.plot().containers
+    np.testing.assert_allclose(lines[0].lines[0].get_xdata(), returns.mean())
+
+
+def test_a_pid_without_gains_is_named_and_not_compared_with():
+    problem = load_study("illustrative").problem()
+    zero = PID([[1.0, 0.0]], [0.0], [0.0], [0.0], dt=0.1, lower=[-1.0], upper=[1.0])
+    some = PID([[1.0, 0.0]], [0.1], [0.0], [0.0], dt=0.1, lower=[-1.0], upper=[1.0])
+    laws = {"LQR": saturated_lqr(problem, [1.5]), "zero": zero, "some": some}
+    scenario = Scenario(problem.model, *problem.scenarios.sample(20, 40, np.random.default_rng(0)))
+    table = compare(laws, scenario, design=[1.5], objective=problem.objective, X=problem.X)
+    assert "passive" in table["zero"].remark
+    assert table["some"].remark == ""
+    assert table.notes[-1] == f"zero: {table['zero'].remark}"
+    assert table["zero"].paired_to_lqr.mean != 0
+    assert "[" not in repr(table).splitlines()[2]

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
+from ccdtools import Trajectory
 from ccdtools.exceptions import InputError
-from ccdtools.trajectory import Trajectory
 from invariant_sets import Polytope
 
 DT = 0.01
@@ -32,13 +32,13 @@ def test_a_sine_of_every_signal_has_the_values_of_its_amplitude():
     rate = 0.02 * 2 * np.pi * np.cos(2 * np.pi * DT * (np.arange(2000) + 0.5))
     states = np.stack([sine(0.005, 1.0), np.zeros(2001), travel, sine(0.1, 1.0)], axis=-1)[None]
     found = quarter()(run(states, (500.0 * rate)[None, :, None]))
-    assert found["travel, rms [mm]"] == pytest.approx(20 / np.sqrt(2), rel=1e-3)
+    assert found["rms travel [mm]"] == pytest.approx(20 / np.sqrt(2), rel=1e-3)
     assert found["largest travel [% of the stop]"] == pytest.approx(20.0, rel=1e-6)
-    assert found["tyre load, rms [% of static]"] == pytest.approx(25 / np.sqrt(2), rel=1e-3)
+    assert found["rms tyre load [% of static]"] == pytest.approx(25 / np.sqrt(2), rel=1e-3)
     assert found["off the road [% of the time]"] == 0
     assert found["actuator power [W]"] == pytest.approx(500 * np.mean(rate**2), rel=2e-3)
     weight = 0.482  # of W_k at 1 Hz, in the table of ISO 2631-1
-    assert found["comfort [m/s²]"] == pytest.approx(weight * 0.1 * 2 * np.pi / np.sqrt(2), rel=0.02)
+    assert found["weighted body acceleration [m/s²]"] == pytest.approx(weight * 0.1 * 2 * np.pi / np.sqrt(2), rel=0.02)
 
 
 def test_the_order_of_the_wheels_does_not_matter_but_their_loads_belong_to_them(rng):
@@ -48,9 +48,9 @@ def test_the_order_of_the_wheels_does_not_matter_but_their_loads_belong_to_them(
     turned = cc.Ride(4, [1, 0], [3, 2], 2e5, [3000.0, 4000.0], 0.1)(run(states, inputs[..., ::-1]))
     assert turned == pytest.approx(own)
     other = cc.Ride(4, [0, 1], [2, 3], 2e5, [1000.0, 4000.0], 0.1)(run(states, inputs))
-    assert other["tyre load, rms [% of static]"] != pytest.approx(own["tyre load, rms [% of static]"], rel=1e-3)
+    assert other["rms tyre load [% of static]"] != pytest.approx(own["rms tyre load [% of static]"], rel=1e-3)
     shares = np.sqrt(np.mean(states[:, :, 2:4] ** 2, axis=1)) * 2e5 / [4000.0, 3000.0]
-    assert own["tyre load, rms [% of static]"] == pytest.approx(100 * shares.mean())
+    assert own["rms tyre load [% of static]"] == pytest.approx(100 * shares.mean())
     assert own["largest travel [% of the stop]"] == pytest.approx(1e3 * np.abs(states[..., :2]).max((1, 2)).mean())
 
 

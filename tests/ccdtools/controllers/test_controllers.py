@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from ccdtools import InputError
-from ccdtools.controllers.controllers import PID, LinearFeedback, Passive
+from ccdtools import PID, InputError, LinearFeedback, Passive
 
 
 @pytest.mark.parametrize(

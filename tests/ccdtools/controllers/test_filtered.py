@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools.controllers.filtered import Filtered
-from ccdtools.controllers.signals import needs_of
+from ccdtools import Filtered
 from invariant_sets import AdmissibleInputFamily, AdmissibleInputs, Polytope
 from mpc import LinearMPC
 
@@ -61,18 +60,6 @@ def test_lost_states_pass_as_nan(admissible):
     u = Filtered(GREEDY, admissible)(np.array([[np.nan, 0.0], [0.0, 0.0]]))
     assert np.isnan(u[0, 0])
     assert u[1, 0] == pytest.approx(0.0)
-
-
-def test_what_the_other_controller_needs_is_passed_on(admissible):
-    options = {"Q": np.eye(2), "R": [[0.1]], "horizon": 5, "X": X, "U": U}
-    limited = LinearMPC(A, B, rate_limit=[0.2], uses=("reference",), **options)
-    safe = Filtered(limited, admissible)
-    assert needs_of(safe) == {"last_input", "reference"}
-    assert safe.horizon == 5
-    states = run(safe, 15, reference=[0.5, 0.0]).states
-    np.testing.assert_allclose(states, run(limited, 15, reference=[0.5, 0.0]).states, atol=1e-6)
-    assert needs_of(Filtered(GREEDY, admissible)) == frozenset()
-    assert not hasattr(Filtered(GREEDY, admissible), "loop")
 
 
 def test_memory_of_the_other_controller_is_its_own_and_the_counts_are_shared(admissible):

@@ -5,10 +5,7 @@ import pytest
 import torch
 
 from ccdtools import InputError, LearnedPolicy, load_policy
-from ccdtools.co_design.differentiable_model import observe
-from learning import ActorCritic, NetworkConfig, save
-from learning.exceptions import CheckpointError
-from learning.quantile import QuantileNetwork
+from learning import ActorCritic, NetworkConfig
 
 
 def agent(**options):
@@ -19,16 +16,6 @@ def agent(**options):
 @pytest.fixture
 def policy():
     return LearnedPolicy(agent(), [2e4])
-
-
-@pytest.mark.parametrize("skip", [True, False])
-def test_the_numpy_forward_equals_the_torch_forward(rng, skip):
-    net = agent(skip=skip)
-    x = 2 * rng.standard_normal((50, 2))
-    with torch.no_grad():
-        p = torch.tensor([2e4])
-        expected = net.action(net.latent(observe(torch.tensor(x, dtype=torch.float32), p))).numpy()
-    np.testing.assert_allclose(LearnedPolicy(net, [2e4])(x), expected, rtol=1e-5, atol=1e-5)
 
 
 def test_one_state_is_a_batch_of_one(policy, rng):
@@ -88,14 +75,3 @@ def test_a_state_of_the_wrong_size_is_refused(policy):
         policy(np.zeros(3))
     with pytest.raises(InputError, match=r"x: got shape \(\)"):
         policy(0.0)
-
-
-def test_files_that_hold_no_policy_are_refused(tmp_path):
-    save(tmp_path / "q", QuantileNetwork(2, 1, (0.1, 0.5, 0.9), (3,)), {"design": [1.0]})
-    with pytest.raises(CheckpointError, match="got a QuantileNetwork without a design, expected a saved policy"):
-        load_policy(tmp_path / "q")
-    save(tmp_path / "a", agent())
-    with pytest.raises(CheckpointError, match="got a ActorCritic without a design, expected a saved policy"):
-        load_policy(tmp_path / "a")
-    with pytest.raises(CheckpointError, match="expected a file written by ccdtools"):
-        load_policy(tmp_path / "nothing")

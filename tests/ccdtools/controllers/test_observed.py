@@ -9,8 +9,6 @@ import pytest
 
 import ccdtools as cc
 from ccdtools import ExtendedKalmanFilter, Filtered, InputError, KalmanFilter, LinearFeedback, Measurement, Observed
-from ccdtools.controllers.signals import needs_of
-from ccdtools.estimation.belief import Belief
 from invariant_sets import AdmissibleInputs, Polytope, maximal_control_invariant_set
 from mpc import LinearMPC, OffsetFreeMPC, lqr
 
@@ -30,21 +28,6 @@ STEPS = 30
 NOISE = 0.01 * np.random.default_rng(1).standard_normal((3, STEPS, 1))
 SENSOR = Measurement(C, noise=NOISE)
 FEEDBACK = LinearFeedback(K, [-1.0], [1.0])
-
-
-class Exact:
-    """An estimator that is told the state itself: y is x."""
-
-    nx, nu, ny = 2, 1, 2
-
-    def start(self, n):
-        return Belief(np.zeros((n, 2)), np.zeros((2, 2)))
-
-    def predict(self, belief, u):
-        return belief
-
-    def update(self, belief, y, u):
-        return Belief(y, belief.covariance)
 
 
 @pytest.fixture(scope="module")
@@ -123,14 +106,7 @@ class Summing:
         return -K @ x - 0.01 * self.total
 
 
-@pytest.mark.parametrize("name", controllers())
-def test_told_the_state_itself_every_controller_does_what_it_does_alone(name):
-    controller = controllers()[name]
-    options = {"output": None, "reference": [0.3, 0.0]}
-    alone = run(controller, **options)
-    np.testing.assert_allclose(run(Observed(controller, Exact()), **options).states, alone.states, atol=1e-12)
-
-
+@pytest.mark.quick(12)
 @pytest.mark.parametrize("estimator", [STEADY, OVER_TIME, EXTENDED], ids=["steady", "over time", "extended"])
 @pytest.mark.parametrize("name", controllers())
 def test_runs_at_once_are_runs_one_by_one_and_start_afresh(name, estimator):
@@ -143,22 +119,6 @@ def test_runs_at_once_are_runs_one_by_one_and_start_afresh(name, estimator):
         alone = run(observed, Measurement(C, noise=NOISE[i : i + 1]), X0[i : i + 1], reference=[0.3, 0.0],
                     disturbance=together.disturbances[i])  # fmt: skip
         np.testing.assert_allclose(alone.states[0], together.states[i], rtol=1e-6, atol=1e-7)
-
-
-def test_what_the_controller_needs_is_asked_for():
-    made = controllers()
-    own = {"output", "last_input"}
-    assert needs_of(Observed(FEEDBACK, STEADY)) == own
-    assert needs_of(Observed(made["limited mpc"], STEADY)) == own | {"reference"}
-    assert needs_of(Observed(made["previewing mpc"], STEADY)) == own | {"preview"}
-    assert needs_of(Observed(made["offset-free mpc"], STEADY)) == own | {"reference"}
-    assert Observed(made["previewing mpc"], STEADY).horizon == 5
-    assert not hasattr(Observed(FEEDBACK, STEADY), "horizon")
-    with pytest.raises(InputError, match="reference: got nothing"):
-        run(Observed(made["limited mpc"], STEADY))
-    with pytest.raises(InputError, match="horizon"):
-        cc.simulate(MODEL, Observed(made["previewing mpc"], STEADY), x0=X0, steps=3, disturbance=np.zeros((3, 2)),
-                    output=C)  # fmt: skip
 
 
 def test_one_run_may_be_controlled_with_vectors():

@@ -6,8 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from ccdtools import InputError, LinearFeedback, LinearModel, Reference, Scenario, compare, simulate
-from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools import InputError, LinearFeedback, LinearModel, QuadraticObjective, Reference, Scenario, compare, simulate
 from invariant_sets import Polytope
 
 A, B, E = np.array([[1.0, 0.2], [0.0, 1.0]]), np.array([[0.0], [0.2]]), np.eye(2)

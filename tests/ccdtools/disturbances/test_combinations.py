@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from ccdtools import Constant, Gaussian, InputError, Mixture, Recorded, Stacked, Sum, Uniform
-from ccdtools.disturbances.combinations import is_recorded
 
 MASS = Constant(Uniform([-0.2], [0.4]))
 
@@ -63,15 +62,6 @@ def test_what_does_not_know_its_channels_is_taken_as_it_comes(rng):
     assert Stacked((Drawn(), MASS)).sample(2, 3, rng).shape == (2, 3, 3)
     with pytest.raises(InputError, match="terms: got disturbances of 2, 1 channels"):
         Mixture((Drawn(), MASS)).sample(50, 3, rng)
-
-
-@pytest.mark.parametrize("wrap", [
-    lambda d: d, lambda d: Sum((Gaussian([0.1]), d)), lambda d: Stacked((Gaussian([0.1]), d)),
-    lambda d: Mixture((Gaussian([0.1]), d)), Constant, lambda d: Stacked((Sum((d,)), MASS)),
-])  # fmt: skip
-def test_a_recording_is_found_in_whatever_holds_it(wrap):
-    assert is_recorded(wrap(Recorded(np.zeros(9))))
-    assert not is_recorded(wrap(Gaussian([0.1])))
 
 
 @pytest.mark.parametrize("disturbance", [MASS, Stacked((MASS, Gaussian([1.0]))), Mixture((MASS, Gaussian([1.0])))])

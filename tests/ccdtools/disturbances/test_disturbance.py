@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from ccdtools import InputError
-from ccdtools.disturbances.combinations import Sum
-from ccdtools.disturbances.disturbance import Gaussian, Recorded, Uniform
+from ccdtools import Gaussian, InputError, Recorded, Sum, Uniform
 
 
 def test_gaussian_noise_has_the_stated_moments_and_is_white(rng):

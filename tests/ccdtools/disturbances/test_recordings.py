@@ -1,18 +1,14 @@
 """What a recording must be, and the one clear line that says why another is refused."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import trapezoid
 
-from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
-from ccdtools.disturbances.roads import generate_road, road_disturbance
+from ccdtools import read_disturbance, read_road, read_speed
 from ccdtools.exceptions import CCDError, InputError
 
 DT = 0.05
-DATA = Path(os.environ.get("CCDTOOLS_DATA") or Path(__file__).resolve().parents[2].parent / "shared" / "data")
 
 
 @pytest.fixture
@@ -23,13 +19,6 @@ def write(tmp_path):
         return path
 
     return write
-
-
-def recorded(name: str) -> Path:
-    path = DATA / name
-    if not path.is_file():
-        pytest.skip(f"the recorded file {name} is not part of the project; set CCDTOOLS_DATA to its folder")
-    return path
 
 
 # ── what is read ──
@@ -45,6 +34,22 @@ def test_the_only_column_is_the_disturbance(write):
 def test_a_time_column_is_checked_but_not_taken(write, name):
     w = read_disturbance(write(f"{name},dz_dt\n0,1\n0.05,2\n0.1,3\n"), dt=DT)
     np.testing.assert_array_equal(w, [1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("text", "cure"),
+    [
+        ("time\tw\n0\t1\n0.05\t2\n", "by commas, not tabs"),
+        ("time;w\n0;1,5\n0,05;2,5\n", "by commas, not semicolons"),
+        ("w\n0,1\n0,2\n", "decimals with a point"),
+        ("time,w\n0,0,1\n0,05,0,2\n", "decimals with a point"),
+        ("# of a truck\nw\n1\n2\n", "Remove #"),
+        ("w\n1\n# a pause\n2\n", "Remove #"),
+    ],
+)
+def test_another_way_of_writing_a_table_is_told_how_to_write_it(write, text, cure):
+    with pytest.raises(InputError, match=cure):
+        read_disturbance(write(text), dt=DT)
 
 
 def test_a_named_column_is_taken_and_the_others_may_hold_text(write):
@@ -84,30 +89,15 @@ def test_speed_is_converted_from_km_per_hour(write):
     np.testing.assert_allclose(speed, [0, 10, 20])
 
 
-def test_a_generated_road_is_read_back_as_it_was(tmp_path, write):
-    distance, elevation = generate_road(20.0, rng=np.random.default_rng(0))
-    rows = "\n".join(f"{z!r},{s!r}" for s, z in zip(distance.tolist(), elevation.tolist()))
-    got = read_road(write("elevation,distance\n" + rows))  # by name, in any order
-    np.testing.assert_array_equal(got, (distance, elevation))
-
-
 # ── the recorded files of the case study ──
 
 
-def test_recorded_disturbance_is_read_whole():
+def test_recorded_disturbance_is_read_whole(recorded):
     w = read_disturbance(recorded("dz_dt_mild_driver1.csv"), dt=DT)
     assert w.shape == (17500,)
     assert w[:2] == pytest.approx([0.012599722182960639, 0.01249798330671095])
     assert w[:9000].std() == pytest.approx(0.318, abs=2e-3)
     assert np.abs(w).max() == pytest.approx(3.717, abs=1e-3)
-
-
-def test_recorded_speed_drives_a_generated_road():
-    time, speed = read_speed(recorded("speed_data_mild_driver1.csv"))
-    assert time[-1] == pytest.approx(875.0)
-    assert speed.max() == pytest.approx(80.0 / 3.6, rel=1e-3)
-    distance, elevation = generate_road(trapezoid(speed, time) + 1.0, rng=np.random.default_rng(0))
-    assert road_disturbance(distance, elevation, time, speed, dt=DT).shape == (17500,)
 
 
 # ── what is refused ──

@@ -8,14 +8,9 @@ from gallery.measure import STUDIES as FILES
 from gallery.oracle.cost import linear_return
 from gallery.reference import reference, statement
 
-from ccdtools.co_design.codesign import codesign
-from ccdtools.co_design.configuration import CoDesignConfig
-from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.expert import expert_dataset
-from ccdtools.simulation import simulate
+from ccdtools import CoDesignConfig, codesign, expert_dataset, saturated_lqr, simulate
 from ccdtools.studies import load_study
-from learning import fit_actor_critic
-from learning.warm_start import CloningConfig
+from learning import CloningConfig, fit_actor_critic
 
 NEAR = 0.005  # of the optimum
 
@@ -42,6 +37,7 @@ def below_the_optimum(name, start, seed, *, samples, cloning, config):
     return (best - exact - gained) / abs(best), result.design
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("name", ["mass_spring_damper"])
 def test_a_small_budget_reaches_the_optimum_from_the_worst_corner(name):
     corner = np.array(reference(name)["worst_corner"])

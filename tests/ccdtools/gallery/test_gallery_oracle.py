@@ -20,8 +20,7 @@ from gallery.oracle.receding_horizon import RecedingHorizon
 from gallery.oracle.truth import best_feedback
 from gallery.reference import CLIPPED, LIMITED, STUDIES, reference, statement
 
-from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.simulation import simulate
+from ccdtools import saturated_lqr, simulate
 from ccdtools.studies import load_study
 
 FILES = Path(gallery.__file__).parent / "studies"

@@ -7,6 +7,7 @@ import pytest
 from nonlinear_plants import swing
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
+from study_plants import quarter_car
 
 from ccdtools import (
     DesignSpace,
@@ -21,8 +22,6 @@ from ccdtools import (
     plant_from_state_space,
     simulate,
 )
-from ccdtools.studies.cases.suspension import quarter_car
-from ccdtools.twin.residuals import residuals
 
 BOX = DesignSpace(["k", "d"], [20.0, 0.1], [200.0, 2.0])
 
@@ -59,12 +58,6 @@ def test_a_model_with_a_constant_term_falls_as_its_plant_does():
     np.testing.assert_allclose(*runs, atol=1e-6)
     assert model.affine
     assert "a constant term" in repr(model)
-
-
-def test_errors_of_a_model_with_a_constant_term_are_counted_from_it():
-    model = discretise(hanging())
-    log = simulate(model, LinearFeedback([[1.0, 1.0]]), x0=[0.1, 0.0], steps=30, design=[50.0, 0.3])
-    assert np.abs(residuals(model, log).e_next).max() < 1e-12
 
 
 def test_a_discrete_plant_keeps_its_constant_term():
@@ -174,6 +167,12 @@ def test_a_plant_from_matrices_of_the_design_is_the_one_written_out():
     for M, N in zip(discretise(own).matrices([50.0, 0.3]), discretise(hanging()).matrices([50.0, 0.3])):
         np.testing.assert_allclose(M, N, rtol=1e-14)
     np.testing.assert_allclose(discretise(own).constant([50.0, 0.3]), discretise(hanging()).constant([50.0, 0.3]))
+
+
+def test_a_state_space_is_one_of_one_design():
+    plant = Plant(*(ca.SX.sym(n) for n in "xuwp"), ca.SX(0), DesignSpace(["k"], [1], [2]), dt=0.1)
+    with pytest.raises(InputError, match=r"p: got shape \(1, 1\), expected one design"):
+        discretise(plant).state_space([[1.5]])
 
 
 @pytest.mark.parametrize("sampled", [False, True])

@@ -167,6 +167,7 @@ def test_of_many_whole_numbers_the_few_allowed_ones_are_found():
     assert wide.project([3000, 2000]).tolist() == [3, 0]
 
 
+@pytest.mark.quick(8)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -210,6 +211,7 @@ REWRITTEN = {
 }
 
 
+@pytest.mark.quick(5)
 @pytest.mark.parametrize("name", ["a disc", "around a disc", "a wedge"])
 @pytest.mark.parametrize("rewritten", REWRITTEN)
 def test_a_growing_function_of_a_constraint_leaves_the_same_designs(rewritten, name, rng):

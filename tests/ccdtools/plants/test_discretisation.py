@@ -7,6 +7,7 @@ import control
 import mpmath
 import numpy as np
 import pytest
+from study_plants import quarter_car
 
 from ccdtools import (
     CoDesignProblem,
@@ -19,8 +20,6 @@ from ccdtools import (
     QuadraticObjective,
     discretise,
 )
-from ccdtools.plants.zero_order_hold import expm, zero_order_hold
-from ccdtools.studies.cases.suspension import quarter_car
 from mpc import lqr
 
 START = np.array([27692.0, 1906.5])
@@ -96,15 +95,6 @@ def test_two_half_samples_make_a_whole_one():
     A2, B2, _ = whole.matrices(START)
     np.testing.assert_allclose(A @ A, A2, atol=1e-12)
     np.testing.assert_allclose(A @ B + B, B2, atol=1e-16)
-
-
-def test_the_symbolic_exponential_of_zero_is_the_identity():
-    np.testing.assert_array_equal(np.asarray(ca.DM(expm(ca.SX.zeros(3, 3), squarings=0))), np.eye(3))
-
-
-def test_the_exponential_of_a_nilpotent_matrix_is_its_series():
-    N = ca.SX(ca.DM([[0, 2, 0], [0, 0, 3], [0, 0, 0]]))
-    np.testing.assert_allclose(ca.DM(expm(N, squarings=4)), [[1, 2, 3], [0, 1, 3], [0, 0, 1]], atol=1e-14)
 
 
 # ── shapes and derivatives ──
@@ -262,12 +252,3 @@ def test_one_scaling_serves_the_whole_box():
     for p in ([1e3, 50.0], [4e6, 3e4], [4e6, 50.0], [1e5, 1e3]):
         exact = exact_hold(*continuous(plant, p), 0.05)[:, :4] / unit[:, None] * unit
         assert np.abs(model.matrices(p)[0] / unit[:, None] * unit - exact).max() < 1e-11 * np.abs(exact).max()
-
-
-def test_a_constant_hold_needs_no_design():
-    A, B, E = zero_order_hold(
-        ca.SX(ca.DM([[-1.0]])), ca.SX(ca.DM([[1.0]])), ca.SX(1, 0), 0.5, symbols=ca.SX(0, 1), design=None
-    )
-    assert float(ca.DM(A)) == pytest.approx(np.exp(-0.5), rel=1e-15)
-    assert float(ca.DM(B)) == pytest.approx(1 - np.exp(-0.5), rel=1e-15)
-    assert E.shape == (1, 0)

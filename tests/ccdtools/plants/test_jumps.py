@@ -43,6 +43,7 @@ def mass(force, **options):
     return Plant(x, u, w, p, dynamics, DesignSpace(["m"], [1.0], [2.0]), dt=0.02, **options)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("name", JUMPS)
 def test_a_jump_is_not_linear_and_an_accuracy_that_it_forbids_is_refused_by_it(name):
     plant = mass(JUMPS[name])

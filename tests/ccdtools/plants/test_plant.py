@@ -7,9 +7,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from study_plants import quarter_car
 
 from ccdtools import DesignSpace, InputError, Plant, discretise
-from ccdtools.studies.cases.suspension import quarter_car
 
 START = np.array([27692.0, 1906.5])
 ONE = DesignSpace(["p"], [0.5], [2.0])
@@ -44,13 +44,6 @@ def test_the_linear_quarter_car_integrates_to_its_exact_discretisation(rng):
     ]
     assert errors[0] < 1e-3
     np.testing.assert_array_less([12, 12], np.array(errors[:-1]) / errors[1:])
-
-
-def test_the_nonlinear_quarter_car_without_hardening_is_the_linear_one(monkeypatch, rng):
-    monkeypatch.setattr("ccdtools.studies.cases.suspension.HARDENING", 0.0)
-    x, u, w = rng.standard_normal((9, 4)), rng.standard_normal((9, 1)), rng.standard_normal((9, 1))
-    soft = quarter_car(nonlinear=True).stepper(START, batch=9)(x, u, w)
-    np.testing.assert_allclose(soft, quarter_car().stepper(START, batch=9)(x, u, w), rtol=1e-12)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

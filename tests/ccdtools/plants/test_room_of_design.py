@@ -33,6 +33,7 @@ def test_accuracy_is_asked_for_in_the_room_that_each_design_has():
     assert again.substeps <= 16
 
 
+@pytest.mark.check
 def test_the_same_room_for_all_designs_holds_the_singular_points():
     with pytest.raises(cc.InputError, match="accuracy"):
         study(([-0.5, -0.5], [0.5, 0.5]))

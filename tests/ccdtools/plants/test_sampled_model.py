@@ -22,7 +22,6 @@ from ccdtools import (
     equilibrium,
     simulate,
 )
-from ccdtools.plants.collocation import ImplicitStep
 
 SWING = {"X": ([-3.0, -6.0], [3.0, 6.0]), "U": (-5.0, 5.0), "W": (-1.0, 1.0)}
 STIFF = {"X": ([-1.5, -1.5], [1.5, 1.5]), "U": (-1.0, 1.0)}
@@ -63,6 +62,7 @@ def test_a_method_has_its_order(method, order):
     assert np.log2(fine[-2] / fine[-1]) == pytest.approx(order, abs=0.1)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("plant", "rates", "limits"),
     [(swing(), swing_rates, SWING), (tanks(), tank_rates, TANKS), (stiff(), stiff_rates, STIFF)],
@@ -141,23 +141,6 @@ def test_a_step_that_cannot_be_solved_ends_the_run_and_not_the_others():
     assert np.isfinite(run.states[0]).all()
 
 
-@pytest.mark.parametrize("size", [1.0, 1e-4, 1e-8, 1e-10, 1e-14, 0.0])
-def test_collocation_converges_where_rest_is_rest_but_for_rounding(size):
-    plant = hot_plate()
-    hanging = deviations(plant, equilibrium(plant, [1000.0], guess=([300, 300.0], [0.0])))
-    rng = np.random.default_rng(0)
-    x, u, p = (rng.uniform(*box) for box in ((-50, 50, (200, 2)), (-100, 100, (200, 1)), (500, 5000, (200, 1))))
-    for parts in (1, 4, 64):
-        step = ImplicitStep(hanging.right_hand_side, 1.0, parts, np.array([50.0, 50.0]))
-        points = (size * x, size * u, np.zeros((200, 1)), p)
-        reached = step(*points)
-        assert np.isfinite(reached).all()
-        native = np.asarray(step.function(*(a[:20].T for a in points))).T
-        np.testing.assert_allclose(reached[:20], native, atol=2e-9)
-        tensors = step(*(torch.tensor(a) for a in points)).numpy()
-        np.testing.assert_allclose(tensors, reached, atol=1e-12)
-
-
 def test_a_stiff_plant_in_deviations_is_collocated_with_its_centre():
     plant = hot_plate()
     hanging = deviations(plant, equilibrium(plant, [1000.0], guess=([300, 300.0], [0.0])))
@@ -183,6 +166,7 @@ def test_collocation_of_single_precision_loses_no_run_and_is_that_of_double():
         np.testing.assert_allclose(own.numpy(), exact_slope.numpy(), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.check
 def test_a_point_at_which_newton_does_not_converge_is_named_with_it():
     x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
     blows_up = Plant(x, u, None, p, p * ca.exp(x) + u, DesignSpace(["p"], [0.5], [2.0]), dt=0.1)

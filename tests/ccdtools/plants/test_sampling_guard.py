@@ -3,13 +3,11 @@
 import warnings
 
 import casadi as ca
-import numpy as np
 import pytest
+from study_plants import quarter_car
 
 from ccdtools import DesignSpace, Plant, discretise
 from ccdtools.exceptions import SamplingWarning
-from ccdtools.plants.sampling_guard import fastest_mode
-from ccdtools.studies.cases.suspension import quarter_car
 
 
 def oscillator(stiffness, design, dt, damping=0.0):
@@ -32,15 +30,6 @@ def test_the_recommended_sampling_time_draws_no_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         discretise(quarter_car(), dt=0.009)
-
-
-@pytest.mark.parametrize("peak", [0.11, 0.37, 0.5, 0.83])
-def test_the_fastest_design_may_lie_inside_the_box(peak):
-    plant = oscillator(lambda p: (20 * ca.exp(-200 * (p - peak) ** 2)) ** 2, DesignSpace(["p"], [0], [1]), dt=0.05)
-    A = ca.Function("A", [plant.p], [ca.jacobian(plant.dynamics, plant.x)])
-    mode = fastest_mode(A, plant.design, plant.dt)
-    assert mode.frequency == pytest.approx(20 / (2 * np.pi), rel=1e-4)
-    np.testing.assert_allclose(mode.design, [peak], atol=1e-2)
 
 
 def test_a_mode_that_dies_within_one_sample_is_not_warned_of():

@@ -1,6 +1,5 @@
 """Steps of few runs by CasADi's machine and of many by arrays in place: both are the step that CasADi computes."""
 
-from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
 import numpy as np
@@ -8,9 +7,7 @@ import pytest
 import torch
 
 from ccdtools import DesignSpace, InputError, Plant, SampledModel
-from ccdtools.plants.native import FEW, KEPT
 
-RUNS = [1, 2, FEW, FEW + 1, 2500]
 DESIGN = DesignSpace(["a", "b"], lower=[0.5, 1.0], upper=[2.0, 3.0])
 
 
@@ -33,36 +30,6 @@ def drawn(plant, n, rng):
 def designs(n, own, rng):
     """One design for each run, or one for all."""
     return rng.uniform(DESIGN.lower, DESIGN.upper, (n, 2) if own else 2)
-
-
-@pytest.mark.parametrize("n", RUNS)
-@pytest.mark.parametrize("own", [False, True])
-@pytest.mark.parametrize("disturbed", [False, True])
-def test_a_step_of_any_number_of_runs_is_that_of_casadi(n, own, disturbed, rng):
-    model = SampledModel(winding(disturbed=disturbed), 0.1, substeps=3)
-    x, u, w = drawn(model, n, rng)
-    p = designs(n, own, rng)
-    expected = np.array([model.step(*one).full()[:, 0] for one in zip(x, u, w, np.broadcast_to(p, (n, 2)))])
-    np.testing.assert_allclose(model.advance(x, u, w, p), expected, rtol=1e-13, atol=1e-15)
-
-
-@pytest.mark.parametrize("n", RUNS)
-@pytest.mark.parametrize("own", [False, True])
-def test_slopes_of_any_number_of_runs_are_those_of_casadi(n, own, rng):
-    model = SampledModel(winding(), 0.1, substeps=3)
-    x, u, w = drawn(model, n, rng)
-    p = designs(n, own, rng)
-    factor = rng.standard_normal((n, 3))
-    given = [torch.tensor(a, requires_grad=True) for a in (x, u, w, p)]
-    found = torch.autograd.grad((model.pathwise(*given) * torch.tensor(factor)).sum(), given)
-    slopes = model.step.jacobian()
-    rows = zip(factor, x, u, w, np.broadcast_to(p, (n, 2)))
-    each = [[m @ np.asarray(J) for J in slopes(*one, np.zeros(3))] for m, *one in rows]
-    expected = [np.array(slope) for slope in zip(*each)]
-    if not own:
-        expected[3] = expected[3].sum(axis=0)
-    for one, other in zip(found, expected):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
 
 
 def test_leading_shapes_broadcast_and_single_precision_stays_single(rng):
@@ -125,17 +92,3 @@ def test_second_derivatives_of_a_pathwise_step_are_refused_not_zero(power, rng):
     slopes = torch.autograd.grad((after**power).sum(), x, create_graph=True)[0]
     with pytest.raises(RuntimeError, match="differentiable once"):
         (slopes**2).sum().backward()
-
-
-def test_several_threads_may_step_one_model_with_many_numbers_of_runs(rng):
-    model = SampledModel(winding(), 0.1)
-    p = np.array([1.0, 2.0])
-    given = {n: drawn(model, n, rng) for n in range(2, 3 * KEPT)}
-    expected = {n: model.advance(*one, p) for n, one in given.items()}
-
-    def differs(n):
-        """Whether a step of n runs is another one here."""
-        return bool((model.advance(*given[n], p) != expected[n]).any())
-
-    with ThreadPoolExecutor(6) as pool:
-        assert not any(pool.map(differs, rng.choice(list(given), 3000)))

@@ -1,8 +1,5 @@
 """CasADi functions as torch functions: the same values and derivatives, in batches, whatever the shapes."""
 
-import copy
-import pickle
-import warnings
 
 import casadi as ca
 import numpy as np
@@ -10,7 +7,6 @@ import pytest
 import torch
 
 from ccdtools import InputError, to_torch
-from ccdtools.plants.torch_function import TorchFunction
 
 
 def random_function(seed):
@@ -141,19 +137,6 @@ def test_an_integrator_with_arguments_of_no_entries_is_called():
     end = f(*arguments)[0]
     turned = torch.tensor([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]], dtype=torch.float64)
     assert torch.allclose(end, turned, atol=1e-6)
-
-
-def test_a_translated_function_is_silent_and_copies():
-    f = random_function(0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        own = to_torch(f)
-        again = [pickle.loads(pickle.dumps(own)), copy.deepcopy(own)]
-    arguments = [torch.tensor(a) for a in points(0, 3)]
-    for other in again:
-        assert isinstance(other, TorchFunction)
-        assert all(torch.equal(a, b) for a, b in zip(own(*arguments), other(*arguments)))
-    assert len(repr(own)) < 120
 
 
 @pytest.mark.parametrize(

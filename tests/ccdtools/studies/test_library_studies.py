@@ -1,26 +1,22 @@
 """The studies that come with the package: one for every plant of the library, each ready to run."""
 
-import csv
 import inspect
-import json
 import warnings
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_runs import tiny_configuration
 from typer.testing import CliRunner
 
-from ccdtools import LinearFeedback, Study, depth_outside, expert_dataset, saturated_lqr, simulate
+from ccdtools import LinearFeedback, Study, codesign, depth_outside, expert_dataset, saturated_lqr, simulate
 from ccdtools.cli import app
 from ccdtools.plants import library
 from ccdtools.plants.library import full_car
-from ccdtools.studies import Generations, RunFolder, load_study, study_names
-from ccdtools.studies.report.report import write_report
+from ccdtools.studies import load_study, study_names
 
 PLANTS = [name for name in library.__all__ if inspect.isfunction(getattr(library, name))]
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_plant_of_the_library_has_a_study_of_its_name(name):
     plant = load_study(name).plant
@@ -105,26 +101,6 @@ def test_the_command_line_names_every_study_where_one_looks_for_them():
         assert name in str(refused.exception)
 
 
-def test_two_generations_of_a_vehicle_come_to_a_report_that_shows_how_it_rides(tmp_path):
-    """Episodes of 20 steps, and hardly any iterations."""
-    study = load_study("quarter_car")
-    real = replace(study.real, runs=1, steps=500, held_out={"other": study.disturbance})
-    study = replace(study, steps=20, real=real)
-    config = replace(tiny_configuration(study, sets="none"), held_out_runs=2, held_out_steps=50)
-    folder = RunFolder.create(tmp_path / "quarter_car")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        Generations(study, config, folder, echo=lambda line: None, progress=False).run()
-        page = write_report(study, folder).read_text(encoding="utf-8")
-    results = json.loads((folder.path / "results.json").read_text(encoding="utf-8"))
-    assert len(results["generations"]) == 2
-    rows = [*results["comparison"], *results["held_out"]]
-    assert all(0 < row["metrics"]["comfort [m/s²]"] < 5 for row in rows)
-    with (folder.path / "comparison.csv").open(encoding="utf-8") as file:
-        assert "actuator power [W]" in next(csv.reader(file))
-    assert page.count("<th>comfort [m/s²]</th>") == len({(row["generation"], row["plant"]) for row in rows})
-
-
 def test_twenty_states_are_initialised_and_judged_without_the_corners_of_their_limits():
     """X has 2²⁰ of them: the expert is followed from the region that saturated LQR keeps."""
     study = load_study("mass_chain_10")
@@ -133,3 +109,13 @@ def test_twenty_states_are_initialised_and_judged_without_the_corners_of_their_l
     assert data.diverged == 0
     assert len(data.inputs) > 50
     assert depth_outside(1.5 * study.X.bounding_box()[1], study.X) == pytest.approx(0.5)
+
+
+def test_the_template_prices_its_design_so_that_the_best_one_lies_within_its_bounds(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(app, ["new", "my_study"]).exit_code == 0
+    study = load_study("my_study.py")
+    found = codesign(study.problem(), method="nested", rng=np.random.default_rng(0))
+    assert found.active_bounds == {}
+    assert (study.plant.design.to_unit(found.design) > 0.05).all()
+    assert (study.plant.design.to_unit(found.design) < 0.95).all()

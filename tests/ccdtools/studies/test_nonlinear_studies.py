@@ -1,7 +1,6 @@
 """Studies of plants that are not linear: how exact the model is, and which steps the real plant takes."""
 
 import warnings
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -22,9 +21,6 @@ from ccdtools import (
     simulate,
 )
 from ccdtools.exceptions import SamplingWarning
-from ccdtools.studies.fingerprint import fingerprint
-from ccdtools.studies.loading import LoadedStudy
-from ccdtools.studies.presets import configuration
 
 NOISE = Gaussian([0.1])
 X = ([-2.0, -2.0], [2.0, 2.0])
@@ -65,6 +61,7 @@ def test_without_a_real_plant_the_steps_are_those_of_the_model():
     assert not study(tank(rate=30.0), real=real(tank(rate=30.0))).real_is_model
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("cubic", [0.0, 0.2])
 def test_a_real_plant_that_its_steps_do_not_follow_is_refused_with_steps_that_do(cubic):
     nominal = tank(rate=30.0)
@@ -103,6 +100,7 @@ def test_a_short_recording_says_how_large_the_disturbance_is():
     assert isinstance(one.model, SampledModel)
 
 
+@pytest.mark.check
 def test_accuracy_and_method_are_those_of_the_model():
     plant = tank(rate=30.0)
     fine, coarse = (study(plant, accuracy=accuracy).model for accuracy in (1e-9, 1e-3))
@@ -124,13 +122,3 @@ def test_accuracy_and_method_are_those_of_the_model():
 def test_a_wrong_accuracy_or_method_is_named_on_any_plant(wrong, message, cubic):
     with pytest.raises(InputError, match=message):
         study(tank(rate=30.0, cubic=cubic), **wrong)
-
-
-def test_another_accuracy_is_another_run():
-    one = study(tank(rate=30.0))
-    config = configuration(one)
-    before, now = (
-        fingerprint(LoadedStudy(own, {}), config) for own in (one, replace(one, accuracy=1e-4, method="rk4"))
-    )
-    assert {name for name in before if before[name] != now.get(name)} == {"study.accuracy", "study.method"}
-    assert fingerprint(LoadedStudy(study(tank(rate=30.0)), {}), config) == before

@@ -1,13 +1,11 @@
 """How thoroughly a study runs."""
 
-import json
 from dataclasses import replace
 
 import pytest
 
 from ccdtools import InputError
 from ccdtools.studies import configuration
-from ccdtools.studies.stage_storage import jsonable
 
 
 def test_quick_is_the_same_path_with_fewer_samples(study):
@@ -44,13 +42,6 @@ def test_sets_and_their_time_limit_come_from_the_study_unless_they_are_given(ill
     assert (configuration(study).sets, configuration(study).sets_time_limit) == ("lqr", 7.0)
     other = configuration(study, sets="none", sets_time_limit=3.0)
     assert (other.sets, other.sets_time_limit) == ("none", 3.0)
-
-
-@pytest.mark.parametrize("preset", ["default", "paper"])
-def test_a_configuration_is_plain_values(study, preset):
-    values = configuration(study, preset=preset, quick=True).as_dict()
-    assert json.loads(json.dumps(jsonable(values), allow_nan=False))["preset"] == preset
-    assert values["codesign"]["ppo"]["gamma"] == 0.99
 
 
 @pytest.mark.parametrize(

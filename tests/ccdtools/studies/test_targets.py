@@ -5,7 +5,7 @@ import pytest
 from loop_targets import after_one_update, clone, first_codesign, ppo_alone, recorded_road, whole_study
 
 SEEDS = [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
-pytestmark = pytest.mark.parametrize("seed", SEEDS)
+pytestmark = [pytest.mark.check, pytest.mark.parametrize("seed", SEEDS)]
 
 
 def test_clone_equals_lqr_at_the_suspension_start(seed):

@@ -4,17 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from scipy.stats import binom
 
-from ccdtools import DigitalTwin, InputError, deploy, free_running_bands, simulate
-from ccdtools.co_design.differentiable_model import Stepper
-from ccdtools.controllers.controllers import LinearFeedback
-from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
-from ccdtools.twin.free_running import held_out_bands
-from ccdtools.twin.residuals import residuals
+from ccdtools import DigitalTwin, InputError, LinearFeedback, deploy, free_running_bands
 from learning import QuantileConfig
-from learning.copula import InnovationCopula
 from mpc import lqr
 
 DESIGN = [2.0]
@@ -70,20 +63,6 @@ def test_the_draws_spread_as_far_as_the_plant(bands):
     np.testing.assert_allclose(bands.spread, 1.0, atol=0.12)
 
 
-def test_one_signal_is_drawn_as_one(illustrative, twin):
-    drawing = replace(twin.discrepancy, noise="quantiles")
-    assert drawing.copula.order == 0  # e and x hold the past; a memory besides would count it twice
-    w = np.random.default_rng(0).random((200, 30, 2))
-    plant = TwinPlant(illustrative.model, drawing)
-    run = simulate(plant, law(illustrative), x0=np.zeros((200, 2)), steps=30, disturbance=w, design=DESIGN)
-    e = residuals(illustrative.model, run).e_next.reshape(-1, 2)
-    assert np.corrcoef(e.T)[0, 1] < -0.99
-    apart = replace(drawing, copula=None)
-    alone = simulate(TwinPlant(illustrative.model, apart), law(illustrative), x0=np.zeros((200, 2)), steps=30,
-                     disturbance=w, design=DESIGN)  # fmt: skip
-    assert np.corrcoef(residuals(illustrative.model, alone).e_next.reshape(-1, 2).T)[0, 1] > -0.9
-
-
 def test_the_same_generator_draws_the_same_bands(illustrative, twin, log):
     a, b = (
         free_running_bands(twin, log, law(illustrative), rng=np.random.default_rng(5), steps=[10], windows=20, draws=20)
@@ -118,13 +97,6 @@ def test_samples_of_a_former_policy_are_left_out(illustrative, twin, log):
     np.testing.assert_allclose(bands.actual[0, 0], several.states[1, 25], atol=1e-12)
 
 
-def test_a_generation_measures_its_own_held_out_stretches_or_says_that_they_are_too_short(illustrative, twin, log):
-    bands = held_out_bands(twin, log, law(illustrative), rng=np.random.default_rng(0))
-    assert bands.steps.tolist() == [10, 50]
-    assert bands.summary()["windows"] == 150
-    assert held_out_bands(twin, log, LAW, rng=np.random.default_rng(0), since=6000) is None
-
-
 def test_runs_that_run_away_are_bounded(illustrative, twin, log):
     away = LinearFeedback([[-5.0, -5.0]], [-1e3], [1e3])
     bands = free_running_bands(twin, log, away, rng=np.random.default_rng(0), steps=[100], windows=5, draws=5)
@@ -135,37 +107,6 @@ def test_runs_that_run_away_are_bounded(illustrative, twin, log):
 # ── the updated model that draws ──
 
 
-def test_a_run_may_start_from_a_known_error(illustrative, twin, log):
-    errors = residuals(illustrative.model, log)
-    drawing = replace(twin.discrepancy, noise="quantiles")
-    past = drawing.past(errors)
-    assert past.shape == (1, 6000, drawing.error_size)
-    torch.testing.assert_close(past[0, :, :2], torch.tensor(errors.e[0], dtype=torch.float32))
-    plant = TwinPlant(illustrative.model, drawing, past[0, [100, 200]].double().numpy())
-    w = np.random.default_rng(0).random((2, 3, 2))
-    given, none = (
-        simulate(one, LAW, x0=errors.x[0, [100, 200]], steps=3, disturbance=w, design=DESIGN).states
-        for one in (plant, TwinPlant(illustrative.model, drawing))
-    )
-    assert np.abs(given - none)[:, 1].max() > 1e-3
-    with pytest.raises(InputError, match="error: got those of 2 runs, expected one for each of the 3 runs"):
-        simulate(plant, LAW, x0=np.zeros((3, 2)), steps=3, design=DESIGN)
-    with pytest.raises(InputError, match="error: got shape"):
-        TwinPlant(illustrative.model, drawing, np.zeros(7))
-
-
-def test_the_model_that_learning_runs_on_draws_the_same(illustrative, twin):
-    drawing = replace(twin.discrepancy, noise="quantiles")
-    step = Stepper.at(replace(illustrative.problem(), discrepancy=drawing), torch.tensor(DESIGN))
-    w = np.random.default_rng(0).random((3, 6, 2))
-    x0 = np.random.default_rng(1).standard_normal((3, 2))
-    run = simulate(TwinPlant(illustrative.model, drawing), LAW, x0=x0, steps=6, disturbance=w, design=DESIGN)
-    x = torch.tensor(x0, dtype=torch.float32)
-    e = step.without_error(x)
-    assert e.shape == (3, drawing.error_size)
-    for k in range(6):
-        x, e, _ = step(x, e, torch.tensor(run.inputs[:, k], dtype=torch.float32), torch.tensor(w[:, k]).float())
-        np.testing.assert_allclose(x.detach(), run.states[:, k + 1], atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -188,20 +129,3 @@ def test_bands_that_no_log_can_give_are_refused(twin, log, change, message):
 def test_a_twin_that_has_learned_nothing_has_no_bands(illustrative, log):
     with pytest.raises(InputError, match="twin: got one without a discrepancy, expected one after `update`"):
         free_running_bands(DigitalTwin(illustrative.model), log, LAW, rng=np.random.default_rng(0))
-
-
-def test_a_copula_of_another_size_or_a_single_level_draws_nothing(twin):
-    network = twin.discrepancy.network
-    with pytest.raises(InputError, match="copula: got 3 states, expected 2"):
-        Discrepancy(network, np.eye(2), copula=InnovationCopula(5, 3, knots=3, widths=1, order=0))
-    with pytest.raises(InputError, match="noise: got 'none', expected 'quantiles', which draws"):
-        Discrepancy(network, np.eye(2)).past(twin.logs[0])
-
-
-def test_a_median_alone_gives_no_bands(illustrative, log):
-    alone = DigitalTwin(illustrative.model).update(
-        log, weight=illustrative.weight, rng=np.random.default_rng(0), config=replace(SHORT, levels=(0.5,), steps=2)
-    )
-    with pytest.raises(InputError, match="twin: got one that has learned 1 quantile, from which nothing can be drawn"):
-        free_running_bands(alone, log, LAW, rng=np.random.default_rng(0))
-    assert held_out_bands(alone, log, LAW, rng=np.random.default_rng(0)) is None

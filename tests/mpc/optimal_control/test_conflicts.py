@@ -129,6 +129,7 @@ def test_what_is_not_finite_names_phase_signal_and_parameters():
         build(OptimalControlProblem(good, p_bounds=(0, 1), p_guess=[0], p_cost=lambda p: 1 / p))
 
 
+@pytest.mark.check
 def test_functions_that_become_undefined_on_the_way_say_where():
     found = solve(block(stage_cost=lambda x, u: u**2 + 1e-3 * ca.log(1.2 - x[1]), end=[0.9, 0]))
     assert found.status in (OptimalControlStatus.UNDEFINED, OptimalControlStatus.SOLVED, OptimalControlStatus.STOPPED)

@@ -1,15 +1,13 @@
 """Nonlinear MPC is linear MPC on linear models, the optimum of the nonlinear program on others, and always an input."""
 
 import copy
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from mpc import InputError, LinearMPC
+from mpc import InputError, LinearMPC, Status
 from mpc.optimal_control import NonlinearMPC, Phase, build, solve
-from mpc.plan import Status
 
 A = np.array([[1.0, 0.1], [0.05, 1.1]])
 B = np.array([[0.005], [0.1]])
@@ -259,25 +257,6 @@ def test_out_of_time_in_every_sample_it_still_gets_there():
     converged, _ = closed_loop(pole(), np.array([0.0, 0.3, 0.0, 0.0]), 60)
     assert cost == pytest.approx(converged, rel=0.05)
     assert np.abs(end).max() < 0.1
-
-
-def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
-    controller = pole()
-    x = np.array([0.0, 0.3, 0.0, 0.0])
-    controller(x)
-    before = controller.last_plans[0]
-    monkeypatch.setattr(
-        "mpc.optimal_control.planner.Sequential.step", lambda *a, **k: SimpleNamespace(solved=False)
-    )  # fmt: skip
-    u = controller(before.states[1])
-    plan = controller.last_plans[0]
-    assert u == pytest.approx(before.inputs[1], abs=1e-6)
-    assert (plan.status, plan.solver) == (Status.REPLACED, "shifted plan")
-    assert "sample before" in plan.status.advice
-    controller.reset()
-    controller(x)
-    assert (controller.last_plans[0].status, controller.last_plans[0].solver) == (Status.REPLACED, "linear law")
-    assert controller.last_plans[0].inputs[0] == pytest.approx(np.clip(-controller.linear.gain @ x, -10, 10))
 
 
 def test_a_model_that_ends_within_the_limits_gets_the_linear_law():

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from nonlinear_programs import optimum
 
-from mpc import InputError
+from mpc import InputError, Status
 from mpc.optimal_control import NonlinearMPC
-from mpc.plan import Status
 
 N = 20
 UNITS = [

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from nonlinear_programs import optimum
 
+from mpc import Status
 from mpc.optimal_control import NonlinearMPC
-from mpc.plan import Status
 
 
 def random_statement(seed):

@@ -1,7 +1,5 @@
 """Refinement ends where it was asked to, or by time or rounds, or where finer meshes do not help; it says which."""
 
-from itertools import count
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 from classical_problems import CLASSICAL
 
 from mpc import InputError
-from mpc.optimal_control import OptimalControlStatus, Phase, Radau, build, refine, refinement, solve
+from mpc.optimal_control import OptimalControlStatus, Phase, Radau, build, refine, solve
 
 
 def rough(power):
@@ -40,19 +38,6 @@ def test_refinement_goes_on_while_it_helps():
     assert few.status is OptimalControlStatus.STOPPED
     assert "these were all the rounds" in few.advice
     assert few.errors[0].max() < solve(build(rough(0.5), Radau(3), 10)).errors[0].max()
-
-
-def test_time_limit_is_of_all_meshes_together_and_the_best_is_kept(monkeypatch):
-    phase = CLASSICAL["catalyst mixing"].phase
-    seconds = count()
-    monkeypatch.setattr(refinement, "time", SimpleNamespace(perf_counter=lambda: 100.0 * next(seconds)))
-    late = refine(phase, tolerance=1e-7, time_limit=850)  # of a clock that goes on by 100 s whenever it is read
-    assert late.status is OptimalControlStatus.STOPPED
-    assert "the time was up" in late.advice
-    first = solve(build(phase, Radau(3), 10))
-    assert len(late.times) > len(first.times)
-    assert 1e-7 < late.errors[0].max() < first.errors[0].max()
-    assert late.residuals.worst < 1e-5
 
 
 def test_a_time_that_is_up_at_once_stops_the_first_mesh():

@@ -95,7 +95,7 @@ def test_a_step_takes_what_a_function_of_its_arguments_takes():
     def clocked(x, u, t):
         return ca.vertcat(x[1], u * t)
 
-    step, x = sampled(clocked, 0.1, parts=2.0), ca.DM([0.3, -1.0])
+    step, x = sampled(clocked, 0.1, parts=2), ca.DM([0.3, -1.0])
     here = stepped(step, x, 0.5, 2.0)
     np.testing.assert_array_equal(np.array(step(t=2.0, x=x, u=0.5)).ravel(), here)
     np.testing.assert_array_equal(stepped(sampled(clocked, 0.1, parts=2), x, 0.5, 2.0), here)

@@ -25,6 +25,7 @@ def array_problem(inertia, duration, torque):
     return OptimalControlProblem(phase, p_bounds=([0.0], [20 * inertia / duration**2]))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("inertia", "duration", "torque"), [(1.0, 1.0, 1.0), (3.0, 0.5, 2.0), (0.02, 7.0, 1e-3)])
 def test_solar_array_has_its_published_stiffness_simultaneous_and_nested(inertia, duration, torque):
     # Herber and Allison, "Nested and simultaneous solution strategies for general combined plant and control design

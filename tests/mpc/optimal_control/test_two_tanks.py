@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from mpc import Status
 from mpc.optimal_control import NonlinearMPC, OffsetFreeNonlinearMPC
-from mpc.plan import Status
 
 LEVEL = 0.1  # m
 AREA, HOLE, GRAVITY = 0.0154, 5e-5, 9.81
@@ -50,6 +50,7 @@ def test_at_a_level_that_is_held_plans_are_solved(level, off, length, time, cost
     assert plan.inputs == pytest.approx(held, rel=1e-6)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("length", "time", "cost"), UNITS)
 @pytest.mark.parametrize(("level", "reached"), [(0.05, 0.05), (-0.05, -0.05), (0.3, 0.224)], ids=["up", "down", "full"])
 def test_a_weak_pump_leaves_no_offset_and_every_plan_is_solved(level, reached, length, time, cost):

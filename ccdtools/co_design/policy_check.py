@@ -1,0 +1,169 @@
+"""Whether a policy is at an optimum that its gradient can see: its last layer retuned a little.
+
+The latent action l of a policy, before it is clipped to U, becomes exp(a) l + b + k x: a gain, an offset and a linear
+law beside it, for every input; b and k in units of what the policy itself does and sees. Along these few numbers the
+gradient through the model is compared with differences under common random numbers, run by run; and a plain search
+looks for a better policy.
+
+References
+----------
+Nelder and Mead, The Computer Journal 7(4), 1965 (in SciPy).
+"""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import torch
+from scipy.optimize import minimize
+from torch import Tensor
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.design_gradients import standard_error
+from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double
+from ccdtools.co_design.episodes import Episode, latent_law, simulated
+from ccdtools.co_design.learned_result import GradientCheck
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.statistics import PairedDifference, paired_difference
+from learning.networks import scaled
+
+DIRECTIONS = 4  # random ones, along which gradient and differences are compared
+STEPS = (1e-2, 1e-3)  # of the differences, in parts of what a policy does
+LEAST = 1e-3  # of the range of an input: what a policy is taken to do that does less
+NOISIER = 2.0  # times: where smaller steps have such errors, returns jump, and only the larger step says something
+FIRST = {"gain": 0.5, "offset": 0.1, "law": 0.2}  # steps of the search
+EVALUATIONS = 10  # of the search for every number that is tuned, and no more than
+MOST = 60
+BLIND = 1e-9  # of the return: a run whose gradient is smaller has none
+
+
+class Retuned:
+    """A policy whose last layer is changed by numbers r (nu, 2 + nx), or (n, nu, 2 + nx) for each run.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    policy : LearnedPolicy
+    scenarios : tensors (n, nx) and (n, T, nw)
+    """
+
+    def __init__(self, problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors) -> None:
+        agent = copy.deepcopy(policy.agent).double()
+        p = torch.tensor(policy.design)
+        self._stepper = Stepper.at(in_double(problem), p)
+        self._latent = latent_law(agent, p)
+        self._range = agent.action_range(p)
+        self._scenarios = (scenarios[0].double(), scenarios[1].double())
+        self.shape = (problem.model.nu, 2 + problem.model.nx)
+        x, latent = self._root_mean_squares()
+        self._unit = latent.clamp(LEAST, 1.0)[:, None]
+        self._law = self._unit / x.clamp(min=1e-12)
+
+    def episode(self, r: Tensor, *, depths: bool = False) -> Episode:
+        """Episodes of the policy retuned by `r`."""
+        gain = r[..., 0].exp()
+        offset = r[..., 1] * self._unit[:, 0]
+        law = r[..., 2:] * self._law
+
+        def inputs(x: Tensor) -> Tensor:
+            """Inputs (n, nu)."""
+            latent = gain * self._latent(x) + offset + (law @ x[:, :, None])[:, :, 0]
+            return scaled(latent, self._range)
+
+        return simulated(self._stepper, inputs, self._scenarios, depths=depths)
+
+    def values(self, r: Tensor) -> Tensor:
+        """What counts of the returns, (n,)."""
+        return self._stepper.problem.risk.values(self.episode(r).total)
+
+    def on(self, scenarios: ScenarioTensors) -> Retuned:
+        """The same in other scenarios."""
+        other = copy.copy(self)
+        other._scenarios = (scenarios[0].double(), scenarios[1].double())
+        return other
+
+    @torch.no_grad()
+    def _root_mean_squares(self) -> tuple[Tensor, Tensor]:
+        """Sizes of the states (nx,) that the policy visits, and of its latent actions (nu,) there."""
+        squares: list[Tensor] = []
+        limit = self._stepper.limit.double()
+
+        def watched(x: Tensor) -> Tensor:
+            """Inputs (n, nu)."""
+            latent = self._latent(x)
+            squares.append(torch.cat([x.clamp(-limit, limit), latent.clamp(-1.0, 1.0)], dim=1).square().mean(0))
+            return scaled(latent, self._range)
+
+        simulated(self._stepper, watched, self._scenarios)
+        sizes = torch.stack(squares).mean(0).sqrt()
+        return sizes[: len(limit)], sizes[len(limit) :]
+
+
+def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors) -> GradientCheck:
+    """Its slopes along a few random changes of its last layer: through the model, and by differences."""
+    retuned = Retuned(problem, policy, scenarios)
+    size = int(np.prod(retuned.shape))
+    drawn = np.random.default_rng(0).standard_normal((size, min(DIRECTIONS, size)))
+    directions = torch.tensor(np.linalg.qr(drawn)[0])
+    r = torch.zeros((len(scenarios[0]), *retuned.shape), dtype=torch.float64, requires_grad=True)
+    values = retuned.values(r)
+    pathwise = torch.autograd.grad(values.sum(), r)[0].flatten(1) @ directions
+    scale = float(problem.made_by_control(values.detach().mean(), torch.tensor(policy.design)))
+    coarse = _check(pathwise, _differences(retuned, directions, STEPS[0]), scale)
+    if coarse.trusted:
+        return coarse
+    fine = _check(pathwise, _differences(retuned, directions, STEPS[1]), scale)
+    steady = fine.finite_difference_error <= NOISIER * coarse.finite_difference_error
+    return fine if steady.all() else coarse
+
+
+@torch.no_grad()
+def _differences(retuned: Retuned, directions: Tensor, step: float) -> Tensor:
+    """Slopes (n, k) of every run's return along directions (m, k)."""
+    steps = (step * directions.T).reshape(-1, *retuned.shape)
+    return torch.stack([(retuned.values(r) - retuned.values(-r)) / (2 * step) for r in steps], dim=1)
+
+
+def _check(pathwise: Tensor, by_difference: Tensor, scale: float) -> GradientCheck:
+    """Both means with their errors."""
+    names = tuple(f"direction {i + 1}" for i in range(pathwise.shape[1]))
+    return GradientCheck(
+        names, by_difference.mean(0).numpy(), pathwise.mean(0).numpy(), np.full(len(names), np.nan),
+        standard_error(by_difference).numpy(), standard_error(pathwise).numpy(),
+        standard_error(pathwise - by_difference).numpy(), scale,
+        float((pathwise.norm(dim=1) <= BLIND * scale).double().mean()),
+    )  # fmt: skip
+
+
+@torch.no_grad()
+def better_by_search(
+    problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors, fresh: ScenarioTensors
+) -> PairedDifference:
+    """By how much the best policy that a search on some scenarios finds is better, on fresh ones.
+
+    None that leaves the limits further, or loses more runs, counts.
+    """
+    retuned = Retuned(problem, policy, scenarios)
+    count = int(np.prod(retuned.shape))
+    nothing = torch.zeros(retuned.shape, dtype=torch.float64)
+    most = _left(retuned.episode(nothing, depths=True))
+
+    def cost(z: Array) -> float:
+        """Of a vector of numbers."""
+        seen = retuned.episode(torch.tensor(z.reshape(retuned.shape)), depths=True)
+        return -float(problem.risk.values(seen.total).mean()) if (_left(seen) <= most).all() else np.inf
+
+    steps = np.tile([FIRST["gain"], FIRST["offset"], *[FIRST["law"]] * (retuned.shape[1] - 2)], retuned.shape[0])
+    simplex = np.vstack([np.zeros(count), np.diag(steps)])
+    options = {"initial_simplex": simplex, "maxfev": min(EVALUATIONS * count, MOST), "adaptive": True}
+    found = minimize(cost, np.zeros(count), method="Nelder-Mead", options=options).x
+    again = retuned.on(fresh)
+    better = again.values(torch.tensor(found.reshape(retuned.shape)))
+    return paired_difference(better.numpy(), again.values(nothing).numpy())
+
+
+def _left(seen: Episode) -> Array:
+    """How often and how far limits are left, and the share of the runs that are lost, (3,)."""
+    return np.array([float(part.double().mean()) for part in (seen.outside, seen.peak, seen.diverged)])

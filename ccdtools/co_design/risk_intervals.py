@@ -1,0 +1,135 @@
+"""Risks of the runs that were kept, with their intervals: a run that is lost is counted, and not averaged in.
+
+References
+----------
+Efron and Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981. Shao and Wu, "A general theory
+for jackknife variance estimation", Annals of Statistics 17(3), 1989 (functions that are not smooth, such as quantiles).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ccdtools.arrays import Array, Indices, Mask
+from ccdtools.co_design.risk import CVaR, Mean, MeanSpread, Risk, WorstCase
+from ccdtools.statistics import FEWEST, PairedDifference, Summary, interval_of_parts, summarise
+
+NONE = (float("nan"), float("nan"))
+
+
+def risk_of(risk: Risk, returns: Array, runs: Indices | None = None) -> float:
+    """The risk of returns (n,); of a worst case, whose runs have the numbers `runs`, the least mean itself.
+
+    NaN where nothing can be said: of no run, or of a worst case without a run of one of its cases.
+    """
+    if isinstance(risk, WorstCase):
+        numbers = np.arange(len(returns)) if runs is None else runs
+        cases = _by_case(risk, returns, numbers)
+        return float(np.min([case.mean() if len(case) else np.nan for case in cases]))
+    return float(risk.values(returns).mean()) if len(returns) else float("nan")
+
+
+def parts_of_risk(
+    risk: Risk, returns: Array, labels: Indices | None = None, runs: Indices | None = None
+) -> Array:  # fmt: skip
+    """The part that every group of runs has in a risk of their returns (n,), (g,): their mean is the risk.
+
+    The part of a group is how far the risk moves when it is left out; of runs that are groups of their own, and a risk
+    of this package, by its derivative. NaN of a single group.
+
+    Parameters
+    ----------
+    labels : (n,) int array, optional
+        The group of every run; by default each is one of its own. The parts are in the order of the labels.
+    runs : (n,) int array, optional
+        Numbers of the runs, which tell the case of each; by default 0, 1, 2, …
+    """
+    own = np.arange(len(returns)) if labels is None else labels
+    numbers = np.arange(len(returns)) if runs is None else runs
+    groups = np.unique(own)
+    if len(groups) < 2 and not isinstance(risk, Mean):
+        return np.full(len(groups), np.nan)
+    if len(groups) == len(returns) and isinstance(risk, Mean | MeanSpread | CVaR | WorstCase):
+        alone = _parts_of_case(risk, returns, numbers) if isinstance(risk, WorstCase) else risk.values(returns)
+        return np.asarray(alone[np.argsort(own)])
+    kept = (own != group for group in groups)
+    rest = np.array([risk_of(risk, returns[others], numbers[others]) for others in kept])
+    return risk_of(risk, returns, numbers) + (len(groups) - 1) * (rest.mean() - rest)
+
+
+def in_tail(risk: Risk, runs: Indices) -> int:
+    """How many of the runs (n,) with these numbers decide a risk: its share of them, or those of the rarest case."""
+    if isinstance(risk, CVaR):
+        return int(risk.share * len(runs) + 1e-9)
+    if isinstance(risk, WorstCase):
+        return min(len(case) for case in _by_case(risk, np.zeros(len(runs)), runs))
+    return len(runs)
+
+
+def too_few(risk: Risk, runs: Indices) -> str:
+    """Why a risk of these runs has no interval; empty where it has."""
+    count = in_tail(risk, runs)
+    if isinstance(risk, Mean) or count >= FEWEST:
+        return ""
+    return f"{count} runs decide it, fewer than {FEWEST}: no interval"
+
+
+def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:
+    """The risk of the runs that are not lost, with its 95 % interval, of returns (n,) of which some are `lost` (n,).
+
+    `std` is the standard deviation of the runs' parts in the risk, `median` that of their returns, and `warning` says
+    that fewer than ten runs decide the risk, which then has no interval.
+    """
+    runs = np.flatnonzero(~lost)
+    kept = returns[runs]
+    plain = summarise(kept)
+    if isinstance(risk, Mean):
+        return plain
+    value = risk_of(risk, kept, runs)
+    parts = parts_of_risk(risk, kept, runs=runs)
+    std = float(parts.std(ddof=1)) if len(parts) > 1 else float("nan")
+    warning = too_few(risk, runs)
+    ends = NONE if warning else _interval(risk, kept, parts, runs)
+    return Summary(value, std, plain.median, plain.n, ends, warning)
+
+
+def of_kept_runs(risk: Risk, returns: Array, lost: Mask) -> tuple[float, float, float]:
+    """The risk of the runs that are not lost, the standard deviation of their returns, and the fraction lost."""
+    runs = np.flatnonzero(~lost)
+    std = float(returns[runs].std(ddof=1)) if len(runs) > 1 else 0.0
+    return risk_of(risk, returns[runs], runs), std, float(lost.mean())
+
+
+def difference_of_parts(risk: Risk, parts: Array, runs: Indices) -> PairedDifference:
+    """Mean of the differences of parts (n,) in a risk, of common runs with these numbers, with its 95 % interval."""
+    mean = float(parts.mean()) if len(parts) else float("nan")
+    if isinstance(risk, Mean):
+        return PairedDifference(mean, summarise(parts).ci95)
+    return PairedDifference(mean, NONE if too_few(risk, runs) else interval_of_parts(parts))
+
+
+def _interval(risk: Risk, returns: Array, parts: Array, runs: Indices) -> tuple[float, float]:
+    """The 95 % interval of a risk; of a worst case from those of its cases, any of which may be the worst.
+
+    The least mean lies above the least of the lower ends, and below every upper end. The more cases are alike, the
+    rarer it is that all lower ends miss it. Each of the m upper ends is taken to miss it in 5 / m %.
+    """
+    if not isinstance(risk, WorstCase):
+        return interval_of_parts(parts)
+    cases = _by_case(risk, returns, runs)
+    low = min(interval_of_parts(case)[0] for case in cases)
+    return low, min(interval_of_parts(case, 1 - 0.1 / len(cases))[1] for case in cases)
+
+
+def _parts_of_case(risk: WorstCase, returns: Array, runs: Indices) -> Array:
+    """The parts of the runs in the least mean: how much those of the worst case lie above or below it."""
+    assert risk.cases is not None
+    means = [case.mean() if len(case) else np.nan for case in _by_case(risk, returns, runs)]
+    worst = runs % risk.cases == np.argmin(means)
+    return np.min(means) + worst * (len(returns) / max(worst.sum(), 1)) * (returns - np.min(means))
+
+
+def _by_case(risk: WorstCase, values: Array, runs: Indices) -> list[Array]:
+    """The values (n,) of runs with these numbers, case by case."""
+    assert risk.cases is not None
+    return [values[runs % risk.cases == case] for case in range(risk.cases)]

@@ -1,0 +1,158 @@
+"""LQR of the linearisation over the states that its own closed loop visits, beside that of the tangent at rest.
+
+Friction, dead zones and springs that stiffen look at rest like another plant than where the loop goes. Fitted are the
+matrices that predict x⁺ best, in least squares over the states and inputs of the loop; the loop with their LQR visits
+other states, so they are fitted again.
+
+References
+----------
+Booton, "Nonlinear control systems with random inputs", IRE Transactions on Circuit Theory 1(1), 1954 (statistical
+linearisation); Gelb and Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design, 1968.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from ccdtools.arrays import Array, Immutable
+from ccdtools.checks import as_generator, as_instance
+from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, scenario_tensors
+from ccdtools.co_design.episodes import fewer_runs, simulated
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.controllers import LinearFeedback, Passive
+from mpc import NotStabilisableError, lqr
+
+RUNS = 32  # scenarios of 100 steps that the fit is over
+ROUNDS = 4  # fits, each over the loop of the one before
+BETTER = 5e-3  # of the return: a smaller gain is not worth a search without exact slopes
+EXCITED = 0.3  # of half the input's range: standard deviation of the inputs of the first fit
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation(Immutable):
+    """x⁺ ≈ A x + B u over the states that a loop visits, and LQR of it.
+
+    Attributes
+    ----------
+    A, B : (nx, nx) and (nx, nu) arrays
+    controller : LinearFeedback
+        Saturated LQR of A and B.
+    mean_return, tangent_return : float
+        Of that LQR, and of LQR of the tangent at rest, on the scenarios of the fit; NaN where there is none.
+    """
+
+    A: Array
+    B: Array
+    controller: LinearFeedback
+    mean_return: float
+    tangent_return: float
+
+    @property
+    def better(self) -> bool:
+        """Whether it beats the tangent in closed loop by more than 0.5 % of its return."""
+        return not self.tangent_return >= self.mean_return - BETTER * abs(self.mean_return)
+
+    def __str__(self) -> str:
+        tangent = "none" if np.isnan(self.tangent_return) else f"{self.tangent_return:.5g}"
+        return (
+            f"the plant is not linear: LQR of its tangent at rest returns {tangent}, of its secant over the visited "
+            f"states {self.mean_return:.5g}; a law that is not linear may do better"
+        )
+
+
+def stochastic_linearisation(
+    problem: CoDesignProblem, design: ArrayLike, rng: np.random.Generator
+) -> Linearisation:  # fmt: skip
+    """The linearisation over the states that its own LQR visits on scenarios of a problem, at one design.
+
+    Of four rounds, each fitted over the loop of the one before, the best in closed loop is returned.
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind.
+    NotStabilisableError
+        If no round finds matrices that can be stabilised.
+
+    Examples
+    --------
+    >>> found = stochastic_linearisation(problem, design, np.random.default_rng(0))
+    >>> found.A, found.B, found.controller
+    >>> print(found)
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_generator("rng", rng)
+    return fitted(problem, problem.design.check_one(design), visited(problem, rng))
+
+
+def visited(problem: CoDesignProblem, rng: np.random.Generator) -> ScenarioTensors:
+    """The scenarios that a fit is over."""
+    x0, w = scenario_tensors(problem, fewer_runs(RUNS, problem.steps), rng)
+    return x0.double(), w.double()
+
+
+def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Linearisation:
+    """The best linearisation of the rounds on given scenarios, a function of the design (np,) alone."""
+    rng = np.random.default_rng(0)
+    bounds = problem.input_bounds_at(p)
+    weights = problem.weights(p).keywords()
+
+    def driven(law: LinearFeedback | Passive) -> tuple[Array, Array, float]:
+        """States and inputs (n, ·) that the loop visits within the divergence limit, and the mean return."""
+        pairs = []
+
+        def followed(x: Tensor) -> Tensor:
+            """The inputs, remembered with their states."""
+            u = law(x.numpy())
+            pairs.append((x.numpy(), u))
+            return x.new_tensor(u)
+
+        with torch.no_grad():
+            seen = simulated(Stepper.at(in_double(problem), torch.tensor(p)), followed, scenarios)
+        states, inputs = (np.concatenate(part) for part in zip(*pairs))
+        within = (np.abs(states) <= problem.limit).all(axis=1)
+        return states[within], inputs[within], float(seen.total.mean())
+
+    try:
+        states, _, tangent = driven(saturated_lqr(problem, p))
+    except NotStabilisableError:
+        states = driven(Passive(problem.model.nu))[0]
+        tangent = float("nan")
+    half = np.where(np.isfinite(bounds[1] - bounds[0]), bounds[1] - bounds[0], 1.0) / 2
+    inputs = np.clip(EXCITED * half * rng.standard_normal((len(states), problem.model.nu)), *bounds)
+    best: Linearisation | None = None
+    for _ in range(ROUNDS):
+        A, B = _least_squares(problem, p, states, inputs, rng)
+        try:
+            law = LinearFeedback(lqr(A, B, **weights)[0], *bounds)
+        except NotStabilisableError:
+            if best is None:
+                raise
+            break
+        states, inputs, mean = driven(law)
+        if best is None or mean > best.mean_return:
+            best = Linearisation(A, B, law, mean, tangent)
+        if not len(states):
+            break
+    assert best is not None
+    return best
+
+
+def _least_squares(
+    problem: CoDesignProblem, p: Array, states: Array, inputs: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:  # fmt: skip
+    """A and B that predict the undisturbed step best, over the loop's pairs of state and input and over mixed pairs.
+
+    In the loop the inputs follow from the states; mixed, they tell what is done by which.
+    """
+    nx = problem.model.nx
+    pairs = np.vstack([np.hstack([states, inputs]), np.hstack([states, rng.permutation(inputs)])])
+    after = problem.model.undisturbed(p)(pairs[:, :nx], pairs[:, nx:])
+    fit = np.linalg.lstsq(pairs, after, rcond=None)[0].T
+    return fit[:, :nx], fit[:, nx:]

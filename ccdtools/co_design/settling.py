@@ -1,0 +1,179 @@
+"""Whether a co-design has settled: said once, of the controller that is handed out, after its closed loop was measured.
+
+What a method claims of its own search is kept only where, on fresh scenarios, no run is lost, the limits are kept as
+far as was asked for, saturated LQR of the same design and nested LQR from there are not better, and, of a policy, its
+gradient is that of the closed loop and a plain search over its last layer finds nothing better.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS
+from ccdtools.co_design.closed_loop import closed_loop_returns
+from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.learned_result import LearnedCoDesign
+from ccdtools.co_design.limit_tolerance import BY_MPC, FLOOR, NOTHING, UNTIL_LEFT, Pair, tolerance_at
+from ccdtools.co_design.limits import LimitsOutcome
+from ccdtools.co_design.methods.nested import Nested
+from ccdtools.co_design.methods.starting import start_points
+from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import Baseline, ClosedLoopReturns, CoDesignResult
+from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.exceptions import InputError
+from ccdtools.statistics import PairedDifference, paired_difference
+from mpc import MPCError
+
+LOSS = 5e-3  # of the return that control makes: a settled controller is worse than no baseline by more
+RUNS = 256  # scenarios of 100 steps, of nested LQR and of the checks of a policy; of its gradient twice as many
+EVALUATIONS = 20  # of nested LQR
+BLIND = 0.5  # of the runs: a policy without a gradient in more of them is not led by it
+
+
+@dataclass(frozen=True, eq=False)
+class Settling:
+    """The check of results on one set of fresh scenarios.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        What results are measured on.
+    scenarios : numpy.random.Generator
+        Draws the scenarios; it is copied, so that all controllers meet the same.
+    designing : bool
+        Whether another design might be handed out, so that nested LQR is a baseline.
+    """
+
+    problem: CoDesignProblem
+    scenarios: np.random.Generator
+    designing: bool = True
+
+    def checked(self, result: CoDesignResult) -> CoDesignResult:
+        """The result with its closed loop, its limits and baselines, and the status that these leave it."""
+        loop = self._loop(result.controller, result.design)
+        jump = getattr(self.problem.model, "jump", "")
+        notes = (*result.notes, jump) if jump else result.notes
+        result = replace(result, closed_loop=loop, notes=notes,
+                         limits=self._limits(loop, result.design, result.limits))  # fmt: skip
+        if result.status is CoDesignStatus.INFEASIBLE:
+            return result
+        if loop.lost.any():
+            return replace(result, status=CoDesignStatus.DIVERGING)
+        if result.limits is not None and not result.limits.kept:
+            return replace(result, status=CoDesignStatus.LIMITS_BROKEN)
+        if not result.status.settled:
+            return result
+        result = replace(result, baselines=tuple(self._baselines(result, loop)))
+        if any(map(_better, result.baselines)):
+            return replace(result, status=CoDesignStatus.WORSE_THAN_BASELINE)
+        return self._policy_checked(result, loop) if isinstance(result.controller, LearnedPolicy) else result
+
+    def _loop(self, controller: Any, design: Array) -> ClosedLoopReturns:
+        """What a controller brings at a design on the fresh scenarios."""
+        return closed_loop_returns(self.problem, controller, design, copy.deepcopy(self.scenarios))
+
+    def _limits(
+        self, loop: ClosedLoopReturns, design: Array, own: LimitsOutcome | None
+    ) -> LimitsOutcome | None:  # fmt: skip
+        """How a closed loop keeps the limits, beside what is asked for at its design; None where nothing is.
+
+        What a method found to be asked for, `own`, stands, unless it never saw the limits left.
+        """
+        seen, errors = Pair(loop.outside, loop.depth), Pair(*loop.limit_errors)
+        if own is not None and own.source != UNTIL_LEFT.source:
+            return replace(own, achieved=seen, errors=errors)
+        asked = self.problem.limit_tolerance
+        if asked == "off":
+            return None
+        if not isinstance(asked, str):
+            granted, source = Pair(*asked), "asked for"
+        elif not max(seen.values()) > FLOOR:
+            granted, source = UNTIL_LEFT.granted, UNTIL_LEFT.source
+        else:
+            v = torch.tensor(self.problem.design.to_unit(design))
+            granted, of_mpc = tolerance_at(self.problem, v, self._drawn(0, LOOP_RUNS))
+            source = BY_MPC
+            errors = Pair(*np.hypot(errors.values(), of_mpc.values()).tolist())
+        return LimitsOutcome(seen, granted, source, NOTHING, self.problem.output_limits is not None, errors)
+
+    def _drawn(self, number: int, runs: int = RUNS) -> tuple[torch.Tensor, torch.Tensor]:
+        """Scenarios of the checks, others for every number."""
+        rng = copy.deepcopy(self.scenarios)
+        for _ in range(number):
+            rng = np.random.default_rng(rng.integers(2**63, size=4))
+        return scenario_tensors(self.problem, fewer_runs(runs, self.problem.steps), rng)
+
+    def _baselines(self, result: CoDesignResult, loop: ClosedLoopReturns) -> list[Baseline]:
+        """Saturated LQR of the same design, and nested LQR from there; of those that keep the limits and their runs."""
+        found = []
+        try:
+            lqr = saturated_lqr(self.problem, result.design)
+        except (MPCError, InputError):
+            return []
+        if not (isinstance(result.controller, LinearFeedback) and np.array_equal(result.controller.K, lqr.K)):
+            found.append(self._baseline("LQR of the same design", lqr, result.design, loop, None))
+        if self.designing and result.method != Nested().name:
+            starts = start_points(self.problem.design, result.design, result.valleys[:1], 2)
+            found += [self._nested(self.problem.design.settled(v), loop) for v in starts]
+        return [one for one in found if one is not None]
+
+    def _nested(self, start: Array, loop: ClosedLoopReturns) -> Baseline | None:
+        """Where a short nested LQR leads from a design."""
+        method = Nested("lqr", runs=RUNS, starts=1, evaluations=EVALUATIONS)
+        try:
+            best = method.run(self.problem, start, copy.deepcopy(self.scenarios))
+        except (MPCError, InputError):
+            return None
+        name = f"nested LQR, at {self.problem.design.describe(best.design)}"
+        return self._baseline(name, best.controller, best.design, loop, best.limits)
+
+    def _baseline(
+        self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None
+    ) -> Baseline | None:
+        """A controller at a design beside the one handed out; None where it loses runs or leaves the limits."""
+        other = self._loop(controller, design)
+        limits = self._limits(other, design, limits)
+        if other.lost.any() or not (limits is None or limits.kept):
+            return None
+        runs = min(len(loop.values), len(other.values))
+        gain = paired_difference(other.values[:runs], loop.values[:runs])
+        return Baseline(name, design, self._relative(gain, loop, design))
+
+    def _relative(self, gain: PairedDifference, loop: ClosedLoopReturns, design: Array) -> PairedDifference:
+        """A gain in parts of the return that control makes."""
+        size = float(self.problem.made_by_control(loop.summary.mean, design)) or 1.0
+        low, high = gain.ci95
+        return PairedDifference(gain.mean / size, (low / size, high / size))
+
+    def _policy_checked(self, result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
+        """The result of a policy; settled if it is at an optimum, as its gradient and a plain search see it."""
+        policy = result.controller
+        assert isinstance(policy, LearnedPolicy)
+        if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
+            check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * RUNS))
+            result = replace(result, policy_gradients=check)
+            wrong = "" if check.trusted else "the gradient of the policy is not that of its return, beyond chance"
+            if check.blind > BLIND:
+                wrong = f"the policy has no gradient in {check.blind:.0%} of the runs"
+            if wrong:
+                return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))
+        found = better_by_search(self.problem, policy, self._drawn(1), self._drawn(2))
+        retuned = Baseline("its last layer retuned", result.design, self._relative(found, loop, result.design))
+        result = replace(result, baselines=(*result.baselines, retuned))
+        return replace(result, status=CoDesignStatus.NOT_STATIONARY) if _better(retuned) else result
+
+
+def _better(baseline: Baseline) -> bool:
+    """Whether a baseline is better by more than a settled result may lose, beyond chance."""
+    return baseline.gain.mean > LOSS and baseline.gain.ci95[0] > 0

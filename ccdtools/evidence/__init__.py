@@ -1,0 +1,1 @@
+"""Evidence and verdicts: whether one candidate may take the place of another."""

@@ -1,0 +1,181 @@
+"""What is known of two named candidates on one distribution: their returns in pairs, lost runs and limits."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Indices
+from ccdtools.co_design.objective import Objective
+from ccdtools.co_design.risk import MEAN, Risk, measure
+from ccdtools.evidence.paired_risk import paired_in_risk
+from ccdtools.evidence.percent import in_measure, percent_interval
+from ccdtools.statistics import PairedDifference
+from ccdtools.trajectory import Trajectory
+
+NOTHING = PairedDifference(float("nan"), (float("nan"), float("nan")))
+
+
+class Asked(Enum):
+    """What a candidate must show on a distribution."""
+
+    GAIN = "a gain beyond chance, above its price"
+    TOLERANCE = "no loss beyond the tolerance"
+    NO_LOSS = "no loss in the mean"
+    NO_SURE_LOSS = "no loss beyond chance"
+    SHOWN = "shown only"
+
+
+@dataclass(frozen=True)
+class Violation:
+    """Limits that a candidate leaves further than the tolerance, and further than what it is compared with.
+
+    Attributes
+    ----------
+    achieved, before, tolerance : (float, float)
+        Fraction of the samples outside and mean peak in half-widths: of the candidate, of what it is compared with on
+        the same runs, and what the user's tolerance allows at the candidate's design.
+    exceeded : str
+        The limit that is exceeded most.
+    by_mpc : bool
+        Whether the tolerance is what MPC of the same design does.
+    """
+
+    achieved: tuple[float, float]
+    before: tuple[float, float]
+    tolerance: tuple[float, float]
+    exceeded: str
+    by_mpc: bool
+
+    def __str__(self) -> str:
+        source = " by what MPC does" if self.by_mpc else ""
+        achieved, before, tolerance = (
+            f"{fraction:.2%} of the samples, {depth:.3g} half-widths at the peak"
+            for fraction, depth in (self.achieved, self.before, self.tolerance)
+        )
+        return (
+            f"it leaves the limits further than the tolerance ({self.exceeded}: {achieved}; tolerance{source} "
+            f"{tolerance}; deployed {before})"
+        )
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Two candidates compared on one distribution of starts and disturbances.
+
+    Attributes
+    ----------
+    candidate, current : str
+        Each by its policy and design, and by the stretch of a log that it stands for, if it does.
+    distribution : str
+    asked : Asked
+        What the candidate must show here.
+    gain : PairedDifference
+        Candidate less current, in `measure`, with its 95 % interval; NaN where no pair is left.
+    values : (float, float)
+        Mean returns of the candidate and of the current one, over the pairs.
+    size : float
+        How large the current return is without the cost of the design: what per cents are of.
+    runs : int
+    grouped : str
+        What is independent: runs, groups of runs that met one disturbance, or parts of one series.
+    lost : (int, int)
+        Runs that the candidate and the current one lose.
+    needed : float
+        Price: the gain that is asked for.
+    violation : Violation or None
+        Limits that the candidate leaves too far.
+    measure : str
+        What of the returns is compared: "mean", or the study's risk in words.
+    """
+
+    candidate: str
+    current: str
+    distribution: str
+    asked: Asked
+    gain: PairedDifference
+    values: tuple[float, float]
+    size: float
+    runs: int
+    grouped: str
+    lost: tuple[int, int] = (0, 0)
+    needed: float = 0.0
+    violation: Violation | None = None
+    measure: str = "mean"
+
+    @property
+    def percent(self) -> str:
+        """The gain and its interval in per cent: "+0.1 % [−0.2, +0.4]"."""
+        return percent_interval(self.gain.mean, self.gain.ci95, self.size) + in_measure(self.measure)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for results.json."""
+        violation = "" if self.violation is None else str(self.violation)
+        return asdict(self) | {"asked": self.asked.value, "percent": self.percent, "violation": violation}
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """How returns are compared in pairs.
+
+    Attributes
+    ----------
+    objective : QuadraticObjective or CustomObjective
+    risk : Risk
+        What of the returns is compared.
+    stretch : int
+        Steps of a stretch of a single run, which stands for a run where the risk is not the mean.
+    """
+
+    objective: Objective
+    risk: Risk = field(default_factory=lambda: MEAN)
+    stretch: int = 100
+
+    def evidence(
+        self, after: Trajectory, before: Trajectory, *, names: tuple[str, str], distribution: str, asked: Asked,
+        groups: Indices | None = None, series: bool = False, counted: int | None = None,
+    ) -> Evidence:  # fmt: skip
+        """The evidence of two candidates that met the same starts and disturbances.
+
+        Parameters
+        ----------
+        after, before : Trajectory
+            Of the candidate and of the current one.
+        names : (str, str)
+            Theirs.
+        groups : (n,) int array, optional
+            Runs of one group met one disturbance: together they are one piece of evidence. Each is its own by default.
+        series : bool
+            Whether the runs are consecutive parts of a single one.
+        counted : int, optional
+            Last steps of every run that count; all by default.
+        """
+        kept = ~(after.diverged | before.diverged)
+        labels = np.arange(len(kept)) if groups is None else np.asarray(groups, dtype=np.int64)
+        lost = (int(after.diverged.sum()), int(before.diverged.sum()))
+        none = Evidence(
+            *names, distribution, asked, NOTHING, (np.nan, np.nan), 0.0, len(kept), _grouped(labels, series), lost,
+            measure=measure(self.risk),
+        )  # fmt: skip
+        if not kept.any():
+            return none
+        made, met = (run.rewards(self.objective)[kept][:, -(counted or 0) :] for run in (after, before))
+        gain = paired_in_risk(
+            self.risk, made, met, labels[kept], runs=1 if series else max(2, len(kept)), stretch=self.stretch
+        )
+        parts = 1 if series else kept.sum()
+        values = (float(made.sum() / parts), float(met.sum() / parts))
+        steps = met.size // parts
+        size = float(self.objective.made_by_control(values[1], before.design, steps))
+        return replace(none, gain=gain, values=values, size=size)
+
+
+def _grouped(labels: Indices, series: bool) -> str:
+    """How runs are grouped, in words."""
+    if series:
+        return "one run, as a series"
+    groups = len(np.unique(labels))
+    return f"{len(labels)} runs" if groups == len(labels) else f"{len(labels)} runs in {groups} groups"

@@ -1,0 +1,178 @@
+"""Whether one candidate may take the place of another, from the evidence on every distribution that it will serve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from ccdtools.checks import shown
+from ccdtools.evidence.evidence import Asked, Evidence
+from ccdtools.evidence.percent import signed_percent
+from ccdtools.exceptions import InputError
+from ccdtools.statistics import SAME_RETURN
+
+TOLERANCE = 0.005  # of the size of a return: the loss below which a candidate is called not worse
+
+
+class Status(Enum):
+    """What becomes of a candidate."""
+
+    FIRST = "the first deployed"
+    BETTER = "better"
+    NOT_WORSE = "not worse"
+    NO_GAIN = "no gain beyond chance"
+    BELOW_PRICE = "less than its price"
+    LOSS = "a loss beyond the tolerance"
+    WORSE = "worse"
+    NOT_BETTER = "not better"
+    MORE_LOST = "more of its runs are lost"
+    LIMITS = "further outside the limits than the tolerance"
+    NO_FILTER = "the filter finds no set at its design"
+
+    @property
+    def replaces(self) -> bool:
+        """Whether the candidate takes the place of the current one."""
+        return self in (Status.FIRST, Status.BETTER, Status.NOT_WORSE)
+
+    @property
+    def advice(self) -> str:
+        """What the user may do about it."""
+        return ADVICE.get(self, "")
+
+
+ADVICE = {
+    Status.NO_GAIN: "Log more runs or a longer one; or what is deployed is as good as the log can tell.",
+    Status.BELOW_PRICE: "State another price (redesign_price) if so small a gain is worth a redesign.",
+    Status.LOSS: "If the gain is worth that loss, say so: accept_loss, or --accept-loss on the command line.",
+    Status.WORSE: "What was deployed before is deployed again; the log still teaches the twin.",
+    Status.NOT_BETTER: "What was deployed before is deployed again; the log still teaches the twin.",
+    Status.MORE_LOST: "Limit the box of designs to those that keep the plant stable.",
+    Status.LIMITS: "Raise limit_tolerance, or deploy with the filter.",
+    Status.NO_FILTER: "Widen X or U, or leave the filter out: no state can be kept within X for ever.",
+}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a candidate takes the place of the current one.
+
+    Attributes
+    ----------
+    status : Status
+    evidence : tuple of Evidence
+        That on what the candidate was made for comes first.
+    reason : str
+        The number and the distribution that decide.
+    tolerance : float
+        The loss that is accepted, as a part of the size of a return.
+    """
+
+    status: Status
+    evidence: tuple[Evidence, ...] = ()
+    reason: str = ""
+    tolerance: float = TOLERANCE
+
+    @property
+    def replaces(self) -> bool:
+        """Whether the candidate takes the place of the current one."""
+        return self.status.replaces
+
+    def on(self, distribution: str) -> Evidence | None:
+        """The evidence on one distribution, if there is any."""
+        return next((one for one in self.evidence if one.distribution == distribution), None)
+
+    def __str__(self) -> str:
+        return self.status.value + (f": {self.reason}" if self.reason else "")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for results.json."""
+        return {
+            "status": self.status.value, "replaces": self.replaces, "reason": self.reason, "tolerance": self.tolerance,
+            "advice": self.status.advice, "evidence": [one.as_dict() for one in self.evidence],
+        }  # fmt: skip
+
+
+def decide(evidence: Sequence[Evidence], *, tolerance: float = TOLERANCE) -> Verdict:
+    """Whether the candidate of all evidence may take the place of the current one.
+
+    It must show on every distribution what is asked of it there. Before any return count lost runs, of which it may
+    lose no more, and limits. Where the current one loses every run of a distribution there is nothing to compare.
+
+    Parameters
+    ----------
+    evidence : sequence of Evidence
+        What the candidate was made for first.
+    tolerance : float
+        Loss, as a part of the size of a return, that the user accepts.
+
+    Raises
+    ------
+    InputError
+        If there is no evidence, or the tolerance is no fraction.
+    """
+    records = tuple(evidence)
+    if not records or not all(isinstance(one, Evidence) for one in records):
+        raise InputError("evidence", shown(evidence), "at least one Evidence")
+    if not 0 <= tolerance <= 1:
+        raise InputError("tolerance", tolerance, "a fraction from 0 to 1")
+    deciding = [one for one in records if one.asked is not Asked.SHOWN]
+    for test in (_lost, _left_limits, lambda one: _short(one, tolerance)):
+        for one in deciding:
+            found = test(one)
+            if found is not None:
+                return Verdict(found, records, _reason(found, one, tolerance), tolerance)
+    best = max((one for one in deciding), key=_gained, default=None)
+    status = Status.BETTER if best is not None and _gained(best) > 0 else Status.NOT_WORSE
+    first = deciding[0] if deciding else records[0]
+    return Verdict(status, records, f"{first.percent} on {first.distribution}", tolerance)
+
+
+def _lost(one: Evidence) -> Status | None:
+    """Whether the candidate loses more runs."""
+    return Status.MORE_LOST if one.lost[0] > one.lost[1] else None
+
+
+def _left_limits(one: Evidence) -> Status | None:
+    """Whether the candidate leaves the limits too far."""
+    return None if one.violation is None else Status.LIMITS
+
+
+def _gained(one: Evidence) -> float:
+    """The lower end of a gain beyond rounding; −1 of none."""
+    low = one.gain.ci95[0]
+    return low if low > SAME_RETURN * one.size else -1.0
+
+
+def _short(one: Evidence, tolerance: float) -> Status | None:
+    """How the candidate falls short of what is asked; None if it does not."""
+    low, high = one.gain.ci95
+    floor = SAME_RETURN * one.size
+    if one.asked is Asked.GAIN:
+        if not (low > 0 or 0 < one.gain.mean < one.needed):
+            return Status.NO_GAIN if not high < -floor else Status.WORSE
+        return Status.BELOW_PRICE if one.gain.mean <= one.needed else None
+    if one.asked is Asked.TOLERANCE:
+        nothing_to_compare = one.lost[1] == one.runs or one.size == 0
+        return None if nothing_to_compare or low >= -max(tolerance * one.size, floor) else Status.LOSS
+    if high < -floor:
+        return Status.WORSE
+    in_the_mean = one.asked is Asked.NO_LOSS or not np.isfinite([low, high]).all()
+    return Status.NOT_BETTER if in_the_mean and one.gain.mean < -floor else None
+
+
+def _reason(status: Status, one: Evidence, tolerance: float) -> str:
+    """The sentence of a status, from the numbers of the evidence that decided."""
+    if status is Status.MORE_LOST:
+        return f"{one.lost[0]} of {one.runs} runs on {one.distribution}, where {one.current} loses {one.lost[1]}"
+    if status is Status.LIMITS:
+        return f"{one.violation} on {one.distribution}"
+    if status is Status.BELOW_PRICE:
+        needed = signed_percent(100 * one.needed / one.size) if one.size else f"{one.needed:.4g}"
+        return f"{one.percent} on {one.distribution}, price {needed.removeprefix('+')}"
+    if status is Status.LOSS:
+        return f"{one.percent} on {one.distribution}, tolerance {100 * tolerance:g} %"
+    return f"{one.percent} on {one.distribution}"

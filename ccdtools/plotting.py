@@ -1,0 +1,47 @@
+"""The picture of a simulation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ccdtools.checks import has_method
+
+DRAWN = 50  # runs at most: more are a blot
+
+
+def plot_trajectory(run: Any, figure: Any = None) -> Any:
+    """States and inputs over time, one row each, and of many runs the first 50.
+
+    Parameters
+    ----------
+    run : Trajectory
+    figure : matplotlib Figure, optional
+        Where to draw; a new one by default.
+
+    Returns
+    -------
+    matplotlib Figure
+
+    Raises
+    ------
+    InputError
+        If `figure` is given and is none.
+    """
+    names = [f"x{i + 1}" for i in range(run.states.shape[2])] + [f"u{i + 1}" for i in range(run.inputs.shape[2])]
+    if figure is None:
+        import matplotlib.pyplot as plt
+
+        figure = plt.figure(figsize=(7.0, 1.0 + 1.3 * len(names)), layout="constrained")
+    has_method("figure", figure, "subplots", "a matplotlib Figure, or None for a new one")
+    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    held = np.concatenate([run.inputs, run.inputs[:, -1:]], axis=1)  # the last input ends with its sample
+    signals = np.concatenate([run.states, held], axis=2)[:DRAWN]
+    for i, (ax, name) in enumerate(zip(axes, names)):
+        style = "steps-post" if name.startswith("u") else "default"
+        ax.plot(run.time, signals[:, :, i].T, lw=0.8, alpha=1.0 if len(signals) == 1 else 0.5, drawstyle=style)
+        ax.set_ylabel(name)
+        ax.grid(alpha=0.3)
+    axes[-1].set_xlabel("time [s]")
+    return figure

@@ -1,0 +1,63 @@
+"""The study of a run as its options change it; nothing here waits for what is slow to import."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from typing import Any
+
+from ccdtools.disturbances.disturbance import Disturbance, Recorded
+from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
+from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
+from ccdtools.exceptions import InputError
+from ccdtools.studies.loading import LoadedStudy, load_with_sources
+from ccdtools.studies.options import Options, blamed_on_options
+from ccdtools.studies.study import Study
+
+
+def asked_study(options: Options, recording: Recorded | None = None) -> LoadedStudy:
+    """The study that the options ask for, from their starts and with their disturbance, or a recording that was kept.
+
+    Raises
+    ------
+    InputError
+        If there is no such study, or an option does not fit it.
+    """
+    loaded = load_with_sources(options.study)
+    study = loaded.study
+    source = recording if recording is not None else _source(options, study)
+    with blamed_on_options({name: f"--{name}" for name in ("x0", "p0") if getattr(options, name) is not None}):
+        study = study.started(x0=options.x0, p0=options.p0)
+    asked = {"redesign_price": options.redesign_price, "accept_loss": options.accept_loss,
+             "limit_tolerance": options.limit_tolerance(), "filter": options.filter}  # fmt: skip
+    changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    with blamed_on_source_options(options):
+        if source is not None:
+            changes["real"] = replace(study.real, disturbance=source)
+        return LoadedStudy(replace(study, **changes) if changes else study, loaded.sources)
+
+
+def blamed_on_source_options(options: Options) -> AbstractContextManager[None]:
+    """Have an `InputError` about the disturbance name the option that it came from."""
+    given = options.sources()
+    return blamed_on_options({"real.disturbance": f"--{given[0]}", "disturbance": f"--{given[0]}"} if given else {})
+
+
+def _source(options: Options, study: Study) -> Disturbance | None:
+    """The disturbance of the real plant that the options ask for; None for the study's own."""
+    dt = study.plant.dt
+    if options.disturbance is not None:
+        signal = read_disturbance(options.disturbance, dt=dt, column=options.column, argument="--disturbance")
+        return Recorded(signal)
+    if options.sources() and not study.real.road:
+        cure = "Its real plant takes --disturbance FILE.csv; one on a road is declared by RealPlant(…, road=True)."
+        got = f"it for {study.name!r}, whose disturbance is not the road under one wheel"
+        raise InputError(f"--{options.sources()[0]}", got, "a study that declares a road, such as suspension", cure)
+    if options.road is not None and options.speed is not None:
+        distance, elevation = read_road(options.road, argument="--road")
+        time, speed = read_speed(options.speed, argument="--speed")
+        with blamed_on_options({"road": "--road", "distance": "--road", "time": "--speed", "speed": "--speed"}):
+            return Recorded(road_disturbance(distance, elevation, time, speed, dt=dt))
+    if options.driver is not None:
+        return GeneratedRoad(options.driver, dt)  # type: ignore[arg-type]
+    return None

@@ -1,0 +1,122 @@
+"""What was gained and what got worse, from LQR at the start design to what is deployed at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ccdtools.studies.report.formatting import number, signed_percent, with_minus
+from ccdtools.studies.report.gains import gain_percent
+from ccdtools.studies.report.verdicts import NOT_WORSE
+
+Values = Mapping[str, Any]
+COST = "cost"
+
+
+@dataclass(frozen=True)
+class Change:
+    """One number before and after, in one place.
+
+    Attributes
+    ----------
+    name : str
+        "cost", or a metric with its unit.
+    place : str
+        The disturbance or start that it was measured with, on the real plant.
+    before, after : float
+    percent : (float, float, float) or None
+        The change and its 95 % interval, in per cent of `before`; None where there is no interval.
+    word : {"better", "worse", "same", "open"}
+    """
+
+    name: str
+    place: str
+    before: float
+    after: float
+    percent: tuple[float, float, float] | None
+    word: str
+
+    @property
+    def text(self) -> str:
+        """The change with its interval: "+21 % [+19, +22]"."""
+        if self.percent is None:
+            return "n/a"
+        mean, low, high = (signed_percent(value) for value in self.percent)
+        return f"{mean} [{low.removesuffix(' %')}, {high.removesuffix(' %')}]"
+
+    @property
+    def shown(self) -> tuple[str, str]:
+        """Both values as text."""
+        return with_minus(number(self.before)), with_minus(number(self.after))
+
+
+def changes(results: Values) -> list[Change]:
+    """The cost in every place, then every metric in every place."""
+    places = results.get("gains", ())
+    found = [cost for place in places for cost in _cost(place)]
+    return found + [metric for place in places for metric in _metrics(place)]
+
+
+def in_first_place(results: Values) -> list[Change]:
+    """The changes of the cost everywhere, and of the metrics where the plant was deployed."""
+    everything = changes(results)
+    first = everything[0].place if everything else ""
+    return [one for one in everything if one.name == COST or one.place == first]
+
+
+def of_word(results: Values, word: str) -> dict[str, Change]:
+    """The metrics that got worse (or better) anywhere, each in the first place where it did."""
+    found: dict[str, Change] = {}
+    for one in changes(results):
+        if one.word == word and one.name != COST:
+            found.setdefault(one.name, one)
+    return found
+
+
+def bare(name: str) -> str:
+    """The name of a metric without its unit."""
+    return name.split(" [")[0]
+
+
+def next_steps(results: Values) -> list[str]:
+    """What the user may do next: the advice of the last co-design, and what to do about a number that got worse."""
+    steps = []
+    worse = ", ".join(bare(name) for name in of_word(results, "worse"))
+    if worse:
+        steps.append(f"{worse} got worse: if that matters, weigh it in the objective or limit it, and run again")
+    advice = results["generations"][-1]["codesign"]["advice"].strip() if results["generations"] else ""
+    return [*steps, advice.removesuffix(".")] if advice else steps
+
+
+def _cost(place: Values) -> Iterator[Change]:
+    """The change of the cost in one place."""
+    gain = gain_percent(place, "total")
+    if gain is None:
+        return
+    before = -place["start"]
+    after = before - place["total"]["mean"]
+    mean, low, high = gain
+    percent = None if low is None or high is None else (-mean, -high, -low)
+    yield Change(COST, place["place"], before, after, percent, _word(percent))
+
+
+def _metrics(place: Values) -> Iterator[Change]:
+    """The change of every metric in one place."""
+    for metric in place.get("metrics", ()):
+        before = metric["before"]
+        ends = (metric["change"]["mean"], *metric["change"]["ci95"])
+        percent = None if not before or None in ends else tuple(100 * end / abs(before) for end in ends)
+        yield Change(metric["name"], place["place"], before, metric["after"], percent, metric["word"])  # type: ignore[arg-type]
+
+
+def _word(percent: tuple[float, float, float] | None) -> str:
+    """What a change of the cost is called, by the rule of `metric_changes`."""
+    if percent is None:
+        return "open"
+    mean, low, high = percent
+    if low >= -NOT_WORSE and high <= NOT_WORSE:
+        return "same"
+    if abs(mean) < NOT_WORSE or low <= 0 <= high:
+        return "open"
+    return "worse" if mean > 0 else "better"

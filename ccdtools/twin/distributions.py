@@ -1,0 +1,153 @@
+"""The starts and disturbances that a learned change will serve, on the model as updated by the logs so far."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array, Indices
+from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.random_starts import RandomStarts, uniform_in
+from ccdtools.evidence.evidence import Asked
+from ccdtools.scenario import Scenario
+from ccdtools.twin.common_runs import groups
+from ccdtools.twin.replay import Replay
+from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.transport import ErrorSplit
+from ccdtools.twin.updated_plant import UpdatedPlant
+from mpc import MPCError
+
+TRIED = 8  # states of X for each start that is wanted, of which those are kept that LQR keeps within X
+REPLAY = "the replayed log"
+UPDATED = "the log on the updated model"
+START = "the study's start"
+BOX = "the box of starts"
+NOMINAL = "the nominal model"
+
+
+@dataclass(frozen=True, eq=False)
+class Distribution:
+    """Starts and disturbances with their name, what a candidate must show there, and what is independent of them.
+
+    `groups` and `series` as for `Pairing.evidence`; of every run the last `counted` steps count, or all.
+    """
+
+    name: str
+    scenario: Scenario
+    asked: Asked
+    groups: Indices | None = None
+    series: bool = False
+    counted: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Served:
+    """Where a learned change will serve, beside the runs of the log.
+
+    Attributes
+    ----------
+    problem : CoDesignProblem
+        On the nominal model, with the starts that the study declares.
+    x0 : (nx,) array
+        Start of the real plant.
+    kinds : mapping of str to (n, T, nw) array
+        Held-out disturbances by name: draws that no report is measured on.
+    runs : int
+        From the study's start, and from its box.
+    """
+
+    problem: CoDesignProblem
+    x0: Array
+    kinds: Mapping[str, Array] = field(default_factory=dict)
+    runs: int = 400
+
+    def starts(self, rng: np.random.Generator) -> Array:
+        """States (n, nx) that the study declares: its one start, or draws of its starts."""
+        return self.problem.scenarios.sample(self.runs, self.problem.steps, rng)[0]
+
+    def box(self, design: Array, rng: np.random.Generator) -> Array:
+        """States (n, nx) of the box of starts: draws of those that the study declares, else what LQR keeps within X.
+
+        Uniform in X, these are the states from which saturated LQR at the design, under the disturbance that the model
+        assumes, loses no run and never leaves X. None where there is no such state, or no LQR.
+        """
+        scenarios = self.problem.scenarios
+        if isinstance(scenarios, RandomStarts):
+            return scenarios.states(self.runs, rng)
+        X = self.problem.state_limits(design)
+        x0 = uniform_in(X, TRIED * self.runs, rng)
+        w = self.problem.driving(len(x0), self.problem.steps, rng)
+        try:
+            run = Scenario(self.problem.model, x0, w).run(
+                saturated_lqr(self.problem, design), design=design, limit=self.problem.limit
+            )
+        except MPCError:
+            return x0[:0]
+        kept = ~run.diverged & X.contains(run.states.reshape(-1, X.dim)).reshape(run.states.shape[:2]).all(axis=1)
+        return x0[kept][: self.runs]
+
+    def trained_from(self, design: Array, rng: np.random.Generator) -> Array:
+        """Starts (n, nx) of a training, beside those of the log: half are the study's, half of its box."""
+        box = self.box(design, rng)
+        starts = self.starts(rng)
+        return np.concatenate([starts[: max(len(box), 1)], box])
+
+    def on(
+        self, logs: Sequence[Residuals], plant: UpdatedPlant, design: Array, rng: np.random.Generator
+    ) -> list[Distribution]:
+        """The distributions that a change at a design will serve beside the log, on the model as updated by it."""
+        drawn = {name: plant.drawn(logs, w) for name, w in self.kinds.items()}
+        found = [Distribution(name, Scenario(plant, np.tile(self.x0, (len(w), 1)), w), Asked.TOLERANCE)
+                 for name, w in drawn.items()]  # fmt: skip
+        replay = Replay(plant.unexplained(logs), plant.split)
+        steps = min(self.problem.steps, max(log.steps for log in replay.logs))
+        for name, x0 in ((START, self.starts(rng)), (BOX, self.box(design, rng))):
+            if len(x0):
+                _, w, labels = replay.windows(len(x0), steps, rng)
+                found.append(Distribution(name, Scenario(plant, x0, w), Asked.TOLERANCE, labels))
+        return found
+
+    def nominal(self, rng: np.random.Generator) -> Distribution:
+        """The nominal model from the study's starts: shown, as what corrects a bias must lose there."""
+        x0, w = self.problem.scenarios.sample(self.runs, self.problem.steps, rng)
+        return Distribution(NOMINAL, Scenario(self.problem.model, x0, w), Asked.SHOWN)
+
+
+def logged(split: ErrorSplit, logs: Sequence[Residuals], *, series: bool, most: int, rng: np.random.Generator,
+           held_out: float | None = None) -> Distribution:  # fmt: skip
+    """The nominal model met by the errors of whole logged runs: what a change was made for.
+
+    Parameters
+    ----------
+    series : bool
+        Whether the logs are consecutive parts of one run, of which the last fraction `held_out` counts, or all of it.
+    most : int
+        Runs at most.
+    """
+    replay = Replay(tuple(logs), split)
+    return _whole(REPLAY, split.replayed_model, replay, Asked.GAIN, series=series, most=most, rng=rng,
+                  held_out=held_out)  # fmt: skip
+
+
+def on_updated(
+    plant: UpdatedPlant, logs: Sequence[Residuals], *, series: bool, most: int, rng: np.random.Generator
+) -> Distribution:  # fmt: skip
+    """Whole logged runs on the updated model: there errors follow the candidate."""
+    replay = Replay(plant.unexplained(logs), plant.split)
+    return _whole(UPDATED, plant, replay, Asked.GAIN, series=series, most=most, rng=rng)
+
+
+def _whole(
+    name: str, plant: Any, replay: Replay, asked: Asked, *, series: bool, most: int, rng: np.random.Generator,
+    held_out: float | None = None,
+) -> Distribution:  # fmt: skip
+    """Whole runs of a replay, `most` of them at most."""
+    x0, w = replay.whole()
+    chosen = np.arange(len(x0)) if series or len(x0) <= most else rng.permutation(len(x0))[:most]
+    counted = None if held_out is None else round(held_out * w.shape[1])
+    return Distribution(name, Scenario(plant, x0[chosen], w[chosen]), asked, groups(replay.logs)[chosen], series,
+                        counted)  # fmt: skip

@@ -1,0 +1,118 @@
+"""The model as updated by the logs so far, for comparing candidates that other states and disturbances will meet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.models import Model
+from ccdtools.twin.residuals import Residuals, stacked
+from ccdtools.twin.transport import ErrorSplit, Transport, carried
+from learning.quantile import QuantileConfig, QuantileNetwork, fit_quantiles
+
+FEWEST = 20  # samples that a median can be fitted to
+
+
+@dataclass(frozen=True, eq=False)
+class UpdatedPlant:
+    """The updated model: x⁺ = f(x, u, ŵ, p) + T(p) g(x, u) + ρ, driven by (ŵ, ρ).
+
+    Logged errors hold E(p) w, and a model fitted in closed loop can mistake a coloured disturbance for a consequence of
+    the state. Of a single drive g is therefore the median of what does not enter through E(p); the rest of the errors
+    is a disturbance ŵ, as it was logged or drawn afresh. Of several runs g is the median of the whole errors. What g
+    does not explain is replayed as (ŵ, ρ).
+
+    Attributes
+    ----------
+    model : Model
+        The nominal one, driven by (ŵ, ρ).
+    split : ErrorSplit
+    transport : Transport
+        From the newest design, where g was learned, to others.
+    follows : (nx, nx) array
+        Of errors, what g is the median of; zero where nothing is.
+    median : QuantileNetwork or None
+        g, of one level.
+    """
+
+    model: Model
+    split: ErrorSplit
+    transport: Transport
+    follows: Array
+    median: QuantileNetwork | None
+
+    @classmethod
+    def of(
+        cls, split: ErrorSplit, logs: Sequence[Residuals], *, rng: np.random.Generator, config: QuantileConfig
+    ) -> UpdatedPlant:  # fmt: skip
+        """That of logged errors; `config` without its levels, as the median alone is fitted."""
+        transport = Transport.at(split.model, logs[-1].p, split.scale)
+        identity = np.eye(split.model.nx)
+        single = all(log.runs == 1 for log in logs)
+        follows = identity - transport.E @ transport.inverse if single else identity
+        plant = cls(split.replayed_model, split, transport, follows, None)
+        own = plant.unexplained(logs)
+        _, x, u, _, errors = stacked(own)
+        if len(x) < FEWEST or not np.abs(follows).max() > np.sqrt(np.finfo(float).eps):
+            return plant
+        network = fit_quantiles(
+            np.hstack([x, u]), errors @ follows.T, stretches=[log.runs * log.steps for log in own], rng=rng,
+            config=replace(config, levels=(0.5,)),
+        )  # fmt: skip
+        return replace(plant, median=network)
+
+    def learned(self, x: Array, u: Array) -> Array:
+        """g (..., nx) at states (..., nx) and inputs (..., nu)."""
+        if self.median is None:
+            return np.zeros(x.shape)
+        inputs = np.concatenate([x, u], axis=-1)
+        return self.median.predict(inputs.reshape(-1, inputs.shape[-1]))[:, 0].reshape(x.shape)
+
+    def unexplained(self, logs: Sequence[Residuals]) -> list[Residuals]:
+        """The logs at the newest design, their errors less what follows state and input."""
+        newest = logs[-1].p
+        own = [replace(carried(self.split.model, log, newest, np.asarray(self.split.scale)), p=newest) for log in logs]
+        return [replace(log, e_next=log.e_next - self.learned(log.x, log.u)) for log in own]
+
+    def drawn(self, logs: Sequence[Residuals], w: Array) -> Array:
+        """What drives it under a disturbance (n, T, nw) in the place of the logged one, whose mean is kept."""
+        nw = w.shape[-1]
+        logged = [self.split.disturbances(log)[..., :nw].reshape(-1, nw) for log in self.unexplained(logs)]
+        return np.concatenate([w + np.concatenate(logged).mean(axis=0), np.zeros((*w.shape[:2], self.nx))], axis=-1)
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return self.model.nx
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return self.model.nu
+
+    @property
+    def nw(self) -> int:
+        """Number of disturbances and of errors."""
+        return self.model.nw
+
+    @property
+    def dt(self) -> float:
+        """Sampling time [s]."""
+        return self.model.dt
+
+    @property
+    def design(self) -> DesignSpace | None:
+        """The box of designs."""
+        return self.model.design
+
+    def stepper(self, p: Array, *, batch: int) -> Callable[[Array, Array, Array], Array]:
+        """(x, u, (ŵ, ρ)) → x⁺ at design `p` (np,)."""
+        step = self.model.stepper(p, batch=batch)
+        if self.median is None:
+            return step
+        carry = self.transport.matrix(self.split.model.matrices(p)[2])
+        return lambda x, u, w: step(x, u, w) + self.learned(x, u) @ carry.T

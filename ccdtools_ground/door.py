@@ -1,0 +1,81 @@
+"""Checks of numbers at the public door of every package; Booleans are no numbers, and a count is an int."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import os
+import warnings
+from typing import Any
+
+import numpy as np
+
+from ccdtools_ground.errors import InputError
+
+Array = np.ndarray
+LONGEST = 60  # characters of a value in a message
+
+
+def shown(value: Any) -> str:
+    """A value in few words: itself if it is short, else its type or shape."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, np.ndarray) and value.ndim > 0:
+        return f"an array of shape {value.shape}" if value.size > 6 else _one_line(value.tolist())
+    if isinstance(value, bool | numbers.Number | str | np.generic | os.PathLike | list | tuple | dict | set):
+        return _one_line(value)
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    return f"a {type(value).__name__}"
+
+
+def _one_line(value: Any) -> str:
+    """`repr` on one line, cut where it is long."""
+    text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
+    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
+
+
+def as_floats(argument: str, value: Any, *, expected: str = "an array of real numbers") -> Array:
+    """A new C-contiguous float64 array of `value`; text, None, Booleans, complex numbers and objects are refused."""
+    if type(value) is np.ndarray and value.dtype == np.float64:  # the common case, in every step of a simulation
+        return np.array(value, order="C")
+    if _holds_truth(value):
+        raise InputError(argument, shown(value), f"{expected}, not True or False")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            array = np.asarray(value)
+            real = array.dtype.kind == "O" and all(isinstance(v, numbers.Real) for v in array.flat)
+            if real or array.dtype.kind in "iuf":
+                return np.array(array, dtype=np.float64, order="C")
+    except Exception:  # ragged, beyond double precision, or whatever the object raises when it is read as an array
+        pass
+    complex_ = isinstance(value, np.ndarray) and value.dtype.kind == "c"
+    raise InputError(argument, "complex numbers" if complex_ else shown(value), expected)
+
+
+def _holds_truth(value: Any) -> bool:
+    """Whether there is a True or False in a number, an array or a list of them, which would pass for 1 or 0."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.dtype.kind == "b" or (value.dtype.kind == "O" and any(map(_holds_truth, value.flat)))
+    return isinstance(value, bool) or (isinstance(value, list | tuple) and any(map(_holds_truth, value)))
+
+
+def as_count(argument: str, value: Any, *, least: int = 1, most: float = math.inf) -> int:
+    """A whole number from `least` to `most`, as an int; a float is refused even where it is whole."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool | np.bool_)
+    if not whole or not least <= int(value) <= most:
+        floating = isinstance(value, float | np.floating) and float(value).is_integer() and value >= least
+        cure = f"Pass the int {int(value)}." if floating else ""
+        end = f" and at most {most}" if whole and value > most else ""
+        raise InputError(argument, shown(value), f"a whole number, at least {least}{end}", cure)
+    return int(value)
+
+
+def as_generator(argument: str, value: Any) -> np.random.Generator:
+    """A NumPy generator: a seed would start the same numbers again at every call."""
+    if not isinstance(value, np.random.Generator):
+        seed = value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else 0
+        cure = f"Pass {argument}=np.random.default_rng({seed})."
+        raise InputError(argument, shown(value), "a numpy.random.Generator", cure)
+    return value

@@ -1,0 +1,47 @@
+"""The errors of all four packages: misuse is raised, a numerical outcome is a status in a result."""
+
+from __future__ import annotations
+
+
+class CCDError(Exception):
+    """Base of every error that `ccdtools`, `mpc`, `invariant_sets` and `learning` raise on purpose."""
+
+
+class InvariantSetsError(CCDError):
+    """Base of every error that `invariant_sets` raises on purpose."""
+
+
+class MPCError(CCDError):
+    """Base of every error that `mpc` raises on purpose."""
+
+
+class LearningError(CCDError):
+    """Base of every error that `learning` raises on purpose."""
+
+
+class InputError(InvariantSetsError, MPCError, LearningError, ValueError):
+    """Bad input, in one line: argument, what was got, what was expected, and the cure.
+
+    The same class in all four packages: one handler catches it whoever refuses, and so does each package's base.
+
+    Attributes
+    ----------
+    argument : str
+        Name of the argument, as the caller wrote it.
+    got, expected : object
+        What was passed and what would have been accepted, in words or as the value itself.
+    cure : str
+        What to do about it; may be empty.
+    """
+
+    def __init__(self, argument: str, got: object = None, expected: object = None, cure: str = "") -> None:
+        super().__init__(argument, got, expected, cure)  # all of them, so that the exception can be pickled
+        self.argument = argument
+        self.got = got
+        self.expected = expected
+        self.cure = cure
+
+    def __str__(self) -> str:
+        if self.expected is None:
+            return self.argument
+        return f"{self.argument}: got {self.got}, expected {self.expected}." + (f" {self.cure}" if self.cure else "")

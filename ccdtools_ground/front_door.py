@@ -1,0 +1,24 @@
+"""The public names of a package, stated once in the stub beside its `__init__.py`, each loaded when it is asked for."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+
+def front_door(package: str, file: str) -> tuple[list[str], Callable[[str], Any]]:
+    """The public names of a package, sorted as in its stub, and its `__getattr__`."""
+    tree = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
+    imports = (node for node in tree.body if isinstance(node, ast.ImportFrom))
+    homes = {alias.name: node.module or "" for node in imports for alias in node.names}
+
+    def load(name: str) -> Any:
+        """The object of a public name."""
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(homes[name]), name)
+
+    return sorted(homes), load

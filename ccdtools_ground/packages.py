@@ -1,0 +1,26 @@
+"""The packages of this distribution, and whether a user's own file stands in front of one of them."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+NAMES = ("ccdtools", "ccdtools_ground", "invariant_sets", "learning", "mpc")
+
+
+def what_hides_ours() -> str:
+    """What to do about the first file or folder that Python would import in the place of a package; empty if none."""
+    home = Path(__file__).resolve().parents[1]
+    for name in NAMES:
+        try:
+            spec = find_spec(name)
+        except ValueError:  # a module without a specification, such as one that a test has made
+            continue
+        own = (home / name).resolve()
+        if spec is None or spec.origin is None or not own.is_dir():
+            continue
+        found = Path(spec.origin).resolve()
+        if found.parent != own:
+            file = found.parent if found.name == "__init__.py" else found
+            return f"{file} hides the package `{name}` that ccdtools is made of. Rename it, or run from another folder."
+    return ""

@@ -1,0 +1,146 @@
+"""What test_limits.py claims, seen from inside."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+import torch
+
+import ccdtools as cc
+from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.episodes import Episode
+from ccdtools.co_design.limit_tolerance import BESIDE_MPC, FLOOR, Pair, Tolerance, mpc_episodes, tolerance_by_mpc
+from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
+from invariant_sets import Polytope
+
+QUICK = {"iterations": 8, "pathwise_runs": 16, "evaluation_runs": 64, "evaluate_every": 2}
+
+
+def rail(limit=0.5, **changes):
+    """A mass on a rail with light friction: its speed is limited, and the start is far enough to reach the limit."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    space = cc.DesignSpace(["m"], [0.5], [3.0], units=["kg"])
+    plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], (u - 0.1 * x[1]) / p + w), space, dt=0.1)
+    stated = cc.CoDesignProblem(
+        cc.discretise(plant), X=Polytope.from_bounds([-2, -limit], [2, limit]), U=Polytope.from_bounds([-1], [1]),
+        objective=cc.QuadraticObjective(np.diag([1, 0.1]), [[0.05]]),
+        scenarios=cc.FixedStart([-1.5, 0.0], cc.Gaussian([0.1])), steps=60,
+    )  # fmt: skip
+    return replace(stated, **changes)
+
+
+def episodes(fraction, depth, n=4):
+    """Episodes with these measures, returning −100 each."""
+    full = torch.full((n,), 1.0, dtype=torch.float64)
+    return Episode(-100 * full, full < 0, 0.1 * depth * full, depth * full, fraction * full)
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("name", ["illustrative", "suspension"])
+def test_where_the_limits_never_bind_the_results_are_those_without_limits(name, request, clone):
+    study = request.getfixturevalue(name)
+    results = []
+    for tolerance in ("mpc", "off"):
+        problem = replace(study.problem(), limit_tolerance=tolerance)
+        config = cc.CoDesignConfig(**QUICK)
+        results.append(cc.codesign(problem, agent=clone(study), design=study.p0, rng=np.random.default_rng(1),
+                                   config=config))  # fmt: skip
+    kept, off = results
+    np.testing.assert_array_equal(kept.design, off.design)
+    np.testing.assert_array_equal(kept.history.model_return, off.history.model_return)
+    assert kept.limits.kept
+    assert kept.limits.multipliers == Pair(0.0, 0.0)
+    assert off.limits is None
+
+
+def test_the_tolerance_is_a_quarter_more_than_what_mpc_does_there():
+    problem = rail()
+    scenarios = scenario_tensors(problem, 40, np.random.default_rng(0))
+    v = torch.tensor([0.4])
+    granted = StateLimitPenalty(problem).updated(episodes(0.5, 0.3), v, scenarios)
+    by_mpc = mpc_episodes(problem, v, scenarios)
+    assert granted.tolerance.granted.depth == pytest.approx(BESIDE_MPC * float(by_mpc.peak.mean()))
+    assert granted.tolerance.granted.fraction == pytest.approx(BESIDE_MPC * float(by_mpc.outside.mean()))
+    assert "MPC of the same design" in granted.tolerance.source
+    idle = StateLimitPenalty(problem).updated(episodes(0.001, 0.001), v, scenarios)
+    assert idle.tolerance.v is None
+    assert not idle.active
+
+
+def test_near_the_design_at_which_mpc_was_measured_the_tolerance_follows_the_design():
+    problem = rail()
+    scenarios = scenario_tensors(problem, 40, np.random.default_rng(0))
+    v = torch.tensor([0.3])
+    near = tolerance_by_mpc(problem, v, scenarios)
+    there = tolerance_by_mpc(problem, v + 0.06, scenarios)
+    assert near.holds_at(v + 0.06)
+    assert not near.holds_at(v + 0.2)
+    constant = near.granted.fraction - there.granted.fraction
+    assert abs(constant) > 0.02 * there.granted.fraction
+    assert abs(float(near.at(v + 0.06)[0]) - there.granted.fraction) < 0.3 * abs(constant)
+
+
+@pytest.mark.check
+def test_an_mpc_that_loses_every_run_grants_no_more_than_a_network_resolves():
+    lost = replace(rail(), scenarios=cc.FixedStart([-1.5, 0.4], cc.Gaussian([1e9])))
+    granted = tolerance_by_mpc(lost, torch.tensor([0.3]), scenario_tensors(lost, 40, np.random.default_rng(0)))
+    assert granted.granted == Pair(FLOOR, FLOOR)
+
+
+def test_multipliers_grow_while_the_limits_are_broken_and_fall_to_zero_once_kept():
+    penalty = StateLimitPenalty(rail(limit_tolerance=(0.1, 0.05)))
+    v = torch.tensor([0.4])
+    assert not penalty.active
+    values = []
+    for _ in range(4):
+        penalty = penalty.updated(episodes(0.05, 0.4), v, ())
+        values.append(penalty.multipliers.depth)
+    assert values == sorted(values)
+    assert 0 < values[0] < values[-1]
+    assert penalty.multipliers.fraction == 0
+    assert penalty.violation(episodes(0.05, 0.4)) == pytest.approx(0.35)
+    for _ in range(30):
+        penalty = penalty.updated(episodes(0.0, 0.0), v, ())
+    assert not penalty.active
+    assert penalty.violation(episodes(0.1, 0.05)) == 0
+
+
+@pytest.fixture
+def priced():
+    """Return a penalty whose multipliers are not zero, and episodes at which both measures are where they aim."""
+    at = torch.tensor([0.4], dtype=torch.float64)
+    tolerance = Tolerance(Pair(0.1, 0.05), "made up", at, torch.tensor([[0.0], [2.0]], dtype=torch.float64))
+    penalty = replace(StateLimitPenalty(rail()), tolerance=tolerance, v=at, multipliers=Pair(0.2, 0.3), spread=0.25)
+    full = torch.ones(2, dtype=torch.float64)
+    depth = torch.tensor([0.015, 0.03], dtype=torch.float64)
+    return penalty, Episode(-100 * full, full < 0, depth, 0.045 * full, 0.09 * full), at
+
+
+def test_the_cost_prices_peak_and_mean_depth_in_parts_of_the_return(priced):
+    penalty, seen, v = priced
+    prices = penalty.prices(seen, v)
+    np.testing.assert_allclose(prices.peak, 100 * 0.3 / 0.05)
+    np.testing.assert_allclose(prices.depth, 100 * 0.2 / 0.1 / 0.25)
+    np.testing.assert_allclose(prices.design, -100 * 0.3 * 0.9 * 2.0)  # a design with more granted has less to pay
+
+
+def test_the_prices_are_the_slopes_of_the_cost(priced):
+    penalty, seen, v = priced
+    seen = replace(seen, peak=1.4 * seen.peak)
+    prices = penalty.prices(seen, v)
+    h = 1e-6
+    slopes = [
+        (penalty.cost(replace(seen, depth=seen.depth + h), v) - penalty.cost(replace(seen, depth=seen.depth - h), v)),
+        (penalty.cost(replace(seen, peak=seen.peak + h), v) - penalty.cost(replace(seen, peak=seen.peak - h), v)),
+        (penalty.cost(seen, v + h) - penalty.cost(seen, v - h)),
+    ]
+    expected = np.array([float(slope) for slope in slopes]) / (2 * h)
+    np.testing.assert_allclose([prices.depth, prices.peak, float(prices.design)], expected, rtol=1e-5)
+
+
+def test_an_outcome_that_is_kept_says_by_how_much():
+    outcome = LimitsOutcome(Pair(0.1, 0.02), Pair(0.12, 0.05), "asked for", Pair(0.0, 0.0))
+    assert str(outcome) == (
+        "state limits kept: 10.00% of the states outside X, peak depth 0.02; 12.00% and 0.05 granted (asked for)"
+    )

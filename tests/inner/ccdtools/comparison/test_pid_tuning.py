@@ -1,0 +1,56 @@
+"""A PID that is tuned, not crippled."""
+
+import numpy as np
+import pytest
+
+from ccdtools import LinearFeedback, Passive, simulate
+from ccdtools.comparison.pid_tuning import tuned_pid
+from mpc import lqr
+
+
+def mean_return(study, controller, p):
+    problem = study.problem()
+    x0, w = problem.scenarios.sample(500, 100, np.random.default_rng(99))
+    run = simulate(problem.model, controller, x0=x0, steps=100, disturbance=w, design=p, limit=problem.limit)
+    assert run.diverged.mean() < 0.01
+    return run.returns(problem.objective)[~run.diverged].mean()
+
+
+def test_it_recovers_most_of_what_lqr_gains_over_doing_nothing(suspension):
+    problem, p = suspension.problem(), suspension.p0
+    A, B, _ = problem.model.matrices(p)
+    K = lqr(A, B, Q=problem.objective.Q, R=problem.objective.R)[0]
+    best = mean_return(suspension, LinearFeedback(K, *problem.input_bounds), p)
+    nothing = mean_return(suspension, Passive(), p)
+    pid = tuned_pid(problem, p, rng=np.random.default_rng(0), runs=64, screened=24, refinements=80)
+    assert (mean_return(suspension, pid, p) - nothing) / (best - nothing) > 0.5
+
+
+def test_it_stabilises_the_unstable_example(illustrative):
+    pid = tuned_pid(illustrative.problem(), [2.0], rng=np.random.default_rng(0), runs=64, screened=24, refinements=80)
+    assert mean_return(illustrative, pid, [2.0]) > -45  # LQR −29.8
+
+
+def test_it_keeps_the_input_bounds_and_the_sampling_time(suspension):
+    problem = suspension.problem()
+    pid = tuned_pid(problem, suspension.p0, rng=np.random.default_rng(0), runs=4, screened=3, refinements=1)
+    assert pid.dt == 0.05
+    np.testing.assert_array_equal([pid.lower, pid.upper], [[-1000], [1000]])
+    assert pid.C.shape == (1, 4)
+
+
+def test_candidate_outputs_may_be_given(illustrative):
+    C = np.array([[[1.0, 1.0]]])
+    pid = tuned_pid(
+        illustrative.problem(), [2.0], rng=np.random.default_rng(0), outputs=C, runs=8, screened=3, refinements=1
+    )
+    np.testing.assert_array_equal(pid.C, [[1.0, 1.0]])
+
+
+def test_the_generator_decides(illustrative):
+    options = {"runs": 8, "screened": 4, "refinements": 5}
+    gains = [
+        tuned_pid(illustrative.problem(), [2.0], rng=np.random.default_rng(3), **options) for _ in range(2)
+    ]
+    assert gains[0].kp == pytest.approx(gains[1].kp)
+    assert gains[0].ki == pytest.approx(gains[1].ki)

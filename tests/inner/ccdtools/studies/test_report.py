@@ -1,0 +1,382 @@
+"""The report of small but real runs: a two-state study, and one with other dimensions throughout."""
+
+import csv
+import json
+import re
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+from markupsafe import escape
+from matplotlib.figure import Figure
+from small_runs import tiny
+
+from ccdtools import CVaR, DesignSpace, Gaussian, Plant, QuadraticObjective
+from ccdtools import figure_style as style
+from ccdtools.exceptions import InputError
+from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
+from ccdtools.studies.report import return_plots, set_figure
+from ccdtools.studies.report.finished_run import FinishedRun
+from ccdtools.studies.report.formatting import number
+from ccdtools.studies.report.gains import gain_text
+from ccdtools.studies.report.report import render, write_report
+from ccdtools.studies.report.set_figure import feasible_set_figure
+from ccdtools.studies.report.tables import console_table
+from invariant_sets import Certificate, Polytope, SetResult, Status
+
+
+def two_masses() -> Study:
+    """Four states, two inputs, two disturbances, three design parameters, one long real run."""
+    x, u, w, p = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("w", 2), ca.SX.sym("p", 3)
+    spring = p[0] * (x[2] - x[0]) + p[1] * (x[3] - x[1])
+    dynamics = ca.vertcat(x[1], spring - p[2] * x[1] + u[0] + w[0], x[3], -spring + u[1] + w[1])
+    design = DesignSpace(["k", "c", "d"], [1.0, 0.1, 0.1], [3.0, 1.0, 1.0], ["N/m", "N·s/m", "N·s/m"])
+    names = ["q1 [m]", "v1 [m/s]", "q2 [m]", "v2 [m/s]"]
+    plant = Plant(x, u, w, p, dynamics, design, dt=0.2, state_names=names, input_names=["f1 [N]", "f2 [N]"])
+    noise = Gaussian(std=[0.2, 0.2])
+    return Study(
+        name="two_masses", title="Two masses", plant=plant, X=Polytope.from_bounds([-2.0] * 4, [2.0] * 4),
+        U=Polytope.from_bounds([-3.0] * 2, [3.0] * 2), objective=QuadraticObjective(Q=np.eye(4), R=0.1 * np.eye(2)),
+        disturbance=noise, x0=[1.0, 0.0, -0.5, 0.0], p0=[1.0, 0.5, 0.5], steps=20,
+        real=RealPlant(plant, noise, x0=np.zeros(4), runs=1, steps=500),
+    )  # fmt: skip
+
+
+def finished(study: Study, path, *, generations: int = 1, quick: bool = True):
+    """Make a run of hardly any iterations and its report."""
+    config = replace(tiny(configuration(study, quick=True)), quick=quick)
+    folder = RunFolder.create(path)
+    Generations(study, config, folder, generations=generations, seed=3, echo=lambda line: None, progress=False).run()
+    write_report(study, folder)
+
+
+def read(path):
+    """The folder of a finished run and its results."""
+    folder = RunFolder(path / "run")
+    return folder, folder.read_json("results.json")
+
+
+@pytest.fixture(scope="module")
+def illustrative(stored):
+    """A quick run of two generations on two states."""
+    study = load_study("illustrative")
+    study = replace(study, steps=20, real=replace(study.real, runs=20, steps=30))
+    return read(stored("illustrative", lambda place: finished(study, place / "run", generations=2)))
+
+
+@pytest.fixture(scope="module")
+def masses(stored):
+    """A run that is not quick, of a study that is in no file of the package."""
+    return read(stored("masses", lambda place: finished(two_masses(), place / "run", quick=False)))
+
+
+def rows_of(folder, name):
+    """The rows of a CSV file."""
+    with (folder.path / name).open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def figures_of(folder):
+    """Names of the figures."""
+    return {path.stem for path in (folder.path / "figures").glob("*.png")}
+
+
+def test_two_state_study_has_every_figure(illustrative):
+    assert figures_of(illustrative[0]) == {
+        "changes", "history", "landscape", "comparison", "feasible_sets", "policy", "trajectories_model",
+        "trajectories_real",
+        "quantiles_1", "quantiles_2",
+    }  # fmt: skip
+
+
+def test_figures_that_a_study_cannot_have_are_left_out(masses):
+    assert figures_of(masses[0]) == {
+        "changes", "history", "comparison", "feasible_sets", "trajectories_model", "trajectories_real", "quantiles_1",
+    }  # fmt: skip
+
+
+def test_page_holds_every_figure_and_links_to_nothing(illustrative, masses):
+    for folder, _ in (illustrative, masses):
+        page = (folder.path / "report.html").read_text(encoding="utf-8")
+        assert page.count("data:image/png;base64,") == len(figures_of(folder))
+        assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)|https?://|@import|<script""", page)
+        text = re.sub(r"base64,[^\"]*", "", page)
+        assert "None" not in text
+        assert "nan" not in text
+
+
+def test_quick_is_marked_in_every_output(illustrative, masses):
+    for (folder, results), marked in ((illustrative, True), (masses, False)):
+        page = (folder.path / "report.html").read_text(encoding="utf-8")
+        assert ("QUICK" in page) == marked
+        assert ("QUICK" in console_table(results)) == marked
+        for name in ("comparison.csv", "generations.csv", "learning_curves.csv"):
+            assert {row["mode"] for row in rows_of(folder, name)} == {"QUICK" if marked else "full"}
+    assert [text.get_text() for text in style.blank(4, 3, quick=True).texts] == ["QUICK"]
+    assert not style.blank(4, 3).texts
+
+
+def test_tables_repeat_the_results(illustrative, masses):
+    for folder, results in (illustrative, masses):
+        comparison = rows_of(folder, "comparison.csv")
+        assert len(comparison) == len(results["comparison"])
+        for row, source in zip(comparison, results["comparison"]):
+            assert row["controller"] == source["controller"]
+            assert row["mean"] == ("" if source["mean"] is None else str(source["mean"]))
+            assert all(float(row[name]) == value for name, value in source["design"].items())
+        generations = rows_of(folder, "generations.csv")
+        assert [float(row["deployed_return_mean"]) for row in generations] == [
+            g["deployed_return"]["mean"] for g in results["generations"]
+        ]
+
+
+def test_learning_curves_have_one_row_per_evaluation(illustrative):
+    folder, results = illustrative
+    curves = rows_of(folder, "learning_curves.csv")
+    for generation in results["generations"]:
+        g = generation["generation"]
+        history = folder.read_stage(f"codesign-{g}").arrays
+        own = [row for row in curves if row["generation"] == str(g)]
+        assert [float(row["model_return"]) for row in own] == history["history_model_return"].tolist()
+        assert [float(row["p"]) for row in own] == history["history_design"][:, 0].tolist()
+
+
+def test_page_names_designs_with_units_and_active_bounds(masses):
+    folder, results = masses
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert "k = 1 N/m, c = 0.5 N·s/m, d = 0.5 N·s/m" in page
+    assert "k lower" in page
+    assert "<td>pathwise</td>" in page
+    assert json.dumps(results["configuration"]["codesign"]["design_rate"]) in page
+
+
+def test_console_table_is_aligned_and_names_active_bounds(masses):
+    text = console_table(masses[1])
+    lines = text.splitlines()
+    heading = next(line for line in lines if line.startswith("plant"))
+    assert "active bounds: k lower" in text
+    body = [line for line in lines if re.match(r"(nominal model|replayed errors|real plant) +\d", line)]
+    assert len(body) == len(masses[1]["comparison"])
+    edge = heading.index("controller")
+    assert all(line[edge - 2 : edge] == "  " and line[edge] != " " for line in body)
+
+
+@pytest.mark.check
+def test_a_page_can_be_written_again(illustrative, tmp_path):
+    folder = RunFolder(shutil.copytree(illustrative[0].path, tmp_path / "run"))
+    study = load_study("illustrative")
+    before = (folder.path / "report.html").read_text(encoding="utf-8")
+    write_report(replace(study, steps=20, real=replace(study.real, runs=20, steps=30)), folder)
+    assert (folder.path / "report.html").read_text(encoding="utf-8") == before
+
+
+def test_a_folder_without_results_is_an_error(tmp_path):
+    with pytest.raises(InputError, match=r"without a readable results\.json"):
+        write_report(load_study("illustrative"), RunFolder(tmp_path))
+
+
+def test_mpc_stands_beside_lqr_on_the_runs_that_both_saw(illustrative):
+    text = console_table(illustrative[1])
+    rows = [row for row in illustrative[1]["comparison"] if row["controller"] in ("MPC", "LQR")][:2]
+    mpc, lqr = sorted(rows, key=lambda row: row["n"])
+    shared = mpc["mean"] - mpc["paired_to_lqr"]["mean"]
+    assert mpc["n"] < lqr["n"]
+    means = f"mean {number(mpc['mean'])}, of LQR on these {number(shared)}"
+    assert f"first {mpc['n']} of {lqr['n']} runs, {means}" in text
+    assert "MPC *" in text
+
+
+def test_the_headline_comes_first(illustrative):
+    folder, results = illustrative
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert page.lower().index("real plant: cost") < page.index("What changed") < page.index("Where the gain comes from")
+    assert results["headline"].startswith("QUICK run, not a result. ")
+
+
+def test_the_page_says_how_many_updates_were_accepted_and_states_the_problem(illustrative):
+    folder, results = illustrative
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    for generation in results["generations"]:
+        updates = generation["online_updates"]
+        assert f"{sum(u['accepted'] for u in updates)} of {len(updates)} updates of the policy in service" in page
+    assert "Q, diagonal: x1: 1.000, x2: 1.000" in page
+    assert "quantile loss (pinball loss)" in page
+
+
+def test_the_redesign_is_reported_whether_taken_or_not(illustrative):
+    folder, results = illustrative
+    redesign = results["generations"][1]["redesign"]
+    assert results["generations"][0]["redesign"] is None
+    assert redesign["texts"]
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert str(escape(redesign["texts"][0].replace("-", "−")[1:])) in page
+
+
+def test_promised_and_deployed_return_stand_side_by_side(illustrative):
+    folder, results = illustrative
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    with (folder.path / "generations.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for generation, row in zip(results["generations"], rows):
+        assert row["account"] == generation["account"]
+        assert str(escape(generation["account"][1:])) in page
+        assert float(row["promised_return_mean"]) == generation["promised_return"]["mean"]
+        assert row["judge"] == generation["delivery"]["judge"]
+    first, second = results["generations"]
+    assert first["delivery"]["status"] == "the first deployed"
+    assert second["delivery"]["former"] == 1
+    assert second["delivery"]["paired"]
+
+
+def test_a_generation_has_one_colour_in_every_figure():
+    colours = [style.generation_colour(g) for g in range(len(style.GENERATIONS))]
+    assert len(set(colours) | set(style.COLOURS.values())) == len(colours) + len(style.COLOURS)
+
+
+def test_a_controller_keeps_its_colour_and_strangers_get_their_own():
+    colours = style.controller_colours(["LQR", "learned", "tube MPC", "H∞"])
+    assert colours["LQR"] == style.COLOURS["LQR"]
+    assert len({colours[name] for name in ("LQR", "learned", "tube MPC", "H∞")}) == 4
+
+
+def test_landscape_of_nothing_but_divergence_is_still_drawn():
+    for fine in (False, True):
+        figure = Figure()
+        ax = figure.add_subplot()
+        mean = np.full((3, 3), -1.0 if fine else np.nan)
+        axis = np.linspace(0, 1, 3)
+        return_plots.plot_landscape_map(
+            ax, axis, axis, mean, np.full((3, 3), fine), [np.array([[0.1, 0.1], [0.5, 0.5]])], labels=("a", "b")
+        )
+        assert style.png(figure).startswith(b"\x89PNG")
+    figure = Figure()
+    nothing = np.full(3, np.nan)
+    return_plots.plot_landscape_curve(
+        figure.add_subplot(), axis, nothing, nothing, np.ones(3), [axis], label="a", allowed=0.01
+    )
+    assert style.png(figure).startswith(b"\x89PNG")
+
+
+def test_every_table_shows_how_far_outside_X_beside_how_often(illustrative):
+    folder, results = illustrative
+    assert all(0 <= row["depth_mean"] <= row["depth_peak"] <= row["depth_worst"] for row in results["comparison"]
+               if row["depth_peak"] is not None)  # fmt: skip
+    text = console_table(results)
+    assert text.index("outside X") < text.index("depth") < text.index("µs/step")
+    header = (folder.path / "comparison.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert {"violations", "depth_mean", "depth_peak", "depth_worst", "exceeded", "further_outside_than"} <= set(header)
+    assert "<th>outside X</th><th>depth</th>" in (folder.path / "report.html").read_text(encoding="utf-8")
+
+
+def test_held_out_roads_stand_beside_the_deployed_drive_with_the_gains_by_source(masses):
+    folder, results = masses
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert [place["place"] for place in results["gains"]] == ["deployed drive", "fresh draws", "the study's start"]
+    assert {row["controller"] for row in results["held_out"]} == {"passive", "LQR", "PID", "MPC", "learned"}
+    assert {row["generation"] for row in results["held_out"]} == {0, 1}
+    assert "fresh draws (5 runs of 300 steps)" in page
+    assert "generation 1, learned" in page
+    for place in results["gains"]:
+        parts = [place[source]["mean"] for source in ("design", "policy", "updates", "redesign")]
+        assert sum(parts) == pytest.approx(place["total"]["mean"], abs=1e-9 * abs(place["start"]))
+        assert f"{place['place']} (" in console_table(results)
+        assert gain_text(place, "total") in page
+    assert "elsewhere: " in results["headline"]
+    assert len(rows_of(folder, "held_out.csv")) == len(results["held_out"])
+    assert len(rows_of(folder, "gains.csv")) == 5 * len(results["gains"])
+
+
+def test_the_gain_on_the_deployed_drive_is_that_of_its_rows(masses):
+    results = masses[1]
+    rows = {(row["generation"], row["controller"]): row for row in results["comparison"] if row["plant"] == "real"}
+    drive = results["gains"][0]
+    assert drive["start"] == pytest.approx(rows[0, "LQR"]["mean"])
+    assert drive["design"]["mean"] == pytest.approx(rows[1, "LQR"]["mean"] - rows[0, "LQR"]["mean"])
+    assert drive["total"]["mean"] == pytest.approx(rows[1, "learned"]["mean"] - rows[0, "LQR"]["mean"])
+
+
+def test_a_plant_of_several_runs_says_that_its_comparison_is_fresh(illustrative):
+    folder, results = illustrative
+    assert results["held_out"] == []
+    assert [place["place"] for place in results["gains"]] == ["real plant"]
+    page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert "the runs on the real plant are fresh in every comparison" in page
+
+
+def test_a_gain_without_an_interval_or_without_a_reference_says_so():
+    place = {"start": -50.0, "total": {"mean": 5.0, "ci95": [None, None]}, "design": {"mean": None, "ci95": [None] * 2}}
+    assert gain_text(place, "total") == "+10 % [no interval]"
+    assert gain_text(place, "design") == "n/a"
+    assert gain_text(place | {"start": 0.0}, "total") == "n/a"
+
+def test_the_page_and_the_results_say_which_sets_the_samples_came_from(illustrative, masses):
+    for folder, results in (illustrative, masses):
+        sets = results["initialisation"]["sets"]
+        assert sets["X_fea"] + sets["lqr"] + sets["X"] > 0
+        assert f"Sets: {sets['text']}." in (folder.path / "report.html").read_text(encoding="utf-8")
+
+
+def asked_for_no_sets(folder, results):
+    """The same run, had it been asked for no sets."""
+    return FinishedRun(
+        two_masses(), folder, results | {"configuration": results["configuration"] | {"sets": "none"}}
+    )
+
+
+def test_a_run_without_sets_draws_none_and_says_why(masses, monkeypatch):
+    run = asked_for_no_sets(*masses)
+    monkeypatch.setattr(FinishedRun, "sets", property(lambda self: pytest.fail("a set was asked for")))
+    assert feasible_set_figure(run) == []
+    assert 'No figure of X_fea(p): the run was asked for sets = &#34;none&#34;.' in render(run, [])
+
+
+def test_a_figure_of_inner_sets_says_so(masses, monkeypatch):
+    box = Polytope.from_bounds([-1.0] * 4, [1.0] * 4)
+    inner = SetResult(box, box, Status.TIME_LIMIT, 1, Certificate(0.0, 1.0, 16))
+    monkeypatch.setattr(FinishedRun, "sets", property(lambda self: SimpleNamespace(result=lambda design: inner)))
+    (figure,) = feasible_set_figure(FinishedRun(two_masses(), *masses))
+    assert "Not the largest, but a part of it" in figure.caption
+
+
+def test_sets_of_a_plant_that_is_not_linear_are_called_those_of_its_linearisation(masses, monkeypatch):
+    box = Polytope.from_bounds([-1.0] * 4, [1.0] * 4)
+    found = SetResult(box, box, Status.CONVERGED, 1, Certificate(0.0, 0.0, 16))
+    monkeypatch.setattr(FinishedRun, "sets", property(lambda self: SimpleNamespace(result=lambda design: found)))
+    for linear, title in ((True, "Feasible sets"), (False, "Feasible sets of the linearisation")):
+        monkeypatch.setattr(Plant, "linear", linear)
+        (figure,) = feasible_set_figure(FinishedRun(two_masses(), *masses))
+        assert figure.title == title
+        assert ("which the plant itself may leave" in figure.caption) is not linear
+
+
+def test_no_projection_is_drawn_of_sets_in_many_dimensions():
+    assert [title for _, title in set_figure._cuts(2)] == [""]
+    assert [title for _, title in set_figure._cuts(4)] == ["projection", "slice, other states 0"]
+    assert [title for _, title in set_figure._cuts(8)] == ["slice, other states 0"]
+
+
+def test_the_page_states_cross_weight_risk_and_limits_of_outputs(masses):
+    """As the same run of another study would have it: the page is made of the study and its results."""
+    folder, results = masses
+    study = two_masses()
+    plant = study.plant
+    limited = Plant(
+        plant.x, plant.u, plant.w, plant.p, plant.dynamics, plant.design, dt=plant.dt, state_names=plant.state_names,
+        input_names=plant.input_names, outputs=[plant.u[0] - plant.x[1], plant.x[0], plant.x[2]],
+        output_names=["slip [m/s]", "free [m]", "travel [m]"],
+        output_limits=([-np.inf, -np.inf, -0.7654], [1.2345, np.inf, 0.9]),
+    )  # fmt: skip
+    S = np.zeros((4, 2))
+    S[1, 0] = -0.01234
+    other = replace(study, plant=limited, objective=QuadraticObjective(np.eye(4), 0.1 * np.eye(2), S), risk=CVaR(0.35))
+    page = {one: render(FinishedRun(one, folder, results), []) for one in (study, other)}
+    told = ["S: [0, 0; −0.01234, 0; 0, 0; 0, 0]", "uᵀRu + 2zᵀSu",
+            "Of the returns a co-design optimises the mean of the worst 35 %",
+            "<td>slip [m/s]</td><td>n/a</td><td>1.234</td>", "<td>travel [m]</td><td>−0.7654</td><td>0.9000</td>"]
+    for text in told:
+        assert text in page[other]
+        assert text not in page[study]
+    assert "free [m]" not in page[other]

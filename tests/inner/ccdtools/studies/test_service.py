@@ -1,0 +1,325 @@
+"""What is deployed stays only if it is not worse, as measured, than what was deployed before: stretch by stretch."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ccdtools import CVaR, QuadraticObjective
+from ccdtools.evidence.evidence import Asked, Pairing, Violation
+from ccdtools.evidence.verdict import Status
+from ccdtools.statistics import summarise
+from ccdtools.studies.account import account
+from ccdtools.studies.report.formatting import FORMER
+from ccdtools.studies.report.headline import _brought, _phrase
+from ccdtools.studies.service import (
+    Agreement,
+    Deployed,
+    _agreement,
+    after_deployment,
+    judge_deployment,
+    measured,
+)
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.deployable import Deployable
+
+OBJECTIVE = QuadraticObjective([[1.0]], [[1.0]])
+PAIRING = Pairing(OBJECTIVE)
+RUNS, STEPS = 60, 20
+PROMISE = summarise(np.linspace(-1.1, -0.9, 40) * STEPS)
+
+
+def policy(name, weight):
+    """A deployable that another of the same weight is the same as."""
+    return Deployable(SimpleNamespace(state_dict=lambda: {"w": np.array([weight])}), np.ones(1), name)
+
+
+A, AFTER, B, B_AFTER = (policy(name, k) for k, name in enumerate(("A", "A updated", "B", "B updated")))
+
+
+def log(cost=1.0, *, noise_seed=0, disturbance_seed=0, diverged=0, spread=0.5, runs=RUNS):
+    """A log whose runs cost about `cost` (n,) a step; runs of one noise seed share their noise."""
+    noise = np.abs(np.random.default_rng(noise_seed).standard_normal((runs, 1, 1)))
+    cost = np.broadcast_to(cost, (runs,))[:, None, None]
+    states = np.sqrt(cost * (1 - spread + spread * noise)) * np.ones((runs, STEPS + 1, 1))
+    w = np.random.default_rng(disturbance_seed).standard_normal((runs, STEPS, 1))
+    at = np.where(np.arange(runs) < diverged, 3, -1)
+    return Trajectory(states, np.zeros((runs, STEPS, 1)), w, at, np.ones(1), 0.1)
+
+
+def first(trajectory, changes=()):
+    """The former deployment: of A, updated on the way."""
+    return Deployed(1, A, AFTER if changes else A, trajectory, changes)
+
+
+def second(trajectory, changes=(), designed=B):
+    """The later one, of B or of what was deployed."""
+    after = {"B": B_AFTER, "A": AFTER}[designed.name] if changes else designed
+    return Deployed(2, designed, after, trajectory, changes)
+
+
+def judged(deployed, former, current=A, *, redesigned=True, promise=PROMISE, pairing=PAIRING, limits=None):
+    return judge_deployment(
+        deployed, former, current, pairing, lambda _: promise, redesigned=redesigned, limits=limits
+    )  # fmt: skip
+
+
+def status(*arguments, **options):
+    return judged(*arguments, **options).verdict.status
+
+
+def test_the_first_generation_serves_whatever_it_delivers():
+    assert status(second(log(9.0)), None, None) is Status.FIRST
+
+
+def test_pairs_on_the_same_disturbances_tell_half_a_per_cent():
+    assert status(second(log(0.995)), first(log(1.0))) is Status.BETTER
+    worse = judged(second(log(1.005)), first(log(1.0)))
+    assert worse.verdict.status is Status.WORSE
+    assert worse.verdict.status.advice
+    (found,) = worse.verdict.evidence
+    assert found.candidate == "B in deployment 2, runs 1 to 60"
+    assert found.current == "A in deployment 1, runs 1 to 60"
+    assert found.runs == 30  # every second run met the same disturbance
+
+
+def test_a_worse_redesign_is_not_credited_with_an_update_of_the_deployment_before():
+    """A was replaced by its update after half of the runs. B is better than A, and worse than what is deployed."""
+    mixed = log(np.where(np.arange(RUNS) < 30, 1.3, 1.0))
+    delivery = judged(second(log(1.02)), first(mixed, changes=(30 * STEPS,)), AFTER)
+    assert OBJECTIVE is PAIRING.objective
+    whole = log(1.02).returns(OBJECTIVE) - mixed.returns(OBJECTIVE)
+    assert whole.mean() > 0  # beside the whole former deployment it would look better
+    assert delivery.verdict.status is Status.WORSE
+    assert not delivery.verdict.replaces
+    (found,) = delivery.verdict.evidence
+    assert found.current == "A updated in deployment 1, runs 31 to 60"
+    assert found.candidate == "B in deployment 2, runs 31 to 60"
+    np.testing.assert_allclose(100 * found.gain.mean / found.size, -2, rtol=1e-6)
+
+
+def test_of_one_run_the_same_steps_are_compared():
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal((1, 3001, 1))
+    scale = np.where(np.arange(3001) < 1500, 1.2, 1.0)[None, :, None]
+    logs = [Trajectory(c * x, np.zeros((1, 3000, 1)), np.zeros((1, 3000, 1)), np.array([-1]), np.ones(1), 0.1)
+            for c in (scale, 1.01)]  # fmt: skip
+    delivery = judged(second(logs[1]), first(logs[0], changes=(1500,)), AFTER)
+    assert delivery.verdict.status is Status.WORSE
+    (found,) = delivery.verdict.evidence
+    assert found.current == "A updated in deployment 1, steps 1500 to 3000"
+    assert found.gain.mean == pytest.approx(-(1.01**2 - 1) * np.square(x[0, 1501:]).sum())
+
+
+def test_policies_that_never_met_the_same_disturbance_are_not_compared():
+    former = first(log(), changes=(30 * STEPS,))
+    assert measured(PAIRING, B, second(log(), changes=(20 * STEPS,)), AFTER, former, Asked.NO_LOSS) is None
+    assert measured(PAIRING, B, second(log(disturbance_seed=1)), A, first(log()), Asked.NO_LOSS) is None
+    assert measured(PAIRING, policy("C", 9), second(log()), A, first(log()), Asked.NO_LOSS) is None
+
+
+def test_updates_of_the_former_deployment_are_measured_by_the_next_and_rolled_back_where_they_hurt():
+    """Nothing was redesigned: what was updated drives a whole deployment, beside the stretch before the update."""
+    former = first(log(1.0), changes=(40 * STEPS,))
+    again = second(log(1.05), designed=AFTER)
+    delivery = judged(again, former, AFTER, redesigned=False)
+    assert delivery.carried
+    assert delivery.verdict.status is Status.WORSE
+    assert delivery.verdict.evidence[0].current == "A in deployment 1, runs 1 to 40"
+    service, speaks = after_deployment(again, AFTER, former, replaces=False, carried=True)
+    assert (service, speaks) == (A, former)
+    idle = judged(second(log(), designed=A), first(log()), A, redesigned=False)
+    assert idle.verdict.status is Status.NOT_WORSE
+    assert idle.verdict.evidence == ()
+    _, speaks = after_deployment(second(log(), designed=A), A, first(log()), replaces=True, carried=False)
+    assert speaks.generation == 1
+
+
+def test_what_fell_short_is_rolled_back():
+    former = first(log(), changes=(40 * STEPS,))
+    later = second(log(1.1), changes=(40 * STEPS,))
+    service, speaks = after_deployment(later, AFTER, former, replaces=False, carried=False)
+    assert (service, speaks) == (AFTER, former)
+    service, speaks = after_deployment(later, AFTER, former, replaces=True, carried=False)
+    assert (service, speaks) == (B_AFTER, later)
+
+
+def test_a_redesign_that_brings_a_loss_within_chance_does_not_stay_and_updates_do():
+    rng = np.random.default_rng(0)
+    base = 1 + 0.1 * rng.random(RUNS)
+    found = set()
+    for _ in range(20):
+        other = base + 0.05 * rng.standard_normal(RUNS)
+        delivery = judged(second(log(other, spread=0)), first(log(base, spread=0)))
+        (one,) = delivery.verdict.evidence
+        if one.gain.ci95[0] < 0 < one.gain.ci95[1]:
+            expected = Status.NOT_WORSE if one.gain.mean >= 0 else Status.NOT_BETTER
+            assert delivery.verdict.status is expected
+            found.add(expected)
+            updates = second(log(other, spread=0), designed=AFTER)
+            assert status(updates, first(log(base, spread=0)), A, redesigned=False) is Status.NOT_WORSE
+    assert len(found) == 2
+
+
+def test_more_lost_runs_are_never_taken_however_good_the_rest():
+    assert status(second(log(0.5, diverged=1)), first(log(1.0))) is Status.MORE_LOST
+    assert status(second(log(0.5, diverged=1)), first(log(1.0, diverged=1))) is Status.BETTER
+    everything = judged(second(log(0.5, diverged=RUNS)), first(log(1.0)))
+    assert everything.verdict.status is Status.MORE_LOST
+    assert everything.agreement is Agreement.LESS
+
+
+def test_limits_that_were_broken_come_before_a_gain():
+    broken = Violation((0.1, 0.2), (0.0, 0.0), (0.01, 0.05), "v > 1", False)
+    delivery = judged(second(log(0.9)), first(log(1.0)), limits=lambda after, before: broken)
+    assert delivery.verdict.status is Status.LIMITS
+    assert delivery.as_dict()["breach"] == str(broken)
+
+
+@pytest.mark.parametrize(
+    ("cost", "agreement"), [(1.0, Agreement.AGREED), (4.0, Agreement.LESS), (0.2, Agreement.MORE)]
+)
+def test_a_prediction_is_wrong_where_the_measured_return_lies_beyond_both_intervals(cost, agreement):
+    assert judged(second(log(cost, spread=0.0 if cost == 1 else 0.5)), None, None).agreement is agreement
+    assert agreement.kept == {"within chance": True, "more than predicted": None}.get(agreement.value, False)
+
+
+def test_predicted_and_measured_returns_are_of_the_policy_as_designed():
+    """Its updates are not what was predicted."""
+    mixed = log(np.where(np.arange(RUNS) < 40, 1.0, 0.5), spread=0.0)
+    delivery = judged(second(mixed, changes=(40 * STEPS,)), None, None)
+    assert delivery.returns.n == 40
+    assert delivery.returns.mean == pytest.approx(-STEPS)
+
+
+def test_a_prediction_that_is_right_is_called_wrong_in_one_deployment_of_five_hundred():
+    rng = np.random.default_rng(0)
+    told = {"many": 0, "few": 0}
+    for name, runs in (("many", 100), ("few", 4)):
+        for _ in range(1000):
+            promise = summarise(rng.standard_normal(400) - 20)
+            told[name] += _agreement(promise, summarise(rng.standard_normal(runs) - 20)) is Agreement.LESS
+    assert max(told.values()) <= 8  # 2 expected
+    assert _agreement(promise, summarise(rng.standard_normal(100) - 20.5)) is Agreement.LESS
+
+
+def test_without_an_interval_a_loss_on_the_drive_is_enough_to_roll_updates_back():
+    """A drift is no series that an interval can come from."""
+    states = np.linspace(1, 3, 501)[None, :, None]
+    logs = [Trajectory(c * states, np.zeros((1, 500, 1)), np.zeros((1, 500, 1)), np.array([-1]), np.ones(1), 0.1)
+            for c in (1.0, 1.01, 0.99)]  # fmt: skip
+    worse, better = (judged(second(one, designed=AFTER), first(logs[0]), A, redesigned=False) for one in logs[1:])
+    assert np.isnan(worse.verdict.evidence[0].gain.ci95).all()
+    assert worse.verdict.status is Status.NOT_BETTER
+    assert better.verdict.status is Status.NOT_WORSE
+
+
+def test_an_empty_prediction_says_nothing():
+    assert judged(second(log()), None, None, promise=summarise([-20.0])).agreement is Agreement.OPEN
+
+
+def test_what_is_better_in_the_mean_and_worse_in_the_worst_runs_does_not_stay():
+    rng = np.random.default_rng(0)
+    small = 0.01 * rng.random(RUNS)
+    rough = np.arange(RUNS) % 4 < 2  # half of the common runs, which are every second one
+    before = np.where(rough, 1.6, 1.2) + small
+    after = np.where(rough, 1.9, 0.1) + small
+    runs = (second(log(after, spread=0)), first(log(before, spread=0)))
+    assert status(*runs) is Status.BETTER
+    risky = judged(*runs, pairing=Pairing(OBJECTIVE, CVaR(0.4)))
+    assert risky.verdict.status is Status.WORSE
+    assert risky.as_dict()["measure"] == "mean of the worst 40 %"
+
+
+@pytest.mark.parametrize("constant", [0.0, 1e6])
+def test_changes_are_parts_of_what_control_makes_whatever_the_design_costs(constant):
+    objective = QuadraticObjective([[1.0]], [[1.0]], design_cost=lambda p: constant)
+    found = judged(second(log(1.0, spread=0)), first(log(1.2, spread=0)), pairing=Pairing(objective))
+    assert found.size == pytest.approx(1.2 * STEPS)
+
+
+# ── the sentence of a generation ──
+
+
+def decision(*, accepted, moved=True):
+    """The values of a redesign's decision."""
+    return {"promise": "+1 % [+0.5, +1.5]", "reason": "less than its price: +0.1 % on the replayed log, price 0.5 %",
+            "accepted": accepted, "moved": moved}  # fmt: skip
+
+
+def redesign(*, accepted, moved=True, chosen="redesign", edges=None):
+    """The values of a redesign."""
+    decisions = dict.fromkeys(("redesign", chosen), decision(accepted=accepted, moved=moved))
+    region = {"edges": edges or {}}
+    return {"accepted": accepted, "chosen": chosen if accepted else None, "decisions": decisions, "region": region}
+
+
+def delivery(status, **others):
+    """The values of a delivery that is compared with generation 1."""
+    return {"former": 1, "status": status.value, "replaces": status.replaces, "judge": "within chance", "size": 50.0,
+            "change": {"mean": -1.0, "ci95": [-1.5, -0.5]}, "promised": {"mean": -40.0}, "returns": {"mean": -51.0},
+            "measure": "mean", "carried": False, "breach": "", "reason": ""} | others  # fmt: skip
+
+
+def said(status, *, accepted=False, updates=(False, False), moved=True, chosen="redesign", edges=None, **others):
+    """The account of a generation 3."""
+    values = {"delivery": delivery(status, **others), "updates": [{"accepted": taken} for taken in updates]}
+    return account(3, values, redesign(accepted=accepted, moved=moved, chosen=chosen, edges=edges), "m = 1 kg")
+
+
+def test_a_generation_that_changed_nothing_says_so_and_why():
+    assert said(Status.NOT_WORSE) == (
+        "generation 3 changed nothing: the best redesign found was predicted +1 % [+0.5, +1.5] and refused, less than "
+        "its price: +0.1 % on the replayed log, price 0.5 %; 0 of 2 updates accepted, the deployed policy is that of "
+        "generation 1, unchanged"
+    )
+
+
+def test_a_redesign_rolled_back_says_what_was_predicted_and_measured():
+    assert said(Status.WORSE, accepted=True, judge="less than predicted") == (
+        "generation 3 moved the design to m = 1 kg, predicted +1 % [+0.5, +1.5] and measured −2 % [−3, −1] against "
+        "generation 1; worse, so design and policy of generation 1 stay deployed; less than predicted, a deployed "
+        "return of −40.00; 0 of 2 updates accepted, none of it is due to updates"
+    )
+
+
+def test_a_redesign_that_the_trust_region_holds_back_and_a_return_to_the_start_say_so():
+    text = said(Status.BETTER, accepted=True, edges={"m": "upper"})
+    assert text.startswith("generation 3 moved the design to m = 1 kg, at the edge of the trust region (m), predicted")
+    text = said(Status.BETTER, accepted=True, chosen=FORMER + "the start")
+    assert text.startswith("generation 3 returned to the start, m = 1 kg, predicted +1 %")
+
+
+@pytest.mark.parametrize("judge", ["within chance", "less than predicted"])
+def test_the_first_generation_says_that_less_was_measured_than_predicted(judge):
+    values = {"delivery": delivery(Status.FIRST, judge=judge), "updates": []}
+    less = ", less than predicted" if judge == "less than predicted" else ""
+    assert account(1, values, None, "m = 1 kg") == (
+        "generation 1 designed m = 1 kg on the nominal model; predicted a deployed return of −40.00, measured "
+        f"−51.00{less}; no update was tried; the policy is as designed"
+    )
+
+
+def test_updates_alone_are_named_and_so_is_what_was_rolled_back():
+    text = said(Status.BETTER, updates=(True, False))
+    assert "changed the policy only, by updates while deployed" in text
+    assert "measured −2 % [−3, −1]" in text
+    assert text.endswith("1 of 2 updates accepted, design of generation 1, policy updated") or text.endswith("accepted")
+    assert "its updates were rolled back" in said(Status.WORSE, updates=(True, False))
+    carried = said(Status.WORSE, carried=True)
+    assert carried.startswith(
+        "generation 3 was worse than generation 1 (−2 % [−3, −1]), so that the updates of generation 1, measured by a "
+        "whole deployment, were rolled back: the best redesign found"
+    )
+    assert "the deployed policy is that of generation 1 before its updates" in carried
+    assert "in the mean of the worst 10 %)" in said(Status.WORSE, carried=True, measure="mean of the worst 10 %")
+    assert "(it leaves v > 1)" in said(Status.LIMITS, breach="it leaves v > 1")
+
+
+def test_the_headline_says_whose_updates_were_rolled_back():
+    generation = {"generation": 2, "redesign": {"accepted": False}, "online_updates": [],
+                  "delivery": delivery(Status.WORSE, carried=True)}  # fmt: skip
+    assert _brought(generation)
+    assert "updates of generation 1" in _phrase({}, generation, moved=False)
+    generation["delivery"] = delivery(Status.WORSE)
+    assert not _brought(generation)

@@ -1,0 +1,227 @@
+"""What the report says in words and numbers: verdicts, notes, headline, digits; of results made up for it."""
+
+import pytest
+
+from ccdtools.studies.report.formatting import number, share, signed_percent
+from ccdtools.studies.report.headline import headline
+from ccdtools.studies.report.verdicts import limit_notes, verdict
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(-73.1234, "-73.12"), (None, "n/a"), (0.0, "0"), (1e4, "10000"), (3.1e-5, "3.100·10⁻⁵"), (9.9999, "10.00")],
+)
+def test_numbers_have_four_digits(value, text):
+    assert number(value) == text
+
+
+def test_fractions_are_shown_in_per_cent():
+    assert share(0.000667) == "0.07 %"
+    assert share(1e-6) == "< 0.01 %"
+    assert share(0.0) == "0 %"
+    assert share(None) == "n/a"
+
+
+@pytest.mark.parametrize(
+    ("percent", "text"), [(-0.000815, "0 %"), (0.344, "+0.34 %"), (-12.34, "−12 %"), (5.0, "+5 %")]
+)
+def test_changes_are_shown_without_false_digits(percent, text):
+    assert signed_percent(percent) == text
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [((0.6, 0.8), "better"), ((0.01, 1.2), "better"), ((0.1, 0.2), "equal"), ((-0.4, 0.2), "equal"),
+     ((0.01, 0.7), "not worse"), ((-0.4, 0.9), "not worse"), ((-0.7, 0.1), "open"), ((-0.6, -0.2), "open"),
+     ((-0.9, -0.6), "worse"), ((None, None), "no pairs"), ((1e-13, 3e-13), "equal"), ((0.0, 0.0), "equal"),
+     ((-2.0, -1e-9), "open")],
+)  # fmt: skip
+def test_verdict_takes_what_is_certain_and_matters(ends, expected):
+    low, high = ends
+    gain = None if low is None else (low + high) / 2
+    mean = None if gain is None else -100.0 + gain
+    row = {"paired_to_lqr": {"mean": gain, "ci95": [low, high]}, "mean": mean, "n": 50, "diverged": 0.0}
+    row |= {"lqr_mean": -100.0, "controller": "learned"}
+    assert verdict(row, {"mean": -100.0, "n": 50, "diverged": 0.0}) == expected
+
+
+def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False, replaces=True):
+    """Results with costs on the real plant at the start and after two generations."""
+    def row(generation, controller, cost, ci):
+        gain = {"mean": (ci[0] + ci[1]) / 2, "ci95": list(ci)}
+        return {"plant": "real", "model": "real", "generation": generation, "controller": controller, "n": 30,
+                "mean": -cost, "lqr_mean": -lqr if generation else -start, "diverged": 0.0,
+                "paired_to_lqr": gain}  # fmt: skip
+
+    redesigns = [None, {"accepted": accepted, "chosen": "redesign" if accepted else None}]
+    entries = [
+        {"generation": g + 1, "design": {"p": 2.0 if g == 0 or not moved else 3.0}, "redesign": redesigns[g],
+         "online_updates": [{"accepted": False}], "account": f"generation {g + 1} did this and that",
+         "delivery": {"replaces": replaces}}
+        for g in range(2)
+    ]  # fmt: skip
+    rows = [row(0, "LQR", start, (0.0, 0.0)), row(0, "learned", start, (0.0, 0.0)), row(2, "LQR", lqr, (0.0, 0.0)),
+            row(2, "learned", learned, ends)]  # fmt: skip
+    space = {"names": ["p"], "units": ["-"], "lower": [1.0], "upper": [4.0]}
+    return {"comparison": rows, "generations": entries, "start": {"p": 1.0}, "design_space": space, "quick": False}
+
+
+@pytest.mark.parametrize(
+    ("results", "sentence"),
+    [
+        (
+            outcome(8384, 6425, 6425),
+            "Real plant: cost −23 % (8384 → 6425), all of it from the design. The learned policy equals LQR. "
+            "Generation 2 did this and that.",
+        ),
+        (
+            outcome(100, 80, 72, ends=(7.9, 8.1), accepted=True),
+            "Real plant: cost −28 % (100 → 72), −20 % from the design and −8 % from the policy. The learned policy "
+            "costs 10 % less than LQR at the same design. Generation 2 changed the policy only.",
+        ),
+        (
+            outcome(100, 100.1, 100, accepted=True, moved=True, ends=(-1, 1)),
+            "Real plant: cost unchanged within 0.5 % (100 → 100). The learned policy and LQR cannot be told apart on "
+            "these runs. Generation 2 moved the design to p = 3.",
+        ),
+        (
+            outcome(0.0, 0.0, 0.004, ends=(-0.005, -0.003)),
+            "Real plant: cost 0.004; LQR at the start design: 0. Generation 2 did this and that.",
+        ),
+        (
+            outcome(100, 80, 80, accepted=True, replaces=False),
+            "Real plant: cost −20 % (100 → 80), all of it from the design. The learned policy equals LQR. Generation 2 "
+            "did this and that.",
+        ),
+    ],
+)
+def test_the_headline_says_what_came_out(results, sentence):
+    assert headline(results) == sentence
+
+
+@pytest.mark.parametrize(
+    ("cost", "said"),
+    [(82.0, "The learned policy costs 2.5 % more than LQR here"),
+     (80.1, "The learned policy costs as much as LQR within 0.5 % here"),
+     (72.0, "The learned policy costs 10 % less than LQR here")],
+)  # fmt: skip
+def test_the_headline_claims_nothing_of_a_run_without_an_interval(cost, said):
+    results = outcome(100, 80, cost)
+    row = next(r for r in results["comparison"] if (r["generation"], r["controller"]) == (2, "learned"))
+    row["paired_to_lqr"] = {"mean": 80.0 - cost, "ci95": [None, None]}
+    assert f"{said}, without an interval (the run is too short, or drifts)" in headline(results)
+    assert verdict(row, row) == "open"
+
+
+def limit_row(controller, *, ends=(0.0, 0.0), depth=0.0, further=()):
+    """A row on the real plant whose paired difference and depth outside X are given; LQR returns −100."""
+    gain = {"mean": sum(ends) / 2, "ci95": list(ends)}
+    return {"plant": "real", "model": "real", "generation": 1, "controller": controller, "n": 50, "diverged": 0.0,
+            "mean": -100.0 + gain["mean"], "lqr_mean": -100.0, "paired_to_lqr": gain, "depth_peak": depth,
+            "exceeded": "speed > 0.5" if depth else "", "further_outside_than": list(further)}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("ends", "further", "expected"),
+    [((4.0, 6.0), ("LQR",), "better in return only"), ((4.0, 6.0), ("MPC",), "better in return only"),
+     ((4.0, 6.0), ("PID",), "better"), ((-0.1, 0.1), ("MPC",), "equal"),
+     ((-0.1, 0.1), ("LQR",), "equal in return only"),
+     ((-6.0, -4.0), ("LQR", "MPC"), "worse"), ((-6.0, 4.0), ("LQR",), "open")],
+)  # fmt: skip
+def test_better_is_not_said_of_a_controller_that_is_better_by_leaving_X(ends, further, expected):
+    assert verdict(limit_row("learned", ends=ends, depth=1.0, further=further), limit_row("LQR")) == expected
+
+
+def test_worse_is_qualified_where_lqr_is_better_by_leaving_X():
+    lqr = limit_row("LQR", depth=0.6, further=("learned", "MPC"))
+    assert verdict(limit_row("learned", ends=(-6.0, -4.0)), lqr) == "worse in return only"
+    assert verdict(limit_row("learned", ends=(4.0, 6.0)), lqr) == "better"
+
+
+def test_the_note_below_the_table_says_who_leaves_X_how_far():
+    learned = limit_row("learned", ends=(4.0, 6.0), depth=0.99, further=("LQR", "MPC"))
+    rows = [limit_row("LQR"), limit_row("MPC", depth=0.04), learned]
+    assert limit_notes(rows) == [
+        "real plant, generation 1: learned is better than LQR in return only: it leaves X by 0.99 half-widths "
+        "(speed > 0.5); LQR 0, MPC 0.040"
+    ]
+    assert limit_notes([limit_row("LQR"), limit_row("learned", ends=(4.0, 6.0))]) == []
+
+
+def test_the_headline_says_that_X_was_left_for_it():
+    results = outcome(100, 80, 72, ends=(7.9, 8.1), accepted=True)
+    for row in results["comparison"]:
+        further = ["LQR"] if row["controller"] == "learned" else []
+        row |= {"depth_peak": 0.99 if further else 0.0, "exceeded": "v > 0.5" if further else ""}
+        row["further_outside_than"] = further
+    assert "costs 10 % less than LQR at the same design, but leaves X further (0.99 half-widths (v > 0.5); LQR 0)" in (
+        headline(results)
+    )
+
+
+def limits(kept, fraction=0.1833):
+    return {"kept": kept, "achieved": {"fraction": fraction, "depth": 0.836},
+            "tolerance": {"fraction": 0.001, "depth": 0.002}}  # fmt: skip
+
+
+def with_limits(first, second, **changes):
+    results = outcome(100.0, 90.0, 88.0, ends=(1.5, 2.5), **changes)
+    for generation, found in zip(results["generations"], (first, second)):
+        generation["limits"] = found
+    for row in results["comparison"]:
+        row["exceeded"] = "tyre load [N] > 500" if row["controller"] == "learned" else ""
+    return results
+
+
+def test_the_headline_says_that_the_optimum_breaks_a_limit_that_all_controllers_break():
+    said = "The co-design breaks the limits (18 % of the states outside X, 0.84 half-widths at the peak, the " \
+           "tolerance is 0.1 % and 0.0020; on the real plant most tyre load [N] > 500)"  # fmt: skip
+    assert said in headline(with_limits(limits(True), limits(False), accepted=True, moved=True))
+    assert said in headline(with_limits(limits(False), limits(True), moved=False))  # its redesign was not taken
+
+
+@pytest.mark.parametrize(
+    "results",
+    [
+        with_limits(limits(False), limits(True), accepted=True, moved=True),
+        with_limits(limits(True), limits(False)),  # not taken
+        with_limits(limits(True), limits(False), accepted=True, replaces=False),  # taken back
+        with_limits(None, None, accepted=True),  # switched off
+    ],
+)
+def test_the_headline_is_silent_on_limits_that_what_is_in_service_keeps(results):
+    assert "limits" not in headline(results)
+
+
+def metric(name, before, after, half):
+    change = {"mean": after - before, "ci95": [after - before - half, after - before + half]}
+    word = "open" if half > abs(after - before) else "worse" if after > before else "better"
+    return {"name": name, "before": before, "after": after, "change": change, "word": word}
+
+
+def with_places(results, *metrics):
+    """Results with one other place, in which the learned policy is 6 % worse than LQR."""
+    gain = {"mean": 20.0, "ci95": [19.0, 21.0]}
+    place = {"start": -100.0, "design_cost": 0.0, "runs": 5, "steps": 10, "left_out": 0.0, "total": gain}
+    results["gains"] = [place | {"place": "drive", "metrics": metrics[:-1]},
+                        place | {"place": "start", "metrics": metrics}]  # fmt: skip
+    same = {"plant": "held out: start", "model": "start", "generation": 2, "n": 30, "diverged": 0.0, "lqr_mean": -50.0}
+    results["held_out"] = [
+        same | {"controller": "LQR", "mean": -50.0, "paired_to_lqr": {"mean": 0.0, "ci95": [0.0, 0.0]}},
+        same | {"controller": "learned", "mean": -53.0, "paired_to_lqr": {"mean": -3.0, "ci95": [-3.1, -2.9]}},
+    ]
+    return results
+
+
+def test_the_headline_names_every_number_that_got_worse_and_where():
+    noise = metric("noise [dB]", 10.0, 12.0, 0.5)
+    wear = metric("wear [mm]", 10.0, 12.0, 5.0)
+    said = headline(with_places(outcome(100, 80, 80), noise, wear, metric("heat [K]", 4.0, 5.0, 0.1)))
+    assert "Worse: noise +20 %, heat +25 % (start)." in said
+    assert "wear" not in said
+
+
+def test_the_headline_does_not_call_a_policy_equal_to_LQR_that_is_worse_somewhere():
+    said = headline(with_places(outcome(100, 80, 80), metric("noise [dB]", 10.0, 9.0, 0.5)))
+    assert "The learned policy equals LQR, but it is worse than LQR with start (+6 % cost)." in said
+    assert "Worse" not in said

@@ -1,0 +1,20 @@
+"""What test_codesign_command.py claims, seen from inside."""
+
+import signal
+
+import pytest
+
+from ccdtools.studies.report.method_page import check_folder, write_table
+
+
+def test_a_table_that_is_interrupted_while_it_is_written_is_whole(tmp_path):
+    class Interrupted:
+        def to_csv(self, path):
+            with path.open("w") as file:
+                file.write("begun, ")
+                signal.raise_signal(signal.SIGINT)
+                file.write("ended")
+
+    with pytest.raises(KeyboardInterrupt):
+        write_table(Interrupted(), check_folder(tmp_path / "kept"))
+    assert (tmp_path / "kept" / "methods.csv").read_text() == "begun, ended"

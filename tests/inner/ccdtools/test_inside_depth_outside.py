@@ -1,0 +1,50 @@
+"""What test_depth_outside.py claims, seen from inside."""
+
+import copy
+import pickle
+
+import numpy as np
+from scipy import signal
+
+from ccdtools import depth_outside, excursions
+from ccdtools.limits import Excursions, StateLimits, further_outside
+from invariant_sets import Polytope
+
+BOX = Polytope.from_bounds([-1.0, -0.5], [3.0, 0.5])  # half-widths 2 and 0.5
+
+
+def test_limits_and_excursions_can_be_copied_and_pickled():
+    for made in (StateLimits(BOX), excursions([[5, 0.0]], BOX)):
+        for again in (copy.deepcopy(made), pickle.loads(pickle.dumps(made))):
+            assert repr(again) == repr(made)
+    again = pickle.loads(pickle.dumps(StateLimits(BOX)))
+    np.testing.assert_array_equal(depth_outside([5, 0.0], again), depth_outside([5, 0.0], BOX))
+
+
+def peaks(values, fraction=0.0):
+    """Excursions with these peaks."""
+    return Excursions(np.full(len(values), fraction), np.zeros(len(values)), np.asarray(values, dtype=float))
+
+
+def test_further_outside_needs_a_difference_that_is_certain_and_matters(rng):
+    noise = rng.uniform(0, 0.2, 60)
+    assert further_outside(peaks(noise + 0.05), peaks(noise))
+    assert not further_outside(peaks(noise + 0.005), peaks(noise))  # certain, but too small to matter
+    assert not further_outside(peaks(noise + 0.05 + 2 * rng.standard_normal(60)), peaks(noise))  # chance
+    assert not further_outside(peaks(noise + 2.05), peaks(noise + 2.0))  # a fortieth of what the other does
+    assert further_outside(peaks(noise, 0.2), peaks(noise, 0.1))  # not deeper, but more often
+    assert not further_outside(peaks([1.0]), peaks([0.0]))  # a single run is no evidence
+    assert not further_outside(peaks([]), peaks([]))
+
+
+def test_stretches_of_one_run_are_one_correlated_series():
+    """Peaks of stretches that wander slowly: as independent values they would be told apart in most of the trials."""
+    told = {True: 0, False: 0}
+    for seed in range(100):
+        steps = np.random.default_rng(seed).standard_normal((2, 60))
+        one, other = (np.abs(0.3 * signal.lfilter([1], [1, -0.9], s)) for s in steps)
+        for stretches in told:
+            told[stretches] += further_outside(peaks(one), peaks(other), stretches=stretches)
+    assert told[True] <= 8 < 15 <= told[False]
+    noise = np.random.default_rng(0).uniform(0, 0.2, 60)
+    assert further_outside(peaks(noise + 0.3), peaks(noise[::-1]), stretches=True)

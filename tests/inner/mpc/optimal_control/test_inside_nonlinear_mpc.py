@@ -1,0 +1,56 @@
+"""What test_nonlinear_mpc.py claims, seen from inside."""
+
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mpc import Status
+from mpc.optimal_control import NonlinearMPC
+
+
+def cart_pole(x, u, p):
+    """A pole of length p on a cart, upright at 0, sampled by two Runge–Kutta steps of 25 ms."""
+
+    def rate(z):
+        s, c = ca.sin(z[1]), ca.cos(z[1])
+        free = 1.0 + 0.2 * s**2
+        push = (u + 0.2 * s * (9.81 * c - p[0] * z[3] ** 2)) / free
+        return ca.vertcat(z[2], z[3], push, (u * c + 1.2 * 9.81 * s - 0.2 * p[0] * z[3] ** 2 * s * c) / (p[0] * free))
+
+    for _ in range(2):
+        h = 0.025
+        k1 = rate(x)
+        k2 = rate(x + h / 2 * k1)
+        k3 = rate(x + h / 2 * k2)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
+    return x
+
+
+def pole(**changes):
+    """The controller of the cart-pole."""
+    return NonlinearMPC(
+        cart_pole, 4, 1,
+        **({"Q": [1, 5, 0.1, 0.1], "R": 0.05, "horizon": 30, "U": (-10, 10), "p": [0.5],
+            "X": ([-2, -4, -np.inf, -np.inf], [2, 4, np.inf, np.inf])} | changes),
+    )  # fmt: skip
+
+
+def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
+    controller = pole()
+    x = np.array([0.0, 0.3, 0.0, 0.0])
+    controller(x)
+    before = controller.last_plans[0]
+    monkeypatch.setattr(
+        "mpc.optimal_control.planner.Sequential.step", lambda *a, **k: SimpleNamespace(solved=False)
+    )  # fmt: skip
+    u = controller(before.states[1])
+    plan = controller.last_plans[0]
+    assert u == pytest.approx(before.inputs[1], abs=1e-6)
+    assert (plan.status, plan.solver) == (Status.REPLACED, "shifted plan")
+    assert "sample before" in plan.status.advice
+    controller.reset()
+    controller(x)
+    assert (controller.last_plans[0].status, controller.last_plans[0].solver) == (Status.REPLACED, "linear law")
+    assert controller.last_plans[0].inputs[0] == pytest.approx(np.clip(-controller.linear.gain @ x, -10, 10))

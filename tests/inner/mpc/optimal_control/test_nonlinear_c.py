@@ -1,0 +1,123 @@
+"""The generated C makes the real-time iteration that Python makes, with a solver of its own, and controls alike."""
+
+import shutil
+import subprocess
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mpc import InputError
+from mpc.optimal_control import NonlinearMPC
+from mpc.optimal_control.c_code import real_time_iteration
+
+CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
+needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler")
+N = 8
+UNITS = [(np.ones(2), 1.0, 1.0), (np.array([57.3, 57.3]), 1e3, 1e-4), (np.array([1e3, 3.6e6]), 1e-3, 1e6)]
+
+
+def pendulum(x, u, w, p):
+    """Upright at 0; p its inverse length, w a push."""
+    rate = x[1] + 0.05 * (9.81 * p * ca.sin(x[0]) + 4 * u + w)
+    return ca.vertcat(x[0] + 0.05 * rate, rate)
+
+
+def law(limits, sx=np.ones(2), su=1.0, cost=1.0, **changes):  # noqa: B008
+    """The controller in these units."""
+    sizes = {"U": su, "X": sx, "rate_limit": su, "soft": cost}
+    stated = {name: sizes[name] * np.array(value) for name, value in limits.items()}
+    stated = {name: (-value, value) if name in "UX" else value for name, value in stated.items()}
+    return NonlinearMPC(
+        lambda x, u, w, p: sx * pendulum(x / sx, u / su, w, p), 2, 1, Q=cost * np.array([3.0, 0.2]) / sx**2,
+        R=cost * 0.1 / su**2, horizon=N, disturbances=1, p=[1.1], **stated, **changes,
+    )  # fmt: skip
+
+
+def compiled(controller, folder):
+    """The functions of the C file."""
+    path = controller.to_c(folder)
+    library = folder / "nonlinear_mpc.so"
+    strict = ["-Werror=int-conversion", "-Werror=implicit-function-declaration"]
+    subprocess.run([CC, "-O1", "-fPIC", "-shared", *strict, str(path), "-o", str(library), "-lm"], check=True)
+    return {name: ca.external(name, str(library)) for name in ("iteration", "step", "derivatives")}
+
+
+LIMITS = {
+    "inputs": {"U": 3.0},
+    "states": {"U": 8.0, "X": [1.5, 3.0]},
+    "rates": {"U": 5.0, "rate_limit": 1.5},
+    "soft": {"U": 5.0, "X": [0.5, 0.8], "soft": (4.0, 30.0)},
+    "states that cannot be kept": {"U": 2.0, "X": [0.6, 1.0]},
+}
+
+
+@pytest.mark.check
+@pytest.mark.parametrize(("sx", "su", "cost"), UNITS)
+@pytest.mark.parametrize("limits", LIMITS.values(), ids=LIMITS)
+def test_its_program_is_that_of_python(limits, sx, su, cost):
+    controller = law(limits, sx, su, cost)
+    x = sx * [0.7, 0.2]
+    last = {"u_prev": su * np.array([0.5])} if "rate_limit" in limits else {}
+    given = {"w": 0.3 * np.ones(N), "x_ref": np.tile(sx * [0.05, 0.0], N + 1), "u_ref": np.full(N, -0.1 * su)} | last
+    plan = controller.solve(x, **last)
+    x = x + sx * [0.02, 0.1]
+    planner = controller._planner
+    at = planner.shifted(plan, given)
+    dear = 100 * ca_cost(controller, at, given)
+    step = planner.programs.step(x, at.states, at.inputs, given["w"][:, None], controller.p, given, dear)
+    iteration = real_time_iteration(controller.linear, controller.model)
+    arguments = [x, plan.states.T, plan.inputs.T, given["w"][None], controller.p, given["x_ref"].reshape(-1, 2).T,
+                 given["u_ref"][None], *last.values(), 0]  # fmt: skip
+    states, inputs, _ = (np.asarray(value) for value in iteration(*arguments))
+    assert inputs.T / su == pytest.approx((at.inputs + step.inputs) / su, abs=1e-6)
+    assert states.T / sx == pytest.approx((at.states + step.states) / sx, abs=1e-6)
+    assert step.relaxed == (limits is LIMITS["states that cannot be kept"])
+
+
+def ca_cost(controller, plan, given):
+    """Cost of a plan, summed up anew."""
+    linear = controller.linear
+    error, effort = plan.states - given["x_ref"].reshape(-1, 2), plan.inputs - given["u_ref"][:, None]
+    cost = sum(e @ linear.Q @ e + v @ linear.R @ v for e, v in zip(error, effort))
+    return cost + error[-1] @ linear.P @ error[-1]
+
+
+@needs_compiler
+def test_compiled_it_is_the_same_and_controls_like_the_optimum(tmp_path):
+    controller = law({"U": 4.0, "X": [1.5, 3.0], "rate_limit": 2.0}, iterations=1)
+    c = compiled(controller, tmp_path)
+    x, w, p = np.array([0.6, 0.2]), np.zeros((1, N)), controller.p
+    states, inputs, multipliers = np.tile(x[:, None], N + 1), np.zeros((1, N)), 0
+    optimum = law({"U": 4.0, "X": [1.5, 3.0], "rate_limit": 2.0})
+    first = real_time_iteration(controller.linear, controller.model)(x, states, inputs, w, p, 0, 0, 0, 0)
+    found = c["iteration"](x, states, inputs, w, p, 0, 0, 0, 0)
+    for one, other in zip(first, found):
+        assert np.asarray(one) == pytest.approx(np.asarray(other), abs=1e-9)
+    assert np.asarray(c["step"](x, 0.3, 0.1, p)).ravel() == pytest.approx(controller.model.next(x, [0.3], [0.1], p))
+    slopes = controller.model.linearised_at(x, np.array([0.3]), np.array([0.1]), p)
+    for one, other in zip(c["derivatives"](x, 0.3, 0.1, p), slopes):
+        assert np.asarray(one).ravel() == pytest.approx(np.ravel(other))
+    for _ in range(10):  # towards the optimum of the first sample, with the shift taken back
+        states, inputs, multipliers = c["iteration"](x, states, inputs, w, p, 0, 0, 0, multipliers)
+        states, inputs = (np.hstack([np.asarray(v)[:, :1], np.asarray(v)[:, :-1]]) for v in (states, inputs))
+    costs = [0.0, 0.0]
+    at, last = [x, x], [np.zeros(1), np.zeros(1)]
+    for _ in range(60):
+        states, inputs, multipliers = c["iteration"](at[0], states, inputs, w, p, 0, 0, last[0], multipliers)
+        answers = [np.asarray(inputs)[:, 0], optimum(at[1], u_prev=last[1])]
+        for i, u in enumerate(answers):
+            costs[i] += at[i] @ np.diag([3.0, 0.2]) @ at[i] + 0.1 * u @ u
+            at[i], last[i] = np.asarray(pendulum(at[i], u, 0.0, 1.1)).ravel(), u
+    assert costs[0] == pytest.approx(costs[1], rel=0.01)
+    assert at[0] == pytest.approx([0.0, 0.0], abs=1e-3)
+
+
+def test_what_cannot_be_written_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError) as caught:
+        law({"U": 3.0}).to_c(tmp_path / "file")
+    assert caught.value.argument == "folder"
+    with pytest.raises(InputError) as caught:
+        law({"U": 3.0}).to_c(3)
+    assert caught.value.argument == "folder"

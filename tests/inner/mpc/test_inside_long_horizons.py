@@ -1,0 +1,31 @@
+"""What test_long_horizons.py claims, seen from inside."""
+
+
+import numpy as np
+import pytest
+from plants import box
+
+from mpc import LinearMPC
+from mpc.condensing import condense
+from mpc.dense_qp import DenseQP
+from mpc.solve_arguments import spread_signals
+from mpc.stages import Staging
+from mpc.stagewise import solve_stagewise
+
+A, B = np.array([[1.5, 0.3], [0.0, 1.3]]), np.array([[0.0], [1.0]])
+
+
+@pytest.mark.parametrize("extra", [{}, {"soft": (10.0, 1e3)}, {"rate_limit": 0.3}, {"blocks": (1, 2, 3, 6)}], ids=str)
+def test_the_stagewise_solver_agrees_with_the_dense_one(extra):
+    mpc = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=12, X=box([5, 5]), U=box([1]), **extra)
+    x = np.array([0.4, -0.1])
+    signals = {"x_ref": [0.1, 0.0]} | ({"u_prev": [0.1]} if "rate_limit" in extra else {})
+    given = spread_signals(mpc, signals)
+    staging = Staging(mpc, x, given, mpc.soft)
+    found = solve_stagewise(staging.stages, staging.start, staging.first_guess(np.zeros((12, 1))))
+    inputs, _ = staging.plan(found.states, found.variables, x)
+    qp = condense(mpc, tuple(sorted(given)))
+    theta = np.concatenate([x if name == "x" else given[name] for name, _ in qp.parameters])
+    dense = DenseQP(qp.H, qp.G).solve(*qp.at(theta))
+    assert found.converged
+    np.testing.assert_allclose(inputs, qp.inputs(dense.z, theta), atol=1e-6)

@@ -1,0 +1,137 @@
+"""What happens between the points of a mesh is part of the status: limits, dynamics and cost."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from trajectory_verdicts import coarse, field, judged_field, judged_mesh
+
+from mpc.optimal_control import (
+    HermiteSimpson,
+    OptimalControlProblem,
+    OptimalControlStatus,
+    Phase,
+    Radau,
+    Trapezoidal,
+    build,
+    refine,
+    solve,
+)
+
+RADIUS = 0.3
+
+
+def past_a_disc(unit=1.0, origin=0.0):
+    """From one side of a disc to the other with the least energy; the straight guess goes through its centre."""
+    start, end = (unit * np.array([origin + far, 0.0]) for far in (0, 2))
+    return Phase(
+        lambda u: u, 2, 2, start=start, end=end, stage_cost=lambda u: ca.sumsqr(u / unit),
+        path=lambda x: (unit * RADIUS) ** 2 - (x[0] - unit * (1 + origin)) ** 2 - x[1] ** 2,
+    )  # fmt: skip
+
+
+def oscillator(fast=50.0):
+    """From rest to x = 1 at rest in 1 s with the least ∫u²."""
+    return Phase(
+        lambda x, u: ca.vertcat(x[1], -(fast**2) * x[0] + u), 2, 1, start=[0, 0], end=[1, 0], stage_cost=lambda u: u**2
+    )
+
+
+def least_energy(fast):
+    """Of the oscillator, by its controllability Gramian."""
+    A = np.array([[0, 1], [-(fast**2), 0]])
+    grown = solve_ivp(lambda t, _: (expm(A * t)[:, 1:] @ expm(A * t)[:, 1:].T).ravel(), [0, 1], np.zeros(4), rtol=1e-9)
+    return np.linalg.inv(grown.y[:, -1].reshape(2, 2))[0, 0]
+
+
+@pytest.mark.parametrize(("unit", "origin"), [(1.0, 0.0), (1e3, 3.0)])
+def test_a_trajectory_through_an_obstacle_is_not_solved_and_refinement_goes_round_it(unit, origin):
+    through = solve(build(past_a_disc(unit, origin), intervals=10))
+    assert through.status is OptimalControlStatus.LIMITS_PASSED
+    assert not through.solved
+    assert through.solved_on_mesh
+    assert "path 1 is exceeded" in through.advice
+    assert "guess that goes round it" in through.advice
+    around = refine(past_a_disc(unit, origin))
+    assert around.solved
+    length = 2 * np.sqrt(1 - RADIUS**2) + RADIUS * (np.pi - 2 * np.arccos(RADIUS))  # tangents and the arc between
+    assert around.cost == pytest.approx(length**2, rel=1e-4)
+    x = around.x(np.linspace(0, 1, 5001)) / unit - [1 + origin, 0]
+    assert np.linalg.norm(x, axis=1).min() > RADIUS * (1 - 1e-3)
+
+
+def test_a_bound_of_a_state_that_is_passed_between_the_points_is_told():
+    slow = Phase(
+        lambda x, u: ca.vertcat(x[1], u), 2, 1, start=[0, 0], end=[1, 0], stage_cost=lambda u: u**2,
+        x_bounds=([-9, -9], [9, 1.1]), state_names=["place", "speed"],
+    )  # fmt: skip
+    found = solve(build(slow, Radau(3), 7))
+    assert found.status is OptimalControlStatus.LIMITS_PASSED
+    assert "speed is exceeded by" in found.advice
+    highest = found.x(np.linspace(0, 1, 7001))[:, 1].max()
+    assert found.path_excess[0].value[-1] == pytest.approx(highest - 1.1, rel=1e-2)
+    assert refine(slow).solved
+
+
+def test_inputs_that_jump_under_a_limit_of_their_own_are_refined():
+    # the least time with a round limit of the thrust, whose direction turns fast
+    found = refine(Phase(
+        lambda x, u: ca.vertcat(x[2], x[3], u[0] - 0.2 * x[2], u[1] - 0.2 * x[3]), 4, 2, start=[0, 0, 1, 0],
+        end=[0, 3, 0, 0], duration=(0.1, 50), terminal_cost=lambda t: t, path=lambda u: ca.sumsqr(u) - 1,
+    ))  # fmt: skip
+    assert found.solved, found.advice
+
+
+@pytest.mark.parametrize("scheme", [Radau(3), HermiteSimpson(), Trapezoidal()], ids=lambda scheme: scheme.name)
+def test_a_mesh_too_coarse_for_fast_dynamics_is_not_solved_and_says_what_the_cost_misses(scheme):
+    true = least_energy(50.0)
+    for intervals in (5, 20):
+        found = solve(build(oscillator(), scheme, intervals))
+        assert found.status is OptimalControlStatus.COARSE
+        assert not found.solved
+        assert "The cost may be off" in found.advice or "dynamics are missed" in found.advice
+    fine = solve(build(oscillator(), scheme, 100))
+    said = fine.cost_error / abs(fine.cost - true)
+    assert 0.3 < said < 3
+    assert fine.solved == (fine.cost_error <= 0.003 * fine.cost)
+    assert "±" in repr(fine)
+
+
+def test_a_cost_off_by_its_quadrature_alone_is_said():
+    # the dynamics are met exactly; what the cost charges oscillates between the points
+    swept = Phase(lambda u: u, 1, 1, start=[0.0], stage_cost=lambda x, u, t: 100 * (x - ca.sin(40 * t)) ** 2 + u**2)
+    assert solve(build(swept, intervals=3)).status is OptimalControlStatus.COARSE
+    assert solve(build(swept, intervals=60)).solved
+
+
+def test_a_sample_of_the_fields_and_meshes_of_the_benchmark_is_judged_truly():
+    given = field(0)
+    assert judged_field(given, refine(given.phase())) == ("SOLVED", "")
+    assert not any(judged_mesh(*coarse(seed)[1:])[1] for seed in (3, 8, 9))
+
+
+def test_a_path_limit_that_is_stated_twice_is_one_limit():
+    def slope(path):
+        mass = Phase(
+            lambda x, u: ca.vertcat(x[1], u), 2, 1, start=[0, 0], end=[1, 0], stage_cost=lambda u: u**2, path=path
+        )
+        found = solve(build(OptimalControlProblem(mass, p_bounds=(1, 1)), intervals=20), tolerance=1e-10)
+        return found.sensitivity()
+
+    once = slope(lambda x, p: x[1] - 1.2 * p)
+    twice = slope(lambda x, p: ca.vertcat(x[1] - 1.2 * p, 1e3 * (x[1] - 1.2 * p)))
+    assert twice.status is once.status
+    assert twice.cost_by_parameters == pytest.approx(once.cost_by_parameters, rel=1e-5)
+    assert twice.cost_curvature == pytest.approx(once.cost_curvature, rel=1e-5)
+
+
+def test_a_number_is_the_guess_of_a_single_parameter():
+    shared = Phase(lambda u, p: p * u, 1, 1, start=[0], end=[1], stage_cost=lambda u: u**2)
+    assert OptimalControlProblem(shared, p_bounds=(0.01, 2), p_guess=0.08).p_guess == pytest.approx([0.08])
+
+
+def test_a_program_with_too_many_equations_prints_nothing(capfd):
+    mass = Phase(lambda x, u: ca.vertcat(x[1], u), 2, 1, start=[0, 0], end=[1, 0], stage_cost=lambda u: u**2)
+    assert "more intervals" in solve(build(mass, Radau(1), 1)).advice
+    assert capfd.readouterr() == ("", "")
