@@ -6,8 +6,8 @@ python benchmarks/sets_without_volume.py --seed 7          others
 
 Every double is a rational, so `fractions` says exactly which points a set has. A case of the first rows is drawn with
 small integer vertices in one to four dimensions, half of them moved, turned and stated in units from 1e-6 to 1e6.
-An answer is wrong where a vertex is no point of the exact set, or a point of that is missing, by more than 1e-9 of the sets at hand and
-1e-12 of their distance from the origin. The oracle shares no code with the package.
+An answer is wrong where a vertex is no point of the exact set, or a point of that is missing, by more than 1e-9 of the
+sets at hand and 1e-12 of their distance from the origin. The oracle shares no code with the package.
 """
 
 from __future__ import annotations
