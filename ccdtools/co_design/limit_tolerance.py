@@ -127,6 +127,11 @@ def measured(episode: Episode) -> Pair:
     return Pair(float(episode.outside.detach()[kept].mean()), float(episode.peak.detach()[kept].mean()))
 
 
+def expected_at_most(episode: Episode) -> Pair:
+    """What is `measured`, and a standard error more: what fresh runs are expected to keep to."""
+    return Pair(*(sum(pair) for pair in zip(measured(episode).values(), measurement_errors(episode).values())))
+
+
 def measurement_errors(episode: Episode) -> Pair:
     """Standard errors of what is `measured`; 0 of fewer than two runs."""
     kept = ~episode.diverged

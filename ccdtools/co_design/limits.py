@@ -1,9 +1,10 @@
 """State limits in a co-design: an augmented Lagrangian on how often and how far episodes leave X.
 
-The two measures are the fraction of the states outside X and the mean over the runs of the peak depth. Their excess
-over the tolerance moves the multipliers, once per evaluation; the gradient goes through the peak depth itself, and for
-the fraction, which has none, through the mean depth. While no measure was ever in excess every multiplier is zero, and
-the co-design is what it would be without limits.
+The two measures are the fraction of the states outside X and the mean over the runs of the peak depth. Each counts with
+a standard error of the runs on top, so that fresh runs are expected to keep the limits, too. Their excess over the
+tolerance moves the multipliers, once per evaluation; the gradient goes through the peak depth itself, and for the
+fraction, which has none, through the mean depth. While no measure was ever in excess every multiplier is zero, and the
+co-design is what it would be without limits.
 
 References
 ----------
@@ -30,7 +31,9 @@ from ccdtools.co_design.limit_tolerance import (
     UNTIL_LEFT,
     Pair,
     Tolerance,
+    expected_at_most,
     measured,
+    measurement_errors,
     tolerance_by_mpc,
 )
 from ccdtools.co_design.problem import CoDesignProblem
@@ -131,7 +134,7 @@ class StateLimitPenalty:
 
     def violation(self, episode: Episode) -> float:
         """By how much the tolerance of the present design is exceeded; 0 where it is kept."""
-        pairs = zip(measured(episode).values(), self._granted.values())
+        pairs = zip(expected_at_most(episode).values(), self._granted.values())
         return max(0.0, *(value - granted for value, granted in pairs))
 
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
@@ -141,6 +144,7 @@ class StateLimitPenalty:
         """
         size = self.judge.made_by_control(episode.total.detach().mean(), to_design(self.judge, v.detach()))
         means = torch.stack([episode.depth.mean() / self.spread, episode.peak.mean()])
+        means = means + means.new_tensor(measurement_errors(episode).values())
         multipliers = torch.tensor(self.multipliers.values(), dtype=torch.float64)
         return size * multipliers @ _penalty(_relative_excess(means, self.tolerance.at(v)))
 
@@ -157,7 +161,7 @@ class StateLimitPenalty:
 
     def updated(self, episode: Episode, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> StateLimitPenalty:
         """The penalty after an evaluation on `scenarios` at the point `v` of the unit box."""
-        seen = measured(episode)
+        seen = expected_at_most(episode)
         tolerance = self._tolerance(seen, v, scenarios)
         excess = _relative_excess(torch.tensor(seen.values(), dtype=torch.float64), tolerance.at(v))
         multipliers = (_next_multiplier(*pair) for pair in zip(self.multipliers.values(), excess.tolist()))
@@ -174,7 +178,8 @@ class StateLimitPenalty:
     def outcome(self, episode: Episode) -> LimitsOutcome:
         """How the iterate of these episodes keeps the limits."""
         outputs = self.judge.output_limits is not None
-        return LimitsOutcome(measured(episode), self._granted, self.tolerance.source, self.multipliers, outputs)
+        achieved, errors = measured(episode), measurement_errors(episode)
+        return LimitsOutcome(achieved, self._granted, self.tolerance.source, self.multipliers, outputs, errors)
 
     @property
     def _granted(self) -> Pair:

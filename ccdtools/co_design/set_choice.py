@@ -1,7 +1,8 @@
 """Which set each design gets: X_fea(p) as far as the budget goes, else the region of saturated LQR, else X.
 
-The budget is one of work, facets times steps of the recursion, which every machine counts alike. A time limit is stated
-as the seconds that such work takes on a usual processor; only far beyond it is the clock looked at, and that is said.
+The budget is one of work, which every machine counts alike: steps of the recursion times the square of the facets, as
+each facet of a step is held against all others. A time limit is stated as the seconds that such work takes on a usual
+processor, or less; only far beyond it is the clock looked at, and that is said.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from invariant_sets import ParametricSet, Polytope
 from invariant_sets.results import Status
 
 SETS = ("auto", "lqr", "none")
-WORK = 50_000  # facets times steps: what a usual processor does in a second
+WORK = 50_000  # steps times squared facets: what a usual processor does in a second, or more of it
 FACETS = 8  # of one set, at most, for every second of the limit
 FEWEST = 64  # designs that candidates may share
 PROBES = 5  # sets that are computed to see how much work one is
-ABORT = 10.0  # times the limit: processor time after which no further set is computed; one set has the limit itself
+ABORT = 4.0  # times the limit: processor time after which no further set is computed; one set has the limit itself
 LATE = ", by the clock: another machine may get further"
 USABLE = (Status.CONVERGED, Status.EMPTY)
 
@@ -106,7 +107,7 @@ def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: i
         if result.status not in USABLE:
             late = LATE if result.status is Status.TIME_LIMIT else ""
             return 0, f"X_fea(p) was not found: {result.status.name}{late}"
-        work.append(max(result.iterations, 1) * max(len(result.set.b), 1))
+        work.append(max(result.iterations, 1) * max(len(result.set.b), 1) ** 2)
     number = min(float(samples), effort.seconds * WORK / float(np.mean(work)))
     if number < min(FEWEST, samples):
         return 0, f"X_fea(p) of {FEWEST} designs is more work than allowed"

@@ -11,6 +11,7 @@ import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
+from ccdtools.co_design.limit_tolerance import expected_at_most
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import FEASIBLE, Descent, descend, value_of
 from ccdtools.co_design.methods.holding import Held, confirmed, held_by
@@ -267,7 +268,8 @@ def _held(problem: CoDesignProblem, best: End) -> Held:
         return held_by(problem.design, v, best.found.slope)
     slope, violations = best.cost.slopes(v)
     outcome = best.penalty.outcome(best.cost.seen(v))
-    used = zip(outcome.achieved.values(), outcome.tolerance.values(), outcome.multipliers.values())
+    reached = expected_at_most(best.cost.seen(v)).values()
+    used = zip(reached, outcome.tolerance.values(), outcome.multipliers.values())
     active = [price > 0 and value >= USED * most for value, most, price in used]
     return held_by(problem.design, v, slope, dict(one for one, is_so in zip(violations.items(), active) if is_so))
 

@@ -72,7 +72,7 @@ def test_of_many_starts_one_that_breaks_the_limits_is_not_the_best():
 
 
 def depths(p, x0, w, bounds):
-    """Fraction outside |x| ≤ bounds, mean peak in half-widths, and mean cost of LQR at designs of `bound_spring`."""
+    """Fraction outside |x| ≤ bounds and mean peak in half-widths, a standard error above each, and mean cost of LQR."""
     M = np.zeros((4, 4))
     M[:2] = [[0, 1, 0, 0], [-p[0], -p[1], 1, 1]]
     D = expm(0.1 * M)
@@ -87,7 +87,9 @@ def depths(p, x0, w, bounds):
         cost += np.einsum("ni,ij,nj->n", x, Q, x) + R * u[:, 0] ** 2
         outside.append(np.maximum((np.abs(x) - bounds) / bounds, 0).max(axis=1))
     beyond = np.array(outside)
-    return (beyond > 0).mean(), beyond.max(axis=0).mean(), cost.mean() + 0.4 * p[0] ** 2 + 0.5 * p[1]
+    measures = ((beyond > 0).mean(axis=0), beyond.max(axis=0))
+    often, far = (part.mean() + part.std(ddof=1) / np.sqrt(len(x0)) for part in measures)
+    return often, far, cost.mean() + 0.4 * p[0] ** 2 + 0.5 * p[1]
 
 
 @pytest.mark.check
@@ -115,7 +117,7 @@ def test_a_design_goes_up_to_the_limit_that_binds_and_no_further(unit, granted):
     free = min(cost for _, _, cost in seen)
     often, far, cost = depths(found.design, x0, w, limit)
     assert best > free + 0.002 * free  # the limit binds
-    assert often <= granted[0] + 1e-9
+    assert often <= granted[0] * (1 + 1e-6)
     assert far <= granted[1] * (1 + 1e-6)
     assert cost <= best + 0.001 * best
     assert found.status.settled
