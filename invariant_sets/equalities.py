@@ -32,6 +32,15 @@ class Stated(NamedTuple):
     terms: Array | None = None
     terms_eq: Array | None = None
 
+    @property
+    def unit(self) -> Stated:
+        """The same set by rows of norm one; rows of norm zero stay as they are."""
+        size, size_eq = (np.where(norms > 0.0, norms, 1.0) for norms in (row_norms(self.A), row_norms(self.A_eq)))
+        terms = None if self.terms is None else self.terms / size
+        terms_eq = None if self.terms_eq is None else self.terms_eq / size_eq
+        return Stated(self.A / size[:, None], self.b / size, self.A_eq / size_eq[:, None], self.b_eq / size_eq,
+                      terms, terms_eq)
+
 
 @dataclass(frozen=True)
 class AffineHull:
@@ -52,6 +61,11 @@ class AffineHull:
     basis: Array
     free: Array
     terms: Array
+
+
+def row_norms(rows: Array) -> Array:
+    """Return the norms (m,) of rows (m, n), whose squares may be no doubles."""
+    return np.hypot.reduce(rows, axis=1, initial=0.0)
 
 
 def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) -> AffineHull | None:

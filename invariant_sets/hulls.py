@@ -16,7 +16,7 @@ import numpy as np
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.time_limits import hull_facets
-from invariant_sets.tolerances import CHECKED, EPS, FLAT, REDUNDANT, SAME, TINY
+from invariant_sets.tolerances import CHECKED, EPS, FLAT, NULL_SPACE, REDUNDANT, SAME, TINY, TOUCHING
 
 Array = np.ndarray
 MOST_DUAL_FACETS = 100_000  # of a hull that only sorts rows out before their linear programs: three seconds
@@ -124,6 +124,28 @@ def _check_vertices(V: Array, F: Array, g: Array) -> None:
     exact = np.array([-minimise(-d, F, g)[0] for d in D])
     if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=CHECKED * np.abs(exact).max()):
         raise NumericalError("The vertices", F.shape, "they disagree with linear programs")
+
+
+def extreme_points(V: Array, F: Array, g: Array) -> Array:
+    """Return the indices of the points V (k, n) of {F y <= g} that are its vertices, by a distance of `SAME`.
+
+    Where fewer than n independent rows meet, rounding may have put a point on an edge that another row only touches.
+    The point goes if it lies in the hull of the others, by least squares with weights that sum to one.
+    """
+    from scipy.optimize import nnls
+
+    kept = np.arange(len(V))
+    if F.shape[1] < 2:
+        return kept
+    products = (F[:, :, None] * F[:, None]).reshape(len(F), -1)
+    step = max(1, 10_000_000 // max(len(F), 1))
+    touched = [(V[i:i + step] @ F.T >= g - TOUCHING) @ products for i in range(0, len(V), step)]
+    doubtful = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(V), *F.shape[1:] * 2))[:, 0] <= NULL_SPACE
+    for i in np.flatnonzero(doubtful):
+        others = kept[kept != i]
+        if nnls(np.vstack([(V[others] - V[i]).T, np.ones(len(others))]), np.eye(F.shape[1] + 1)[-1])[1] <= SAME:
+            kept = others
+    return kept
 
 
 def merge_points(points: Array, tol: float = SAME) -> Array:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invariant_sets.equalities import AffineHull, Stated, eliminated, opposite_rows, starting_scale
+from invariant_sets.equalities import AffineHull, Stated, eliminated, opposite_rows, row_norms, starting_scale
 from invariant_sets.exceptions import NumericalError
-from invariant_sets.hulls import hull_rows
+from invariant_sets.hulls import extreme_points, hull_rows
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, THIN
 from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look
@@ -72,15 +72,10 @@ class Body:
         """The set as unit rows on x."""
         A = self.F @ self.inverse
         A_eq = self.normals
-        norms = np.hypot.reduce(A, axis=1, initial=0.0)
-        norms_eq = np.hypot.reduce(A_eq, axis=1, initial=0.0)
-        if not (np.isfinite(norms).all() and norms.all()):
+        if not (np.isfinite(A).all() and A.any(axis=1).all()):
             raise NumericalError("The hull", A.shape, "its coordinates are too large or too small for doubles")
-        A = A / norms[:, None]
-        A_eq = A_eq / norms_eq[:, None]
-        room = self.g / norms
-        return Stated(A, room + A @ self.centre, A_eq, A_eq @ self.centre,
-                      self.sizes / norms + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms)
+        return Stated(A, self.g + A @ self.centre, A_eq, A_eq @ self.centre,
+                      self.sizes + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms).unit
 
     def less(self, Q: Body, stated: Stated) -> Body | None:
         """Return {x : x + q in the set for every q in Q}; None if it is empty. `stated` are the rows of the set.
@@ -295,7 +290,7 @@ def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
         return None
     F = A * half
     g = b - A @ centre
-    norms = np.hypot.reduce(F, axis=1, initial=0.0)
+    norms = row_norms(F)
     if not norms.all():
         return None
     F = F / norms[:, None]
@@ -334,6 +329,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
         graph = np.where(np.abs(graph) > CANCELLED, graph, 0.0)
         graph[:, free] = np.eye(len(free))
     F, g, extreme = hull_rows(Z[:, free])
+    extreme = extreme[extreme_points(Z[extreme][:, free], F, g)]
     F = np.where(np.abs(F) > EPS, F, 0.0)  # rounding here, but not always in the units of x
     first = anchor + np.where(moving, Y[0], lower / 2 + upper / 2)
     centre = first + unit * (Z[extreme][:, free].mean(axis=0) @ graph)
@@ -367,7 +363,7 @@ def normals(basis: Array) -> Array:
 
 def unit_rows(A: Array, b: Array, *, always: bool = False):
     """Return the rows scaled to unit norm without zero rows; (None, b) if a zero row says 0 <= negative."""
-    norms = np.linalg.norm(A, axis=1)
+    norms = row_norms(A)
     reference = norms.max(initial=0.0)
     zero = norms <= CANCELLED * reference if reference > 0 else np.ones(len(b), bool)
     if zero.any():

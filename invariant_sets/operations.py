@@ -300,12 +300,8 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
     rows = body.F @ back
     rows = np.where(np.abs(rows) * units > CANCELLED * np.abs(rows * units).max(axis=1, keepdims=True), rows, 0.0)
     normal = np.where(np.abs(left[:, rank:].T) > CANCELLED, left[:, rank:].T, 0.0) / units
-    norms = np.hypot.reduce(rows, axis=1, initial=0.0)
-    norms_eq = np.hypot.reduce(normal, axis=1, initial=0.0)
-    rows = rows / norms[:, None]
-    normal = normal / norms_eq[:, None]
-    return Stated(rows, body.g / norms + rows @ origin, normal, normal @ origin,
-                  body.g / norms + np.abs(rows) @ sizes, np.abs(normal) @ sizes)
+    return Stated(rows, body.g + rows @ origin, normal, normal @ origin,
+                  body.g + np.abs(rows) @ sizes, np.abs(normal) @ sizes).unit
 
 
 def _pulled_back(A: Array, b: Array, terms: Array, M: Array, c: Array) -> tuple[Array, Array, Array]:

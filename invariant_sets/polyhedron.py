@@ -10,7 +10,14 @@ import numpy as np
 
 from invariant_sets.equalities import Stated
 from invariant_sets.exceptions import EmptySetError, InputError, TimeLimitError, UnboundedError
-from invariant_sets.hulls import cone_volume, counter_clockwise, distinct, facets_and_vertices, hull_volume
+from invariant_sets.hulls import (
+    cone_volume,
+    counter_clockwise,
+    distinct,
+    extreme_points,
+    facets_and_vertices,
+    hull_volume,
+)
 from invariant_sets.interior_form import Body, body_of, body_of_vertices, hull_about, support
 from invariant_sets.membership import rows_hold
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, check_time_limit
@@ -219,7 +226,8 @@ class Polyhedron:
             return self._vertices[0], self._vertices - self._vertices[0]
         body = self._require_bounded("vertices")
         rows = distinct(np.column_stack([body.F, body.g]))
-        return body.centre, counter_clockwise(facets_and_vertices(body.F[rows], body.g[rows])[1]) @ body.basis.T
+        Y = facets_and_vertices(body.F[rows], body.g[rows])[1]
+        return body.centre, counter_clockwise(Y[extreme_points(Y, body.F, body.g)]) @ body.basis.T
 
     @cached_property
     def volume(self) -> float:

@@ -17,7 +17,6 @@ import numpy as np
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.steps import Step, backward_step, forward_step
 from invariant_sets.engine.trajectories import Trajectories, inner_hull
-from invariant_sets.equalities import Stated
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set
@@ -220,19 +219,11 @@ def _scaled(S: Polytope, size: Array) -> Polytope:
     body = S._body
     if body is None:
         return Polytope.empty(S.dim)
-    A, right = _unit(S.A * size, np.column_stack([S.b, S._terms]))
-    A_eq, right_eq = _unit(S.A_eq * size, np.column_stack([S.b_eq, S._terms_eq]))
     body = replace(body, centre=body.centre / size, basis=body.basis / size[:, None],
                    half_widths=body.half_widths / size, terms=body.terms / size)
     V = None if S._vertices is None else S._vertices / size
-    return Polytope._of(Stated(A, right[:, 0], A_eq, right_eq[:, 0], right[:, 1], right_eq[:, 1]), V, body)
-
-
-def _unit(R: Array, r: Array) -> tuple[Array, Array]:
-    """Return the rows with unit norm where their squares may be no doubles; rows of norm zero stay as they are."""
-    norms = np.hypot.reduce(R, axis=1, initial=0.0)[:, None]
-    norms[norms == 0.0] = 1.0
-    return R / norms, r / norms
+    rows = S._stated
+    return Polytope._of(rows._replace(A=rows.A * size, A_eq=rows.A_eq * size).unit, V, body)
 
 
 def _in_given_units(result: SetResult, size: Array) -> SetResult:

@@ -35,7 +35,7 @@ CLOSED = 1e-10  # of the sum of absolute terms: multipliers whose rows sum to le
 REDUNDANT = 1e-11  # of the extent: a row that cuts less off than this is redundant
 CHECKED = 1e-7  # of the extent: vertices and linear programs must agree to this in five and more dimensions
 EPS = 4e-16  # of a unit row: entries of this size are rounding
-TOUCHING = 1e-7  # of the extent: a vertex this close to a row lies on the face that is drawn
+TOUCHING = 1e-7  # of the extent: a vertex this close to a row lies on its face
 NULL_SPACE = 1e-8  # of the largest singular value, in coordinates of order one: directions below are in the null space
 
 # --- projections and redundant rows ----------------------------------------------------------------------------------

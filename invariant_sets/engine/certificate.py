@@ -12,6 +12,7 @@ import daqp
 import numpy as np
 
 from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
@@ -202,7 +203,7 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
         extent = np.ptp(C.vertices, axis=0)
     else:
         beyond = C.support(F) - g
-        extent = 2 * np.hypot.reduce(C._body.basis, axis=1, initial=0.0)  # type: ignore[union-attr]
+        extent = 2 * row_norms(C._body.basis)  # type: ignore[union-attr]
     scale = np.abs(F) @ np.maximum(extent, FLAT_WIDTH * extent.max(initial=0.0))
     return float((beyond / np.where(scale > 0.0, scale, 1.0)).max())
 
@@ -231,7 +232,7 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     costs = np.zeros((len(F), rows.shape[1]))
     costs[:, :k] = -F @ state.basis
     level = F @ state.centre - g
-    size = np.hypot.reduce(costs, axis=1, initial=0.0)
+    size = row_norms(costs)
     moving = np.flatnonzero(size > 0.0)
     beyond = level.copy()
     for i in range(0, len(moving), _EVERY):

@@ -32,6 +32,7 @@ from invariant_sets.engine.loose_bounds import without_loose_bounds
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
 from invariant_sets.engine.recursion import Caps, Outcome, Region, Shape, iterate
 from invariant_sets.engine.unstable_modes import unstable_bounds
+from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError, TimeLimitError
 from invariant_sets.interior_form import FLAT, unit_rows
 from invariant_sets.linear_programs import inscribed_ball
@@ -164,7 +165,7 @@ def _unfinished(limits: Limits, bounded: bool) -> Status:
 def _extent(X: Polytope) -> Array:
     """Return the half width (nx,) of X in every coordinate, zero if empty."""
     body = X._body
-    return np.zeros(X.dim) if body is None else np.hypot.reduce(body.basis, axis=1, initial=0.0)
+    return np.zeros(X.dim) if body is None else row_norms(body.basis)
 
 
 def _flattened(X: Polytope, widest: Array) -> Polytope:

@@ -23,7 +23,7 @@ from mpc.explicit.exploration import Limits, explore_compiled
 from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
-from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp
+from mpc.explicit.scaled_qp import ScaledQP, scale_parameters, scale_qp, without_far_bounds
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import FAR_OPTIMUM, THIN
 
@@ -88,10 +88,10 @@ def solve_mpqp(
     start = time.perf_counter()
     limits = Limits(as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit))
     domain = scale_parameters(theta_set, problem.nt)
-    nearer = _without_far_bounds(problem, domain)
+    nearer = without_far_bounds(problem, domain)
     if nearer is not problem:
         answer = solve_mpqp(nearer, theta_set, compiled=compiled, max_regions=max_regions, time_limit=time_limit)
-        if _satisfies(answer, problem):
+        if answer.status is MPQPStatus.COMPLETE and _satisfies(answer, problem):
             return replace(answer, problem=problem)
     qp = scale_qp(problem, domain)
     always = [i for i, _ in equality_pairs(qp)]
@@ -124,26 +124,12 @@ def solve_mpqp(
     )  # fmt: skip
 
 
-def _without_far_bounds(problem: ParametricQP, domain: ParameterSet) -> ParametricQP:
-    """The problem without the bounds that are far beyond the nearest one, as 1e20 for "no limit".
-
-    Beside them the others would have no size.
-    """
-    size = np.sqrt(np.diag(problem.H), where=np.diag(problem.H) > 0, out=np.ones(problem.nz))
-    length = np.hypot.reduce(np.hstack([problem.S * domain.half, problem.G / size]), axis=1, initial=0.0)
-    right = (problem.w + problem.S @ domain.centre)[length > 0] / length[length > 0]
-    nearest = np.abs(right[right != 0]).min(initial=np.inf)
-    w = problem.w.copy()
-    w[length > 0] = np.where(right > FAR_OPTIMUM * nearest, np.inf, w[length > 0])
-    return problem if np.array_equal(w, problem.w, equal_nan=True) else replace(problem, w=w)
-
-
 def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
-    """Whether every law keeps all rows of a problem on the whole box of parameters: then it is optimal there too."""
-    gain = problem.S - problem.G @ answer.law[:, :, :-1]
-    room = problem.w - answer.law[:, :, -1] @ problem.G.T
+    """Whether every law keeps the rows that were left out on the whole box of parameters: then it is optimal with them."""
     left = np.isinf(answer.problem.w)
-    return bool((room + gain @ answer.centre - np.abs(gain) @ answer.half >= 0)[:, left].all())
+    gain = problem.S[left] - problem.G[left] @ answer.law[:, :, :-1]
+    room = problem.w[left] - answer.law[:, :, -1] @ problem.G[left].T
+    return bool((room + gain @ answer.centre >= np.abs(gain) @ answer.half).all())
 
 
 def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:
