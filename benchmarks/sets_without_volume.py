@@ -38,6 +38,7 @@ from invariant_sets import (
     predecessor_set,
     reachable_set,
 )
+from mpc import LinearMPC
 
 Array = np.ndarray
 Point = list[Fraction]
@@ -326,7 +327,8 @@ def no_limit_case(rng: np.random.Generator) -> str:
     inputs = [(-u, u), (-u, u)]
     if rng.random() < 0.2:
         inputs = [(-u * np.inf, u * np.inf), (-u * big, u * big)]
-    name = str(rng.choice(["control", "positive", "predecessor", "controllable", "reachable", "family", "bounds"]))
+    name = str(rng.choice(["control", "positive", "predecessor", "controllable", "reachable", "family", "bounds",
+                           "plan", "law"]))
     small = 0.3 * rng.uniform(0.5, 1, n) * units
     call: Callable[[Any, Any], Any] = {
         "control": lambda X, U: maximal_control_invariant_set(A, B, X, U, max_iterations=60),
@@ -336,9 +338,17 @@ def no_limit_case(rng: np.random.Generator) -> str:
         "reachable": lambda X, U: reachable_set(A, B, (-small, small), (-u, u), 2, X=X),
         "family": lambda X, U: ParametricSet(lambda p: (A, B * p), X, U, max_iterations=60).result([1.0]),
         "bounds": lambda X, U: Polytope.from_bounds(*X).intersection(Polytope.from_bounds(-9 * units, 9 * units)),
+        "plan": lambda X, U: LinearMPC(A, B, X=X, U=U, Q=np.diag(units**-2), R=np.eye(len(u)), horizon=3),
+        "law": lambda X, U: LinearMPC(A, B, X=X, U=U, Q=np.diag(units**-2), R=np.eye(len(u)), horizon=3).explicit(
+            theta_set=(-units, units)),
     }[name]
     plain = call(open_, inputs[0])
     result = call(stated, inputs[1])
+    if name in ("plan", "law"):
+        fine = name == "plan" or plain.status is result.status and len(plain.regions) == len(result.regions)
+        X0 = rng.uniform(-1, 1, (5, n)) * units
+        same = all(np.allclose(plain(x), result(x), rtol=1e-6, atol=1e-6, equal_nan=True) for x in X0)
+        return "" if fine and same else f"{name}: another one"
     if isinstance(plain, Polytope):
         return "" if plain.equals(result, 1e-9) and plain.volume == result.volume else f"{name}: another set"
     if not (plain.set.is_bounded and plain.outer.is_bounded):  # the bound is what ends the set

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from invariant_sets.equalities import Stated
-from invariant_sets.exceptions import EmptySetError, InputError, TimeLimitError, UnboundedError
+from invariant_sets.exceptions import EmptySetError, InputError, NumericalError, TimeLimitError, UnboundedError
 from invariant_sets.hulls import (
     cone_volume,
     counter_clockwise,
@@ -236,7 +236,10 @@ class Polyhedron:
         if body is None or body.basis.shape[1] < self.dim:
             return 0.0
         self._require_bounded("volume")
-        unit = abs(float(np.linalg.det(body.basis)))
+        with np.errstate(over="ignore", under="ignore"):
+            unit = float(np.abs(np.diag(body.basis)).prod())  # the basis of a solid set is diagonal
+        if not 0.0 < unit < np.inf:
+            raise NumericalError("The volume", self.A.shape, "it is too large or too small for doubles")
         if self.dim >= _MANY_VERTICES:
             self.vertices  # noqa: B018  # the limits on the size of the hull
             found = cone_volume(body.F, body.g)

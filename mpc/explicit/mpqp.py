@@ -125,7 +125,7 @@ def solve_mpqp(
 
 
 def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
-    """Whether every law keeps the rows that were left out on the whole box of parameters: then it is optimal with them."""
+    """Whether every law keeps the rows left out on the whole box of parameters: then it is optimal with them too."""
     left = np.isinf(answer.problem.w)
     gain = problem.S[left] - problem.G[left] @ answer.law[:, :, :-1]
     room = problem.w[left] - answer.law[:, :, -1] @ problem.G[left].T
