@@ -126,24 +126,26 @@ def _check_vertices(V: Array, F: Array, g: Array) -> None:
         raise NumericalError("The vertices", F.shape, "they disagree with linear programs")
 
 
-def extreme_points(V: Array, F: Array, g: Array) -> Array:
-    """Return the indices of the points V (k, n) of {F y <= g} that are its vertices, by a distance of `SAME`.
+def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
+    """Return the indices of the points V (k, n) of {F y <= g} that are its vertices, by more than `SAME` and `doubt`.
 
-    Where fewer than n independent rows meet, rounding may have put a point on an edge that another row only touches.
-    The point goes if it lies in the hull of the others, by least squares with weights that sum to one.
+    Rounding puts points on edges that another row only touches; fewer than n independent rows meet there, if no more
+    is in doubt. A point goes if it lies in the hull of the others, by least squares with weights that sum to one.
     """
     from scipy.optimize import nnls
 
-    kept = np.arange(len(V))
-    if F.shape[1] < 2:
-        return kept
+    n = F.shape[1]
+    if n < 2:
+        return np.arange(len(V))
+    tol = max(SAME, doubt)
+    kept = distinct(V, tol)
     products = (F[:, :, None] * F[:, None]).reshape(len(F), -1)
     step = max(1, 10_000_000 // max(len(F), 1))
-    touched = [(V[i:i + step] @ F.T >= g - TOUCHING) @ products for i in range(0, len(V), step)]
-    doubtful = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(V), *F.shape[1:] * 2))[:, 0] <= NULL_SPACE
-    for i in np.flatnonzero(doubtful):
+    touched = [(V[kept[i:i + step]] @ F.T >= g - TOUCHING) @ products for i in range(0, len(kept), step)]
+    sharp = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(kept), n, n))[:, 0] > NULL_SPACE
+    for i in kept if tol > SAME else kept[~sharp]:
         others = kept[kept != i]
-        if nnls(np.vstack([(V[others] - V[i]).T, np.ones(len(others))]), np.eye(F.shape[1] + 1)[-1])[1] <= SAME:
+        if nnls(np.vstack([(V[others] - V[i]).T, np.ones(len(others))]), np.eye(n + 1)[-1])[1] <= tol:
             kept = others
     return kept
 

@@ -227,7 +227,8 @@ class Polyhedron:
         body = self._require_bounded("vertices")
         rows = distinct(np.column_stack([body.F, body.g]))
         Y = facets_and_vertices(body.F[rows], body.g[rows])[1]
-        return body.centre, counter_clockwise(Y[extreme_points(Y, body.F, body.g)]) @ body.basis.T
+        corners = extreme_points(Y, body.F, body.g, ROUNDING * body.sizes.max(initial=0.0))
+        return body.centre, counter_clockwise(Y[corners]) @ body.basis.T
 
     @cached_property
     def volume(self) -> float:
