@@ -345,7 +345,7 @@ def no_limit_case(rng: np.random.Generator) -> str:
     plain = call(open_, inputs[0])
     result = call(stated, inputs[1])
     if name in ("plan", "law"):
-        fine = name == "plan" or plain.status is result.status and len(plain.regions) == len(result.regions)
+        fine = name == "plan" or (plain.status is result.status and len(plain.regions) == len(result.regions))
         X0 = rng.uniform(-1, 1, (5, n)) * units
         same = all(np.allclose(plain(x), result(x), rtol=1e-6, atol=1e-6, equal_nan=True) for x in X0)
         return "" if fine and same else f"{name}: another one"

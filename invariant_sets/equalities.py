@@ -21,25 +21,27 @@ Array = np.ndarray
 class Stated(NamedTuple):
     """A x <= b and A_eq x = b_eq, with the sizes of the terms that b (m,) and b_eq (k,) were computed from.
 
-    A right-hand side that is a difference may be wrong by the rounding of what it was computed from. Without terms it
-    is taken to be stated by the caller, and may be wrong by the rounding of itself.
+    A right-hand side that is a difference may be wrong by the rounding of what it was computed from.
     """
 
     A: Array
     b: Array
     A_eq: Array
     b_eq: Array
-    terms: Array | None = None
-    terms_eq: Array | None = None
+    terms: Array
+    terms_eq: Array
+
+    @classmethod
+    def given(cls, A: Array, b: Array, A_eq: Array, b_eq: Array) -> Stated:
+        """Return rows as a caller states them: their right-hand sides may be wrong by the rounding of themselves."""
+        return cls(A, b, A_eq, b_eq, np.abs(b), np.abs(b_eq))
 
     @property
     def unit(self) -> Stated:
         """The same set by rows of norm one; rows of norm zero stay as they are."""
         size, size_eq = (np.where(norms > 0.0, norms, 1.0) for norms in (row_norms(self.A), row_norms(self.A_eq)))
-        terms = None if self.terms is None else self.terms / size
-        terms_eq = None if self.terms_eq is None else self.terms_eq / size_eq
         return Stated(self.A / size[:, None], self.b / size, self.A_eq / size_eq[:, None], self.b_eq / size_eq,
-                      terms, terms_eq)
+                      self.terms / size, self.terms_eq / size_eq)
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class AffineHull:
 
 def row_norms(rows: Array) -> Array:
     """Return the norms (m,) of rows (m, n), whose squares may be no doubles."""
-    return np.hypot.reduce(rows, axis=1, initial=0.0)
+    return np.asarray(np.hypot.reduce(rows, axis=1, initial=0.0))
 
 
 def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) -> AffineHull | None:

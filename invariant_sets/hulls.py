@@ -138,7 +138,7 @@ def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
     if n < 2:
         return np.arange(len(V))
     tol = max(SAME, doubt)
-    kept = distinct(V, tol)
+    kept = distinct(V, tol) if tol > SAME else np.arange(len(V))
     products = (F[:, :, None] * F[:, None]).reshape(len(F), -1)
     step = max(1, 10_000_000 // max(len(F), 1))
     touched = [(V[kept[i:i + step]] @ F.T >= g - TOUCHING) @ products for i in range(0, len(kept), step)]

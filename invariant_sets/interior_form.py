@@ -99,7 +99,7 @@ class Body:
         left = self
         if len(self.free):
             none = np.zeros((0, len(self.free)))
-            found = body_of(Stated(self.F, self.g - reach, none, none[:, 0], self.sizes + reach))
+            found = body_of(Stated(self.F, self.g - reach, none, none[:, 0], self.sizes + reach, none[:, 0]))
             if found is None:
                 return None
             left = self.part(found)
@@ -127,8 +127,8 @@ def body_of(stated: Stated) -> Body | None:
     b = b[used]
     E = A_eq[used_eq]
     e = b_eq[used_eq]
-    terms = (np.abs(stated.b) if terms is None else terms)[used]
-    sizes = (np.abs(b_eq) if sizes is None else sizes)[used_eq]
+    terms = terms[used]
+    sizes = sizes[used_eq]
     if not len(e) and len(b) and (np.count_nonzero(A, axis=1) == 1).all():
         return _box(A, b, terms)
     chosen, needless = opposite_rows(A, b, terms)

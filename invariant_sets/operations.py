@@ -43,7 +43,7 @@ class SetOperations(Polyhedron):
     def intersection(self, other: Polyhedron) -> Self:
         """Return P ∩ Q, both of the same dimension."""
         other = same_space(self, other)
-        return type(self)._of(Stated(*map(np.concatenate, zip(self._stated, other._stated))))
+        return type(self)._of(Stated(*(np.concatenate(pair) for pair in zip(self._stated, other._stated))))
 
     def cartesian_product(self, other: Polyhedron) -> Self:
         """Return P × Q = {(x, y) : x in P, y in Q}."""

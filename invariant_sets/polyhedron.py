@@ -78,14 +78,12 @@ class Polyhedron:
             raise InputError("A", "shape (m, 0)", "at least one column")
         A_eq = np.zeros((0, n)) if A_eq is None else as_matrix(A_eq, "A_eq", columns=n)
         b_eq = np.zeros(0) if b_eq is None else as_vector(b_eq, "b_eq", size=len(A_eq))
-        self._fill(Stated(A, b, A_eq, b_eq), None)
+        self._fill(Stated.given(A, b, A_eq, b_eq), None)
 
     def _fill(self, rows: Stated, V: Array | None) -> None:
         """Set the fields, once."""
-        terms = np.abs(rows.b) if rows.terms is None else rows.terms
-        terms_eq = np.abs(rows.b_eq) if rows.terms_eq is None else rows.terms_eq
-        for name, array in (("A", rows.A), ("b", rows.b), ("A_eq", rows.A_eq), ("b_eq", rows.b_eq), ("_terms", terms),
-                            ("_terms_eq", terms_eq), ("_vertices", V), ("_enumerated", V)):
+        names = ("A", "b", "A_eq", "b_eq", "_terms", "_terms_eq", "_vertices", "_enumerated")
+        for name, array in zip(names, (*rows, V, V)):
             object.__setattr__(self, name, None if array is None else frozen(array))
 
     @classmethod

@@ -71,7 +71,7 @@ class Frame:
         normal = normals(self.basis) if k < n else np.zeros((0, n))
         rows, right = unit(rows, g)
         V = None if V is None else counter_clockwise(self.centre + V @ self.basis.T)
-        return Polytope._of(Stated(rows, right + rows @ self.centre, normal, normal @ self.centre), V)
+        return Polytope._of(Stated.given(rows, right + rows @ self.centre, normal, normal @ self.centre), V)
 
 
 @dataclass(frozen=True)
