@@ -103,7 +103,7 @@ def misfit(R: Polytope, points: list[Point], room: Array, *, count: bool = False
     distinct = [points[k] for k in np.unique(near, axis=0, return_index=True)[1]]
     for row, b in zip(rows, right):
         exact_row = [Fraction(float(a)) for a in row]
-        slack = float(np.abs(row) @ room)
+        slack = float(np.abs(row) @ (room + 1e-15 * np.abs(near).max(axis=0)))  # and the rounding of the row's terms
         for p in distinct:
             if float(sum((a * x for a, x in zip(exact_row, p)), Fraction(0)) - Fraction(float(b))) > slack:
                 return "a point is cut off"

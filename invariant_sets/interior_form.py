@@ -357,7 +357,7 @@ def null_space(rows: Array) -> Array:
 
 def normals(basis: Array) -> Array:
     """Return orthonormal rows (n − k, n) that are orthogonal to the k columns of a basis."""
-    left, _, _ = np.linalg.svd(basis / np.linalg.norm(basis, axis=0), full_matrices=True)
+    left, _, _ = np.linalg.svd(basis / row_norms(basis.T), full_matrices=True)
     return left[:, basis.shape[1]:].T
 
 
