@@ -9,12 +9,39 @@ Ruiz (2001), A scaling algorithm to equilibrate both rows and columns norms in m
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from invariant_sets.tolerances import CANCELLED, CLOSER, DEPENDENT, FLAT, ROUNDING
 
 Array = np.ndarray
+
+
+class Stated(NamedTuple):
+    """A x <= b and A_eq x = b_eq, with the sizes of the terms that b (m,) and b_eq (k,) were computed from.
+
+    A right-hand side that is a difference may be wrong by the rounding of what it was computed from.
+    """
+
+    A: Array
+    b: Array
+    A_eq: Array
+    b_eq: Array
+    terms: Array
+    terms_eq: Array
+
+    @classmethod
+    def given(cls, A: Array, b: Array, A_eq: Array, b_eq: Array) -> Stated:
+        """Return rows as a caller states them: their right-hand sides may be wrong by the rounding of themselves."""
+        return cls(A, b, A_eq, b_eq, np.abs(b), np.abs(b_eq))
+
+    @property
+    def unit(self) -> Stated:
+        """The same set by rows of norm one; rows of norm zero stay as they are."""
+        size, size_eq = (np.where(norms > 0.0, norms, 1.0) for norms in (row_norms(self.A), row_norms(self.A_eq)))
+        return Stated(self.A / size[:, None], self.b / size, self.A_eq / size_eq[:, None], self.b_eq / size_eq,
+                      self.terms / size, self.terms_eq / size_eq)
 
 
 @dataclass(frozen=True)
@@ -38,13 +65,18 @@ class AffineHull:
     terms: Array
 
 
-def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | None:
+def row_norms(rows: Array) -> Array:
+    """Return the norms (m,) of rows (m, n), whose squares may be no doubles."""
+    return np.asarray(np.hypot.reduce(rows, axis=1, initial=0.0))
+
+
+def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) -> AffineHull | None:
     """Return {x : E x = e}; None if there is no such point.
 
     Parameters
     ----------
-    E, e : (m, n) and (m,) arrays
-        Equality rows, none of them zero.
+    E, e, sizes : (m, n), (m,) and (m,) arrays
+        Equality rows, none of them zero, and the sizes of the terms of e.
     centre : (n,) array
         The free coordinates of the point are taken from here.
     scale : (n,) array
@@ -60,7 +92,7 @@ def eliminated(E: Array, e: Array, centre: Array, scale: Array) -> AffineHull | 
         return AffineHull(centre.copy(), np.diag(scale), np.arange(n), np.abs(centre))
     row_sizes = np.abs(E * scale).max(axis=1)
     rows = np.column_stack([E * scale, e]) / row_sizes[:, None]
-    terms = np.abs(rows)
+    terms = np.column_stack([np.abs(E * scale), sizes]) / row_sizes[:, None]
     rest = list(range(len(rows)))
     pivots: list[tuple[int, int]] = []
     while rest:
@@ -105,23 +137,28 @@ def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) ->
     rows[rest, :-1] = np.where(np.abs(left) > DEPENDENT * terms[rest, :-1], left, 0.0)
 
 
-def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array]:
-    """Return a first length (n,) for every coordinate of {A x <= b, E x = e}, and which rows of A may be far away (m,).
+def starting_scale(stated: Stated) -> tuple[Array, Array]:
+    """Return a first length (n,) for every coordinate of a set, and which of its inequalities may be far away (m,).
 
     Rows and columns are balanced, so that every coordinate is steep in some row; the tightest steep row on either side
-    then gives its length. A row is suspected to be far away if the others' right-hand sides are nothing beside its own.
+    then gives its length, by its terms where its right-hand side has cancelled. A row is suspected to be far away if
+    the terms of the others are nothing beside it.
     """
+    A, b, E, e, terms, sizes = stated
     rows = np.concatenate([A, E])
     if not len(rows):
         return np.ones(A.shape[1]), np.zeros(0, bool)
     sign = np.sign(rows)
     scale = np.ones(rows.shape[1])
     rows = np.abs(rows)
-    right = np.abs(np.concatenate([b, e]))
+    right = np.concatenate([np.abs(b), np.abs(e)])
+    terms = np.concatenate([terms, sizes])
+    right = np.where(right > ROUNDING * terms, right, terms)
     for _ in range(6):
         size = rows.max(axis=1)
         rows = rows / size[:, None]
         right = right / size
+        terms = terms / size
         columns = rows.max(axis=0)
         if (columns[columns > 0] > 0.5).all():
             break
@@ -129,9 +166,9 @@ def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array
         scale = scale * factor
         rows = rows * factor
     m = len(b)
-    far = right[:m] > _middle(right) / CLOSER
+    far = (right[:m] > _middle(terms) / CLOSER) & (b > 0)
     if right.any():  # the far ones tell no length; beside rows through the origin alone nothing is far
-        right = np.append(np.where(right[:m] > _middle(right[right > 0]) / CLOSER, np.inf, right[:m]), right[m:])
+        right = np.append(np.where(right[:m] > _middle(terms[terms > 0]) / CLOSER, np.inf, right[:m]), right[m:])
     lengths = _tightest(rows[:m], right[:m], sign[:m])
     noise = right[:m] <= ROUNDING * (rows[:m] @ lengths)  # a row through the origin but for rounding tells no length
     if (noise & (right[:m] > 0)).any():
@@ -143,9 +180,9 @@ def starting_scale(A: Array, b: Array, E: Array, e: Array) -> tuple[Array, Array
     known = lengths[lengths > 0]
     usual = 1.0
     if not lengths.all() and right.any():
-        usual = _middle(known if len(known) else right[right > 0])
+        usual = float((known if len(known) else right[right > 0]).min())  # the least costs the others no digits
     usual = usual if np.isfinite(usual) else 1.0
-    return scale * np.where(lengths > 0, lengths, usual), far & (b > 0)
+    return scale * np.where(lengths > 0, lengths, usual), far
 
 
 def _tightest(rows: Array, right: Array, sign: Array) -> Array:
@@ -164,13 +201,13 @@ def _middle(values: Array) -> float:
     return float(np.sort(values)[len(values) // 2])
 
 
-def opposite_rows(A: Array, b: Array) -> tuple[Array, Array]:
+def opposite_rows(A: Array, b: Array, terms: Array) -> tuple[Array, Array]:
     """Return one row of each pair that says aᵀx <= β and −aᵀx <= −β, and which rows such pairs make needless.
 
     Parameters
     ----------
-    A, b : (m, n) and (m,) arrays
-        Inequalities, none of them zero.
+    A, b, terms : (m, n), (m,) and (m,) arrays
+        Inequalities, none of them zero, and the sizes of the terms of b.
 
     Returns
     -------
@@ -191,6 +228,7 @@ def opposite_rows(A: Array, b: Array) -> tuple[Array, Array]:
     size = np.abs(A[np.arange(m), largest])
     rows = A / size[:, None]
     right = b / size
+    doubt = ROUNDING * terms / size
     projection = rows @ np.cos(np.arange(1, n + 1))
     order = np.argsort(np.abs(projection))
     level = np.abs(projection)[order]
@@ -204,14 +242,16 @@ def opposite_rows(A: Array, b: Array) -> tuple[Array, Array]:
     low = np.minimum.reduceat(lower[order], starts)
     high = np.minimum.reduceat(upper[order], starts)
     pairs = np.isfinite(low) & np.isfinite(high)
-    pairs[pairs] = np.abs(low[pairs] + high[pairs]) <= ROUNDING * np.abs(low[pairs])
+    most = np.maximum.reduceat(doubt[order], starts)
+    pairs[pairs] = np.abs(low[pairs] + high[pairs]) <= most[pairs]
     for group in pairs.nonzero()[0]:
         members = order[starts[group]:np.append(starts, m)[group + 1]]
         first = members[upper[members].argmin()]
         second = members[lower[members].argmin()]
         parallel = (np.abs(rows[members] - np.sign(projection[members] * projection[first])[:, None] * rows[first])
                     <= CANCELLED * np.abs(rows[first])).all(axis=1)
-        if parallel[members == second].all():
+        within = abs(right[first] + right[second]) <= max(doubt[first], doubt[second])
+        if within and parallel[members == second].all():
             chosen.append(int(first))
             needless[members[parallel]] = True
     return np.array(chosen, dtype=int), needless

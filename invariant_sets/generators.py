@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invariant_sets.equalities import row_norms
 from invariant_sets.hulls import convex_hull, hull_rows, merge_points
 from invariant_sets.linear_programs import largest_ball
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
@@ -109,8 +110,8 @@ def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Arr
     g = np.where(np.abs(g) > CANCELLED, g, 0.0)  # rows through the middle of the points
     A = F @ local / unit
     E = flat @ across / unit
-    norms = np.linalg.norm(A, axis=1)
-    norms_eq = np.linalg.norm(E, axis=1)
+    norms = row_norms(A)
+    norms_eq = row_norms(E)
     A = A / norms[:, None]
     E = E / norms_eq[:, None]
     return A, g / norms + A @ middle, E, E @ middle
@@ -118,7 +119,7 @@ def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Arr
 
 def _of_length_one(R: Array) -> Array:
     """Return the directions with norm one, without those that are zero but for rounding."""
-    norms = np.linalg.norm(R, axis=1)
+    norms = row_norms(R)
     kept = norms > FLAT * norms.max(initial=0.0)
     return R[kept] / norms[kept, None]
 

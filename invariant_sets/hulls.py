@@ -16,7 +16,7 @@ import numpy as np
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.time_limits import hull_facets
-from invariant_sets.tolerances import CHECKED, EPS, FLAT, REDUNDANT, ROUNDING, SAME, TINY
+from invariant_sets.tolerances import CHECKED, EPS, FLAT, NULL_SPACE, REDUNDANT, SAME, TINY, TOUCHING
 
 Array = np.ndarray
 MOST_DUAL_FACETS = 100_000  # of a hull that only sorts rows out before their linear programs: three seconds
@@ -30,6 +30,8 @@ def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Arra
     vertex of more than n facets comes several times unless they are merged.
     """
     n = F.shape[1]
+    if n == 0:
+        return np.zeros(0, int), np.zeros((1, 0))
     if n == 1:
         ends = g / F[:, 0]
         upper = np.where(F[:, 0] > 0, ends, np.inf)
@@ -124,6 +126,30 @@ def _check_vertices(V: Array, F: Array, g: Array) -> None:
         raise NumericalError("The vertices", F.shape, "they disagree with linear programs")
 
 
+def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
+    """Return the indices of the points V (k, n) of {F y <= g} that are its vertices, by more than `SAME` and `doubt`.
+
+    Rounding puts points on edges that another row only touches; fewer than n independent rows meet there, if no more
+    is in doubt. A point goes if it lies in the hull of the others, by least squares with weights that sum to one.
+    """
+    from scipy.optimize import nnls
+
+    n = F.shape[1]
+    if n < 2:
+        return np.arange(len(V))
+    tol = max(SAME, doubt)
+    kept = distinct(V, tol) if tol > SAME else np.arange(len(V))
+    products = (F[:, :, None] * F[:, None]).reshape(len(F), -1)
+    step = max(1, 10_000_000 // max(len(F), 1))
+    touched = [(V[kept[i:i + step]] @ F.T >= g - TOUCHING) @ products for i in range(0, len(kept), step)]
+    sharp = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(kept), n, n))[:, 0] > NULL_SPACE
+    for i in kept if tol > SAME else kept[~sharp]:
+        others = kept[kept != i]
+        if nnls(np.vstack([(V[others] - V[i]).T, np.ones(len(others))]), np.eye(n + 1)[-1])[1] <= tol:
+            kept = others
+    return kept
+
+
 def merge_points(points: Array, tol: float = SAME) -> Array:
     """Return the points without those closer than `tol` (largest coordinate difference) to an earlier one."""
     return points[distinct(points, tol)]
@@ -194,40 +220,10 @@ def strongly_irredundant_rows(F: Array, g: Array) -> Array:
     return np.sort(hull.vertices[hull.vertices < len(g)])
 
 
-def hull_of_points(V: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Return unit rows (A, b), equalities (A_eq, b_eq) and the vertices' indices of the hull of the points V (k, n).
-
-    The points are taken to units in which they spread by one; a set that is flat in those gets equalities.
-    """
-    centre = V.mean(axis=0)
-    scale = np.ptp(V, axis=0) / 2
-    still = scale <= ROUNDING * np.abs(V).max(axis=0)
-    scale[still] = np.where(centre[still] != 0.0, np.abs(centre[still]), 1.0)
-    Y = (V - centre) / scale
-    _, s, vt = np.linalg.svd(Y, full_matrices=len(Y) < 2 * Y.shape[1])
-    rank = int((s > FLAT * max(s.max(initial=0.0), FLAT)).sum())
-    N = vt[:rank]
-    M = vt[rank:] / scale
-    extreme = np.arange(1)
-    A = np.zeros((0, V.shape[1]))
-    b = np.zeros(0)
-    if rank:
-        F, g, extreme = hull_rows(Y @ N.T)
-        rows = F @ N
-        rows[np.abs(rows) <= EPS] = 0.0  # rounding here, but not always in the units of x
-        A = rows / scale
-        b = g + rows @ (centre / scale)
-        norms = np.linalg.norm(A, axis=1)
-        if not (np.isfinite(norms).all() and norms.all()):
-            raise NumericalError("The hull", V.shape, "its coordinates are too large or too small for doubles")
-        A = A / norms[:, None]
-        b = b / norms
-    M = M / np.linalg.norm(M, axis=1)[:, None]
-    return A, b, M, M @ centre, extreme
-
-
 def hull_rows(points: Array) -> tuple[Array, Array, Array]:
     """Return facets (F, g) with unit rows of the hull of full-dimensional points (k, n), and its vertices' indices."""
+    if points.shape[1] == 0:
+        return np.zeros((0, 0)), np.zeros(0), np.arange(1)
     if points.shape[1] == 1:
         ends = np.array([points.argmax(), points.argmin()])
         return np.array([[1.0], [-1.0]]), points[ends, 0] * [1.0, -1.0], ends

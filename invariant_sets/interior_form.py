@@ -5,13 +5,15 @@ What is large, small or zero is judged by the set's own extents, which a `Window
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invariant_sets.equalities import AffineHull, eliminated, opposite_rows, starting_scale
+from invariant_sets.equalities import AffineHull, Stated, eliminated, opposite_rows, row_norms, starting_scale
+from invariant_sets.exceptions import NumericalError
+from invariant_sets.hulls import extreme_points, hull_rows
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
-from invariant_sets.tolerances import CANCELLED, FLAT, NULL_SPACE, ROUNDING, THIN
+from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, THIN
 from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look
 
 Array = np.ndarray
@@ -27,8 +29,8 @@ class Body:
         An interior point relative to the affine hull.
     basis : (n, k) array
         Columns span the affine hull; they carry the scale. Diagonal if k = n.
-    F, g : (m, k) and (m,) arrays
-        Rows of unit norm, g > 0. Rows that can never touch a bounded set are left out.
+    F, g, sizes : (m, k), (m,) and (m,) arrays
+        Rows of unit norm, g > 0, and the sizes of the terms of g. Rows that never touch a bounded set are left out.
     bounded : bool
         Whether the set is bounded.
     free : (k,) int array
@@ -44,6 +46,7 @@ class Body:
     basis: Array
     F: Array
     g: Array
+    sizes: Array
     bounded: bool
     free: Array
     half_widths: Array
@@ -64,9 +67,58 @@ class Body:
         rows = np.eye(n) - self.basis @ self.inverse
         return rows[np.setdiff1d(np.arange(n), self.free)]
 
+    @property
+    def rows(self) -> Stated:
+        """The set as unit rows on x."""
+        A = self.F @ self.inverse
+        A_eq = self.normals
+        if not (np.isfinite(A).all() and A.any(axis=1).all()):
+            raise NumericalError("The hull", A.shape, "its coordinates are too large or too small for doubles")
+        return Stated(A, self.g + A @ self.centre, A_eq, A_eq @ self.centre,
+                      self.sizes + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms).unit
 
-def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
+    def less(self, Q: Body, stated: Stated) -> Body | None:
+        """Return {x : x + q in the set for every q in Q}; None if it is empty. `stated` are the rows of the set.
+
+        Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
+        What has no end has no length that Q could be small to, and goes by its rows as they are stated.
+        """
+        shape = replace(Q, centre=np.zeros(len(Q.centre)))
+        across = self.normals
+        if (support(shape, across) > FLAT * (np.abs(across) @ (self.half_widths + Q.half_widths))
+                + ROUNDING * (np.abs(across) @ (self.terms + Q.terms))).any():
+            return None
+        reach = support(shape, self.F @ self.inverse)
+        if np.isinf(reach).any():
+            return None
+        if not self.bounded:
+            A, b, E, e, terms, sizes = stated
+            size = Q.terms + Q.half_widths
+            return body_of(Stated(A, b - support(Q, A), E, e - support(Q, E),
+                                  terms + np.abs(A) @ size, sizes + np.abs(E) @ size))
+        left = self
+        if len(self.free):
+            none = np.zeros((0, len(self.free)))
+            found = body_of(Stated(self.F, self.g - reach, none, none[:, 0], self.sizes + reach, none[:, 0]))
+            if found is None:
+                return None
+            left = self.part(found)
+        return replace(left, centre=left.centre - Q.centre, terms=left.terms + Q.terms)
+
+    def part(self, inner: Body) -> Body:
+        """Return the part of the set whose y lies in a body."""
+        half = np.abs(self.basis) @ inner.half_widths
+        if len(self.free) < len(self.centre) and len(inner.free) > 1:
+            shape = replace(inner, centre=np.zeros(len(self.free)))
+            widths = support(shape, self.basis) / 2 + support(shape, -self.basis) / 2
+            half = np.where(np.isfinite(widths), widths, half)
+        return Body(self.centre + self.basis @ inner.centre, self.basis @ inner.basis, inner.F, inner.g, inner.sizes,
+                    inner.bounded, self.free[inner.free], half, self.terms + np.abs(self.basis) @ inner.terms)
+
+
+def body_of(stated: Stated) -> Body | None:
     """Return the `Body` of {A x <= b, A_eq x = b_eq}, or None if the set is empty."""
+    A, b, A_eq, b_eq, terms, sizes = stated
     used = A.any(axis=1)
     used_eq = A_eq.any(axis=1)
     if (b[~used] < 0).any() or b_eq[~used_eq].any():
@@ -75,37 +127,46 @@ def body_of(A: Array, b: Array, A_eq: Array, b_eq: Array) -> Body | None:
     b = b[used]
     E = A_eq[used_eq]
     e = b_eq[used_eq]
+    terms = terms[used]
+    sizes = sizes[used_eq]
     if not len(e) and len(b) and (np.count_nonzero(A, axis=1) == 1).all():
-        return _box(A, b)
-    chosen, needless = opposite_rows(A, b)
+        return _box(A, b, terms)
+    chosen, needless = opposite_rows(A, b, terms)
     if len(chosen):
         E = np.vstack([E, A[chosen]])
         e = np.append(e, b[chosen])
+        sizes = np.append(sizes, terms[chosen])
         A = A[~needless]
         b = b[~needless]
-    scale, far = starting_scale(A, b, E, e)
+        terms = terms[~needless]
+    stated = Stated(A, b, E, e, terms, sizes)
+    scale, far = starting_scale(stated)
     if far.any():
-        near = body_of(A[~far], b[~far], E, e)
+        near = body_of(Stated(A[~far], b[~far], E, e, terms[~far], sizes))
         if near is not None and (support(near, A[far]) <= b[far]).all():
             return near
-    return _solved(A, b, E, e, scale)
+    return _solved(stated, scale)
 
 
-def _solved(A: Array, b: Array, E: Array, e: Array, scale: Array) -> Body | None:
+def _solved(stated: Stated, scale: Array) -> Body | None:
     """Return the `Body`, None if the set is empty.
 
     Equality rows are eliminated first. Those that hide in the inequalities are added as they show, and all is done
     again in units that suit the set.
     """
+    A, b, E, e, terms, sizes = stated
     n = A.shape[1]
     centre = np.zeros(n)
     hidden = 0
     rescaled = 0
     while True:  # every pass adds an equality, of which there are n at most, or rescales, three times at most
-        hull = eliminated(E, e, centre, scale)
+        hull = eliminated(E, e, sizes, centre, scale)
         if hull is None:
             return None
-        window = look(A, b, hull.centre, hull.basis, cancelled=FLAT if hidden else CANCELLED)
+        cancelled = FLAT if hidden else CANCELLED
+        if hull.basis.shape[1] == 1:
+            return _interval(A, b, terms, hull, cancelled)
+        window = look(A, b, terms, hull.centre, hull.basis, cancelled=cancelled)
         if window is None:
             return None
         widths = half_widths(window)
@@ -123,6 +184,7 @@ def _solved(A: Array, b: Array, E: Array, e: Array, scale: Array) -> Body | None
             centre = window.centre + window.basis @ window.ball.centre
             E = np.vstack([E, A[rows]])
             e = np.append(e, b[rows] if within_rounding else A[rows] @ centre)
+            sizes = np.append(sizes, np.maximum(terms[rows], np.abs(e[-len(rows):])))
             scale = measured
             hidden += 1
             rescaled = 0
@@ -141,30 +203,66 @@ def support(body: Body, D: Array) -> Array:
     return np.where(np.abs(values) > CANCELLED * (np.abs(D) @ np.abs(body.centre)), values, 0.0)
 
 
-def _box(A: Array, b: Array) -> Body | None:
+def _interval(A: Array, b: Array, terms: Array, hull: AffineHull, cancelled: float) -> Body | None:
+    """Return the `Body` of what rows leave of a line, None if empty: a point, a segment, a ray or the line itself."""
+    slope = A @ hull.basis
+    sizes = np.abs(A) @ np.abs(hull.basis)
+    slope = np.where(np.abs(slope) > cancelled * sizes, slope, 0.0)
+    room = b - A @ hull.centre
+    error = ROUNDING * (terms + np.abs(A) @ np.abs(hull.centre)) + 100 * cancelled * sizes[:, 0] * (slope[:, 0] == 0.0)
+    level = slope[:, 0] == 0.0
+    if (room[level] < -error[level]).any():
+        return None
+    along = _box(slope[~level], room[~level], error[~level] / ROUNDING)
+    if along is None:
+        return None
+    none = np.zeros(0)
+    line = Body(hull.centre, hull.basis, none[:, None], none, none, False, hull.free, none, hull.terms)
+    return line.part(along)
+
+
+def _box(A: Array, b: Array, terms: Array) -> Body | None:
     """Return the `Body` of rows that hold one coordinate each, None if empty."""
     n = A.shape[1]
     column = np.abs(A).argmax(axis=1)
     slope = A[np.arange(len(b)), column]
-    bound = b / slope
-    upper = np.full(n, np.inf)
-    lower = np.full(n, -np.inf)
-    np.minimum.at(upper, column[slope > 0], bound[slope > 0])
-    np.maximum.at(lower, column[slope < 0], bound[slope < 0])
+    bound = b / np.abs(slope)
+    doubt = ROUNDING * terms / np.abs(slope)
+    above = slope > 0
+    upper, room = _tightest(column[above], bound[above], doubt[above], n)
+    lower, room_below = _tightest(column[~above], bound[~above], doubt[~above], n)
+    lower = -lower
+    doubt = np.maximum(room, room_below)
     size = np.maximum(np.where(np.isfinite(lower), np.abs(lower), 0), np.where(np.isfinite(upper), np.abs(upper), 0))
-    if (lower - upper > ROUNDING * size).any():
+    width = upper / 2 - lower / 2
+    if (-width > doubt).any():
         return None
-    solid = upper - lower > ROUNDING * size
+    solid = width > doubt
+    doubt = doubt / ROUNDING
     unit = np.where(size > 0, size, 1.0)
-    low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * unit, -unit))
-    high = np.where(np.isfinite(upper), upper, low + 2 * unit)
+    low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - unit, -unit))
+    high = np.where(np.isfinite(upper), upper, low + unit)
     centre = low / 2 + high / 2
     half = high / 2 - low / 2
     sides = np.vstack([np.eye(n)[:, solid], -np.eye(n)[:, solid]])
-    ends = np.concatenate([(upper - centre), (centre - lower)]) / np.tile(np.where(solid, half, 1.0), 2)
+    length = np.where(solid, half, 1.0)
+    ends = np.concatenate([(upper - centre), (centre - lower)]) / np.tile(length, 2)
     used = np.isfinite(ends) & np.tile(solid, 2)
-    return Body(centre, np.diag(half)[:, solid], sides[used], ends[used], bool(used.sum() == 2 * solid.sum()),
-                np.flatnonzero(solid), np.where(solid, half, 0.0), np.abs(centre))
+    return Body(centre, np.diag(half)[:, solid], sides[used], ends[used], np.tile(doubt / length, 2)[used],
+                bool(used.sum() == 2 * solid.sum()),
+                np.flatnonzero(solid), np.where(solid, half, 0.0), np.maximum(np.abs(centre), doubt))
+
+
+def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array, Array]:
+    """Return the least bound (n,) of each coordinate and its doubt; one within its own doubt of another says less."""
+    most = np.full(n, np.inf)
+    np.minimum.at(most, column, bound + doubt)
+    felt = bound + doubt <= most[column]
+    least = np.full(n, np.inf)
+    room = np.zeros(n)
+    np.minimum.at(least, column[felt], bound[felt])
+    np.maximum.at(room, column[felt], doubt[felt])
+    return least, room
 
 
 def _body(window: Window, hull: AffineHull, widths: Array) -> Body:
@@ -177,7 +275,8 @@ def _body(window: Window, hull: AffineHull, widths: Array) -> Body:
     F = window.F[touching]
     g = window.g[touching]
     centre = window.centre + window.basis @ y
-    return Body(centre, window.basis, F, np.maximum(g - F @ y, FLAT), bounded, hull.free, widths,
+    return Body(centre, window.basis, F, np.maximum(g - F @ y, FLAT), window.error[touching] / ROUNDING, bounded,
+                hull.free, widths,
                 np.maximum(np.abs(centre), hull.terms))
 
 
@@ -191,7 +290,7 @@ def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
         return None
     F = A * half
     g = b - A @ centre
-    norms = np.linalg.norm(F, axis=1)
+    norms = row_norms(F)
     if not norms.all():
         return None
     F = F / norms[:, None]
@@ -200,7 +299,53 @@ def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
     if radius <= FLAT or (((V - centre) / half @ F.T).max(axis=0) > g + THIN).any():
         return None
     centre = centre + half * y
-    return Body(centre, np.diag(half), F, g - F @ y, True, np.arange(len(half)), half, np.abs(centre))
+    room = g - F @ y
+    return Body(centre, np.diag(half), F, room, room, True, np.arange(len(half)), half, np.abs(centre))
+
+
+def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
+    """Return the `Body` of the hull of the points anchor + Y (k, n), and which of them are its vertices.
+
+    The points are taken to units in which they spread by about one. A direction in which they spread by less than
+    `FLAT`, or by less than `GIVEN` times the terms (n,) of the coordinates, is flat; the hull is then that of some
+    coordinates, on which the others depend.
+    """
+    n = Y.shape[1]
+    lower = Y.min(axis=0)
+    upper = Y.max(axis=0)
+    half = upper / 2 - lower / 2
+    doubt = GIVEN * terms
+    moving = half > doubt
+    unit = np.exp2(np.ceil(np.log2(np.where(moving, half, 1.0))))
+    Z = np.where(moving, (Y - Y[0]) / unit, 0.0)
+    _, _, axes = np.linalg.svd(Z, full_matrices=len(Z) < 2 * n)
+    spread = np.abs(Z @ axes.T).max(axis=0)
+    solid = spread > np.maximum(FLAT * spread.max(), np.abs(axes) @ np.where(moving, doubt / unit, 0.0))
+    free = np.arange(n)
+    graph = np.eye(n)
+    if not solid.all():
+        free = _pivots(axes[solid])
+        graph = np.linalg.solve(axes[solid][:, free], axes[solid])
+        graph = np.where(np.abs(graph) > CANCELLED, graph, 0.0)
+        graph[:, free] = np.eye(len(free))
+    F, g, extreme = hull_rows(Z[:, free])
+    extreme = extreme[extreme_points(Z[extreme][:, free], F, g)]
+    F = np.where(np.abs(F) > EPS, F, 0.0)  # rounding here, but not always in the units of x
+    first = anchor + np.where(moving, Y[0], lower / 2 + upper / 2)
+    centre = first + unit * (Z[extreme][:, free].mean(axis=0) @ graph)
+    shift = F @ ((centre - first) / unit)[free]
+    size = half[free] / unit[free]
+    norms = np.linalg.norm(F * size, axis=1)
+    return Body(centre, unit[:, None] * graph.T * size, F * size / norms[:, None], (g - shift) / norms,
+                (np.abs(g) + np.abs(shift)) / norms, True, free, np.where(moving, half, 0.0),
+                np.maximum(terms, np.abs(centre))), extreme
+
+
+def _pivots(rows: Array) -> Array:
+    """Return columns (r,) in which independent rows (r, n) are steep and far from dependent, in order."""
+    from scipy.linalg import qr
+
+    return np.sort(qr(rows, mode="r", pivoting=True)[1][:len(rows)])
 
 
 def null_space(rows: Array) -> Array:
@@ -212,13 +357,13 @@ def null_space(rows: Array) -> Array:
 
 def normals(basis: Array) -> Array:
     """Return orthonormal rows (n − k, n) that are orthogonal to the k columns of a basis."""
-    left, _, _ = np.linalg.svd(basis / np.linalg.norm(basis, axis=0), full_matrices=True)
+    left, _, _ = np.linalg.svd(basis / row_norms(basis.T), full_matrices=True)
     return left[:, basis.shape[1]:].T
 
 
 def unit_rows(A: Array, b: Array, *, always: bool = False):
     """Return the rows scaled to unit norm without zero rows; (None, b) if a zero row says 0 <= negative."""
-    norms = np.linalg.norm(A, axis=1)
+    norms = row_norms(A)
     reference = norms.max(initial=0.0)
     zero = norms <= CANCELLED * reference if reference > 0 else np.ones(len(b), bool)
     if zero.any():

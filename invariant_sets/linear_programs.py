@@ -151,8 +151,10 @@ def ray_along(d: Array, F: Array) -> Array | None:
     optimum = checked_optimum(-d, *_with_box(F, np.zeros(len(F)), 1.0, F.shape[1]))
     if optimum is None or -optimum.value <= STEEP_RAY * np.abs(d).max():
         return None
-    rise = F @ optimum.x - RAY * (np.abs(F) @ np.abs(optimum.x))
-    return optimum.x if (rise <= 0).all() else None
+    for ray in (optimum.x, np.where(np.abs(optimum.x) > RAY * np.abs(optimum.x).max(), optimum.x, 0.0)):
+        if (F @ ray <= RAY * (np.abs(F) @ np.abs(ray))).all():
+            return ray
+    return None
 
 
 def _verdict(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:

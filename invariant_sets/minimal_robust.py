@@ -203,7 +203,8 @@ def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
         if gap <= limits.tol:
             return _Approximation(R, gap, steps, Status.CONVERGED)
         try:
-            limits.deadline.check_hull(max(len(R.vertices), len(partial.vertices)) * len(W), len(A))
+            sums = max(len(R.vertices), len(partial.vertices)) * len(W)
+            limits.deadline.part(1 / 3).check_hull(sums, len(A))  # three: of the image, its sum, the partial sum
         except LimitReached as limit:
             return _Approximation(R, gap, steps, _status_of(limit))
         grown = R.affine_map(A).minkowski_sum(noise)

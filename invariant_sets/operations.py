@@ -6,18 +6,19 @@ P + Q and P − Q would suggest. (P ⊖ Q) ⊕ Q ⊆ P ⊆ (P ⊕ Q) ⊖ Q, with
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Self, TypeVar
 
 import numpy as np
 
+from invariant_sets.equalities import Stated
 from invariant_sets.exceptions import InputError, TimeLimitError
 from invariant_sets.generators import Generators, generators, rows_of
 from invariant_sets.hulls import irredundant_rows
 from invariant_sets.interior_form import Body
-from invariant_sets.linear_programs import inscribed_ball
 from invariant_sets.polyhedron import Polyhedron
 from invariant_sets.time_limits import Deadline, LimitReached, check_time_limit
-from invariant_sets.tolerances import CANCELLED, FLAT, ROUNDING
+from invariant_sets.tolerances import CANCELLED, FLAT, GIVEN
 from invariant_sets.validation import as_floats, as_matrix, as_vector, check_finite, shown
 
 Array = np.ndarray
@@ -36,26 +37,21 @@ class SetOperations(Polyhedron):
         if body is None:
             return type(self).empty(self.dim)
         kept = irredundant_rows(body.F, body.g) if len(body.g) else np.zeros(0, int)
-        A = body.F[kept] @ body.inverse
-        A_eq = body.normals
-        norms = np.linalg.norm(A, axis=1)
-        norms_eq = np.linalg.norm(A_eq, axis=1)
-        A = A / norms[:, None]
-        A_eq = A_eq / norms_eq[:, None]
-        right = body.g[kept] / norms + A @ body.centre
-        return type(self)._with_vertices(A, right, A_eq, A_eq @ body.centre, self._vertices)
+        body = replace(body, F=body.F[kept], g=body.g[kept], sizes=body.sizes[kept])
+        return type(self)._of(body.rows, self._vertices, body)
 
     def intersection(self, other: Polyhedron) -> Self:
         """Return P ∩ Q, both of the same dimension."""
         other = same_space(self, other)
-        return type(self)(np.vstack([self.A, other.A]), np.append(self.b, other.b),
-                          np.vstack([self.A_eq, other.A_eq]), np.append(self.b_eq, other.b_eq))
+        return type(self)._of(Stated(*(np.concatenate(pair) for pair in zip(self._stated, other._stated))))
 
     def cartesian_product(self, other: Polyhedron) -> Self:
         """Return P × Q = {(x, y) : x in P, y in Q}."""
         other = _checked_set(other)
-        return type(self)(_diagonal(self.A, other.A), np.append(self.b, other.b),
-                          _diagonal(self.A_eq, other.A_eq), np.append(self.b_eq, other.b_eq))
+        return type(self)._of(Stated(
+            _diagonal(self.A, other.A), np.append(self.b, other.b), _diagonal(self.A_eq, other.A_eq),
+            np.append(self.b_eq, other.b_eq), np.append(self._terms, other._terms),
+            np.append(self._terms_eq, other._terms_eq)))
 
     def minkowski_sum(self, other: Polyhedron, *, time_limit: float | None = None) -> Self:
         """Return P ⊕ Q = {x + y : x in P, y in Q}: everything that can be reached by adding the two.
@@ -83,18 +79,34 @@ class SetOperations(Polyhedron):
         theirs = other._body
         if mine is None or theirs is None:
             return type(self).empty(self.dim)
+        if self.affine_dim == 0:
+            return type(self)._moved(other, mine)
+        if other.affine_dim == 0:
+            return type(self)._moved(self, theirs)
         D = np.vstack([self.A, other.A, np.eye(self.dim), -np.eye(self.dim)])
         try:
             if mine.bounded and theirs.bounded:
-                count = len(self.vertices) * len(other.vertices)
-                deadline.check_hull(count, max(self.affine_dim, other.affine_dim))
-                sums = self.vertices[:, None, :] + other.vertices[None, :, :]
-                return type(self).from_vertices(sums.reshape(-1, self.dim))
+                anchor, Y = self._offsets
+                further, Z = other._offsets
+                deadline.check_hull(len(Y) * len(Z), max(self.affine_dim, other.affine_dim))
+                sums = (Y[:, None] + Z).reshape(-1, self.dim)
+                return type(self)._of_points(anchor + further, sums, mine.terms + theirs.terms)
             both = _generators_of(self, deadline).plus(_generators_of(other, deadline))
             return type(self)(*rows_of(both, deadline))
         except LimitReached as limit:
             outer = _touching(type(self), D, self._supports(D) + other._supports(D))
             raise TimeLimitError("minkowski_sum", time_limit, str(limit), outer) from None
+
+    @classmethod
+    def _moved(cls, P: Polyhedron, point: Body) -> Self:
+        """Return P moved by a point, P not empty."""
+        A, b, A_eq, b_eq, terms, terms_eq = P._stated
+        c = point.centre
+        rows = Stated(A, b + A @ c, A_eq, b_eq + A_eq @ c, terms + np.abs(A) @ point.terms,
+                      terms_eq + np.abs(A_eq) @ point.terms)
+        body = P._require_point("minkowski_sum")
+        body = replace(body, centre=body.centre + c, terms=body.terms + point.terms)
+        return cls._of(rows, None if P._vertices is None else P._vertices + c, body)
 
     def pontryagin_difference(self, other: Polyhedron) -> Self:
         """Return P ⊖ Q = {x : x + y in P for every y in Q}: P, tightened by all that Q may do.
@@ -114,28 +126,8 @@ class SetOperations(Polyhedron):
             return type(self)(np.zeros((0, n)), np.zeros(0))
         if mine is None:
             return type(self).empty(n)
-        reach = other._supports(self.A) if len(self.b) else np.zeros(0)
-        upper = np.zeros(0)
-        lower = np.zeros(0)
-        if len(self.b_eq):
-            upper = other._supports(self.A_eq)
-            lower = -other._supports(-self.A_eq)
-        size = np.abs(self.A_eq) @ (mine.half_widths + theirs.half_widths) + np.abs(upper) * (ROUNDING / FLAT)
-        if np.isinf(reach).any() or np.isinf(upper).any() or (upper - lower > FLAT * size).any():
-            return type(self).empty(n)
-        widths = mine.half_widths + theirs.half_widths
-        point = _meeting_point(self.A, self.b - reach, mine, theirs)
-        right = self.b - reach
-        error = _EPS * (np.abs(self.b) + np.abs(reach)) + ROUNDING * (np.abs(self.A) @ widths)
-        values = self.b_eq - (upper + lower) / 2
-        error_eq = _EPS * np.abs(self.b_eq) + FLAT * size
-        room = right - self.A @ point
-        miss = values - self.A_eq @ point
-        if (room < -error).any():
-            return type(self).empty(n)
-        # rows that meet in one point, up to rounding, meet exactly: P ⊖ P is {0}, whose own size says nothing
-        return type(self)(self.A, np.where(room <= error, self.A @ point, right),
-                          self.A_eq, np.where(np.abs(miss) <= error_eq, self.A_eq @ point, values))
+        left = mine.less(theirs, self._stated)
+        return type(self).empty(n) if left is None else type(self)._of(left.rows, body=left)
 
     def affine_map(self, M: Any, c: Any = None, *, time_limit: float | None = None) -> Self:
         """Return {M x + c : x in P}. M may be singular or change the dimension.
@@ -167,14 +159,18 @@ class SetOperations(Polyhedron):
         body = self._body
         if body is None:
             return type(self).empty(len(M))
-        rows = _mapped_rows(body, M, c)
+        flat = body.bounded and self.affine_dim < self.dim and self.affine_dim <= _FEW
+        rows = None if flat else _mapped_rows(body, M, c)
         if rows is not None:
-            return type(self)(*rows)
+            return type(self)._of(rows)
         try:
             if body.bounded:
-                points = self.vertices @ M.T + c
-                deadline.check_hull(len(points), min(len(M), body.basis.shape[1]))
-                return type(self).from_vertices(_without_cancelled(points, self.vertices, M, c))
+                anchor, Y = self._offsets
+                deadline.check_hull(len(Y), min(len(M), body.basis.shape[1]))
+                terms = np.abs(Y) @ np.abs(M).T
+                moves = Y @ M.T
+                moves = np.where(np.abs(moves) > CANCELLED * terms, moves, 0.0)
+                return type(self)._of_points(M @ anchor + c, moves, np.abs(M) @ body.terms + np.abs(c))
             return type(self)(*rows_of(_generators_of(self, deadline).image(M, c), deadline))
         except LimitReached as limit:
             D = np.vstack([np.eye(len(M)), -np.eye(len(M))])
@@ -195,7 +191,9 @@ class SetOperations(Polyhedron):
         if M.shape[1] == 0:
             raise InputError("M", f"shape {M.shape}", "at least one column")
         c = np.zeros(self.dim) if c is None else as_vector(c, "c", size=self.dim)
-        return type(self)(*_pulled_back(self.A, self.b, M, c), *_pulled_back(self.A_eq, self.b_eq, M, c))
+        A, b, terms = _pulled_back(self.A, self.b, self._terms, M, c)
+        return type(self)._of(Stated(A, b, *_pulled_back(self.A_eq, self.b_eq, self._terms_eq, M, c)[:2], terms,
+                                     self._terms_eq + np.abs(self.A_eq) @ np.abs(c)))
 
     def projection(self, coordinates: Any, *, time_limit: float | None = None) -> Self:
         """Return the projection onto the given coordinates, in the given order: some value of the others exists.
@@ -230,7 +228,8 @@ class SetOperations(Polyhedron):
         if k == 0.0:
             return type(self)(A_eq=np.eye(n), b_eq=np.zeros(n))
         sign = np.sign(k)
-        return type(self)(sign * self.A, abs(k) * self.b, sign * self.A_eq, abs(k) * self.b_eq)
+        return type(self)._of(Stated(sign * self.A, abs(k) * self.b, sign * self.A_eq, abs(k) * self.b_eq,
+                                     abs(k) * self._terms, abs(k) * self._terms_eq))
 
     def _coordinates(self, coordinates: Any) -> Array:
         """Return distinct indices of coordinates, or raise `InputError`."""
@@ -283,12 +282,14 @@ def _generators_of(P: Polyhedron, deadline: Deadline) -> Generators:
     return Generators(points, found.rays @ body.basis.T, found.lines @ body.basis.T)
 
 
-def _mapped_rows(body: Body, M: Array, c: Array) -> tuple[Array, Array, Array, Array] | None:
+def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
     """Return the rows of the image of a body under M, None if M is not injective on its hull."""
     G = M @ body.basis
     terms = np.abs(M) @ np.abs(body.basis)
     G = np.where(np.abs(G) > CANCELLED * terms, G, 0.0)
     origin = M @ body.centre + c
+    sizes = np.abs(M) @ body.terms + np.abs(c)
+    G = np.where(np.abs(G).max(axis=1, keepdims=True, initial=0.0) > GIVEN * sizes[:, None], G, 0.0)
     size = np.abs(G).max(axis=1, initial=0.0)
     units = np.where(size > 0, size, np.where(origin != 0, np.abs(origin), 1.0))  # of the image coordinates
     left, s, vt = np.linalg.svd(G / units[:, None], full_matrices=True)
@@ -297,45 +298,18 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> tuple[Array, Array, Array, A
         return None
     back = vt.T @ (left[:, :rank].T / s[:rank, None]) / units  # image → y
     rows = body.F @ back
-    normal = left[:, rank:].T / units
-    norms = np.linalg.norm(rows, axis=1)
-    norms_eq = np.linalg.norm(normal, axis=1)
-    rows = rows / norms[:, None]
-    normal = normal / norms_eq[:, None]
-    right = body.g / norms + rows @ origin
-    terms = body.g / norms + np.abs(rows) @ np.abs(origin)
-    right = np.where(np.abs(right) > CANCELLED * terms, right, 0.0)  # a cone has no size that rounding is small to
-    return rows, right, normal, normal @ origin
+    rows = np.where(np.abs(rows) * units > CANCELLED * np.abs(rows * units).max(axis=1, keepdims=True), rows, 0.0)
+    normal = np.where(np.abs(left[:, rank:].T) > CANCELLED, left[:, rank:].T, 0.0) / units
+    return Stated(rows, body.g + rows @ origin, normal, normal @ origin,
+                  body.g + np.abs(rows) @ sizes, np.abs(normal) @ sizes).unit
 
 
-def _without_cancelled(points: Array, V: Array, M: Array, c: Array) -> Array:
-    """Return mapped points with coordinates that have cancelled set to zero."""
-    terms = np.abs(V) @ np.abs(M).T + np.abs(c)
-    return np.where(np.abs(points) > CANCELLED * terms, points, 0.0)
-
-
-def _pulled_back(A: Array, b: Array, M: Array, c: Array) -> tuple[Array, Array]:
-    """Return the rows A (M x + c) <= b on x, with what has cancelled set to zero.
-
-    Where c is a corner, what is left of the right-hand sides may be all that tells the length of the answer.
-    """
+def _pulled_back(A: Array, b: Array, terms: Array, M: Array, c: Array) -> tuple[Array, Array, Array]:
+    """Return the rows A (M x + c) <= b on x, with the sizes of the terms of their right-hand sides."""
     rows = A @ M
-    right = b - A @ c
     rows = np.where(np.abs(rows) > _EPS * (np.abs(A) @ np.abs(M)), rows, 0.0)
-    return rows, np.where(np.abs(right) > CANCELLED * (np.abs(b) + np.abs(A) @ np.abs(c)), right, 0.0)
+    return rows, b - A @ c, terms + np.abs(A) @ np.abs(c)
 
 
-def _meeting_point(A: Array, right: Array, mine: Body, theirs: Body) -> Array:
-    """Return a point of P ⊖ Q as far inside the rows A x <= right as there is, on the hull of P less that of Q."""
-    slope = A @ mine.basis
-    point = mine.centre - theirs.centre
-    norms = np.linalg.norm(slope, axis=1)
-    moving = norms > CANCELLED * np.linalg.norm(np.abs(A) @ np.abs(mine.basis), axis=1)
-    if not moving.any():
-        return point
-    room = (right - A @ point)[moving]
-    _, y = inscribed_ball(slope[moving] / norms[moving, None], room / norms[moving], cap=1.0)
-    return point + mine.basis @ y
-
-
+_FEW = 4  # dimensions up to which the vertices of a set are cheap
 _EPS = 32 * np.finfo(float).eps  # of the sum of absolute terms: what a sum may be wrong by

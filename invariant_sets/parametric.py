@@ -15,7 +15,16 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
 from invariant_sets.system_checks import Set, as_set_or_numbers
 from invariant_sets.tolerances import FELT, GAP, MEMBERSHIP, NEIGHBOUR_MARGIN, TINY
-from invariant_sets.validation import as_batch, as_count, as_floats, as_generator, as_matrix, as_vector, check_tolerance
+from invariant_sets.validation import (
+    as_batch,
+    as_count,
+    as_floats,
+    as_generator,
+    as_matrix,
+    as_vector,
+    check_tolerance,
+    frozen,
+)
 
 Array = np.ndarray
 SetOfDesign = Callable[[Array], Set]
@@ -226,6 +235,7 @@ class ParametricSet:
 
     def _cold(self, p: Array, guess: Polytope | None = None) -> SetResult:
         """Return the result computed from X, or from X and a set that should hold the answer."""
+        p = frozen(p)  # one array for three functions of the caller's
         answer = self.matrices(p)
         if not isinstance(answer, tuple) or len(answer) not in (2, 3):
             raise InputError("matrices", f"a value of type {type(answer).__name__}", "a tuple (A, B) or (A, B, E)")

@@ -8,12 +8,20 @@ from typing import Any, Self
 
 import numpy as np
 
-from invariant_sets.exceptions import EmptySetError, InputError, TimeLimitError, UnboundedError
-from invariant_sets.hulls import cone_volume, counter_clockwise, facets_and_vertices, hull_of_points, hull_volume
-from invariant_sets.interior_form import Body, body_of, body_of_vertices, support
+from invariant_sets.equalities import Stated
+from invariant_sets.exceptions import EmptySetError, InputError, NumericalError, TimeLimitError, UnboundedError
+from invariant_sets.hulls import (
+    cone_volume,
+    counter_clockwise,
+    distinct,
+    extreme_points,
+    facets_and_vertices,
+    hull_volume,
+)
+from invariant_sets.interior_form import Body, body_of, body_of_vertices, hull_about, support
 from invariant_sets.membership import rows_hold
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, check_time_limit
-from invariant_sets.tolerances import MEMBERSHIP, PLACE, ROUNDING
+from invariant_sets.tolerances import INVARIANT, MEMBERSHIP, PLACE, ROUNDING
 from invariant_sets.validation import as_batch, as_bounds, as_count, as_matrix, as_vector, check_tolerance, frozen
 
 Array = np.ndarray
@@ -50,6 +58,8 @@ class Polyhedron:
     b: Array
     A_eq: Array
     b_eq: Array
+    _terms: Array  # (m,) and (k,): sizes of the terms that b and b_eq were computed from
+    _terms_eq: Array
     _vertices: Array | None  # where the set was made of its vertices
     _enumerated: Array | None  # once they have been asked for: they only make supports quicker
 
@@ -68,22 +78,39 @@ class Polyhedron:
             raise InputError("A", "shape (m, 0)", "at least one column")
         A_eq = np.zeros((0, n)) if A_eq is None else as_matrix(A_eq, "A_eq", columns=n)
         b_eq = np.zeros(0) if b_eq is None else as_vector(b_eq, "b_eq", size=len(A_eq))
-        self._fill(A, b, A_eq, b_eq, None)
+        self._fill(Stated.given(A, b, A_eq, b_eq), None)
 
-    def _fill(self, A: Array, b: Array, A_eq: Array, b_eq: Array, V: Array | None) -> None:
+    def _fill(self, rows: Stated, V: Array | None) -> None:
         """Set the fields, once."""
-        for name, array in (("A", A), ("b", b), ("A_eq", A_eq), ("b_eq", b_eq), ("_vertices", V), ("_enumerated", V)):
+        names = ("A", "b", "A_eq", "b_eq", "_terms", "_terms_eq", "_vertices", "_enumerated")
+        for name, array in zip(names, (*rows, V, V)):
             object.__setattr__(self, name, None if array is None else frozen(array))
 
     @classmethod
-    def _with_vertices(cls, A: Array, b: Array, A_eq: Array, b_eq: Array, V: Array | None) -> Self:
-        """Return the set of these rows, whose vertices V (k, n) are known already; arrays are not copied."""
+    def _of(cls, rows: Stated, V: Array | None = None, body: Body | None = None) -> Self:
+        """Return the set of these rows, with its vertices V (k, n) and its body where known; nothing is copied."""
         P = cls.__new__(cls)
-        P._fill(A, b, A_eq, b_eq, V)
+        P._fill(rows, V)
+        if body is not None:
+            P.__dict__["_body"] = body
         return P
 
+    @classmethod
+    def _of_points(cls, anchor: Array, Y: Array, terms: Array) -> Self:
+        """Return the hull of the points anchor + Y (k, n), whose coordinates come from terms of these sizes (n,).
+
+        Far from the origin the differences Y keep the digits that the points themselves have lost.
+        """
+        body, extreme = hull_about(anchor, Y, terms)
+        return cls._of(body.rows, counter_clockwise(anchor + Y[extreme]), body)
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self)._with_vertices, (self.A, self.b, self.A_eq, self.b_eq, self._vertices)
+        return type(self)._of, (self._stated, self._vertices, self.__dict__.get("_body"))
+
+    @property
+    def _stated(self) -> Stated:
+        """The rows, with the sizes of their terms."""
+        return Stated(self.A, self.b, self.A_eq, self.b_eq, self._terms, self._terms_eq)
 
     # --- construction -------------------------------------------------------------------------------------
 
@@ -136,8 +163,7 @@ class Polyhedron:
         except LimitReached as limit:
             box = cls.from_bounds(V.min(axis=0), V.max(axis=0))
             raise TimeLimitError("from_vertices", time_limit, str(limit), box) from None
-        A, b, A_eq, b_eq, extreme = hull_of_points(V)
-        return cls._with_vertices(A, b, A_eq, b_eq, counter_clockwise(V[extreme]))
+        return cls._of_points(V[0], V - V[0], np.abs(V).max(axis=0))
 
     @classmethod
     def empty(cls, n: int) -> Self:
@@ -158,7 +184,7 @@ class Polyhedron:
             body = body_of_vertices(self.A, self.b, self._vertices)
             if body is not None:
                 return body
-        return body_of(self.A, self.b, self.A_eq, self.b_eq)
+        return body_of(self._stated)
 
     @property
     def is_empty(self) -> bool:
@@ -183,16 +209,24 @@ class Polyhedron:
         if self._body is None:
             return frozen(np.zeros((0, self.dim)))
         body = self._require_bounded("vertices")
-        if body.basis.shape[1] == 0:
-            return frozen(body.centre[None].copy())
         try:
             NO_DEADLINE.check_hull(len(body.g), body.basis.shape[1])
         except LimitReached as limit:
             raise TimeLimitError("vertices", None, str(limit)) from None
-        Y = counter_clockwise(facets_and_vertices(body.F, body.g)[1])
-        V = frozen(body.centre + Y @ body.basis.T)
+        V = frozen(body.centre + self._offsets[1])
         object.__setattr__(self, "_enumerated", V)
         return V
+
+    @cached_property
+    def _offsets(self) -> tuple[Array, Array]:
+        """A point (n,) and the vertices less that point (k, n), of a bounded set that is not empty."""
+        if self._vertices is not None:
+            return self._vertices[0], self._vertices - self._vertices[0]
+        body = self._require_bounded("vertices")
+        rows = distinct(np.column_stack([body.F, body.g]))
+        Y = facets_and_vertices(body.F[rows], body.g[rows])[1]
+        corners = extreme_points(Y, body.F, body.g, ROUNDING * body.sizes.max(initial=0.0))
+        return body.centre, counter_clockwise(Y[corners]) @ body.basis.T
 
     @cached_property
     def volume(self) -> float:
@@ -201,7 +235,10 @@ class Polyhedron:
         if body is None or body.basis.shape[1] < self.dim:
             return 0.0
         self._require_bounded("volume")
-        unit = abs(float(np.linalg.det(body.basis)))
+        with np.errstate(over="ignore", under="ignore"):
+            unit = float(np.abs(np.diag(body.basis)).prod())  # the basis of a solid set is diagonal
+        if not 0.0 < unit < np.inf:
+            raise NumericalError("The volume", self.A.shape, "it is too large or too small for doubles")
         if self.dim >= _MANY_VERTICES:
             self.vertices  # noqa: B018  # the limits on the size of the hull
             found = cone_volume(body.F, body.g)
@@ -242,7 +279,7 @@ class Polyhedron:
         tol = check_tolerance(tol)
         points, single = as_batch(x, "x", self.dim, finite=False, copy=False)
         A, b = self._one_sided
-        slack = np.maximum(tol * self._ranges, (tol > 0) * self._missed)
+        slack = np.maximum.reduce([tol * self._ranges, (tol > 0) * self._missed, min(tol, ROUNDING) * self._all_terms])
         with np.errstate(invalid="ignore", over="ignore"):
             inside = rows_hold(points, A, b, slack, min(tol, ROUNDING), self._reach)
         return bool(inside[0]) if single else inside
@@ -258,6 +295,11 @@ class Polyhedron:
             return self.A, self.b
         return (frozen(np.concatenate([self.A, self.A_eq, -self.A_eq])),
                 frozen(np.concatenate([self.b, self.b_eq, -self.b_eq])))
+
+    @property
+    def _all_terms(self) -> Array:
+        """The sizes of the terms of the right-hand sides of all one-sided rows."""
+        return np.concatenate([self._terms, self._terms_eq, self._terms_eq]) if len(self.b_eq) else self._terms
 
     @cached_property
     def _missed(self) -> Array:
@@ -285,7 +327,7 @@ class Polyhedron:
         A, b = self._one_sided
         body = other._require_point("is_subset")
         ranges = np.maximum(self._ranges, other._ranges_of(A))
-        rounding = min(tol, ROUNDING) * (np.abs(b) + np.abs(A) @ np.abs(body.centre))
+        rounding = min(tol, ROUNDING) * (self._all_terms + np.abs(A) @ np.abs(body.centre))
         place = min(tol, PLACE) * (np.abs(A) @ body.terms)
         slack = np.maximum.reduce([tol * ranges, rounding, place, (tol > 0) * self._missed])
         return bool((other._supports(A) <= b + slack).all())
@@ -314,9 +356,11 @@ class Polyhedron:
 
     @cached_property
     def _relative_rows(self) -> tuple[Array, Array]:
-        """All rows as inequalities, divided by their range over the bounding box of the set."""
+        """All rows as inequalities, divided by their range over the bounding box, or by what their data are sure of."""
         A, b = self._one_sided
+        place = 0.0 if self._reach is None else np.abs(A) @ self._reach
         ranges = np.where(self._ranges > 0.0, self._ranges, 1.0)
+        ranges = np.maximum(ranges, ROUNDING / INVARIANT * (self._all_terms + place))
         return frozen(A / ranges[:, None]), frozen(b / ranges)
 
     def bounding_box(self) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from invariant_sets.equalities import row_norms
 from invariant_sets.hulls import strongly_irredundant_rows
 from invariant_sets.linear_programs import inscribed_ball, minimise
 from invariant_sets.time_limits import MOST_ROWS, NO_DEADLINE, Deadline, SizeLimitReached
@@ -61,7 +62,7 @@ def project_rows(R: Array, r: Array, keep: int, *, reach: Array | None = None,
 
 def unit(R: Array, r: Array) -> tuple[Array, Array]:
     """Return the rows with unit norm; rows of norm zero stay as they are."""
-    norms = np.linalg.norm(R, axis=1)
+    norms = row_norms(R)
     norms[norms == 0.0] = 1.0
     return R / norms[:, None], r / norms
 

@@ -19,10 +19,10 @@ from invariant_sets.engine.steps import Step, backward_step, forward_step
 from invariant_sets.engine.trajectories import Trajectories, inner_hull
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.polytope import Polytope
-from invariant_sets.projection import unit
 from invariant_sets.results import Certificate, SetResult, Status, no_set
 from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached, check_time_limit
+from invariant_sets.tolerances import LOOSE
 from invariant_sets.validation import as_count
 
 Array = np.ndarray
@@ -106,7 +106,7 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
     deadline = Deadline.after(check_time_limit(time_limit))
     if steps == 0:
         return _exact(goal.intersection(checked.states).minimal(), 0, Certificate(0.0, 0.0, 0))
-    size = _units(checked.states, goal)
+    size = _units(checked.A, checked.states, goal)
     system = _in_units(checked.motion, size)
     within = _scaled(checked.states, size)
     goal = _scaled(goal, size)
@@ -171,7 +171,7 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
     if checked.U.is_empty:
         return no_set(len(checked.A), 0)
 
-    size = _units(first, within)
+    size = _units(checked.A, first, within)
     system = _in_units(checked.motion, size)
     first = _scaled(first, size)
     within = _scaled(within, size)
@@ -190,15 +190,22 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
     return _in_given_units(progress, size)
 
 
-def _units(*sets: Polytope) -> Array:
-    """Return a length (n,) for every coordinate, a power of two: its width in the first set that has one there."""
+def _units(A: Array, *sets: Polytope) -> Array:
+    """Return a length (n,) for every coordinate, a power of two: its width in the first set that has one there.
+
+    Where a step along it would move another coordinate by far more than that is wide, the length is shorter.
+    """
     size = np.zeros(sets[0].dim)
     for S in sets:
         if not S.is_empty:
             lower, upper = S.bounding_box()
             width = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
             size = np.where(size > 0.0, size, width)
-    return np.exp2(np.round(np.log2(np.where(size > 0.0, size, 1.0))))
+    size = np.where(size > 0.0, size, 1.0)
+    for _ in size:
+        with np.errstate(divide="ignore", over="ignore"):
+            size = np.minimum(size, (LOOSE * size[:, None] / np.abs(A)).min(axis=0))
+    return np.exp2(np.round(np.log2(size)))
 
 
 def _in_units(system: LinearSystem, size: Array) -> LinearSystem:
@@ -208,8 +215,15 @@ def _in_units(system: LinearSystem, size: Array) -> LinearSystem:
 
 
 def _scaled(S: Polytope, size: Array) -> Polytope:
-    """Return {x / size : x in S}, with unit rows."""
-    return Polytope(*unit(S.A * size, S.b), *unit(S.A_eq * size, S.b_eq))
+    """Return {x / size : x in S}, with unit rows; size (n,) are powers of two."""
+    body = S._body
+    if body is None:
+        return Polytope.empty(S.dim)
+    body = replace(body, centre=body.centre / size, basis=body.basis / size[:, None],
+                   half_widths=body.half_widths / size, terms=body.terms / size)
+    V = None if S._vertices is None else S._vertices / size
+    rows = S._stated
+    return Polytope._of(rows._replace(A=rows.A * size, A_eq=rows.A_eq * size).unit, V, body)
 
 
 def _in_given_units(result: SetResult, size: Array) -> SetResult:

@@ -85,7 +85,7 @@ NO_DEADLINE = Deadline()
 
 def hull_facets(points: int, dim: int) -> float:
     """Return how many facets the hull of so many points is expected to have; never more than it can have (McMullen)."""
-    if points <= dim:
+    if points <= dim or dim < 2:
         return float(points)
     half = dim // 2
     most = math.comb(points - dim + half, half) + math.comb(points - half - 1, dim - half - 1)

@@ -8,6 +8,7 @@ FLAT = 1e-9  # of the extent: a set thinner than this is flat, one that misses f
 SAME = 1e-9  # of the extent: vertices and rows closer than this are one
 ROUNDING = 1e-12  # of |bᵢ| + |Aᵢ||x|: what the data of a row may be wrong by after a computation in doubles
 PLACE = 4e-15  # of the sum of absolute terms that a point was solved from: what its coordinates may be wrong by
+GIVEN = 1e-15  # of its own size: what a coordinate of a point that the caller states may be wrong by
 CANCELLED = 1e-13  # of the sum of absolute terms: a sum smaller than this is zero, its terms have cancelled
 DEPENDENT = 1e-11  # of the sum of absolute terms: an equality row smaller than this depends on the others
 MEMBERSHIP = 1e-9  # of the row's range over the bounding box: default tolerance of `contains` and `is_subset`
@@ -27,13 +28,14 @@ STEEP_RAY = 1e-7  # of the largest entry of d: a ray has to move at least this f
 THIN = 1e-7  # of the window: a set that misses feasibility by less may still be there; look closer
 CLOSER = 1e-8  # of the window: factor of the largest step closer
 SETTLED = 1e-4  # of the window: extents larger than this are known to 1e-6 of themselves
+LOST = 1e-3  # of its slope: a row of which less is left on the affine hull of a flat set is as wrong as its rounding
 CLOSED = 1e-10  # of the sum of absolute terms: multipliers whose rows sum to less are a Farkas certificate
 
 # --- minimal descriptions --------------------------------------------------------------------------------------------
 REDUNDANT = 1e-11  # of the extent: a row that cuts less off than this is redundant
 CHECKED = 1e-7  # of the extent: vertices and linear programs must agree to this in five and more dimensions
 EPS = 4e-16  # of a unit row: entries of this size are rounding
-TOUCHING = 1e-7  # of the extent: a vertex this close to a row lies on the face that is drawn
+TOUCHING = 1e-7  # of the extent: a vertex this close to a row lies on its face
 NULL_SPACE = 1e-8  # of the largest singular value, in coordinates of order one: directions below are in the null space
 
 # --- projections and redundant rows ----------------------------------------------------------------------------------
@@ -54,6 +56,7 @@ UNSEEN = 1e-11  # of |A|, balanced: directions that move the outputs by less are
 
 # --- the recursion ---------------------------------------------------------------------------------------------------
 GAP = 1e-7  # relative: default of `tol`, the largest gap between an invariant set and its outer set
+LOOSE = 1e3  # of the extent of X: a step may move a coordinate by this before the bounds of the others are loose
 STOP = 1e-11  # of the right-hand side: the outer recursion has converged if no row cuts more
 CUT = 1e-12  # of the extent: a row that cuts less off is rounding
 LEAST_RIGHT = 1e-3  # of the extent: least right-hand side that a cut is compared with

@@ -13,14 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from invariant_sets.linear_programs import Ball, largest_ball, maximise_in_box, ray_along
-from invariant_sets.tolerances import CANCELLED, CLOSED, CLOSER, FLAT, ROUNDING, SETTLED, THIN
+from invariant_sets.tolerances import CANCELLED, CLOSED, CLOSER, FLAT, LOST, ROUNDING, SETTLED, THIN
 
 Array = np.ndarray
 _HALF = 4.0  # half width of the window, in coordinates in which the set should have half widths of one
 _FIRST = 8.0  # factor of the first window: first lengths come from the tightest rows, and sets are often longer
 _FURTHER = 1e3  # factor of one step away
+_FARTHEST = 1e300  # a set that has not ended here has no end that doubles can tell
 UNLIKE = 3.0  # decades: a scale that is wrong by more is replaced
-_STEPS = 80  # windows at most; one step is a factor of 1e3 or more, and doubles span 1e616
+_STEPS = 500  # windows at most; one step is a factor of 1e3 or more for one coordinate at least, and doubles span 1e616
 
 
 class Pinch(NamedTuple):
@@ -99,7 +100,7 @@ class Window:
         return bool(self.pinch.decided_by_rounding and self.ball.dual.any() and self.pinch.closed)
 
 
-def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -> Window | None:
+def look(A: Array, b: Array, terms: Array, centre: Array, basis: Array, *, cancelled: float) -> Window | None:
     """Return the window in which the extents of the set are one; None if the set is empty.
 
     The window ends where the set is solid and has the right size, or is flat: then `ball.radius` <= `FLAT`, and no
@@ -111,7 +112,7 @@ def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -
     settled = False
     resized = 0
     for _ in range(_STEPS):
-        window = _window(A, b, centre, basis, unbounded, cancelled)
+        window = _window(A, b, terms, centre, basis, unbounded, cancelled)
         if window is None or k == 0:
             return window
         radius = window.ball.radius
@@ -135,6 +136,8 @@ def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -
             basis = basis * np.where(beyond, _FURTHER, 1.0)
             continue
         middle, half = _frame(window, lower, upper, unbounded)
+        if window.is_flat:  # closer only where the rows close: that makes their other coordinates felt
+            half = np.where(window.pinch.open, np.maximum(half, 1.0), half)
         right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < UNLIKE or resized > 3
         resized += 1 if unbounded.any() else 0
         settled = bool((half[~unbounded] >= SETTLED).all()) and right_size
@@ -143,19 +146,23 @@ def look(A: Array, b: Array, centre: Array, basis: Array, *, cancelled: float) -
     return window
 
 
-def _window(A: Array, b: Array, centre: Array, basis: Array, unbounded: Array, cancelled: float) -> Window | None:
+def _window(A: Array, b: Array, terms: Array, centre: Array, basis: Array, unbounded: Array,
+            cancelled: float) -> Window | None:
     """Return what is seen in the coordinates given; None if a row that is parallel to the hull excludes all of it."""
     F = A @ basis
     g = b - A @ centre
     slope = np.abs(A)
-    error = ROUNDING * (np.abs(b) + slope @ np.abs(centre))
+    error = ROUNDING * (terms + slope @ np.abs(centre))
     index = np.arange(len(b))
     if basis.shape[1] < basis.shape[0]:
-        terms = slope @ np.abs(basis)
-        F[np.abs(F) <= cancelled * terms] = 0.0
-        parallel = ~F.any(axis=1)
+        sizes = slope @ np.abs(basis)
+        F[np.abs(F) <= cancelled * sizes] = 0.0
+        steep = sizes.max(axis=1, initial=0.0)
+        left = np.abs(F).max(axis=1, initial=0.0)
+        parallel = (left == 0.0) | ((left <= cancelled * steep) & (_HALF * np.abs(F).sum(axis=1) <= error))
+        g = np.where(left < LOST * steep, g + error, g)  # of a row that the hull nearly holds only rounding is left
         if parallel.any():
-            if (g[parallel] < -error[parallel] - 100 * cancelled * terms[parallel].sum(axis=1)).any():
+            if (g[parallel] < -error[parallel] - 100 * cancelled * sizes[parallel].sum(axis=1)).any():
                 return None
             index = (~parallel).nonzero()[0]
             F = F[index]
@@ -189,7 +196,8 @@ def _ends(window: Window, unbounded: Array) -> tuple[Array, Array, Array, Array]
     lower, upper = _extents(window)
     beyond = ((lower < -0.99 * _HALF) | (upper > 0.99 * _HALF)) & ~unbounded
     if beyond.any():
-        endless = _endless(window, lower, upper) & beyond
+        far = np.abs(window.basis).max(axis=0) > _FARTHEST
+        endless = (_endless(window, lower, upper) | far) & beyond
         return lower, upper, beyond & ~endless, unbounded | endless
     return lower, upper, beyond, unbounded
 

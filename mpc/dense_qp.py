@@ -82,7 +82,7 @@ class DenseQP:
         bs = b[self._rows] * self._r
         size = self._size_of(q * self._d, bs)
         qs = np.ascontiguousarray(q * self._d / size)
-        bs = np.ascontiguousarray(bs / size)
+        bs = np.ascontiguousarray(np.minimum(bs / size, _NO_BOUND))
         z, y, flag = self._daqp(qs, bs)
         residuals = self._residuals(z, y, qs, bs)
         solver = "DAQP"

@@ -101,7 +101,7 @@ class CondensedSolver:
         theta = self.theta(x, given)
         with np.errstate(over="ignore", invalid="ignore"):
             q, b = self.qp.at(theta)
-            if not max(np.abs(q).max(), np.abs(b).max(initial=0.0)) < OVERFLOW:
+            if not max(np.abs(q).max(), (-b).max(initial=0.0)) < OVERFLOW:  # a bound that says nothing may be larger
                 return saturated_regulator(self.problem, x, start)
             found = self._solve(x, theta, given, q, b)
             if found is None or not np.isfinite(found.inputs).all():

@@ -12,6 +12,7 @@ import daqp
 import numpy as np
 
 from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
@@ -25,6 +26,7 @@ from invariant_sets.tolerances import (
     LP_PROXIMAL,
     LP_SOLVER,
     MISSING,
+    PLACE,
     WITNESS,
     WITNESS_SOLVER,
 )
@@ -88,6 +90,8 @@ def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target:
     assert body is not None
     slope = F @ system.B @ body.basis
     room = g - C.vertices @ (F @ system.A).T - F @ system.B @ body.centre
+    terms = np.abs(C.vertices) @ (np.abs(F) @ np.abs(system.A)).T + np.abs(F) @ np.abs(system.B) @ body.terms
+    room = room + np.where(PLACE * terms > DOUBTFUL, PLACE * terms, 0.0)  # a thin target far from what was added
     if slope.shape[1] == 0:
         return Check(float((-room).max()), len(room))
     return Check(_least_violation(slope, room, (body.F, body.g), deadline), len(room))
@@ -199,7 +203,7 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
         extent = np.ptp(C.vertices, axis=0)
     else:
         beyond = C.support(F) - g
-        extent = 2 * np.linalg.norm(C._body.basis, axis=1)  # type: ignore[union-attr]
+        extent = 2 * row_norms(C._body.basis)  # type: ignore[union-attr]
     scale = np.abs(F) @ np.maximum(extent, FLAT_WIDTH * extent.max(initial=0.0))
     return float((beyond / np.where(scale > 0.0, scale, 1.0)).max())
 
@@ -228,7 +232,7 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     costs = np.zeros((len(F), rows.shape[1]))
     costs[:, :k] = -F @ state.basis
     level = F @ state.centre - g
-    size = np.linalg.norm(costs, axis=1)
+    size = row_norms(costs)
     moving = np.flatnonzero(size > 0.0)
     beyond = level.copy()
     for i in range(0, len(moving), _EVERY):

@@ -198,7 +198,8 @@ def _feedback(problem: LocalProblem, weight: float) -> Array | None:
     if q == 0:
         return np.zeros((0, k)) if weight == 1.0 else None
     try:
-        P = solve_discrete_are(A, B, np.eye(k), weight * np.eye(q))
+        with np.errstate(invalid="ignore"):  # SciPy balances by powers of two that may be no integers
+            P = solve_discrete_are(A, B, np.eye(k), weight * np.eye(q))
         K = -np.linalg.solve(weight * np.eye(q) + B.T @ P @ B, B.T @ P @ A)
     except (np.linalg.LinAlgError, ValueError):
         return None

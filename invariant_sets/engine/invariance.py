@@ -28,9 +28,11 @@ import numpy as np
 from invariant_sets.engine import certificate
 from invariant_sets.engine.inner_sets import Candidate, Limits, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
+from invariant_sets.engine.loose_bounds import without_loose_bounds
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
 from invariant_sets.engine.recursion import Caps, Outcome, Region, Shape, iterate
 from invariant_sets.engine.unstable_modes import unstable_bounds
+from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError, TimeLimitError
 from invariant_sets.interior_form import FLAT, unit_rows
 from invariant_sets.linear_programs import inscribed_ball
@@ -93,9 +95,10 @@ def _extended(result: SetResult, Q: Array) -> SetResult:
 
 def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     """Return the largest invariant set, by local problems until one is solved."""
+    system, X, U = without_loose_bounds(task.system, task.X, task.U)
+    task = replace(task, system=system, X=X, U=U)
     limits = task.limits
-    X = task.X
-    nx = task.X.dim
+    nx = X.dim
     iterations = 0
     widest = _extent(X)
     reserve: _Reserve | None = None
@@ -162,7 +165,7 @@ def _unfinished(limits: Limits, bounded: bool) -> Status:
 def _extent(X: Polytope) -> Array:
     """Return the half width (nx,) of X in every coordinate, zero if empty."""
     body = X._body
-    return np.zeros(X.dim) if body is None else np.linalg.norm(body.basis, axis=1)
+    return np.zeros(X.dim) if body is None else row_norms(body.basis)
 
 
 def _flattened(X: Polytope, widest: Array) -> Polytope:

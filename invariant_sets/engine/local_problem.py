@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from invariant_sets.engine.flat_hull import InputMap, Motion, stay_on_hull
+from invariant_sets.equalities import Stated, row_norms
 from invariant_sets.hulls import counter_clockwise
 from invariant_sets.interior_form import Body, normals, null_space
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
@@ -59,7 +60,7 @@ class Frame:
         """Return the inequalities of P as unit rows on y; those that do not depend on y are left out."""
         F = P.A @ self.basis
         g = P.b - P.A @ self.centre
-        norms = np.linalg.norm(F, axis=1)
+        norms = row_norms(F)
         used = norms > SILENT_ROW * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
         return unit(F[used], g[used])
 
@@ -70,7 +71,7 @@ class Frame:
         normal = normals(self.basis) if k < n else np.zeros((0, n))
         rows, right = unit(rows, g)
         V = None if V is None else counter_clockwise(self.centre + V @ self.basis.T)
-        return Polytope._with_vertices(rows, right + rows @ self.centre, normal, normal @ self.centre, V)
+        return Polytope._of(Stated.given(rows, right + rows @ self.centre, normal, normal @ self.centre), V)
 
 
 @dataclass(frozen=True)
@@ -256,7 +257,8 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     """Return an equilibrium (y, v) deep inside all rows; None if there is none."""
     dynamics = problem.dynamics
     matrix = np.hstack([np.eye(len(dynamics.A)) - dynamics.A, -dynamics.B])
-    scale = 1.0 / np.maximum(np.linalg.norm(matrix, axis=0), 1.0)  # strong inputs need only a small part of U
+    size = row_norms(matrix.T)
+    scale = 1.0 / np.maximum(size, 1.0)  # strong inputs need only a small part of U
     rows, right = _lifted(problem)
     matrix = matrix * scale
     rows = rows * scale

@@ -15,12 +15,13 @@ import numpy as np
 
 from invariant_sets.engine.certificate import control_violation, precise_minimiser
 from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.engine.loose_bounds import without_loose_bounds
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import INVARIANT, TINY, USEFUL_INPUTS
+from invariant_sets.tolerances import INVARIANT, ROUNDING, USEFUL_INPUTS
 
 Array = np.ndarray
 _EVERY = 50  # linear programs between two looks at the clock
@@ -61,6 +62,7 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
     """
     n = len(system.A)
     tight = S if system.disturbances is None else S.pontryagin_difference(Polytope.from_vertices(system.disturbances))
+    system, X, U = without_loose_bounds(system, X, U, tight)
     lifted = tight.preimage(np.hstack([system.A, system.B])).intersection(X.cartesian_product(U))
     if lifted.is_empty:
         return Step(Polytope(np.zeros((1, n)), [-1.0]), 0.0, 0.0, 0)
@@ -121,7 +123,7 @@ def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> flo
             deadline.check()
         local = body.basis[:n].T @ f
         level = float(f @ body.centre[:n] - g[i])
-        size = float(np.linalg.norm(local))
+        size = float(np.hypot.reduce(local, initial=0.0))
         beyond = size * -minimise(-local / size, body.F, body.g)[0] + level if size > 0.0 else level
         if beyond > INVARIANT and size > 0.0:  # a flat optimum may be found too large: a second solver
             point = precise_minimiser(-local / size, body.F, body.g)
@@ -157,7 +159,9 @@ def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polyto
     k = start.basis.shape[1]
     q = move.basis.shape[1]
     width = np.ptp(image.vertices, axis=0)
-    width = np.where(width > 0.0, width, max(width.max(), TINY))
+    known = np.abs(system.A) @ start.terms + move.terms
+    width = np.maximum(np.where(width > 0.0, width, width.max()), ROUNDING / INVARIANT * known)
+    width = np.where(width > 0.0, width, 1.0)
     to = np.hstack([system.A @ start.basis, move.basis]) / width[:, None]
     at = (system.A @ start.centre + move.centre) / width
     rows = np.vstack([

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -22,7 +23,7 @@ from mpc.explicit.exploration import Limits, explore_compiled
 from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
-from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp
+from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, without_far_bounds
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.tolerances import FAR_OPTIMUM, THIN
 
@@ -87,7 +88,13 @@ def partitioned(
     """The partition that an exploration of active sets finds, with the laws that hold."""
     start = time.perf_counter()
     limits = Limits(as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit))
-    qp = scale_qp(problem, scale_parameters(theta_set, problem.nt))
+    domain = scale_parameters(theta_set, problem.nt)
+    nearer = without_far_bounds(problem, domain)
+    if nearer is not problem:
+        answer = partitioned(explore, nearer, theta_set, max_regions, time_limit)
+        if answer.status is MPQPStatus.COMPLETE and _satisfies(answer, problem):
+            return replace(answer, problem=problem)
+    qp = scale_qp(problem, domain)
     always = [i for i, _ in equality_pairs(qp)]
     equalities = qp.origin[always].tolist()
     if always:
@@ -115,6 +122,14 @@ def partitioned(
         problem, found.status, sets, H, h, found.offsets, in_units(qp, law), qp.centre, qp.half, duration,
         found.uncovered,
     )  # fmt: skip
+
+
+def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
+    """Whether every law keeps the rows left out on the whole box of parameters: then it is optimal with them too."""
+    left = np.isinf(answer.problem.w)
+    gain = problem.S[left] - problem.G[left] @ answer.law[:, :, :-1]
+    room = problem.w[left] - answer.law[:, :, -1] @ problem.G[left].T
+    return bool((room + gain @ answer.centre >= np.abs(gain) @ answer.half).all())
 
 
 def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from mpc.tolerances import (
     DEFINITE,
     DUPLICATE,
     EXCLUDED,
+    FAR_OPTIMUM,
     FLAT_INTERVAL,
     NOT_NEAR,
     ROUNDED,
@@ -174,6 +175,27 @@ def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
         own_unit / unit,
     )  # fmt: skip
     return whole if len(kept) == len(M) else whole.rows(kept)
+
+
+def without_far_bounds(problem: ParametricQP, domain: ParameterSet) -> ParametricQP:
+    """The problem without the bounds that are far beyond the nearest one, as 1e20 for "no limit".
+
+    Beside them the others would have no size. The same object is returned where there are none.
+    """
+    bounded = _bounded_rows(problem)
+    G = problem.G[bounded] / np.sqrt(np.where(np.diag(problem.H) > 0, np.diag(problem.H), 1.0))
+    length = np.linalg.norm(G, axis=1)
+    bounded = bounded[length > 0]
+    G = G[length > 0] / length[length > 0, None]
+    right = np.hstack([problem.S * domain.half, (problem.w + problem.S @ domain.centre)[:, None]])[bounded]
+    right = right / length[length > 0, None]
+    wide = widths(G @ G.T, np.abs(right).sum(axis=1))
+    far = bounded[right[:, -1] > FAR_OPTIMUM * wide.min(initial=np.inf, where=wide > 0)]
+    if not len(far):
+        return problem
+    w = problem.w.copy()
+    w[far] = np.inf
+    return replace(problem, w=w)
 
 
 def _bounded_rows(problem: ParametricQP) -> Ints:

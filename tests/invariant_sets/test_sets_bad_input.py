@@ -255,6 +255,6 @@ def test_what_cannot_be_read_as_numbers_is_refused_whatever_it_raises():
 def test_sets_beyond_what_doubles_hold_are_refused_by_name():
     for call in (lambda: Polytope.from_vertices([[1e300, 0], [0, 1e300], [-1e300, -1e300]]).volume,
                  lambda: X.scale(1e-320).volume,
-                 lambda: X.scale(1e305).minkowski_sum(X)):
+                 lambda: X.scale(1e305).volume):
         with pytest.raises(InvariantSetsError):
             call()

@@ -1,0 +1,116 @@
+"""Points, segments and bounds that mean "no limit"; the large table is `benchmarks/sets_without_volume.py`."""
+
+import numpy as np
+import pytest
+from sets_without_volume import CASES, wrong_cases
+
+from invariant_sets import (
+    ParametricSet,
+    Polytope,
+    Status,
+    controllable_set,
+    maximal_control_invariant_set,
+    reachable_set,
+)
+from invariant_sets.exceptions import NumericalError
+
+box = Polytope.from_bounds
+NO_LIMIT = [1e6, 1e11, 1e12, 1e15, 1e19, 1e30, 1e100, 1e200, 1e300, np.inf]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_sets_without_volume_are_those_of_exact_rationals(name):
+    assert wrong_cases(name, 25, 11) == []
+
+
+def test_a_set_less_itself_is_the_origin_where_slanted_rows_cancel():
+    A = [[1, 0, 2], [2, -2, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]]
+    P = Polytope(A, [1, 1, 0, 3, 3, 1, 3, 2])
+    D = P.pontryagin_difference(P)
+    assert D.contains(np.zeros(3))
+    assert D.affine_dim == 0
+    np.testing.assert_allclose(D.vertices, np.zeros((1, 3)), atol=1e-12)
+
+
+@pytest.mark.parametrize("units", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("away", [0.0, 1000.0])
+def test_a_point_and_a_segment_come_back_from_a_sum_with_a_box(units, away):
+    W = box([-units, -2 * units], [units, units])
+    for V in ([[1.0, 2.0]], [[1.0, 2.0], [3.0, -1.0]]):
+        V = units * (np.array(V) + away)
+        back = Polytope.from_vertices(V).minkowski_sum(W).pontryagin_difference(W)
+        assert back.affine_dim == len(V) - 1
+        order = np.argsort(back.vertices[:, 0])
+        np.testing.assert_allclose(back.vertices[order], V, rtol=1e-12, atol=1e-12 * units)
+
+
+def test_a_point_plus_a_point_is_a_point():
+    S = Polytope.from_vertices([[1.0, 2.0]]).minkowski_sum(Polytope.from_vertices([[0.5, -3.0]]))
+    np.testing.assert_array_equal(S.vertices, [[1.5, -1.0]])
+    A = [[1.0, 1.0], [0.0, 1.0]]
+    fixed = Polytope.from_vertices([[0.25]])
+    reached = reachable_set(A, [[0.5], [1.0]], Polytope.from_vertices([[1.0, 2.0]]), fixed, 2)
+    np.testing.assert_allclose(reached.set.vertices, [[5.5, 2.5]])
+    plane = box([-np.inf] * 2, [np.inf] * 2)
+    led = controllable_set(A, [[0.5], [1.0]], plane, fixed, Polytope.from_vertices([[5.5, 2.5]]), 2)
+    np.testing.assert_allclose(led.set.vertices, [[1.0, 2.0]])
+    assert reached.status is led.status is Status.CONVERGED
+
+
+@pytest.mark.parametrize("length", [1e-8, 1e-6, 1e-3])
+@pytest.mark.parametrize("distance", [1.0, 1e3, 1e6])
+def test_a_short_segment_far_away_has_two_finite_ends(length, distance):
+    d = np.array([0.6, 0.8])
+    across = np.array([-0.8, 0.6])
+    p = distance * np.array([0.28, 0.96])
+    S = Polytope(np.array([d, -d, across, -across]), [p @ d + length, -(p @ d), p @ across, -(p @ across)])
+    lower, upper = S.bounding_box()
+    assert S.is_bounded
+    assert np.isfinite([lower, upper]).all()
+    error = 1e-12 * distance + 1e-9 * length
+    np.testing.assert_allclose(lower, p, rtol=0, atol=error)
+    np.testing.assert_allclose(upper, p + length * d, rtol=0, atol=error)
+
+
+@pytest.mark.parametrize("big", NO_LIMIT)
+def test_a_bound_that_says_nothing_leaves_the_largest_invariant_set_as_it_is(big):
+    A = [[1.0, 1.0], [0.0, 1.0]]
+    result = maximal_control_invariant_set(A, [[0.5], [1.0]], ([-5, -big], [5, big]), ([-1], [1]))
+    assert result.status is Status.CONVERGED
+    assert result.certificate.holds
+    assert result.set.volume == pytest.approx(60.0, rel=1e-6)
+
+
+def test_a_fixed_input_and_a_state_that_is_forgotten_leave_a_certified_set():
+    X = box(-np.ones(4), np.ones(4))
+    U = Polytope.from_vertices([[0.0]])
+    result = maximal_control_invariant_set(np.diag([1.0, 1.0, 1.0, 0.0]), np.ones((4, 1)), X, U)
+    assert result.status is Status.CONVERGED
+    assert result.set.equals(X, 1e-7)
+
+
+def test_a_sum_far_from_the_origin_has_only_corners_for_vertices():
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        V = rng.integers(-3, 4, (6, 2)) + 1000.0
+        P = Polytope.from_vertices(V)
+        double = P.minkowski_sum(P)
+        assert len(double.vertices) == len(P.vertices)
+        assert double.equals(P.scale(2.0))
+
+
+def test_functions_of_a_design_cannot_change_the_design_of_each_other():
+    def spoilt(p):
+        p *= 3
+        return np.eye(1), np.eye(1)
+
+    with pytest.raises(ValueError, match="read-only"):
+        ParametricSet(spoilt, lambda p: ([-p[0]], [p[0]]), ([-1], [1])).at([2.0])
+
+
+def test_a_volume_beyond_doubles_is_refused_and_a_sum_of_such_sets_is_right():
+    P = Polytope.from_vertices([[1e300, 0], [0, 1e300], [-1e300, -1e300]])
+    with pytest.raises(NumericalError, match="volume"):
+        P.volume  # noqa: B018
+    huge = box([-1e305], [1e305])
+    np.testing.assert_array_equal(np.sort(huge.minkowski_sum(box([-1], [1])).vertices[:, 0]), [-1e305, 1e305])
