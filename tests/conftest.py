@@ -13,7 +13,11 @@ DATA = Path(os.environ.get("CCDTOOLS_DATA") or Path(__file__).resolve().parents[
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark as `check` the cases beyond those that `@pytest.mark.quick(count)` leaves to `make test`."""
+    """Mark as `check` the cases beyond those that `@pytest.mark.quick(count)` leaves to `make test`.
+
+    Tests of stored runs come first, so that one process makes them and no other waits for it.
+    """
+    items.sort(key=lambda item: "stored" not in item.fixturenames)
     seen: Counter[str] = Counter()
     for item in items:
         quick = item.get_closest_marker("quick")

@@ -3,6 +3,7 @@
 import copy
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 import torch
@@ -75,16 +76,21 @@ def test_at_a_bound_the_gradients_are_compared_inside_the_box(illustrative, clon
     asked = []
     original = type(problem.model).function.func
 
-    def watched(model):
-        function = original(model)
+    class Watched:
+        """A CasADi function that keeps the designs that it is asked for."""
 
-        def call(p):
-            asked.append(float(np.asarray(p).ravel()[0]))
-            return function(p)
+        def __init__(self, function):
+            self.function = function
 
-        return call
+        def __getattr__(self, name):
+            return getattr(self.function, name)
 
-    monkeypatch.setattr(type(problem.model), "function", property(watched))
+        def __call__(self, p):
+            if not isinstance(p, ca.SX | ca.MX):
+                asked.extend(np.ravel(p).astype(float).tolist())
+            return self.function(p)
+
+    monkeypatch.setattr(type(problem.model), "function", property(lambda model: Watched(original(model))))
     check = check_gradients(problem, clone(illustrative), [3.0], rng=np.random.default_rng(0), runs=64)
     assert check.trusted
     assert 0.5 <= min(asked) <= max(asked) <= 3.0 + 1e-6

@@ -47,7 +47,7 @@ def two_masses() -> Study:
 
 def finished(study: Study, path, *, generations: int = 1, quick: bool = True):
     """Make a run of hardly any iterations and its report."""
-    config = replace(tiny(configuration(study, quick=True)), quick=quick, samples=8)
+    config = replace(tiny(configuration(study, quick=True)), quick=quick, sets_time_limit=2.0)
     folder = RunFolder.create(path)
     Generations(study, config, folder, generations=generations, seed=3, echo=lambda line: None, progress=False).run()
     write_report(study, folder)
