@@ -19,7 +19,7 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "mpc")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "cases")]
 
 import numpy as np  # noqa: E402
 from plants import box, double_integrator, suspension  # noqa: E402
