@@ -7,9 +7,12 @@ import tarfile
 import zipfile
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.check
 def test_wheel_holds_exactly_the_typed_packages_and_the_sdist_the_documents(tmp_path):
     source = tmp_path / "source"  # a copy: what an earlier build left behind must not enter the wheel
     left_out = shutil.ignore_patterns("__pycache__", ".*", "build", "dist", "runs", "*.egg-info")

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from set_plants import SUSPENSION_U, SUSPENSION_X, suspension
 
 from invariant_sets import maximal_control_invariant_set
@@ -13,6 +14,7 @@ from invariant_sets import maximal_control_invariant_set
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "bench_sets.py"
 
 
+@pytest.mark.check
 def test_benchmark_names_the_missing_peers_and_prints_every_table():
     answer = subprocess.run([sys.executable, str(SCRIPT), "--quick"], capture_output=True, text=True, check=True)
     missing = [name for name in ("polytope", "pycvxset") if importlib.util.find_spec(name) is None]

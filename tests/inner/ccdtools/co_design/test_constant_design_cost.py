@@ -47,6 +47,7 @@ def test_a_climb_is_the_same_whatever_every_design_costs(options):
     np.testing.assert_allclose(others, returns, rtol=1e-4)
 
 
+@pytest.mark.check
 def test_limits_cost_the_same_whatever_every_design_costs():
     """Where X is left, its price is a part of what control costs."""
     tight = replace(mass(), X=Polytope.from_bounds([-1.05, -1.05], [1.05, 1.05]), limit_tolerance=(0.01, 0.01))

@@ -40,6 +40,7 @@ def gradients(problem, agent, scenarios):
     return torch.autograd.grad(seen.total.mean(), [v, *agent.mean_network.parameters()])
 
 
+@pytest.mark.check
 def test_a_long_episode_has_the_gradient_of_one_that_is_held_in_memory_at_once(suspension, clone, monkeypatch):
     problem, agent = replace(suspension.problem(), steps=230), copy.deepcopy(clone(suspension)).double()
     scenarios = tuple(t.double() for t in scenario_tensors(problem, 4, np.random.default_rng(0)))

@@ -16,6 +16,7 @@ def mean_return(study, controller, p):
     return run.returns(problem.objective)[~run.diverged].mean()
 
 
+@pytest.mark.check
 def test_it_recovers_most_of_what_lqr_gains_over_doing_nothing(suspension):
     problem, p = suspension.problem(), suspension.p0
     A, B, _ = problem.model.matrices(p)

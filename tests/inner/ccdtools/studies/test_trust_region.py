@@ -58,6 +58,7 @@ def test_what_does_not_enter_through_E_limits_a_redesign():
     assert "does not enter through E(p)" in doubt.describe()
 
 
+@pytest.mark.check
 def test_what_depends_on_the_state_limits_a_redesign_even_if_it_enters_as_the_disturbance_does():
     doubt = doubt_of(taught(mass(cubic=2.0)), SCALE)
     assert doubt.rest < 0.05
@@ -65,6 +66,7 @@ def test_what_depends_on_the_state_limits_a_redesign_even_if_it_enters_as_the_di
     assert doubt.limits
 
 
+@pytest.mark.check
 def test_a_disturbance_that_cannot_be_told_from_another_limits_a_redesign():
     model = discretise(mass())
     doubt = doubt_of(taught(mass(), replace(model, E=ca.horzcat(model.E, 2 * model.E))), SCALE)
@@ -73,6 +75,7 @@ def test_a_disturbance_that_cannot_be_told_from_another_limits_a_redesign():
     assert "not of full column rank" in doubt.describe()
 
 
+@pytest.mark.check
 def test_an_E_that_is_the_same_everywhere_need_not_be_identified():
     model = discretise(mass())
     constant = ca.SX(ca.DM([[0.1, 0.2], [0.1, 0.2]]))
