@@ -346,13 +346,13 @@ def normals(basis: Array) -> Array:
     return left[:, basis.shape[1]:].T
 
 
-def unit_rows(A: Array, b: Array, *, always: bool = False):
+def unit_rows(A: Array, b: Array) -> tuple[Array | None, Array]:
     """Return the rows scaled to unit norm without zero rows; (None, b) if a zero row says 0 <= negative."""
     norms = row_norms(A)
     reference = norms.max(initial=0.0)
     zero = norms <= CANCELLED * reference if reference > 0 else np.ones(len(b), bool)
     if zero.any():
-        if not always and (b[zero] < -FLAT * np.maximum(1.0, np.abs(b).max())).any():
+        if (b[zero] < -FLAT * np.maximum(1.0, np.abs(b).max())).any():
             return None, b
         A = A[~zero]
         b = b[~zero]
