@@ -9,18 +9,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ccdtools_ground.door import frozen
+
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.integer[Any]]
 Mask: TypeAlias = NDArray[np.bool_]
 ArrayField: TypeAlias = Any
 """A dataclass field that takes any array_like and holds an `Array` once the object exists."""
-
-
-def frozen(value: Any) -> Any:
-    """`value`, read-only if it is an array."""
-    if isinstance(value, np.ndarray):
-        value.setflags(write=False)
-    return value
 
 
 class Immutable:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import numbers
 import os
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -13,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array, frozen
-from ccdtools_ground.door import as_count, as_floats, as_generator, shown  # noqa: F401 (handed on)
+from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number, shown  # noqa: F401 (handed on)
 from ccdtools_ground.errors import InputError
 from invariant_sets import Polytope
 from invariant_sets.system_checks import as_set
@@ -61,17 +59,6 @@ def as_weight(argument: str, value: Any, size: int | None = None, *, definite: b
         kind = "a positive definite matrix" if definite else "a positive semidefinite matrix"
         raise InputError(argument, f"smallest eigenvalue {smallest:.3g}", kind)
     return frozen(M)
-
-
-def as_number(argument: str, value: Any, *, expected: str = "a finite number", low: float = -math.inf,
-              high: float = math.inf, strict: bool = False) -> float:  # fmt: skip
-    """A finite number between `low` and `high`; `strict` excludes both ends."""
-    real = isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
-    number = float(value) if real else math.nan
-    inside = low < number < high if strict else low <= number <= high
-    if not (math.isfinite(number) and inside):
-        raise InputError(argument, shown(value), expected)
-    return number
 
 
 def as_positive(argument: str, value: Any, *, unit: str = "") -> float:
@@ -129,13 +116,6 @@ def as_names(argument: str, value: Any, size: int) -> tuple[str, ...]:
     if len(names) != size or not all(isinstance(name, str) for name in names):
         raise InputError(argument, shown(value), f"{size} name{'' if size == 1 else 's'}")
     return names
-
-
-def as_instance(argument: str, value: Any, kind: type | tuple[type, ...], expected: str, cure: str = "") -> Any:
-    """`value`, if it is of that kind."""
-    if not isinstance(value, kind):
-        raise InputError(argument, shown(value), expected, cure)
-    return value
 
 
 def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:

@@ -65,6 +65,31 @@ def _holds_truth(value: Any) -> bool:
     return isinstance(value, bool) or (isinstance(value, list | tuple) and any(map(_holds_truth, value)))
 
 
+def check_finite(array: Array, name: str) -> None:
+    """Raise an `InputError` where `array` holds NaN or infinity."""
+    if not np.isfinite(array).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InputError(name, f"{array[index]} at index {index}", "finite numbers")
+
+
+def frozen(value: Any) -> Any:
+    """`value`, read-only if it is an array."""
+    if isinstance(value, np.ndarray):
+        value.setflags(write=False)
+    return value
+
+
+def as_number(argument: str, value: Any, *, expected: str = "a finite number", low: float = -math.inf,
+              high: float = math.inf, strict: bool = False) -> float:  # fmt: skip
+    """A finite number between `low` and `high`; `strict` excludes both ends."""
+    real = isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
+    number = float(value) if real else math.nan
+    inside = low < number < high if strict else low <= number <= high
+    if not (math.isfinite(number) and inside):
+        raise InputError(argument, shown(value), expected)
+    return number
+
+
 def as_count(argument: str, value: Any, *, least: int = 1, most: float = math.inf) -> int:
     """A whole number from `least` to `most`, as an int; a float is refused even where it is whole."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool | np.bool_)
@@ -74,6 +99,13 @@ def as_count(argument: str, value: Any, *, least: int = 1, most: float = math.in
         end = f" and at most {most}" if whole and value > most else ""
         raise InputError(argument, shown(value), f"a whole number, at least {least}{end}", cure)
     return int(value)
+
+
+def as_instance(argument: str, value: Any, kind: type | tuple[type, ...], expected: str, cure: str = "") -> Any:
+    """`value`, if it is of that kind."""
+    if not isinstance(value, kind):
+        raise InputError(argument, shown(value), expected, cure)
+    return value
 
 
 def as_generator(argument: str, value: Any) -> np.random.Generator:

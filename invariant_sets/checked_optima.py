@@ -28,27 +28,13 @@ _ITERATIONS = 100  # of HiGHS, in numbers of rows and columns
 
 @dataclass(frozen=True)
 class Optimum:
-    """A checked minimiser of cᵀx over A x <= b.
+    """A checked minimiser of cᵀx over A x <= b."""
 
-    Attributes
-    ----------
-    value : float
-        cᵀx.
-    x : (n,) array
-        Minimiser.
-    dual : (m,) array
-        Multipliers, >= 0, with c + Aᵀ dual = 0.
-    residual : float
-        Largest violation of the optimality conditions, what rounding of large data explains taken off.
-    exact : bool
-        Whether it is at most `LP_ROUNDING` without that.
-    """
-
-    value: float
-    x: Array
-    dual: Array
-    residual: float
-    exact: bool = False
+    value: float  # cᵀx
+    x: Array  # (n,): minimiser
+    dual: Array  # (m,): multipliers, >= 0, with c + Aᵀ dual = 0
+    residual: float  # largest violation of the optimality conditions, what rounding of large data explains taken off
+    exact: bool = False  # whether it is at most `LP_ROUNDING` without that
 
 
 def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) -> tuple[Array, Array]:

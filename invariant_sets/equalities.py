@@ -46,23 +46,15 @@ class Stated(NamedTuple):
 
 @dataclass(frozen=True)
 class AffineHull:
-    """{centre + basis y}, in which the coordinates `free` of x each depend on one y alone.
+    """{centre + basis y}, in which the coordinates `free` of x each depend on one y alone."""
 
-    Attributes
-    ----------
-    centre, basis : (n,) and (n, k) arrays
-        A point, and columns that span the hull.
-    free : (k,) int array
-        The coordinate of x that column j moves and no other column does.
-    terms : (n,) array
-        Size of the terms that each coordinate of the centre was computed from, in the units of x: their rounding is
-        the centre's.
-    """
-
-    centre: Array
-    basis: Array
-    free: Array
-    terms: Array
+    # a point, and columns that span the hull
+    centre: Array  # (n,)
+    basis: Array  # (n, k)
+    free: Array  # (k,) int: the coordinate of x that column j moves and no other column does
+    # size of the terms that each coordinate of the centre was computed from, in the units of x: their rounding is the
+    # centre's
+    terms: Array  # (n,)
 
 
 def row_norms(rows: Array) -> Array:

@@ -25,19 +25,12 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Generators:
-    """conv(points) + cone(rays) + span(lines).
+    """conv(points) + cone(rays) + span(lines)."""
 
-    Attributes
-    ----------
-    points : (p, n) array
-        At least one.
-    rays, lines : (r, n) and (l, n) arrays
-        Directions without an end, and without an end on either side.
-    """
-
-    points: Array
-    rays: Array
-    lines: Array
+    points: Array  # (p, n): at least one
+    # directions without an end, and without an end on either side
+    rays: Array  # (r, n)
+    lines: Array  # (l, n)
 
     def image(self, M: Array, c: Array) -> Generators:
         """Return the generators of {M x + c}."""

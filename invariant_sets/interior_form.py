@@ -21,36 +21,21 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Body:
-    """{centre + basis y : F y <= g}: full-dimensional in y, 0 in its interior, extents of order one.
+    """{centre + basis y : F y <= g}: full-dimensional in y, 0 in its interior, extents of order one."""
 
-    Attributes
-    ----------
-    centre : (n,) array
-        An interior point relative to the affine hull.
-    basis : (n, k) array
-        Columns span the affine hull; they carry the scale. Diagonal if k = n.
-    F, g, sizes : (m, k), (m,) and (m,) arrays
-        Rows of unit norm, g > 0, and the sizes of the terms of g. Rows that never touch a bounded set are left out.
-    bounded : bool
-        Whether the set is bounded.
-    free : (k,) int array
-        The coordinate of x that column j of the basis moves and no other column does.
-    half_widths : (n,) array
-        Half the widths of the bounding box; 0 where it is flat, a length of the rows where it has no end.
-    terms : (n,) array
-        Size of the terms that each coordinate of the centre was computed from, in the units of x: the set's place is
-        known to `PLACE` of it. Where slanted rows meet it is larger than the coordinate.
-    """
-
-    centre: Array
-    basis: Array
-    F: Array
-    g: Array
-    sizes: Array
-    bounded: bool
-    free: Array
-    half_widths: Array
-    terms: Array
+    centre: Array  # (n,): an interior point relative to the affine hull
+    basis: Array  # (n, k): columns span the affine hull; they carry the scale. Diagonal if k = n
+    # rows of unit norm, g > 0, and the sizes of the terms of g. Rows that never touch a bounded set are left out
+    F: Array  # (m, k)
+    g: Array  # (m,)
+    sizes: Array  # (m,)
+    bounded: bool  # whether the set is bounded
+    free: Array  # (k,) int: the coordinate of x that column j of the basis moves and no other column does
+    # half the widths of the bounding box; 0 where it is flat, a length of the rows where it has no end
+    half_widths: Array  # (n,)
+    # size of the terms that each coordinate of the centre was computed from, in the units of x: the set's place is
+    # known to `PLACE` of it. Where slanted rows meet it is larger than the coordinate
+    terms: Array  # (n,)
 
     @property
     def inverse(self) -> Array:
@@ -361,13 +346,13 @@ def normals(basis: Array) -> Array:
     return left[:, basis.shape[1]:].T
 
 
-def unit_rows(A: Array, b: Array, *, always: bool = False):
+def unit_rows(A: Array, b: Array) -> tuple[Array | None, Array]:
     """Return the rows scaled to unit norm without zero rows; (None, b) if a zero row says 0 <= negative."""
     norms = row_norms(A)
     reference = norms.max(initial=0.0)
     zero = norms <= CANCELLED * reference if reference > 0 else np.ones(len(b), bool)
     if zero.any():
-        if not always and (b[zero] < -FLAT * np.maximum(1.0, np.abs(b).max())).any():
+        if (b[zero] < -FLAT * np.maximum(1.0, np.abs(b).max())).any():
             return None, b
         A = A[~zero]
         b = b[~zero]

@@ -23,21 +23,11 @@ _BOXES = 10.0 ** np.arange(3, 16, 3)  # half widths tried in turn where a progra
 
 @dataclass(frozen=True)
 class Ball:
-    """A largest ball in {A x <= b}, with the multipliers that prove that there is no larger one.
+    """A largest ball in {A x <= b}, with the multipliers that prove that there is no larger one."""
 
-    Attributes
-    ----------
-    radius : float
-        Negative: the least violation that every point must accept.
-    centre : (n,) array
-        Its centre.
-    dual : (m,) array
-        Multipliers of the rows; they sum to one unless the cap or the box holds the radius.
-    """
-
-    radius: float
-    centre: Array
-    dual: Array
+    radius: float  # negative: the least violation that every point must accept
+    centre: Array  # (n,)
+    dual: Array  # (m,): multipliers of the rows; they sum to one unless the cap or the box holds the radius
 
 
 def minimise(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:

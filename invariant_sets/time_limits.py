@@ -36,15 +36,9 @@ class SizeLimitReached(LimitReached):
 
 @dataclass(frozen=True)
 class Deadline:
-    """The moment at which a computation has to end.
+    """The moment at which a computation has to end."""
 
-    Attributes
-    ----------
-    end : float
-        On the clock of `time.perf_counter` [s]; inf if there is no limit.
-    """
-
-    end: float = float("inf")
+    end: float = float("inf")  # on the clock of `time.perf_counter` [s]; inf if there is no limit
 
     @classmethod
     def after(cls, seconds: float | None) -> Deadline:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools_ground.door import as_count, as_floats, as_generator, shown  # noqa: F401 (handed on)
+from ccdtools_ground.door import as_count, as_floats, as_generator, check_finite, frozen, shown  # noqa: F401 (handed on)
 from invariant_sets.exceptions import InputError
 
 Array = np.ndarray
@@ -70,13 +70,6 @@ def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
     return lower, upper
 
 
-def check_finite(array: Array, name: str) -> None:
-    """Raise `InputError` where `array` holds NaN or infinity."""
-    if not np.isfinite(array).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InputError(name, f"{array[index]} at index {index}", "finite numbers")
-
-
 def check_tolerance(tol: Any, name: str = "tol") -> float:
     """Return `tol` as a float, or raise `InputError` if it is negative or no number."""
     try:
@@ -86,9 +79,3 @@ def check_tolerance(tol: Any, name: str = "tol") -> float:
     if not 0.0 <= value < np.inf:
         raise InputError(name, shown(tol), "a finite number >= 0")
     return value
-
-
-def frozen(array: Array) -> Array:
-    """Return `array` after making it read-only."""
-    array.setflags(write=False)
-    return array

@@ -43,33 +43,19 @@ class Pinch(NamedTuple):
 
 @dataclass(frozen=True)
 class Window:
-    """What is seen of {x : A x <= b} in x = centre + basis y, |y| <= `_HALF`.
+    """What is seen of {x : A x <= b} in x = centre + basis y, |y| <= `_HALF`."""
 
-    Attributes
-    ----------
-    centre, basis : (n,) and (n, k) arrays
-        The coordinates.
-    F, g, error : (m, k), (m,) and (m,) arrays
-        The rows that depend on y, of unit norm, and by how much g may be wrong from rounding.
-    index : (m,) int array
-        Their numbers in A.
-    near : (q,) int array
-        Those of F that can touch the window.
-    ball : Ball
-        A largest ball in the window; its multipliers belong to the rows in `near`.
-    unbounded : (k,) bool array
-        Coordinates in which the set is known to have no end.
-    """
-
-    centre: Array
-    basis: Array
-    F: Array
-    g: Array
-    error: Array
-    index: Array
-    near: Array
-    ball: Ball
-    unbounded: Array
+    # the coordinates
+    centre: Array  # (n,)
+    basis: Array  # (n, k)
+    # the rows that depend on y, of unit norm, and by how much g may be wrong from rounding
+    F: Array  # (m, k)
+    g: Array  # (m,)
+    error: Array  # (m,)
+    index: Array  # (m,) int: their numbers in A
+    near: Array  # (q,) int: those of F that can touch the window
+    ball: Ball  # a largest ball in the window; its multipliers belong to the rows in `near`
+    unbounded: Array  # (k,) bool: coordinates in which the set is known to have no end
 
     @property
     def multipliers(self) -> Array:

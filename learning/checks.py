@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools_ground.door import as_count, as_floats, as_generator  # noqa: F401 (handed on)
+from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number  # noqa: F401 (handed on)
 from learning.exceptions import InputError
 
 Array = np.ndarray
@@ -16,11 +16,7 @@ ROUNDING = 1e-9  # a column whose spread is below this part of its size is const
 
 def check_number(value: Any, name: str, low: float = 0.0, high: float = np.inf, *, closed: bool = False) -> float:
     """Return a finite number between `low` and `high`, both excluded unless `closed`."""
-    number = isinstance(value, numbers.Real) and not isinstance(value, (bool, np.bool_)) and np.isfinite(float(value))
-    inside = number and (low <= value <= high if closed else low < value < high)
-    if not inside:
-        raise InputError(name, repr(value), _interval(low, high, closed=closed))
-    return float(value)
+    return as_number(name, value, expected=_interval(low, high, closed=closed), low=low, high=high, strict=not closed)
 
 
 def _interval(low: float, high: float, *, closed: bool) -> str:
@@ -56,9 +52,7 @@ def as_lengths(value: Any, name: str, total: int) -> list[int]:
 
 def check_instance(value: Any, name: str, kind: type) -> Any:
     """Return `value`, if it is an object of that class."""
-    if not isinstance(value, kind):
-        raise InputError(name, repr(value)[:60], f"an object of {kind.__name__}")
-    return value
+    return as_instance(name, value, kind, f"an object of {kind.__name__}")
 
 
 def as_bounds(value: Any, name: str, size: int) -> tuple[Array, Array]:

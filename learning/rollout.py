@@ -30,29 +30,16 @@ class VectorEnv(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """Experience, time first.
+    """Experience, time first."""
 
-    Attributes
-    ----------
-    observations : (T, n, n_obs) tensor
-    successors : (T, n, n_obs) tensor
-        What each step led to, before any restart.
-    latents : (T, n, nu) tensor
-        Unclipped latent actions, as sampled.
-    log_probs : (T, n) tensor
-        Of the latents under the policy that sampled them.
-    rewards : (T, n) tensor
-    terminated, truncated : (T, n) bool tensors
-        A terminal state has no future; a truncated one has, and is bootstrapped.
-    """
-
-    observations: Tensor
-    successors: Tensor
-    latents: Tensor
-    log_probs: Tensor
-    rewards: Tensor
-    terminated: Tensor
-    truncated: Tensor
+    observations: Tensor  # (T, n, n_obs)
+    successors: Tensor  # (T, n, n_obs): what each step led to, before any restart
+    latents: Tensor  # (T, n, nu): unclipped latent actions, as sampled
+    log_probs: Tensor  # (T, n): of the latents under the policy that sampled them
+    rewards: Tensor  # (T, n)
+    # a terminal state has no future; a truncated one has, and is bootstrapped
+    terminated: Tensor  # (T, n) bool
+    truncated: Tensor  # (T, n) bool
 
 
 @torch.no_grad()

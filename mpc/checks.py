@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccdtools_ground import door
-from ccdtools_ground.door import as_floats, shown
+from ccdtools_ground.door import as_floats, check_finite, frozen, shown
 from mpc.exceptions import InputError, NotConvexError
 from mpc.tolerances import ASYMMETRY, NEGATIVE_WEIGHT
 
@@ -27,11 +27,8 @@ def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Arra
             "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
         )
         raise InputError(name, f"shape {array.shape}", expected)
-    if not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InputError(name, f"{array[where]} at index {where}", "finite numbers")
-    array.flags.writeable = False
-    return array
+    check_finite(array, name)
+    return frozen(array)
 
 
 def as_weight(name: str, value: ArrayLike, n: int) -> Array:
@@ -54,9 +51,7 @@ def as_weight(name: str, value: ArrayLike, n: int) -> Array:
         raise NotConvexError(
             f"{name}: got a negative direction (scaled eigenvalue {smallest:.3g}), expected {name} ⪰ 0.", name, smallest
         )
-    symmetric: Array = (weight + weight.T) / 2
-    symmetric.flags.writeable = False
-    return symmetric
+    return frozen((weight + weight.T) / 2)
 
 
 def as_cross_weight(value: ArrayLike | None, Q: Array, R: Array) -> Array | None:

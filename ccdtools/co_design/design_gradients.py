@@ -114,23 +114,15 @@ def standard_error(by_run: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """How the mean return rises with the design, as far as the unit box has room.
+    """How the mean return rises with the design, as far as the unit box has room."""
 
-    Attributes
-    ----------
-    mean, error : (np,) arrays
-        Finite differences and their standard errors, per length of the unit box; 0 where a bound leaves no room.
-    room : (np,) array
-        Distance to the bound that the slope points at.
-    across, across_error : (np,) arrays
-        The same of the slopes that point across a bound; 0 elsewhere.
-    """
-
-    mean: Array
-    error: Array
-    room: Array
-    across: Array
-    across_error: Array
+    # finite differences and their standard errors, per length of the unit box; 0 where a bound leaves no room
+    mean: Array  # (np,)
+    error: Array  # (np,)
+    room: Array  # (np,): distance to the bound that the slope points at
+    # the same of the slopes that point across a bound; 0 elsewhere
+    across: Array  # (np,)
+    across_error: Array  # (np,)
 
     @classmethod
     def none(cls, size: int) -> Slope:

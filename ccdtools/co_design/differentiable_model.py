@@ -60,25 +60,16 @@ def to_design(problem: CoDesignProblem, v: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Stepper:
-    """One step of a problem's model, for batches of torch states.
-
-    Attributes
-    ----------
-    A, B, E : (nx, ·) tensors
-        At one design `p` (np,), or stacked (n, nx, ·) at designs (n, np), one per run.
-    limit : (nx,) tensor
-        Divergence limit on |x|.
-    carry : (nx, nx) tensor or None
-        Of a learned error, from the design of its log to this one.
-    """
+    """One step of a problem's model, for batches of torch states."""
 
     problem: CoDesignProblem
-    A: Tensor
-    B: Tensor
-    E: Tensor
+    # at one design `p` (np,), or stacked (n, nx, ·) at designs (n, np), one per run
+    A: Tensor  # (nx, ·)
+    B: Tensor  # (nx, ·)
+    E: Tensor  # (nx, ·)
     p: Tensor
-    limit: Tensor
-    carry: Tensor | None = None
+    limit: Tensor  # (nx,): divergence limit on |x|
+    carry: Tensor | None = None  # (nx, nx): of a learned error, from the design of its log to this one
 
     @classmethod
     def at(cls, problem: CoDesignProblem, p: Tensor) -> Stepper:

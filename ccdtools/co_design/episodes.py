@@ -31,25 +31,14 @@ Law = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What came of n episodes; returns and depths are differentiable.
+    """What came of n episodes; returns and depths are differentiable."""
 
-    Attributes
-    ----------
-    total : (n,) tensor
-        Undiscounted returns, in double precision.
-    diverged : (n,) bool tensor
-        Runs that passed the divergence limit; they are frozen there and earn nothing more.
-    depth, peak : (n,) tensors
-        Mean over the steps, and largest, depth outside X in half-widths of X; zero unless asked for.
-    outside : (n,) tensor
-        Fraction of the steps that end outside X; without a gradient, zero unless asked for.
-    """
-
-    total: Tensor
-    diverged: Tensor
-    depth: Tensor
-    peak: Tensor
-    outside: Tensor
+    total: Tensor  # (n,): undiscounted returns, in double precision
+    diverged: Tensor  # (n,) bool: runs that passed the divergence limit; they are frozen there and earn nothing more
+    # mean over the steps, and largest, depth outside X in half-widths of X; zero unless asked for
+    depth: Tensor  # (n,)
+    peak: Tensor  # (n,)
+    outside: Tensor  # (n,): fraction of the steps that end outside X; without a gradient, zero unless asked for
 
 
 @dataclass(frozen=True, eq=False)

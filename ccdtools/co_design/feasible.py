@@ -28,17 +28,10 @@ ACTIVE = 1e-3  # of the unit box: an edge that is closer holds the design
 
 @dataclass(eq=False)
 class DesignRegion:
-    """The points of the unit box that one start may take.
-
-    Attributes
-    ----------
-    space : DesignSpace
-    last : (np,) array
-        The feasible point that was found last; at first the start.
-    """
+    """The points of the unit box that one start may take."""
 
     space: DesignSpace
-    last: Array
+    last: Array  # (np,): the feasible point that was found last; at first the start
     free: Any = field(init=False)
 
     def __post_init__(self) -> None:
@@ -107,21 +100,15 @@ class DesignRegion:
 
 @dataclass(frozen=True, eq=False)
 class FeasibleSlope(Slope):
-    """The slope that the constraints leave: projected on the directions that cross no active edge.
+    """The slope that the constraints leave: projected on the directions that cross no active edge."""
 
-    Attributes
-    ----------
-    ahead, ahead_error : float
-        Rise of the return along its slope over the best feasible step of the distance ahead, the constraints taken as
-        straight, and its standard error.
-    edges, edges_error : (k,) arrays
-        Slopes straight across each active edge, of constraints and box, which add up to what the projection took away.
-    """
-
+    # rise of the return along its slope over the best feasible step of the distance ahead, the constraints taken as
+    # straight, and its standard error
     ahead: float
     ahead_error: float
-    edges: Array
-    edges_error: Array
+    # slopes straight across each active edge, of constraints and box, which add up to what the projection took away
+    edges: Array  # (k,)
+    edges_error: Array  # (k,)
 
     @classmethod
     def within(cls, by_run: Array, point: Array, limits: UnitConstraints, free: Any) -> FeasibleSlope:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from ccdtools.co_design.method_verdicts import leaves_limits, method_verdicts, s
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns, CoDesignResult
 from ccdtools.exceptions import InputError
+from ccdtools.table import Table, csv_text
 
 HEAD = (
     "method", "design", "return", "95 % interval", "lost", "difference", "own objective", "evals", "time", "status",
@@ -96,11 +96,7 @@ class MethodComparison(Immutable):
     def to_csv(self, path: str | Path) -> Path:
         """Write the table as a CSV file; its path."""
         target = writable_path("path", path)
-        rows = self.table()
-        with target.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
+        target.write_text(csv_text(self.table()), encoding="utf-8", newline="")
         return target
 
     def plot(self) -> Any:
@@ -142,35 +138,17 @@ class MethodComparison(Immutable):
 
     def __str__(self) -> str:
         """The table in aligned columns, and below it what it says."""
-        head = self._head
-        lines = [head, *(self._texts(row) for row in self.rows)]
-        widths = [max(len(line[i]) for line in lines if len(line) > 2) for i in range(len(head))]
-        right = {2, 4, 6, 7, 8}
-        text = []
-        for line in lines:
-            if len(line) == 2:
-                text.append(f"{line[0]:<{widths[0]}}  {line[1]}")
-                continue
-            cells = (f"{cell:>{wide}}" if i in right else f"{cell:<{wide}}"
-                     for i, (cell, wide) in enumerate(zip(line, widths)))  # fmt: skip
-            text.append("  ".join(cells).rstrip())
-        return "\n".join([*text, "", *self.verdict])
+        return "\n".join([*self.printed.aligned(), "", *self.verdict])
 
     def markdown(self) -> str:
         """The printed table for a page in Markdown."""
-        head, *rows = self.cells()
-        return "\n".join(f"| {' | '.join(line)} |" for line in [head, ("---",) * len(head), *rows])
-
-    def cells(self) -> list[tuple[str, ...]]:
-        """The cells of the printed table as text, its head first."""
-        texts = [self._texts(row) for row in self.rows]
-        blank = ("",) * (len(HEAD) - 2)
-        return [self._head, *(line if len(line) == len(HEAD) else (*line, *blank) for line in texts)]
+        return self.printed.markdown
 
     @property
-    def _head(self) -> tuple[str, ...]:
-        """The head of the printed table."""
-        return (*HEAD[:5], f"to {self.reference}", *HEAD[6:])
+    def printed(self) -> Table:
+        """The table as it is printed."""
+        head = (*HEAD[:5], f"to {self.reference}", *HEAD[6:])
+        return Table(head, [self._texts(row) for row in self.rows], right=frozenset({2, 4, 6, 7, 8}))
 
     def _texts(self, row: MethodRow) -> tuple[str, ...]:
         """The cells of a printed row; two of a method that refused."""

@@ -19,6 +19,7 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.exceptions import InputError
 from ccdtools.jobs import as_jobs, in_processes
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.table import Table
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -77,14 +78,12 @@ class MultiStart(Immutable):
 
     def __str__(self) -> str:
         """The table in aligned columns."""
-        lines = [("first design", "design", "return", "time", "status")]
-        lines += [
+        lines = [
             (self.space.describe(start), self.space.describe(result.design), f"{_value(result):.5g}",
              f"{result.seconds:.3g} s", result.status.name.lower().replace("_", " "))
             for start, result in zip(self.starts, self.results)
         ]  # fmt: skip
-        widths = [max(len(line[i]) for line in lines) for i in range(5)]
-        return "\n".join("  ".join(f"{cell:<{wide}}" for cell, wide in zip(line, widths)).rstrip() for line in lines)
+        return "\n".join(Table(("first design", "design", "return", "time", "status"), lines).aligned())
 
 
 def multi_start(

@@ -93,26 +93,14 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A design and its policy, with what the fixed scenarios say of them.
-
-    Attributes
-    ----------
-    returns : (n,) array
-        Of every evaluation run; a diverged one with its whole, huge cost.
-    violation : float
-        By how much the tolerance of the state limits is exceeded.
-    lost : float
-        Fraction of the runs that diverged.
-    limits : LimitsOutcome or None
-        How it keeps the state limits.
-    """
+    """A design and its policy, with what the fixed scenarios say of them."""
 
     v: Tensor
     agent: ActorCritic
-    returns: Array
-    violation: float
-    lost: float
-    limits: LimitsOutcome | None = None
+    returns: Array  # (n,): of every evaluation run; a diverged one with its whole, huge cost
+    violation: float  # by how much the tolerance of the state limits is exceeded
+    lost: float  # fraction of the runs that diverged
+    limits: LimitsOutcome | None = None  # how it keeps the state limits
 
     @property
     def score(self) -> float:

@@ -19,6 +19,7 @@ from ccdtools.co_design.risk_intervals import difference_of_parts
 from ccdtools.exceptions import InputError
 from ccdtools.jobs import as_jobs, in_processes
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.table import Table
 
 ProblemOf = Callable[[float], CoDesignProblem]
 
@@ -98,14 +99,13 @@ class TradeOff(Immutable):
 
     def __str__(self) -> str:
         """The table in aligned columns."""
-        lines = [(self.word, "design", "cost", "return", "status")]
+        lines = []
         for row, design in zip(self.table(), self.designs):
             beaten = "" if row["efficient"] else ", another is better in both"
             status = row["status"].lower().replace("_", " ") + beaten
             lines.append((f"{row[self.word]:g}", self.space.describe(design), f"{row['design_cost']:.5g}",
                           f"{row['control_return']:.5g}", status))  # fmt: skip
-        widths = [max(len(line[i]) for line in lines) for i in range(5)]
-        return "\n".join("  ".join(f"{cell:<{wide}}" for cell, wide in zip(line, widths)).rstrip() for line in lines)
+        return "\n".join(Table((self.word, "design", "cost", "return", "status"), lines).aligned())
 
 
 def trade_off(

@@ -30,6 +30,7 @@ from ccdtools.outside import Outside, limits_in_words
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, paired_returns, summarise_returns
+from ccdtools.table import Table
 from ccdtools.trajectory import Trajectory
 from invariant_sets import Polytope
 
@@ -185,11 +186,11 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""
-        head = ("controller", "return", "std", "n", f"minus {escape(self.baseline)}", "95 % interval", "diverged",
+        head = ("controller", "return", "std", "n", f"minus {self.baseline}", "95 % interval", "diverged",
                 f"outside {self.limits}", "depth")  # fmt: skip
-        body = "".join(f"<tr>{_html_row(cells)}</tr>" for cells in self._cells())
+        table = Table(head, [tuple(cell.strip() for cell in cells) for cells in self._cells()])
         below = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
-        return f"<table><tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{body}</table>{below}"
+        return table.html + below
 
 
 def compare(
@@ -357,8 +358,3 @@ def _shown(value: float, form: str, floor: float = 0.0) -> str:
 def _percent(fraction: float) -> str:
     """A fraction in per cent; a dash where there is none."""
     return f"{fraction:.1%}" if np.isfinite(fraction) else "-"
-
-
-def _html_row(cells: tuple[str, ...]) -> str:
-    """The cells of a row of the table in a notebook."""
-    return "".join(f"<td>{escape(cell.strip())}</td>" for cell in cells)

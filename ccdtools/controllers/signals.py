@@ -52,22 +52,12 @@ class Reference(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """All that a simulation knows beside the states: T samples of n runs.
+    """All that a simulation knows beside the states: T samples of n runs."""
 
-    Attributes
-    ----------
-    disturbances : (n, T, nw) array
-    reference : Reference or None
-    output : Sensor or None
-        What is measured; the state itself where it is None.
-    recorded : bool
-        Whether the disturbances are a record, which a preview ends with; else there are none.
-    """
-
-    disturbances: Array
+    disturbances: Array  # (n, T, nw)
     reference: Reference | None
-    output: Sensor | None
-    recorded: bool = True
+    output: Sensor | None  # what is measured; the state itself where it is None
+    recorded: bool = True  # whether the disturbances are a record, which a preview ends with; else there are none
 
 
 class Driver:

@@ -22,21 +22,13 @@ Step = Callable[[Any, Any, Any, Any], Any]
 
 @dataclass(frozen=True, eq=False)
 class Region(Immutable):
-    """Where an error is measured: states, inputs and disturbances within bounds, and the box of designs.
+    """Where an error is measured: states, inputs and disturbances within bounds, and the box of designs."""
 
-    Attributes
-    ----------
-    lower, upper : (nx + nu + nw + np,) arrays
-    sizes : tuple of int
-        nx, nu, nw and np.
-    of_design : (DesignLimits or None, DesignLimits or None)
-        Bounds of x and u that a design narrows, if any; `bounds(p)` gives them at designs (m, np).
-    """
-
-    lower: Array
-    upper: Array
-    sizes: tuple[int, int, int, int]
-    of_design: tuple[Any, Any] = (None, None)
+    lower: Array  # (nx + nu + nw + np,)
+    upper: Array  # (nx + nu + nw + np,)
+    sizes: tuple[int, int, int, int]  # nx, nu, nw and np
+    # bounds of x and u that a design narrows, if any; `bounds(p)` gives them at designs (m, np)
+    of_design: tuple[Any, Any] = (None, None)  # (DesignLimits, DesignLimits)
 
     @classmethod
     def of(

@@ -30,20 +30,11 @@ SMOOTHER = "State the jump as something steep that is smooth, such as tanh(v / w
 
 @dataclass(frozen=True, eq=False)
 class Jump(Immutable):
-    """One place at which a right-hand side jumps.
+    """One place at which a right-hand side jumps."""
 
-    Attributes
-    ----------
-    row : int
-        Of the right-hand side, the one that jumps most for its size.
-    names : tuple of str
-        The operations that do.
-    x, u, w, p : arrays
-        Where.
-    """
-
-    row: int
-    names: tuple[str, ...]
+    row: int  # of the right-hand side, the one that jumps most for its size
+    names: tuple[str, ...]  # the operations that do
+    # the place
     x: Array
     u: Array
     w: Array

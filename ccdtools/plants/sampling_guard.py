@@ -24,21 +24,11 @@ DEAD = math.log(0.01)  # a mode that falls below 1 % within one sample leaves no
 
 @dataclass(frozen=True, eq=False)
 class FastestMode(Immutable):
-    """The fastest oscillation in a box of designs.
+    """The fastest oscillation in a box of designs."""
 
-    Attributes
-    ----------
-    frequency : float
-        Damped frequency [Hz]; 0 where nothing oscillates.
-    design : (np,) array
-        Where it is reached.
-    dt : float
-        Sampling time [s] it was judged for.
-    """
-
-    frequency: float
-    design: ArrayField
-    dt: float
+    frequency: float  # damped frequency [Hz]; 0 where nothing oscillates
+    design: ArrayField  # (np,): where it is reached
+    dt: float  # sampling time [s] it was judged for
 
     @property
     def nyquist(self) -> float:

@@ -49,19 +49,11 @@ LONGEST_EPISODE = 1000  # steps of a run that a redesign is trained on as a whol
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Scenarios, comparisons and returns of one run of a study.
-
-    Attributes
-    ----------
-    study : Study
-    config : StudyConfig
-    seed : int
-        Every draw has a generator of its own, spawned from the seed and a name.
-    """
+    """Scenarios, comparisons and returns of one run of a study."""
 
     study: Study
     config: StudyConfig
-    seed: int
+    seed: int  # every draw has a generator of its own, spawned from the seed and a name
 
     def rng(self, name: str) -> np.random.Generator:
         """The generator of a name: the same whether or not a run was interrupted before."""

@@ -42,21 +42,11 @@ POLICY_ALONE = "its policy at the present design"
 
 @dataclass(frozen=True, eq=False)
 class LoopStages:
-    """The stages of one run; each takes its generator first and returns what is to be kept.
+    """The stages of one run; each takes its generator first and returns what is to be kept."""
 
-    Attributes
-    ----------
-    evaluation : Evaluation
-        The study, its configuration, and what the stages are measured on.
-    progress : bool
-        Show progress bars.
-    echo : callable, optional
-        Takes a line of text now and then where there are no bars.
-    """
-
-    evaluation: Evaluation
-    progress: bool
-    echo: Echo | None = None
+    evaluation: Evaluation  # the study, its configuration, and what the stages are measured on
+    progress: bool  # show progress bars
+    echo: Echo | None = None  # takes a line of text now and then where there are no bars
 
     def initialise(self, rng: np.random.Generator) -> Stage:
         """The first policy: a network trained to imitate the expert."""

@@ -26,21 +26,12 @@ CONSTANT = 1e-9  # difference of E over the box, relative to E, that is rounding
 
 @dataclass(frozen=True)
 class Doubt:
-    """How well it is known what the logged errors would be at another design.
+    """How well it is known what the logged errors would be at another design."""
 
-    Attributes
-    ----------
-    rest : float
-        Part of the errors' energy that does not enter through E(p).
-    explained : float
-        Further part that the discrepancy explains by state and input: it may change with the design otherwise than E.
-    identified : bool
-        Whether every disturbance can be told from an error, at every design where E(p) changes at all.
-    """
-
-    rest: float
+    rest: float  # part of the errors' energy that does not enter through E(p)
+    # further part that the discrepancy explains by state and input: it may change with the design otherwise than E
     explained: float
-    identified: bool
+    identified: bool  # whether every disturbance can be told from an error, at every design where E(p) changes at all
 
     @property
     def limits(self) -> bool:
@@ -57,17 +48,10 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Trust:
-    """The radius of the trust region, as the deployments so far have left it.
+    """The radius of the trust region, as the deployments so far have left it."""
 
-    Attributes
-    ----------
-    radius : float
-        Largest move of a parameter, as a part of its range; from 1 on there is no limit.
-    betrayed : bool
-        Whether a deployment fell short of what was predicted: from then on the region counts whatever the doubt.
-    """
-
-    radius: float = FIRST_RADIUS
+    radius: float = FIRST_RADIUS  # largest move of a parameter, as a part of its range; from 1 on there is no limit
+    # whether a deployment fell short of what was predicted: from then on the region counts whatever the doubt
     betrayed: bool = False
 
     def after(self, kept: bool | None) -> Trust:

@@ -38,19 +38,10 @@ from learning.networks import ActorCritic
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Deployment(Immutable):
-    """What came of a deployment.
+    """What came of a deployment."""
 
-    Attributes
-    ----------
-    log : Trajectory
-        All runs as they happened, under the policies then deployed.
-    agent : ActorCritic
-        Deployed at the end.
-    updates : tuple of OnlineUpdate
-    """
-
-    log: Trajectory
-    agent: ActorCritic
+    log: Trajectory  # all runs as they happened, under the policies then deployed
+    agent: ActorCritic  # deployed at the end
     updates: tuple[OnlineUpdate, ...]
 
     @property

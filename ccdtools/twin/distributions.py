@@ -46,24 +46,13 @@ class Distribution:
 
 @dataclass(frozen=True, eq=False)
 class Served:
-    """Where a learned change will serve, beside the runs of the log.
+    """Where a learned change will serve, beside the runs of the log."""
 
-    Attributes
-    ----------
-    problem : CoDesignProblem
-        On the nominal model, with the starts that the study declares.
-    x0 : (nx,) array
-        Start of the real plant.
-    kinds : mapping of str to (n, T, nw) array
-        Held-out disturbances by name: draws that no report is measured on.
-    runs : int
-        From the study's start, and from its box.
-    """
-
-    problem: CoDesignProblem
-    x0: Array
-    kinds: Mapping[str, Array] = field(default_factory=dict)
-    runs: int = 400
+    problem: CoDesignProblem  # on the nominal model, with the starts that the study declares
+    x0: Array  # (nx,): start of the real plant
+    # held-out disturbances by name: draws that no report is measured on
+    kinds: Mapping[str, Array] = field(default_factory=dict)  # (n, T, nw)
+    runs: int = 400  # from the study's start, and from its box
 
     def starts(self, rng: np.random.Generator) -> Array:
         """States (n, nx) that the study declares: its one start, or draws of its starts."""

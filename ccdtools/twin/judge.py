@@ -24,27 +24,13 @@ Price = Callable[[float, int], float]
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Compares two deployables in pairs, each behind the filter of its own design.
+    """Compares two deployables in pairs, each behind the filter of its own design."""
 
-    Attributes
-    ----------
-    problem : CoDesignProblem
-        On the nominal model.
-    plant : Plant
-        That names the states.
-    filters : callable
-        Design (np,) → the filter behind a policy there, or None.
-    stretch : int
-        Steps of a stretch of a single run, see `Pairing`.
-    tolerance : float
-        Loss, as a part of the size of a return, that the user accepts on a distribution.
-    """
-
-    problem: CoDesignProblem
-    plant: Any
-    filters: Callable[[Array], AdmissibleInputs | None]
-    stretch: int
-    tolerance: float = TOLERANCE
+    problem: CoDesignProblem  # on the nominal model
+    plant: Any  # that names the states
+    filters: Callable[[Array], AdmissibleInputs | None]  # design (np,) → the filter behind a policy there, or None
+    stretch: int  # steps of a stretch of a single run, see `Pairing`
+    tolerance: float = TOLERANCE  # loss, as a part of the size of a return, that the user accepts on a distribution
 
     @property
     def pairing(self) -> Pairing:

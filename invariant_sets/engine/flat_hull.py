@@ -32,40 +32,25 @@ class InputMap:
 
 @dataclass(frozen=True)
 class Motion:
-    """x⁺ − centre = states y + inputs v + drift, with joint rows `state_rows` y + `input_rows` v <= right.
+    """x⁺ − centre = states y + inputs v + drift, with joint rows `state_rows` y + `input_rows` v <= right."""
 
-    Attributes
-    ----------
-    states, inputs, drift : (n, k), (n, q) and (n,) arrays
-        Where the state goes, in the units of x.
-    state_rows, input_rows, right : (m, k), (m, q) and (m,) arrays
-        Constraints on both together.
-    input_map : InputMap
-        The input that belongs to y and v.
-    """
-
-    states: Array
-    inputs: Array
-    drift: Array
-    state_rows: Array
-    input_rows: Array
-    right: Array
-    input_map: InputMap
+    # where the state goes, in the units of x
+    states: Array  # (n, k)
+    inputs: Array  # (n, q)
+    drift: Array  # (n,)
+    # constraints on both together
+    state_rows: Array  # (m, k)
+    input_rows: Array  # (m, q)
+    right: Array  # (m,)
+    input_map: InputMap  # the input that belongs to y and v
 
 
 @dataclass(frozen=True)
 class OnHull:
-    """What it takes to stay on the hull: the inputs that do (`motion`), or further equalities on y, or neither.
+    """What it takes to stay on the hull: the inputs that do (`motion`), or further equalities on y, or neither."""
 
-    Attributes
-    ----------
-    motion : Motion or None
-        The motion under the inputs that keep the state on the hull.
-    rows, values : arrays or None
-        Equalities rows y = values that y has to meet before any input can.
-    """
-
-    motion: Motion | None = None
+    motion: Motion | None = None  # the motion under the inputs that keep the state on the hull
+    # equalities rows y = values that y has to meet before any input can
     rows: Array | None = None
     values: Array | None = None
 

@@ -86,32 +86,15 @@ class Dynamics:
 
 @dataclass(frozen=True)
 class LocalProblem:
-    """Dynamics and constraints in local coordinates y and v.
+    """Dynamics and constraints in local coordinates y and v."""
 
-    Attributes
-    ----------
-    frame : Frame
-        Back to x.
-    dynamics : Dynamics
-        The motion of y.
-    states : (F, g)
-        State set F y <= g, rows of unit norm.
-    joint : (H, h)
-        Rows H [y; v] <= h.
-    input_moves : (m, k) array or None
-        Vertices of B V where V does not depend on y and is bounded.
-    input_map : InputMap
-        Back to u.
-    bounded, at_equilibrium : bool
-        Whether the state set is bounded, and whether y = 0 is an equilibrium.
-    """
-
-    frame: Frame
-    dynamics: Dynamics
-    states: Rows
-    joint: Rows
-    input_moves: Array | None
-    input_map: InputMap
+    frame: Frame  # back to x
+    dynamics: Dynamics  # the motion of y
+    states: Rows  # (F, g): state set F y <= g, rows of unit norm
+    joint: Rows  # (H, h): rows H [y; v] <= h
+    input_moves: Array | None  # (m, k): vertices of B V where V does not depend on y and is bounded
+    input_map: InputMap  # back to u
+    # whether the state set is bounded, and whether y = 0 is an equilibrium
     bounded: bool
     at_equilibrium: bool
 

@@ -35,25 +35,14 @@ class Shape(Enum):
 
 @dataclass(frozen=True)
 class Region:
-    """{F y <= g}, with its vertices V where bounded and few enough.
+    """{F y <= g}, with its vertices V where bounded and few enough."""
 
-    Attributes
-    ----------
-    F, g : (m, n) and (m,) arrays
-        Rows of unit norm.
-    V : (k, n) array or None
-        Vertices; None if unbounded, or if the region is kept by its rows alone.
-    shape : Shape
-        If not SOLID, V is not kept up to date.
-    minimal : bool
-        Whether the rows are known to be irredundant.
-    """
-
-    F: Array
-    g: Array
-    V: Array | None
-    shape: Shape = Shape.SOLID
-    minimal: bool = False
+    # rows of unit norm
+    F: Array  # (m, n)
+    g: Array  # (m,)
+    V: Array | None  # (k, n): vertices; None if unbounded, or if the region is kept by its rows alone
+    shape: Shape = Shape.SOLID  # if not SOLID, V is not kept up to date
+    minimal: bool = False  # whether the rows are known to be irredundant
 
     def reach(self, rows: Array, deadline: Deadline = NO_DEADLINE) -> Array:
         """Return the support of the region along each row, (k,)."""
@@ -111,47 +100,25 @@ def _irredundant(F: Array, g: Array, deadline: Deadline) -> Array:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a recursion ended: converged, at a cap, or because the set has become flat, empty or small.
+    """How a recursion ended: converged, at a cap, or because the set has become flat, empty or small."""
 
-    Attributes
-    ----------
-    region : Region
-        The last set.
-    iterations : int
-        Steps taken.
-    converged : bool
-        Whether no row cuts more than the tolerance any more.
-    limit : Status or None
-        The cap on time or facets that stopped it.
-    fresh : (m,) bool array or None
-        Rows of the region that the last step brought; all of them if None. A recursion that goes on starts from these.
-    """
-
-    region: Region
-    iterations: int
-    converged: bool = False
-    limit: Status | None = None
-    fresh: Array | None = None
+    region: Region  # the last set
+    iterations: int  # steps taken
+    converged: bool = False  # whether no row cuts more than the tolerance any more
+    limit: Status | None = None  # the cap on time or facets that stopped it
+    # rows of the region that the last step brought; all of them if None. A recursion that goes on starts from these
+    fresh: Array | None = None  # (m,) bool
 
 
 @dataclass(frozen=True)
 class Caps:
-    """When a recursion stops.
+    """When a recursion stops."""
 
-    Attributes
-    ----------
-    stop : float
-        It has converged when no row cuts more than this part of its right-hand side.
-    iterations, facets : int
-        Most steps, and most facets.
-    deadline : Deadline
-        Latest end.
-    """
-
-    stop: float
+    stop: float  # it has converged when no row cuts more than this part of its right-hand side
+    # most steps, and most facets
     iterations: int
     facets: int
-    deadline: Deadline = NO_DEADLINE
+    deadline: Deadline = NO_DEADLINE  # latest end
 
 
 def iterate(region: Region, predecessor: Predecessor, caps: Caps, fresh: Array | None = None) -> Outcome:

@@ -60,47 +60,30 @@ def scale_parameters(theta_set: Any, n: int) -> ParameterSet:
 
 @dataclass(frozen=True, eq=False)
 class ScaledQP:
-    """Minimise ½|v|² subject to Mv <= D [t; 1] for t in {TA t <= Tb}, in which everything is about one.
+    """Minimise ½|v|² subject to Mv <= D [t; 1] for t in {TA t <= Tb}, in which everything is about one."""
 
-    Attributes
-    ----------
-    M, D : (k, nz) and (k, nt + 1) array
-        Constraints, rows of M of unit length; rows that repeat another are left out.
-    tie : (k,) array
-        Shift of the bounds that decides between active sets which are optimal together; a function of the row alone.
-    gram : (k, k) array
-        MM'.
-    TA, Tb : (j, nt) and (j,) array
-        The parameter set, with the constraints in which no input occurs.
-    origin : (k,) int array
-        Row of `ParametricQP.G` behind each row of M.
-    back, free : (nz, nz) and (nz, nt + 1) array
-        z = back v + free [t; 1].
-    centre, half : (nt,) array
-        θ = centre + half * t.
-    far : float
-        Distance of the unconstrained optimum v = 0 from the bounds, in units of the largest of those that may be met.
-    own : (k, nt + 1) array
-        The bounds as the user states them, where z = 0 is v = 0, in units of their own sizes: the same however far the
-        optimum is.
-    own_unit : float
-        That size, in units of D.
-    """
-
-    M: Array
-    D: Array
-    tie: Array
-    gram: Array
-    TA: Array
-    Tb: Array
-    origin: Ints
-    back: Array
-    free: Array
-    centre: Array
-    half: Array
+    # constraints, rows of M of unit length; rows that repeat another are left out
+    M: Array  # (k, nz)
+    D: Array  # (k, nt + 1)
+    # shift of the bounds that decides between active sets which are optimal together; a function of the row alone
+    tie: Array  # (k,)
+    gram: Array  # (k, k): MM'
+    # the parameter set, with the constraints in which no input occurs
+    TA: Array  # (j, nt)
+    Tb: Array  # (j,)
+    origin: Ints  # (k,) int: row of `ParametricQP.G` behind each row of M
+    # z = back v + free [t; 1]
+    back: Array  # (nz, nz)
+    free: Array  # (nz, nt + 1)
+    # θ = centre + half * t
+    centre: Array  # (nt,)
+    half: Array  # (nt,)
+    # distance of the unconstrained optimum v = 0 from the bounds, in units of the largest of those that may be met
     far: float
-    own: Array
-    own_unit: float
+    # the bounds as the user states them, where z = 0 is v = 0, in units of their own sizes: the same however far the
+    # optimum is
+    own: Array  # (k, nt + 1)
+    own_unit: float  # that size, in units of D
 
     @cached_property
     def reach(self) -> float:

@@ -18,31 +18,16 @@ Trajectory = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Layout:
-    """Which unknowns an interval has: those of its first node, then its own.
-
-    Attributes
-    ----------
-    nx, nu, nw : int
-    node_inputs : int
-        Inputs at a node, shared by both its neighbours: nu or 0.
-    inner : tuple of float
-        Points of the interval, as fractions, with unknown states of their own.
-    held : tuple of float
-        Points with inputs of their own.
-    points : tuple of float
-        Where states and inputs are known, and limits along the path are kept.
-    signals : tuple of float
-        Where the signal is needed.
-    """
+    """Which unknowns an interval has: those of its first node, then its own."""
 
     nx: int
     nu: int
     nw: int
-    node_inputs: int
-    inner: tuple[float, ...]
-    held: tuple[float, ...]
-    points: tuple[float, ...]
-    signals: tuple[float, ...]
+    node_inputs: int  # inputs at a node, shared by both its neighbours: nu or 0
+    inner: tuple[float, ...]  # points of the interval, as fractions, with unknown states of their own
+    held: tuple[float, ...]  # points with inputs of their own
+    points: tuple[float, ...]  # where states and inputs are known, and limits along the path are kept
+    signals: tuple[float, ...]  # where the signal is needed
 
     @property
     def node(self) -> int:

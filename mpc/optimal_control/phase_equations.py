@@ -18,34 +18,20 @@ from mpc.optimal_control.schemes import MultipleShooting, Scheme
 
 @dataclass(frozen=True, eq=False)
 class PhaseToCome:
-    """A phase whose unknowns have their places, and whose equations are to be appended.
-
-    Attributes
-    ----------
-    number : int
-    phase, functions, scheme, layout, clock
-    mesh : (N + 1,) array
-        Of fractions of the phase.
-    first, duration : int
-        Places of its first unknown, and of its duration; −1 where that is given.
-    p : (np,) array
-        Places of the parameters.
-    target : int
-        Its cost is added to this row of [f; g], times `weight`.
-    weight : float
-    """
+    """A phase whose unknowns have their places, and whose equations are to be appended."""
 
     number: int
     phase: Phase
     functions: PhaseFunctions
     scheme: Scheme
-    mesh: Array
+    mesh: Array  # (N + 1,): of fractions of the phase
     layout: Layout
     clock: Clock
+    # places of its first unknown, and of its duration; −1 where that is given
     first: int
     duration: int
-    p: Numbers
-    target: int
+    p: Numbers  # (np,): places of the parameters
+    target: int  # its cost is added to this row of [f; g], times `weight`
     weight: float
 
     @property

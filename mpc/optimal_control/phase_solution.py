@@ -17,24 +17,14 @@ from mpc.optimal_control.schemes import Collocation
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """What is known at the d points of every interval.
+    """What is known at the d points of every interval."""
 
-    Attributes
-    ----------
-    times : (N, d) array
-    states : (N, d, nx) array
-    inputs : (N, d, nu) array
-    rates : (N, d, nx) array
-        dx/dt there; of shooting at both ends of an interval.
-    costates : (N, d, nx) array
-        Of collocation: by the multipliers of the dynamics, through the quadrature. Of shooting at the ends.
-    """
-
-    times: Array
-    states: Array
-    inputs: Array
-    rates: Array
-    costates: Array
+    times: Array  # (N, d)
+    states: Array  # (N, d, nx)
+    inputs: Array  # (N, d, nu)
+    rates: Array  # (N, d, nx): dx/dt there; of shooting at both ends of an interval
+    # of collocation: by the multipliers of the dynamics, through the quadrature. Of shooting at the ends
+    costates: Array  # (N, d, nx)
 
 
 @dataclass(frozen=True, eq=False)

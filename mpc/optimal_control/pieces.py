@@ -22,24 +22,12 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """When a phase begins and how long it is, of given numbers and free durations.
+    """When a phase begins and how long it is, of given numbers and free durations."""
 
-    Attributes
-    ----------
-    start : float
-        Its start, less the free durations before it.
-    length : float
-        Its duration, where it is given.
-    free : (k,) array
-        Unknowns that are free durations before it, and last its own if that is free.
-    own : bool
-        Whether its own is free.
-    """
-
-    start: float
-    length: float
-    free: Numbers
-    own: bool
+    start: float  # its start, less the free durations before it
+    length: float  # its duration, where it is given
+    free: Numbers  # (k,): unknowns that are free durations before it, and last its own if that is free
+    own: bool  # whether its own is free
 
     def times(self, free: Any) -> tuple[Any, Any]:
         """Start and duration, of the free durations (k,)."""
@@ -148,26 +136,13 @@ def mean_and_spread(weights: Array, spread: float) -> ca.Function:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One function of a few unknowns, at M places; each of its values is added to one row of [f; g].
+    """One function of a few unknowns, at M places; each of its values is added to one row of [f; g]."""
 
-    Attributes
-    ----------
-    function : casadi.Function
-        (z (n,), data (d,)) → values (k,).
-    unknowns : (n, M) array
-        Which of all they are.
-    data : (d, M) array
-    rows : (k, M) array
-        Where the values go: 0 is the cost f, 1 + i constraint i.
-    factors : (k,) array
-        That they are multiplied by.
-    """
-
-    function: ca.Function
-    unknowns: Numbers
-    data: Array
-    rows: Numbers
-    factors: Array
+    function: ca.Function  # (z (n,), data (d,)) → values (k,)
+    unknowns: Numbers  # (n, M): which of all they are
+    data: Array  # (d, M)
+    rows: Numbers  # (k, M): where the values go: 0 is the cost f, 1 + i constraint i
+    factors: Array  # (k,): that they are multiplied by
 
     @property
     def places(self) -> int:

@@ -47,30 +47,18 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class PhasePart:
-    """Where the unknowns of a phase stand in the vector of all.
-
-    Attributes
-    ----------
-    phase, functions, layout, scheme
-    mesh : (N + 1,) array
-        Of fractions of the phase, from 0 to 1.
-    first, last : int
-        Its unknowns are first … last − 1: node, interval, node, interval, …, node.
-    duration : int
-        Index of its duration; −1 where it is given.
-    defects, path : slice
-        Its rows, interval by interval.
-    interval : casadi.Function
-    """
+    """Where the unknowns of a phase stand in the vector of all."""
 
     phase: Phase
     functions: PhaseFunctions
     layout: Layout
     scheme: Scheme
-    mesh: Array
+    mesh: Array  # (N + 1,): of fractions of the phase, from 0 to 1
+    # its unknowns are first … last − 1: node, interval, node, interval, …, node
     first: int
     last: int
-    duration: int
+    duration: int  # index of its duration; −1 where it is given
+    # its rows, interval by interval
     defects: slice
     path: slice
     interval: ca.Function

@@ -158,24 +158,12 @@ def _moves_along(linear: Linearised, rates: Array, parts: dict[int, float]) -> b
 
 @dataclass(frozen=True, eq=False)
 class NewtonStep:
-    """Moves by θ = (x, p, u_prev) and, in the last column, to the optimum.
+    """Moves by θ = (x, p, u_prev) and, in the last column, to the optimum."""
 
-    Attributes
-    ----------
-    linear : Linearised
-        The conditions that it is a step on.
-    point : Point
-        Where it begins.
-    moves : (n, nt + 1) array
-        Of the free inputs and slacks.
-    pushes : (number of acting rows, nt + 1) array
-        Of their multipliers.
-    """
-
-    linear: Linearised
-    point: Point
-    moves: Array
-    pushes: Array
+    linear: Linearised  # the conditions that it is a step on
+    point: Point  # where it begins
+    moves: Array  # (n, nt + 1): of the free inputs and slacks
+    pushes: Array  # (number of acting rows, nt + 1): of their multipliers
 
     @classmethod
     def of(cls, linear: Linearised, point: Point) -> NewtonStep | None:

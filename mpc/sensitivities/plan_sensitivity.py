@@ -52,25 +52,15 @@ class Rates(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LocalProgram:
-    """The quadratic program that rates of change solve, in ξ = (θ, z): θ = (x, p, u_prev), z the free variables.
+    """The quadratic program that rates of change solve, in ξ = (θ, z): θ = (x, p, u_prev), z the free variables."""
 
-    Attributes
-    ----------
-    H : (n, n) array
-        Hessian of the Lagrangian by z.
-    F : (n, nt) array
-        Its mixed derivatives by z and θ.
-    held, weak : (·, nt + n) arrays
-        Rows that keep acting, and those that may begin or cease to.
-    inputs, states : (N, nu, nt + n) and (N + 1, nx, nt + n) arrays
-    """
-
-    H: Array
-    F: Array
-    held: Array
-    weak: Array
-    inputs: Array
-    states: Array
+    H: Array  # (n, n): Hessian of the Lagrangian by z
+    F: Array  # (n, nt): its mixed derivatives by z and θ
+    # rows that keep acting, and those that may begin or cease to
+    held: Array  # (·, nt + n)
+    weak: Array  # (·, nt + n)
+    inputs: Array  # (N, nu, nt + n)
+    states: Array  # (N + 1, nx, nt + n)
 
     def rate(self, theta: Array) -> Array | None:
         """Rate (n,) of z as θ (nt,) moves that way; None where the program has no solution."""

@@ -35,28 +35,15 @@ class _SpentError(Exception):
 
 @dataclass(eq=False)
 class Descent:
-    """Where a search ended.
+    """Where a search ended."""
 
-    Attributes
-    ----------
-    v : (np,) array
-        The best feasible point of the unit box that was evaluated.
-    cost : float
-    slope : (np,) array
-        Of the cost there, per unit-box length.
-    evaluations : int
-    path : list of (v, cost)
-        The points that were better than all before.
-    spent : bool
-        Whether the evaluations ran out.
-    """
-
-    v: Array
+    v: Array  # (np,): the best feasible point of the unit box that was evaluated
     cost: float
-    slope: Array
+    slope: Array  # (np,): of the cost there, per unit-box length
     evaluations: int = 0
-    path: list[tuple[Array, float]] = field(default_factory=list)
-    spent: bool = False
+    # the points that were better than all before
+    path: list[tuple[Array, float]] = field(default_factory=list)  # (v, cost)
+    spent: bool = False  # whether the evaluations ran out
 
 
 def value_of(cost: Any, v: Array) -> float:

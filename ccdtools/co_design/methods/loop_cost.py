@@ -48,21 +48,14 @@ class LoopCost:
     scenarios : tensors (n, nx) and (n, T, nw)
     penalty : LimitPenalty, optional
         What leaving the limits costs.
-
-    Attributes
-    ----------
-    rows : list
-        Of the history: one for every evaluation.
-    evaluations : int
-        Closed loops on all scenarios, those of differences included.
     """
 
     problem: CoDesignProblem
     law: DesignLaw
     scenarios: ScenarioTensors
     penalty: LimitPenalty | None = None
-    rows: list[tuple] = field(default_factory=list)
-    evaluations: int = 0
+    rows: list[tuple] = field(default_factory=list)  # of the history: one for every evaluation
+    evaluations: int = 0  # closed loops on all scenarios, those of differences included
 
     def __post_init__(self) -> None:
         self.problem = in_double(self.problem)

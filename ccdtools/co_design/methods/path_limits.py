@@ -23,18 +23,10 @@ GIVEN = ("dynamics", "start of")
 
 @dataclass(frozen=True)
 class PathLimit:
-    """Some limits along a trajectory.
+    """Some limits along a trajectory."""
 
-    Attributes
-    ----------
-    values : function of x, u, p
-        Each to be ≤ 0.
-    texts : tuple of str
-        Each in words.
-    """
-
-    values: Callable[[Any, Any, Any], Any]
-    texts: tuple[str, ...]
+    values: Callable[[Any, Any, Any], Any]  # each to be ≤ 0
+    texts: tuple[str, ...]  # each in words
 
 
 def path_limits(problem: CoDesignProblem, *, fed_back: bool) -> tuple[PathLimit, ...]:

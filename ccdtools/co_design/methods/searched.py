@@ -47,25 +47,13 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """Where the search from one start ended.
-
-    Attributes
-    ----------
-    cost : DesignCost
-    found : Descent
-    size : float
-        Of the part of the return that control makes.
-    penalty : StateLimitPenalty or None
-        Of leaving the limits, where they are watched.
-    violation : float
-        By how much their tolerance is exceeded.
-    """
+    """Where the search from one start ended."""
 
     cost: DesignCost
     found: Descent
-    size: float
-    penalty: StateLimitPenalty | None = None
-    violation: float = 0.0
+    size: float  # of the part of the return that control makes
+    penalty: StateLimitPenalty | None = None  # of leaving the limits, where they are watched
+    violation: float = 0.0  # by how much their tolerance is exceeded
 
     @property
     def order(self) -> tuple[float, float]:

@@ -33,24 +33,15 @@ class TrajectoryCost:
         The design that the program is built at.
     control : {"lqr", "mpc"}
         What closes the loop in use.
-
-    Attributes
-    ----------
-    rows : list
-        Of the history: one for every design with trajectories.
-    evaluations : int
-        How many designs were looked at.
-    failed : mpc.optimal_control.Solution or None
-        Of the program that looked for a design within the limits and found none.
     """
 
     problem: CoDesignProblem
     scenarios: tuple[Array, Array]
     start: Array
     control: str = "lqr"
-    rows: list[tuple] = field(default_factory=list)
-    evaluations: int = 0
-    failed: Solution | None = None
+    rows: list[tuple] = field(default_factory=list)  # of the history: one for every design with trajectories
+    evaluations: int = 0  # how many designs were looked at
+    failed: Solution | None = None  # of the program that looked for a design within the limits and found none
 
     def __post_init__(self) -> None:
         parts = [self.scenarios]

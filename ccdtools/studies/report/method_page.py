@@ -62,18 +62,11 @@ def write_methods(title: str, found: Any, folder: RunFolder) -> Path:
 
 def page(title: str, found: Any, image: bytes) -> str:
     """The page, its picture within."""
-    head, *rows = found.cells()
-    table = f"<tr>{_row('th', head)}</tr>" + "".join(f"<tr>{_row('td', row)}</tr>" for row in rows)
     said = "".join(f"<li>{escape(line)}</li>" for line in found.verdict)
     name = escape(title)
     picture = base64.b64encode(image).decode("ascii")
     return (
         f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>{name}</title><style>{LOOK}</style></head>"
-        f"<body><h1>{name}: every way to co-design</h1><div><table>{table}</table></div><ul>{said}</ul>"
+        f"<body><h1>{name}: every way to co-design</h1><div>{found.printed.html}</div><ul>{said}</ul>"
         f"<img alt='Return against time, and the designs' src='data:image/png;base64,{picture}'></body></html>"
     )
-
-
-def _row(cell: str, values: tuple[str, ...]) -> str:
-    """The cells of a row."""
-    return "".join(f"<{cell}>{escape(value)}</{cell}>" for value in values)

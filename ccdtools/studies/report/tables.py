@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +27,7 @@ from ccdtools.studies.report.verdicts import (
     saw_fewer_runs,
 )
 from ccdtools.studies.run_folder import RunFolder
+from ccdtools.table import Table, csv_text
 
 Row = dict[str, Any]
 OUTSIDE = "outside X"
@@ -36,6 +35,7 @@ HEADINGS = (
     "plant", "gen", "controller", "mean", "std", "n", "vs LQR", "95 % interval", "diverged", OUTSIDE, "depth",
     "µs/step",
 )  # fmt: skip
+NUMBERS = frozenset(range(len(HEADINGS))) - {0, 2}  # columns; the others hold words
 LIMIT_COLUMNS = ("violations", "depth_mean", "depth_peak", "depth_worst", "exceeded")
 
 
@@ -48,7 +48,7 @@ def write_tables(results: Mapping[str, Any], folder: RunFolder) -> list[Path]:
         "generations.csv": generation_rows(results),
         "learning_curves.csv": learning_rows(results, folder),
     }
-    return [folder.write_text(name, _csv(rows)) for name, rows in tables.items()]
+    return [folder.write_text(name, csv_text(rows)) for name, rows in tables.items()]
 
 
 def source_rows(results: Mapping[str, Any]) -> list[Row]:
@@ -143,17 +143,17 @@ def console_table(results: Mapping[str, Any]) -> str:
     """The comparison as aligned plain text, a block per generation and plant; the active bounds are named."""
     rows = results["comparison"]
     headings = tuple(f"outside {limits_of(results)}" if name == OUTSIDE else name for name in HEADINGS)
-    everything = [headings, *(_cells(row, rows) for row in rows)]
-    widths = [max(len(cells[i]) for cells in everything) for i in range(len(HEADINGS))]
+    table = Table(headings, [_cells(row, rows) for row in rows], right=NUMBERS)
+    head, *texts = table.aligned()
     quick = ["QUICK: fewer samples, not a result"] if results["quick"] else []
-    rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
-    lines = [f"{results['title']}, seed {results['seed']}", *quick, _line(headings, widths), rule]
+    rule = "-" * (sum(table.widths) + 2 * (len(headings) - 1))
+    lines = [f"{results['title']}, seed {results['seed']}", *quick, head, rule]
     title = ""
-    for row, cells in zip(rows, everything[1:]):
+    for row, text in zip(rows, texts):
         if _block_title(results, row) != title:
             title = _block_title(results, row)
             lines.append(title)
-        lines.append(_line(cells, widths))
+        lines.append(text)
     notes = [*fewer_runs_notes(rows), *limit_notes(rows, limits_of(results)), results.get("linearisation", "")]
     return "\n".join([*lines, *filter(None, notes), "", *console_lines(results)])
 
@@ -177,24 +177,17 @@ def _block_title(results: Mapping[str, Any], row: Mapping[str, Any]) -> str:
     return f"{generation_name(row['generation'])}: {design_text(results, row['design'])}; active bounds: {bounds}"
 
 
-def _cells(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _cells(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """The cells of one row; a star marks a controller that saw fewer runs than LQR."""
     mean, interval = difference_text(row)
     apart = row["controller"] == "LQR" or bool(row.get("remark"))
     star = " *" if saw_fewer_runs(row, reference_of(rows, row)) else ""
     shown = on_same_runs(row, reference_of(rows, row))
-    return [
+    return (
         place(row), str(row["generation"]), row["controller"] + star, number(shown["mean"]), number(shown["std"], 3),
         str(row["n"]), "-" if apart else mean, "-" if apart else interval, share(row["diverged"]),
         share(row["violations"]), number(row["depth_peak"], 2), number(row["step_time_us"], 3),
-    ]  # fmt: skip
-
-
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    """Cells in columns; words to the left, numbers to the right."""
-    left = {0, 2}
-    aligned = (c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(cells, widths)))
-    return "  ".join(aligned).rstrip()
+    )  # fmt: skip
 
 
 def _run_columns(results: Mapping[str, Any]) -> Row:
@@ -214,13 +207,3 @@ def _summary_columns(prefix: str, summary: Mapping[str, Any]) -> Row:
     low, high = summary["ci95"]
     values = {name: summary[name] for name in ("mean", "std", "n")}
     return {f"{prefix}{name}": value for name, value in (values | {"low95": low, "high95": high}).items()}
-
-
-def _csv(rows: Sequence[Row]) -> str:
-    """Rows as CSV text, a column for every name that occurs."""
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, names)
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
