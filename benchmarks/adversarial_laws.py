@@ -107,7 +107,8 @@ def verdict(mpc, law, corner, direction):
         return f"{found.status.name}, NaN"
     if region < 0:
         return "leads out, NOT NaN"
-    size = np.abs(gain * p.half).max() * np.abs(direction).max() + 1e-9
+    largest = np.abs(law.law[:, :, :-1] * p.half).max()  # a gain that is rounding beside it is none
+    size = max(np.abs(gain * p.half).max(), 1e-6 * largest) * np.abs(direction).max() + 1e-9
     error = np.abs(rate - gain @ step).max() / size
     return "right" if error <= ACCEPTED else f"WRONG, {found.status.name}"
 

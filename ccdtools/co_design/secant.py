@@ -45,6 +45,8 @@ class Linearisation(Immutable):
         Saturated LQR of A and B.
     mean_return, tangent_return : float
         Of that LQR, and of LQR of the tangent at rest, on the scenarios of the fit; NaN where there is none.
+    size : float
+        Of the mean return, without the cost of the design.
     """
 
     A: Array
@@ -52,17 +54,18 @@ class Linearisation(Immutable):
     controller: LinearFeedback
     mean_return: float
     tangent_return: float
+    size: float
 
     @property
     def better(self) -> bool:
         """Whether it beats the tangent in closed loop by more than 0.5 % of its return."""
-        return not self.tangent_return >= self.mean_return - BETTER * abs(self.mean_return)
+        return not self.tangent_return >= self.mean_return - BETTER * self.size
 
     def __str__(self) -> str:
         tangent = "none" if np.isnan(self.tangent_return) else f"{self.tangent_return:.5g}"
         return (
-            f"the plant is not linear: LQR of its tangent at rest returns {tangent}, of its secant over the visited "
-            f"states {self.mean_return:.5g}; a law that is not linear may do better"
+            f"LQR of the tangent at rest returns {tangent}, of the secant over the visited states "
+            f"{self.mean_return:.5g}"
         )
 
 
@@ -137,7 +140,7 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
             break
         states, inputs, mean = driven(law)
         if best is None or mean > best.mean_return:
-            best = Linearisation(A, B, law, mean, tangent)
+            best = Linearisation(A, B, law, mean, tangent, abs(float(problem.made_by_control(mean, p))))
         if not len(states):
             break
     assert best is not None

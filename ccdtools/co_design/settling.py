@@ -8,6 +8,8 @@ gradient is that of the closed loop and a plain search over its last layer finds
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,10 +30,12 @@ from ccdtools.co_design.methods.nested import Nested
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, ClosedLoopReturns, CoDesignResult
+from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
+from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.statistics import PairedDifference, paired_difference
 from mpc import MPCError
 
@@ -117,16 +121,23 @@ class Settling:
     def _baselines(self, result: CoDesignResult, loop: ClosedLoopReturns) -> list[Baseline]:
         """Saturated LQR of the same design, and nested LQR from there; of those that keep the limits and their runs."""
         found = []
-        try:
-            lqr = saturated_lqr(self.problem, result.design)
-        except (MPCError, InputError):
-            return []
-        if not (isinstance(result.controller, LinearFeedback) and np.array_equal(result.controller.K, lqr.K)):
-            found.append(self._baseline("LQR of the same design", lqr, result.design, loop, None))
+        for name, lqr in self._linear_laws(result.design):
+            if not (isinstance(result.controller, LinearFeedback) and np.array_equal(result.controller.K, lqr.K)):
+                found.append(self._baseline(name, lqr, result.design, loop, None))
         if self.designing and result.method != Nested().name:
             starts = start_points(self.problem.design, result.design, result.valleys[:1], 2)
             found += [self._nested(self.problem.design.settled(v), loop) for v in starts]
         return [one for one in found if one is not None]
+
+    def _linear_laws(self, design: Array) -> Iterator[tuple[str, LinearFeedback]]:
+        """LQR of a design: of the tangent at rest, where there is one, and of the secant where that is better."""
+        with suppress(MPCError, InputError):
+            yield "LQR of the same design", saturated_lqr(self.problem, design)
+        if isinstance(self.problem.model, SampledModel):
+            with suppress(MPCError, InputError):
+                secant = fitted(self.problem, design, visited(self.problem, copy.deepcopy(self.scenarios)))
+                if secant.better:
+                    yield "LQR of the same design, of its secant", secant.controller
 
     def _nested(self, start: Array, loop: ClosedLoopReturns) -> Baseline | None:
         """Where a short nested LQR leads from a design."""

@@ -27,6 +27,7 @@ class Status(Enum):
     NO_GAIN = "no gain beyond chance"
     BELOW_PRICE = "less than its price"
     LOSS = "a loss beyond the tolerance"
+    UNDECIDED = "a loss beyond the tolerance cannot be ruled out"
     WORSE = "worse"
     NOT_BETTER = "not better"
     MORE_LOST = "more of its runs are lost"
@@ -48,6 +49,7 @@ ADVICE = {
     Status.NO_GAIN: "Log more runs or a longer one; or what is deployed is as good as the log can tell.",
     Status.BELOW_PRICE: "State another price (redesign_price) if so small a gain is worth a redesign.",
     Status.LOSS: "If the gain is worth that loss, say so: accept_loss, or --accept-loss on the command line.",
+    Status.UNDECIDED: "Log more runs or a longer one; or, if the gain is worth such a loss, accept it: accept_loss.",
     Status.WORSE: "What was deployed before stays deployed; the log still teaches the twin.",
     Status.NOT_BETTER: "What was deployed before stays deployed; the log still teaches the twin.",
     Status.MORE_LOST: "Limit the box of designs to those that keep the plant stable.",
@@ -100,7 +102,8 @@ def decide(evidence: Sequence[Evidence], *, tolerance: float = TOLERANCE) -> Ver
     """Whether the candidate of all evidence may take the place of the current one.
 
     It must show on every distribution what is asked of it there. Before any return count lost runs, of which it may
-    lose no more, and limits. Where the current one loses every run of a distribution there is nothing to compare.
+    lose no more, and limits. Where the current one loses every run of a distribution there is nothing to compare. It is
+    called better where it gains on what it was made for.
 
     Parameters
     ----------
@@ -115,19 +118,19 @@ def decide(evidence: Sequence[Evidence], *, tolerance: float = TOLERANCE) -> Ver
         If there is no evidence, or the tolerance is no fraction.
     """
     records = tuple(evidence)
-    if not records or not all(isinstance(one, Evidence) for one in records):
-        raise InputError("evidence", shown(evidence), "at least one Evidence")
+    deciding = [one for one in records if isinstance(one, Evidence) and one.asked is not Asked.SHOWN]
+    if not deciding or not all(isinstance(one, Evidence) for one in records):
+        raise InputError("evidence", shown(evidence), "at least one Evidence, and one that is not only shown")
     if not 0 <= tolerance <= 1:
         raise InputError("tolerance", tolerance, "a fraction from 0 to 1")
-    deciding = [one for one in records if one.asked is not Asked.SHOWN]
     for test in (_lost, _left_limits, lambda one: _short(one, tolerance)):
         for one in deciding:
             found = test(one)
             if found is not None:
                 return Verdict(found, records, _reason(found, one, tolerance), tolerance)
-    best = max((one for one in deciding), key=_gained, default=None)
-    status = Status.BETTER if best is not None and _gained(best) > 0 else Status.NOT_WORSE
-    first = deciding[0] if deciding else records[0]
+    first = deciding[0]
+    gained = first.gain.ci95[0] > SAME_RETURN * first.size
+    status = Status.BETTER if gained else Status.NOT_WORSE
     return Verdict(status, records, f"{first.percent} on {first.distribution}", tolerance)
 
 
@@ -141,23 +144,19 @@ def _left_limits(one: Evidence) -> Status | None:
     return None if one.violation is None else Status.LIMITS
 
 
-def _gained(one: Evidence) -> float:
-    """The lower end of a gain beyond rounding; −1 of none."""
-    low = one.gain.ci95[0]
-    return low if low > SAME_RETURN * one.size else -1.0
-
-
 def _short(one: Evidence, tolerance: float) -> Status | None:
     """How the candidate falls short of what is asked; None if it does not."""
     low, high = one.gain.ci95
     floor = SAME_RETURN * one.size
     if one.asked is Asked.GAIN:
-        if not (low > 0 or 0 < one.gain.mean < one.needed):
-            return Status.NO_GAIN if not high < -floor else Status.WORSE
-        return Status.BELOW_PRICE if one.gain.mean <= one.needed else None
+        if low > 0 or 0 < one.gain.mean < one.needed:
+            return Status.BELOW_PRICE if one.gain.mean <= one.needed else None
+        return Status.WORSE if high < -floor else Status.NO_GAIN
     if one.asked is Asked.TOLERANCE:
-        nothing_to_compare = one.lost[1] == one.runs or one.size == 0
-        return None if nothing_to_compare or low >= -max(tolerance * one.size, floor) else Status.LOSS
+        allowed = max(tolerance * one.size, floor)
+        if one.lost[1] == one.runs or low >= -allowed:
+            return None
+        return Status.LOSS if high < -allowed else Status.UNDECIDED
     if high < -floor:
         return Status.WORSE
     in_the_mean = one.asked is Asked.NO_LOSS or not np.isfinite([low, high]).all()
@@ -173,6 +172,6 @@ def _reason(status: Status, one: Evidence, tolerance: float) -> str:
     if status is Status.BELOW_PRICE:
         needed = signed_percent(100 * one.needed / one.size) if one.size else f"{one.needed:.4g}"
         return f"{one.percent} on {one.distribution}, price {needed.removeprefix('+')}"
-    if status is Status.LOSS:
+    if status in (Status.LOSS, Status.UNDECIDED):
         return f"{one.percent} on {one.distribution}, tolerance {100 * tolerance:g} %"
     return f"{one.percent} on {one.distribution}"

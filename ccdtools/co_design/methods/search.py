@@ -113,7 +113,9 @@ class Search:
         """The best that was looked at."""
         space = problem.design
         if not np.isfinite(box.best[1]):
-            raise InputError("of", "no return at any design", "one at some design", "Check the bounds of the design.")
+            got = f"{self.of!r}, which has no return at any of {len(box.rows)} designs"
+            cure = "LQR and MPC here are those of the tangent at rest; nested LQR tries the secant, too."
+            raise InputError("of", got, "a return at some design", cure)
         design = space.settled(box.best_v)
         loop = box.value if isinstance(box.value, ClosedLoop) else None
         law = LQRLaw() if loop is None else loop.cost.law

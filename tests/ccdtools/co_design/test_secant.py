@@ -48,7 +48,7 @@ def test_an_input_that_counts_by_its_square_has_a_secant_where_its_tangent_is_no
     found = stochastic_linearisation(problem("input that counts by its square"), [1.0], np.random.default_rng(0))
     assert found.B[1, 0] > 0.02
     assert np.isnan(found.tangent_return)
-    assert "tangent at rest returns none, of its secant" in str(found)
+    assert "tangent at rest returns none, of the secant" in str(found)
 
 
 def test_nested_takes_the_secant_where_it_is_better_and_says_both():

@@ -71,6 +71,21 @@ def claimed(problem, design, K, **options):
     return codesign(problem, method=Claims(design, controller, **options), rng=np.random.default_rng(0))
 
 
+def test_where_the_tangent_has_no_lqr_a_claim_falls_below_that_of_the_secant():
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    plant = Plant(x, u, w, p, ca.vertcat(x[1], (u * ca.fabs(u) - 0.1 * x[1] + w) / p), DesignSpace(["m"], [0.5], [2]),
+                  dt=0.05)  # fmt: skip
+    for price in (0.0, 1e5):  # of the design, beside which control costs next to nothing
+        own = CoDesignProblem(
+            discretise(plant), X=([-3, -6], [3, 6]), U=(-3, 3), steps=60, limit_tolerance="off",
+            objective=QuadraticObjective(np.diag([1.0, 0.1]), [[0.1]], design_cost=lambda p, c=price: c * p[0]),
+            scenarios=FixedStart([1.0, 0.0], Gaussian([0.3])),
+        )  # fmt: skip
+        weak = claimed(own, 0.5, [[0.05, 0.05]])
+        assert weak.status is CoDesignStatus.WORSE_THAN_BASELINE
+        assert weak.baselines[0].name == "LQR of the same design, of its secant"
+
+
 def test_a_claim_stands_at_the_optimum_and_falls_below_lqr_of_its_own_design(problem):
     assert claimed(problem, BEST, gain(problem, BEST)).status is CoDesignStatus.CONVERGED
     weak = claimed(problem, BEST, 0.3 * gain(problem, BEST))

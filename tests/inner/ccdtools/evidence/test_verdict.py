@@ -38,8 +38,15 @@ GAIN = evidence(2.0, 1.0, 3.0)
         ([GAIN, evidence(-0.3, -0.4, -0.2, Asked.TOLERANCE)], Status.BETTER, ""),
         ([GAIN, evidence(-5.4, -5.5, -5.3, Asked.TOLERANCE, distribution="the study's start")], Status.LOSS,
          "−5.4 % [−5.5, −5.3] on the study's start, tolerance 0.5 %"),
-        ([GAIN, evidence(0.1, -0.6, 0.8, Asked.TOLERANCE)], Status.LOSS, "+0.1 % [−0.6, +0.8]"),
-        ([GAIN, evidence(NAN, NAN, NAN, Asked.TOLERANCE)], Status.LOSS, ""),
+        ([GAIN, evidence(0.1, -0.6, 0.8, Asked.TOLERANCE)], Status.UNDECIDED, "+0.1 % [−0.6, +0.8]"),
+        ([GAIN, evidence(0.4, NAN, NAN, Asked.TOLERANCE)], Status.UNDECIDED, "+0.4 %"),
+        ([GAIN, evidence(NAN, NAN, NAN, Asked.TOLERANCE, lost=(5, 5))], Status.UNDECIDED, ""),
+        # what costs nothing is not replaced by what costs something
+        ([GAIN, evidence(-5.0, -6.0, -4.0, Asked.TOLERANCE, size=0.0)], Status.LOSS, ""),
+        ([GAIN, evidence(0.0, 0.0, 0.0, Asked.TOLERANCE, size=0.0)], Status.BETTER, ""),
+        # better is what gains where it was made for
+        ([evidence(-3.0, -8.0, 2.0, Asked.NO_SURE_LOSS), evidence(0.3, 0.2, 0.4, Asked.NO_SURE_LOSS)],
+         Status.NOT_WORSE, "−3 % [−8, +2] on the log"),
         # what corrects a bias must lose on the nominal model, which is shown
         ([GAIN, evidence(-9.0, -9.1, -8.9, Asked.SHOWN)], Status.BETTER, ""),
         # lost runs and limits come before any return
@@ -73,6 +80,7 @@ def test_a_verdict_follows_from_its_evidence(records, status, words):
 def test_a_loss_is_accepted_where_the_user_says_so():
     loss = evidence(-0.8, -0.95, -0.6, Asked.TOLERANCE, distribution="the box of starts")
     assert decide([GAIN, loss]).status is Status.LOSS
+    assert decide([GAIN, loss], tolerance=0.009).status is Status.UNDECIDED
     assert decide([GAIN, loss], tolerance=0.01).replaces
     assert not decide([GAIN, loss], tolerance=0.009).replaces
 
@@ -88,6 +96,7 @@ def test_a_verdict_names_its_evidence_by_distribution():
     ("arguments", "options", "message"),
     [
         (([],), {}, r"evidence: got .*, expected at least one Evidence"),
+        (([evidence(-30, -31, -29, Asked.SHOWN)],), {}, r"evidence: got .* one that is not only shown"),
         ((["better"],), {}, r"evidence: got .*, expected at least one Evidence"),
         (([GAIN],), {"tolerance": 5.0}, r"tolerance: got 5\.0, expected a fraction from 0 to 1"),
         (([GAIN],), {"tolerance": -0.1}, r"tolerance: got -0\.1, expected a fraction"),
