@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
+ROOM = 1e-3  # of the width of the feasible parameters: the box around them has no side that touches them
+
 
 @dataclass(frozen=True, eq=False)
 class Region:
@@ -265,18 +267,30 @@ def as_path(name: str, value: Any) -> Path:
 
 
 def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:
-    """Parameters of interest where none are named: X, or X × U when the last input is a parameter."""
+    """Parameters of interest where none are named: of X, or of X × U when the last input is one, all that are feasible.
+
+    A box around the feasible ones is intersected, so that a bound that means "no limit" has no part in their sizes.
+    """
     names = [name for name, _ in problem.parameters]
     HX, hX = mpc.state_rows
     HU, hU = mpc.input_rows
     if mpc.X is None or set(names) - {"x", "u_prev"} or ("u_prev" in names and not len(hU)):
         raise InputError("theta_set", "None", f"a bounded Polytope of the parameters {names}")
-    if names == ["x"]:
-        return mpc.X
     from invariant_sets import Polytope
 
-    rows = np.block([[HX, np.zeros((len(HX), HU.shape[1]))], [np.zeros((len(HU), HX.shape[1])), HU]])
-    return Polytope(rows, np.concatenate([hX, hU]))
+    known = Polytope(HX, hX)
+    if names != ["x"]:
+        rows = np.block([[HX, np.zeros((len(HX), HU.shape[1]))], [np.zeros((len(HU), HX.shape[1])), HU]])
+        known = Polytope(rows, np.concatenate([hX, hU]))
+    n = known.dim
+    rows = np.block([[-problem.S, problem.G], [known.A, np.zeros((len(known.A), problem.G.shape[1]))]])
+    joint = Polytope(rows, np.concatenate([problem.w, known.b]))
+    directions = np.hstack([np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, problem.G.shape[1]))])
+    reach = joint.support(directions)
+    if not np.isfinite(reach).all():
+        return known
+    room = ROOM * (reach[:n] + reach[n:])
+    return known.intersection(Polytope.from_bounds(-reach[n:] - room, reach[:n] + room))
 
 
 def _as_rows(rows: Any, nu: int) -> tuple[Array, Array]:

@@ -25,7 +25,7 @@ from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, without_far_bounds
 from mpc.parametric_qp import Constraint, ParametricQP
-from mpc.tolerances import FAR_OPTIMUM, THIN
+from mpc.tolerances import DUPLICATE, FAR_OPTIMUM, REGION_RADIUS, THIN
 
 __all__ = ["MPQPStatus", "Partition", "solve_mpqp"]
 
@@ -112,7 +112,8 @@ def partitioned(
         elif implied.status is not MPQPStatus.COMPLETE:
             found = found._replace(status=implied.status)
     found, law = _without_wrong_laws(qp, found)
-    if qp.far > FAR_OPTIMUM and found.status is MPQPStatus.COMPLETE:
+    hidden = qp.far > FAR_OPTIMUM or _thinnest(qp) < 2 * REGION_RADIUS
+    if hidden and found.status is MPQPStatus.COMPLETE:
         found = found._replace(status=MPQPStatus.INACCURATE)
     H, h = qp.unscale_rows(found.rows)
     origin = qp.origin.tolist()
@@ -130,6 +131,17 @@ def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
     gain = problem.S[left] - problem.G[left] @ answer.law[:, :, :-1]
     room = problem.w[left] - answer.law[:, :, -1] @ problem.G[left].T
     return bool((room + gain @ answer.centre >= np.abs(gain) @ answer.half).all())
+
+
+def _thinnest(qp: ScaledQP) -> float:
+    """How far two opposite bounds are apart along the parameters, where they are furthest: laws between them may be
+    too thin to be seen.
+    """
+    first, second = np.nonzero(qp.gram < DUPLICATE - 1)
+    slope = np.linalg.norm(qp.D[first, :-1], axis=1)
+    apart = qp.D[first] + qp.D[second]
+    room = apart[:, -1] + np.abs(apart[:, :-1]).sum(axis=1)
+    return float((room[slope > 0] / slope[slope > 0]).min(initial=np.inf))
 
 
 def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:

@@ -3,8 +3,10 @@
 import cvxpy as cp
 import numpy as np
 import pytest
+from plants import double_integrator
 
-from mpc import LinearMPC, Status
+from invariant_sets import Polytope
+from mpc import InfeasibleError, LinearMPC, MPQPStatus, Status
 
 
 def integrator(X, **options):
@@ -186,3 +188,29 @@ def test_wide_inputs_do_not_spoil_the_least_violation(solver):
         assert {plan.status for plan in plans} == {Status.SOFTENED}
         for plan in plans[1:]:
             assert plan.violation == pytest.approx(plans[0].violation, rel=1e-3)
+
+
+@pytest.mark.parametrize("bound", [1e7, 5e8, 1e12, 1e30, 1e300, np.inf])
+def test_a_state_without_a_limit_leaves_the_default_law_as_it_is(bound):
+    A, B = double_integrator()
+    options = dict(Q=np.eye(2), R=[[1.0]], horizon=3, U=(-1, 1))
+    plain = LinearMPC(A, B, **options, X=([-5, -50], [5, 50])).explicit()
+    found = LinearMPC(A, B, **options, X=([-5, -bound], [5, bound])).explicit()
+    assert found.status is MPQPStatus.COMPLETE
+    assert len(found.regions) == len(plain.regions)
+    states = np.random.default_rng(0).uniform([-5, -4], [5, 4], size=(100, 2))
+    for x in states:
+        assert found(x) == pytest.approx(plain(x), abs=1e-9)
+
+
+@pytest.mark.parametrize("bound", [1e6, 1e7, 1e8, 1e9])
+def test_a_law_on_a_set_beside_which_the_limits_are_rounding_is_not_called_complete(bound):
+    A, B = double_integrator()
+    controller = LinearMPC(A, B, Q=np.eye(2), R=[[1.0]], horizon=3, U=(-1, 1))
+    try:
+        law = controller.explicit(Polytope.from_bounds([-bound] * 2, [bound] * 2))
+    except InfeasibleError:
+        return
+    x = np.array([0.5, 0.2])
+    right = law(x) == pytest.approx(controller.solve(x).inputs[0], abs=1e-9)
+    assert right or law.status is MPQPStatus.INACCURATE
