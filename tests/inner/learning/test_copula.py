@@ -227,7 +227,7 @@ def test_stretches_too_short_for_a_memory_get_none():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: fit_copula(None, np.zeros((30, 1)), np.zeros((30, 1))), "network: got None, expected an object of"),
+        (lambda: fit_copula(None, np.zeros((30, 1)), np.zeros((30, 1))), "network: got nothing, expected an object of"),
         (lambda: fit_copula(constant_network(1, 1), np.zeros((30, 1)), np.zeros((29, 1))), "targets: got shapes"),
         (lambda: fit_copula(constant_network(1, 1), np.zeros((30, 1)), np.full((30, 1), np.nan)), "not finite"),
         (lambda: fit_copula(constant_network(1, 1), np.zeros((30, 1)), np.zeros((30, 1)), stretches=[10, 10]),
