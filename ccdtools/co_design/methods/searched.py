@@ -10,7 +10,6 @@ import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.limit_tolerance import expected_at_most
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import FEASIBLE, Descent, descend, value_of
 from ccdtools.co_design.methods.holding import SAME_PLACE, Held, confirmed, held_by, start_points
@@ -223,9 +222,9 @@ def _held(problem: CoDesignProblem, best: End) -> Held:
         return held_by(problem.design, v, best.found.slope)
     slope, violations = best.cost.slopes(v)
     outcome = best.penalty.outcome(best.cost.seen(v))
-    reached = expected_at_most(best.cost.seen(v)).values()
-    used = zip(reached, outcome.tolerance.values(), outcome.multipliers.values())
-    active = [price > 0 and value >= USED * most for value, most, price in used]
+    measures = (outcome.achieved, outcome.errors, outcome.tolerance, outcome.multipliers)
+    used = zip(*(measure.values() for measure in measures))
+    active = [price > 0 and value + error >= USED * most for value, error, most, price in used]
     return held_by(problem.design, v, slope, dict(one for one, is_so in zip(violations.items(), active) if is_so))
 
 
