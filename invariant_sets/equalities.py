@@ -103,7 +103,8 @@ def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) ->
     free = np.array([j for j in range(n) if j not in bound], dtype=int)
     basis = np.zeros((n, len(free)))
     basis[free, np.arange(len(free))] = 1.0
-    basis[bound] = -rows[solved][:, free]
+    entries = rows[solved][:, free]
+    basis[bound] = -np.where(np.abs(entries) > CANCELLED * terms[solved][:, free], entries, 0.0)
     point = np.zeros(n)  # the dependent coordinates are computed anew: a correction would keep old rounding
     point[bound] = rows[solved, n]
     point_terms = np.zeros(n)

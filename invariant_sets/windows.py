@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from invariant_sets.linear_programs import Ball, largest_ball, maximise_in_box, ray_along
-from invariant_sets.tolerances import CANCELLED, CLOSED, CLOSER, FLAT, LOST, ROUNDING, SETTLED, THIN
+from invariant_sets.tolerances import CANCELLED, CLOSED, CLOSER, FLAT, LOST, ROUNDING, SETTLED, THIN, TINY
 
 Array = np.ndarray
 _HALF = 4.0  # half width of the window, in coordinates in which the set should have half widths of one
@@ -145,7 +145,7 @@ def _window(A: Array, b: Array, terms: Array, centre: Array, basis: Array, unbou
         F[np.abs(F) <= cancelled * sizes] = 0.0
         steep = sizes.max(axis=1, initial=0.0)
         left = np.abs(F).max(axis=1, initial=0.0)
-        parallel = (left == 0.0) | ((left <= cancelled * steep) & (_HALF * np.abs(F).sum(axis=1) <= error))
+        parallel = left <= cancelled * steep
         g = np.where(left < LOST * steep, g + error, g)  # of a row that the hull nearly holds only rounding is left
         if parallel.any():
             if (g[parallel] < -error[parallel] - 100 * cancelled * sizes[parallel].sum(axis=1)).any():
@@ -236,10 +236,11 @@ def half_widths(window: Window) -> Array:
 def hidden_equalities(window: Window) -> Array:
     """Return the numbers in A of independent rows that hold with equality on the whole of a flat set.
 
-    The slack of a row of multiplier λᵢ is at most radius / λᵢ: with the largest ones it is a few times `FLAT`.
+    The slack of a row of multiplier λᵢ is at most radius / λᵢ: with the largest ones it is a few times `FLAT`. Those
+    of the least doubt come first: a row that the hull nearly holds says little of where it goes.
     """
     dual = window.multipliers
-    order = np.argsort(-dual)
+    order = np.argsort(abs(window.ball.radius) / np.maximum(dual, TINY) + window.error)
     kept: list[int] = []
     directions = np.zeros((0, window.F.shape[1]))
     for i in order[dual[order] > 0.05 * dual.max()]:

@@ -1,12 +1,14 @@
-"""Bounds that say almost nothing, as 1e20 for "no limit": states and inputs are cut to what can play a part.
+"""Bounds that say almost nothing, as 1e20 for "no limit": what no trajectory comes near plays no part.
 
 A bound is loose where it lets one step move a coordinate by far more than the states are wide there. In units of such
-bounds nothing else could be seen, so they are replaced by boxes that hold every trajectory of a few steps.
+bounds nothing else could be seen. Those on the states go, and the problem is that without them; those on the inputs
+are replaced by a box that holds the inputs of every trajectory of a few steps.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
@@ -20,7 +22,7 @@ _ROOM = 0.1  # of its width: by how much a box is larger than need be, so that i
 
 def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
                          target: Polytope | None = None) -> tuple[LinearSystem, Polytope, Polytope]:
-    """Return the same problem with X and U cut to what can play a part in reaching a target in one step.
+    """Return the same problem with the rows of X and the inputs that can play a part in reaching a target in one step.
 
     Without a target, in staying in X for nx steps. Where U has to be cut, inputs that move the state alike become one.
     """
@@ -40,34 +42,49 @@ def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
         return system, X, U
     if strong:
         system, U = _independent_inputs(system, U, np.where(goal.half_widths > 0.0, goal.half_widths, 1.0))
-    n = X.dim
     nu = U.dim
-    lifted = _trajectories(system, X, U, X if target is None else target, n if target is None else 1)
+    moves, drift = _moves(system, X.dim if target is None else 1)
+    lifted = _trajectories(moves, drift, X, U, X if target is None else target)
     if lifted.is_empty:
         return system, X, U
-    eye = np.eye(lifted.dim)[:n + nu]
+    eye = np.eye(lifted.dim)[X.dim:X.dim + nu]
     upper = lifted.support(eye)
     lower = -lifted.support(-eye)
     room = _ROOM * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
-    box = Polytope.from_bounds(lower - room, upper + room)
-    return system, _cut(X, box.projection(np.arange(n))), _cut(U, box.projection(np.arange(n, n + nu)))
+    return system, _felt(X, lifted, moves[:-1], drift[:-1]), _cut(U, Polytope.from_bounds(lower - room, upper + room))
 
 
-def _trajectories(system: LinearSystem, X: Polytope, U: Polytope, target: Polytope, steps: int) -> Polytope:
-    """Return all (x, u₀, …) with so many steps in X and the last state in the target, under the mean disturbance."""
+def _moves(system: LinearSystem, steps: int) -> tuple[list[Array], list[Array]]:
+    """Return M and c of the states M (x, u₀, …) + c after 0, 1, … steps under the mean disturbance."""
     n, nu = system.B.shape
-    drift = np.zeros(n) if system.disturbances is None else system.disturbances.mean(axis=0)
-    M = np.hstack([np.eye(n), np.zeros((n, steps * nu))])
-    c = np.zeros(n)
-    lifted = X.preimage(M)
+    mean = np.zeros(n) if system.disturbances is None else system.disturbances.mean(axis=0)
+    moves = [np.hstack([np.eye(n), np.zeros((n, steps * nu))])]
+    drift = [np.zeros(n)]
     for step in range(steps):
-        inputs = np.zeros((nu, n + steps * nu))
-        inputs[:, n + step * nu:n + (step + 1) * nu] = np.eye(nu)
-        M = system.A @ M + system.B @ inputs
-        c = system.A @ c + drift
-        after = X if step < steps - 1 else target
-        lifted = lifted.intersection(U.preimage(inputs)).intersection(after.preimage(M, c))
+        M = system.A @ moves[-1]
+        M[:, n + step * nu:n + (step + 1) * nu] = system.B
+        moves.append(M)
+        drift.append(system.A @ drift[-1] + mean)
+    return moves, drift
+
+
+def _trajectories(moves: list[Array], drift: list[Array], X: Polytope, U: Polytope, target: Polytope) -> Polytope:
+    """Return all (x, u₀, …) with every state in X and the last one in the target."""
+    steps = len(moves) - 1
+    lifted = reduce(Polytope.cartesian_product, [U] * steps, X)
+    for M, c, after in zip(moves[1:], drift[1:], [X] * (steps - 1) + [target]):
+        lifted = lifted.intersection(after.preimage(M, c))
     return lifted
+
+
+def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array]) -> Polytope:
+    """Return X without the rows that no trajectory comes near: without them there are no others, X is convex."""
+    far = np.ones(len(X.b), dtype=bool)
+    for M, c in zip(moves, drift):
+        upper = lifted.support(X.A @ M)
+        lower = -lifted.support(-X.A @ M)
+        far &= X.b - X.A @ c - upper > (upper - lower) / _ROOM
+    return Polytope(X.A[~far], X.b[~far], X.A_eq, X.b_eq)
 
 
 def _independent_inputs(system: LinearSystem, U: Polytope, width: Array) -> tuple[LinearSystem, Polytope]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from sets_without_volume import CASES, wrong_cases
+from sets_without_volume import CASES, verdict, wrong_cases
 
 from invariant_sets import (
     ParametricSet,
@@ -21,6 +21,16 @@ NO_LIMIT = [1e6, 1e11, 1e12, 1e15, 1e19, 1e30, 1e100, 1e200, 1e300, np.inf]
 @pytest.mark.parametrize("name", CASES)
 def test_sets_without_volume_are_those_of_exact_rationals(name):
     assert wrong_cases(name, 25, 11) == []
+
+
+@pytest.mark.parametrize(("name", "k"), [
+    ("(P + Q) - Q = P", 6188), ("(P + Q) - Q = P", 9349), ("(P + Q) - Q = P", 9930),  # rows almost parallel to the hull
+    ("reach of known starts", 2632),
+    ("bounds of 1e6 to 1e300 and inf", 1170), ("bounds of 1e6 to 1e300 and inf", 1311),  # the cut made a needle of X
+    ("bounds of 1e6 to 1e300 and inf", 1745),
+])
+def test_what_was_wrong_once_stays_right(name, k):
+    assert verdict(CASES[name], 1, k) == ""
 
 
 def test_a_set_less_itself_is_the_origin_where_slanted_rows_cancel():
