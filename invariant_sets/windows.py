@@ -158,8 +158,9 @@ def _window(A: Array, b: Array, terms: Array, centre: Array, basis: Array, unbou
     F = F / size[:, None]
     norms = np.sqrt((F * F).sum(axis=1))
     F = F / norms[:, None]
-    g = g / size / norms
-    error = error / size / norms
+    with np.errstate(over="ignore"):  # a bound beyond doubles is none
+        g = g / size / norms
+        error = error / size / norms
     near = (g <= _HALF * np.abs(F).sum(axis=1)).nonzero()[0]
     ball = Ball(1.0, np.zeros(F.shape[1]), np.zeros(len(near)))
     if len(near):

@@ -174,8 +174,8 @@ def _flattened(X: Polytope, widest: Array) -> Polytope:
     gone = upper - lower <= FLAT * widest
     if not gone.any():
         return X
-    eye = np.eye(X.dim)[gone]
-    return X.intersection(Polytope(np.zeros((0, X.dim)), np.zeros(0), eye, eye @ (lower + upper) / 2))
+    middle = lower[gone] / 2 + upper[gone] / 2
+    return X.intersection(Polytope(np.zeros((0, X.dim)), np.zeros(0), np.eye(X.dim)[gone], middle))
 
 
 def _start(problem: LocalProblem, X: Polytope) -> Region:

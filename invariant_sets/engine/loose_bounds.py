@@ -83,7 +83,7 @@ def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array])
     for M, c in zip(moves, drift):
         upper = lifted.support(X.A @ M)
         lower = -lifted.support(-X.A @ M)
-        far &= X.b - X.A @ c - upper > (upper - lower) / _ROOM
+        far &= _ROOM * (X.b - X.A @ c - upper) > upper - lower
     return Polytope(X.A[~far], X.b[~far], X.A_eq, X.b_eq)
 
 

@@ -162,7 +162,7 @@ def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...
     if rank == qp.M.shape[1] or not met:
         names = ", ".join(str(labels[qp.origin[i]]) for i in equalities[:3])
         trouble = "leaves no input free" if met else "cannot be met by the inputs for every parameter"
-        cure = "Lengthen the horizon, or give the set a width."
+        cure = "Lengthen the horizon; give the set a width, and one that is not nothing beside `theta_set`."
         kind = InputError if met else FlatParameters
         raise kind("problem", f"an equality ({names}) that {trouble}", "freedom for the inputs", cure)
     P = Vt[rank:].T

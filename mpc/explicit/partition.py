@@ -25,7 +25,7 @@ class MPQPStatus(Enum):
     TIME_LIMIT = "Stopped at `time_limit`: the partition may have holes. Raise the limit, shorten N or block moves."
     INACCURATE = (
         "In some regions, left out, rounding decides the law. Raise the smallest weights of the cost; leave out rows "
-        "that nearly repeat others."
+        "that nearly repeat others; choose a `theta_set` in which the limits of the inputs are not nothing."
     )
 
     @property

@@ -6,7 +6,7 @@ import pytest
 from plants import double_integrator
 
 from invariant_sets import Polytope
-from mpc import InfeasibleError, LinearMPC, MPQPStatus, Status
+from mpc import InfeasibleError, InputError, LinearMPC, MPQPStatus, Status
 
 
 def integrator(X, **options):
@@ -214,3 +214,13 @@ def test_a_law_on_a_set_beside_which_the_limits_are_rounding_is_not_called_compl
     x = np.array([0.5, 0.2])
     right = law(x) == pytest.approx(controller.solve(x).inputs[0], abs=1e-9)
     assert right or law.status is MPQPStatus.INACCURATE
+
+
+@pytest.mark.parametrize("unlimited", [1e12, 1e15, 1e20])
+def test_a_law_of_states_beside_which_the_inputs_are_nothing_says_what_to_choose(unlimited):
+    mpc = integrator((-unlimited, unlimited))
+    with pytest.raises(InputError, match="one that is not nothing beside `theta_set`"):
+        mpc.explicit()
+    law = mpc.explicit((-2.0, 2.0))
+    assert law.status is MPQPStatus.COMPLETE
+    np.testing.assert_allclose(law([0.3]), mpc([0.3]), atol=1e-9)
