@@ -85,10 +85,10 @@ class Case:
         total = np.zeros(runs)
         for _ in range(STEPS):
             u = np.clip(policy(x), -4, 4)
-            total -= (x**2).sum(axis=1) + R * u[:, 0] ** 2
             x = (x @ self.A.T + np.outer(self.gain * u[:, 0] + self.bias, design * self.B) + self.bend * np.sin(2 * x)
                  + self.std * rng.standard_normal(x.shape))  # fmt: skip
             x = np.clip(x, -1e3, 1e3)
+            total -= (x**2).sum(axis=1) + R * u[:, 0] ** 2
         return total
 
 
@@ -121,6 +121,16 @@ class Outcome:
                 f"{self.margin:.2f} | {'stays' if self.stays else 'rolled back'} | {marks} |")  # fmt: skip
 
 
+class NothingAcceptedError(Exception):
+    """The first deployment left its policy as it was: what follows would tell nothing."""
+
+
+def listen(line: str) -> None:
+    """Give a loop up whose first deployment says that it accepted no update."""
+    if "generation 1 designed" in line and "; 0 of" in line:
+        raise NothingAcceptedError
+
+
 def outcome(seed: int, runs: int) -> Outcome | None:
     """One loop; None where no update was accepted, or no deployment measured one."""
     case = Case.drawn(seed)
@@ -132,7 +142,10 @@ def outcome(seed: int, runs: int) -> Outcome | None:
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "run"
         folder = RunFolder.create(path)
-        Generations(study, config, folder, generations=2, seed=seed, echo=lambda line: None, progress=False).run()
+        try:
+            Generations(study, config, folder, generations=2, seed=seed, echo=listen, progress=False).run()
+        except NothingAcceptedError:
+            return None
         entries = json.loads((path / "results.json").read_text())["generations"]
         delivery = entries[-1]["delivery"]
         updates = {name: pair for name, *pair in changes(path)}.get("updates of generation 1")
