@@ -353,7 +353,16 @@ def no_limit_case(rng: np.random.Generator) -> str:
         return "" if plain.equals(result, 1e-9) and plain.volume == result.volume else f"{name}: another set"
     if not (plain.set.is_bounded and plain.outer.is_bounded):  # the bound is what ends the set
         fine = result.set.is_empty == plain.set.is_empty and (result.certificate.holds or result.set.is_empty)
-        return "" if fine or plain.status.name != "CONVERGED" else f"{name}: {result.status.name} where it has no end"
+        if plain.status.name == "CONVERGED" and not fine:
+            return f"{name}: {result.status.name} where it has no end"
+        smaller = np.where(which, 1e4 * units, 0.0)  # a bound that is far away, and ends the set all the same
+        near = call((np.where(which, -smaller, lower), np.where(which, smaller, upper)),
+                    inputs[1] if np.isfinite(inputs[0][1]).all() else (-1e4 * u, 1e4 * u))
+        if name == "reachable" or near.status.name != "CONVERGED" or result.status.name != "CONVERGED":
+            return ""
+        window = Polytope.from_bounds(-9 * units, 9 * units)
+        same = near.set.intersection(window).equals(result.set.intersection(window), 1e-6)
+        return "" if same else f"{name}: another set near the origin"
     if plain.status is not result.status or plain.certificate.holds is not result.certificate.holds:
         return f"{name}: {result.status.name} for {plain.status.name}"
     fine = plain.status.name != "CONVERGED" or plain.set.equals(result.set, 1e-6)  # else where it stopped is no set

@@ -144,8 +144,8 @@ def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
     touched = [(V[kept[i:i + step]] @ F.T >= g - TOUCHING) @ products for i in range(0, len(kept), step)]
     sharp = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(kept), n, n))[:, 0] > NULL_SPACE
     for i in kept if tol > SAME else kept[~sharp]:
-        others = kept[kept != i]
-        if nnls(np.vstack([(V[others] - V[i]).T, np.ones(len(others))]), np.eye(n + 1)[-1])[1] <= tol:
+        others = kept[kept != i]  # SciPy 1.17 frees twice what it never had where there are none
+        if len(others) and nnls(np.vstack([(V[others] - V[i]).T, np.ones(len(others))]), np.eye(n + 1)[-1])[1] <= tol:
             kept = others
     return kept
 

@@ -73,7 +73,8 @@ class Body:
         if (support(shape, across) > FLAT * (np.abs(across) @ (self.half_widths + Q.half_widths))
                 + ROUNDING * (np.abs(across) @ (self.terms + Q.terms))).any():
             return None
-        reach = support(shape, self.F @ self.inverse)
+        slope = self.F @ self.inverse
+        reach = support(shape, slope)
         if np.isinf(reach).any():
             return None
         if not self.bounded:
@@ -84,7 +85,8 @@ class Body:
         left = self
         if len(self.free):
             none = np.zeros((0, len(self.free)))
-            found = body_of(Stated(self.F, self.g - reach, none, none[:, 0], self.sizes + reach, none[:, 0]))
+            sizes = self.sizes + reach + GIVEN / ROUNDING * (np.abs(slope) @ (self.terms + Q.terms))
+            found = body_of(Stated(self.F, self.g - reach, none, none[:, 0], sizes, none[:, 0]))
             if found is None:
                 return None
             left = self.part(found)

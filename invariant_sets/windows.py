@@ -145,7 +145,7 @@ def _window(A: Array, b: Array, terms: Array, centre: Array, basis: Array, unbou
         F[np.abs(F) <= cancelled * sizes] = 0.0
         steep = sizes.max(axis=1, initial=0.0)
         left = np.abs(F).max(axis=1, initial=0.0)
-        parallel = left <= cancelled * steep
+        parallel = (left == 0.0) | ((left <= cancelled * steep) & (_HALF * np.abs(F).sum(axis=1) <= error))
         g = np.where(left < LOST * steep, g + error, g)  # of a row that the hull nearly holds only rounding is left
         if parallel.any():
             if (g[parallel] < -error[parallel] - 100 * cancelled * sizes[parallel].sum(axis=1)).any():

@@ -13,8 +13,10 @@ from functools import reduce
 import numpy as np
 
 from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.engine.unstable_modes import unstable_bounds
+from invariant_sets.exceptions import NumericalError
 from invariant_sets.polytope import Polytope
-from invariant_sets.tolerances import FLAT, LOOSE
+from invariant_sets.tolerances import FLAT, LOOSE, UNSTABLE
 
 Array = np.ndarray
 _ROOM = 0.1  # of its width: by how much a box is larger than need be, so that its sides touch nothing
@@ -24,8 +26,19 @@ def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
                          target: Polytope | None = None) -> tuple[LinearSystem, Polytope, Polytope]:
     """Return the same problem with the rows of X and the inputs that can play a part in reaching a target in one step.
 
-    Without a target, in staying in X for nx steps. Where U has to be cut, inputs that move the state alike become one.
+    Without a target, in staying in X for ever. Where U has to be cut, inputs that move the state alike become one.
     """
+    system, X, U = _within_reach(system, X, U, target)
+    if target is None:
+        held = _within_unstable_modes(system, X, U)
+        if held is not X:
+            return _within_reach(system, held, U, None)
+    return system, X, U
+
+
+def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
+                  target: Polytope | None) -> tuple[LinearSystem, Polytope, Polytope]:
+    """Return the problem with what is felt in one step to a target, or in nx steps in X without one."""
     states = X._body
     inputs = U._body
     goal = states if target is None else target._body
@@ -54,6 +67,34 @@ def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
     return system, _felt(X, lifted, moves[:-1], drift[:-1]), _cut(U, Polytope.from_bounds(lower - room, upper + room))
 
 
+def _within_unstable_modes(system: LinearSystem, X: Polytope, U: Polytope) -> Polytope:
+    """Return X cut to where bounded inputs can hold the unstable modes, along those that it lets go much further.
+
+    Raises
+    ------
+    NumericalError
+        The rest is so thin beside X that nothing could be said of it.
+    """
+    from scipy.linalg import matrix_balance
+
+    A, (units, _) = matrix_balance(system.A, permute=False, separate=True)
+    if X.is_empty or not U.is_bounded or np.abs(np.linalg.eigvals(A)).max() <= 1 + UNSTABLE:
+        return X
+    moves = U.vertices @ system.B.T / units
+    size = np.abs(moves).max() or 1.0
+    disturbances = None if system.disturbances is None else system.disturbances / units / size
+    D, d, group = unstable_bounds(A, moves / size, disturbances)
+    D = D / units / size
+    room, width = (ends[:len(d) // 2] + ends[len(d) // 2:] for ends in (X.support(D), d))
+    loose = (width > 0.0) & (room > LOOSE * width) & ~np.isin(group[:len(width)], group[np.tile(np.isinf(room), 2)])
+    if not loose.any():
+        return X
+    cut = X.intersection(Polytope(D[np.tile(loose, 2)], d[np.tile(loose, 2)]))
+    if not cut.is_empty and cut.affine_dim < X.affine_dim:
+        raise NumericalError("X", X.A.shape, "what inputs can hold of its unstable modes is nothing beside the others")
+    return cut
+
+
 def _moves(system: LinearSystem, steps: int) -> tuple[list[Array], list[Array]]:
     """Return M and c of the states M (x, u₀, …) + c after 0, 1, … steps under the mean disturbance."""
     n, nu = system.B.shape
@@ -78,8 +119,13 @@ def _trajectories(moves: list[Array], drift: list[Array], X: Polytope, U: Polyto
 
 
 def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array]) -> Polytope:
-    """Return X without the rows that no trajectory comes near: without them there are no others, X is convex."""
-    far = np.ones(len(X.b), dtype=bool)
+    """Return X without the rows that no trajectory comes near: without them there are no others, X is convex.
+
+    Of a coordinate in which the trajectories have no width nothing is left that could be far away.
+    """
+    body = lifted._body
+    assert body is not None
+    far = np.abs(X.A) @ body.half_widths[:X.dim] > 0.0
     for M, c in zip(moves, drift):
         upper = lifted.support(X.A @ M)
         lower = -lifted.support(-X.A @ M)
