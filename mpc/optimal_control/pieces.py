@@ -94,13 +94,14 @@ def path_piece(functions: PhaseFunctions, clock: Clock, layout: Layout, paramete
     return piece_function(values, _scalar(functions.path), sizes, layout.nw)
 
 
-def link_piece(link: ca.Function | None, before: int, after: int, parameters: int) -> ca.Function:
-    """What the state that a phase begins with differs by from that of the phase before."""
+def link_piece(link: ca.Function | None, clock: Clock, before: int, after: int, parameters: int) -> ca.Function:
+    """What the state that a phase begins with differs by from that of the phase before; `clock` is the phase's own."""
 
-    def values(end: Any, begin: Any, p: Any, data: Any) -> list[Any]:
-        return [(end if link is None else link(end, p)) - begin]
+    def values(end: Any, begin: Any, p: Any, free: Any, data: Any) -> list[Any]:
+        return [(end if link is None else link(end, p, clock.times(free)[0])) - begin]
 
-    return piece_function(values, _scalar(link), {"end": before, "begin": after, "p": parameters}, 0)
+    sizes = {"end": before, "begin": after, "p": parameters, "free": len(clock.free)}
+    return piece_function(values, _scalar(link), sizes, 0)
 
 
 def parameter_piece(functions: tuple[ca.Function | None, ca.Function | None], parameters: int) -> ca.Function:

@@ -36,8 +36,9 @@ class OptimalControlProblem:
         g(p) ≤ 0.
     linked : bool
         Whether each phase begins where and when the one before it ends; if not they are scenarios.
-    link : function of x, p, optional
-        The state that a phase begins with, of the one that the phase before ended with; the same by default.
+    link : function of x, p, t, or a list of them, optional
+        The state that a phase begins with, of the one that the phase before ended with, and when; the same by default.
+        A list has one for each phase but the first; None in it is the default.
     weights : sequence of float, optional
         Of the costs of the phases; 1 each by default when linked, else equal parts of 1.
     risk : "sum", "worst" or "spread"
@@ -61,7 +62,7 @@ class OptimalControlProblem:
     p_cost: Statement | None = None
     p_constraints: Statement | None = None
     linked: bool = True
-    link: Statement | None = None
+    link: Any = None
     weights: Any = None
     risk: str = "sum"
     spread: float = 1.0
@@ -96,13 +97,17 @@ class OptimalControlProblem:
             raise InputError("spread", brief(repr(self.spread)), "a number ≥ 0")
         set_(self, "spread", float(spread))
         sizes = [phase.states for phase in self.phases]
-        if self.linked and self.link is None and len(set(sizes)) > 1:
+        links = list(self.link) if isinstance(self.link, list | tuple) else [self.link] * (count - 1)
+        if any(link is not None for link in links) and not self.linked:
+            raise InputError("link", "a function, with linked=False", "none: scenarios run side by side")
+        if len(links) != count - 1:
+            raise InputError("link", f"{len(links)} functions for {count} phases", "one for each phase but the first")
+        set_(self, "link", tuple(links))
+        if self.linked and any(link is None and a != b for link, a, b in zip(links, sizes, sizes[1:])):
             raise InputError(
                 "link", f"phases of {sizes} states", "a link function from one phase's end to the next start"
             )
-        if self.link is not None and not self.linked:
-            raise InputError("link", "a function, with linked=False", "none: scenarios run side by side")
-        _ = self.functions, [self.link_function(k) for k in range(count - 1 if self.link is not None else 0)]
+        _ = self.functions, self.link_functions
         constraints = self.of_parameters[1]
         set_(self, "p_names", as_names("p_names", self.p_names, "p", self.parameters))
         rows = 0 if constraints is None else constraints.numel_out(0)
@@ -146,10 +151,14 @@ class OptimalControlProblem:
         cost = None if self.p_cost is None else compiled("p_cost", self.p_cost, sizes, 1)
         return cost, None if self.p_constraints is None else compiled("p_constraints", self.p_constraints, sizes)
 
-    def link_function(self, k: int) -> ca.Function:
-        """(x, p) → the state that phase k + 1 begins with."""
-        before, after = self.phases[k].states, self.phases[k + 1].states
-        return compiled("link", self.link, {"x": before, "p": self.parameters}, after)
+    @cached_property
+    def link_functions(self) -> tuple[ca.Function | None, ...]:
+        """(x, p, t) → the state that each phase but the first begins with; None for that of the phase before."""
+        pairs = zip(self.link, self.phases, self.phases[1:])
+        return tuple(
+            None if link is None else compiled("link", link, {"x": a.states, "p": self.parameters, "t": 1}, b.states)
+            for link, a, b in pairs
+        )
 
 
 def _on_one_clock(phases: Sequence[Phase]) -> tuple[Phase, ...]:

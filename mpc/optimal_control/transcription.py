@@ -87,7 +87,7 @@ class _Builder:
             )  # fmt: skip
             parts.append(phase_equations(into, to_come))
             if k and problem.linked:
-                self._link(k, parts[-2], parts[-1])
+                self._link(k, self._clock(k, durations), parts[-2], parts[-1])
         self._of_parameters()
         return into.program(problem, tuple(parts), parameters, costs)
 
@@ -126,15 +126,17 @@ class _Builder:
         free = [durations[i] for i in (*before, k) if durations[i] >= 0]
         return Clock(start + given, phases[k].duration[0], np.array(free, dtype=int), durations[k] >= 0)
 
-    def _link(self, k: int, before: PhasePart, after: PhasePart) -> None:
+    def _link(self, k: int, clock: Clock, before: PhasePart, after: PhasePart) -> None:
         """Append that a phase begins where the one before it ends."""
-        link = None if self.problem.link is None else self.problem.link_function(k - 1)
+        link = self.problem.link_functions[k - 1]
         end, begin = before.layout.nx, after.layout.nx
         size = self.into.scale[k][:begin]
         named = [f"link of {name}" for name in self.problem.phases[k].state_names]
         rows = self.into.rows("link", k, named, 1, 0.0, 0.0, size, 0.0)
-        at = np.concatenate([before.last - before.layout.node + np.arange(end), after.first + np.arange(begin), self.p])
-        function = link_piece(link, end, begin, self.problem.parameters)
+        at = np.concatenate([
+            before.last - before.layout.node + np.arange(end), after.first + np.arange(begin), self.p, clock.free,
+        ])  # fmt: skip
+        function = link_piece(link, clock, end, begin, self.problem.parameters)
         self.into.piece(function, at[:, None], 1 + np.arange(rows.start, rows.stop)[:, None], np.ones(begin))
 
     def _of_parameters(self) -> None:

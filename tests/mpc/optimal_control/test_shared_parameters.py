@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, minimize, minimize_scalar
 
+from mpc import InputError
 from mpc.optimal_control import MultipleShooting, OptimalControlProblem, Phase, Radau, build, refine, solve
 
 
@@ -122,6 +123,30 @@ def test_mean_and_spread_of_scenarios_are_made_least(spread, unit):
     held = solve(together.program, p=[20.0], tolerance=1e-10)
     assert held.cost == pytest.approx(measure(20.0), rel=1e-7)
     assert held.p_gradient[0] == pytest.approx((measure(20.1) - measure(19.9)) / 0.2, rel=1e-3)
+
+
+def moved(**options):
+    """One state that goes where it is pushed, at the least ∫u²."""
+    return Phase(dynamics=lambda u: u, states=1, inputs=1, stage_cost=lambda u: u**2, **options)
+
+
+def test_every_joint_has_a_link_of_its_own_that_knows_the_time():
+    phases = [moved(start=0, duration=1.0), moved(duration=1.0), moved(end=5, duration=1.0)]
+    found = solve(build(OptimalControlProblem(phases, link=[lambda x: 2 * x, lambda x, t: x + t]), Radau(3), 4))
+    assert found.solved
+    assert found.cost == pytest.approx((5 - 2) ** 2 / 6, rel=1e-9)  # least a² + b² + c² with 2 a + b + 2 + c = 5
+    phases = [moved(start=0, duration=(0.5, 3.0)), moved(end=5, duration=1.0)]
+    found = solve(build(OptimalControlProblem(phases, link=lambda x, t: x + t), Radau(3), 4))
+    assert found.cost == pytest.approx(1.0, rel=1e-6)  # least a² / 3 + (5 − a − 3)²
+
+
+def test_links_that_do_not_fit_the_phases_are_refused():
+    phases = [moved(start=0, duration=1.0), moved(end=5, duration=1.0)]
+    with pytest.raises(InputError, match="link: got 2 functions for 2 phases"):
+        OptimalControlProblem(phases, link=[None, None])
+    with pytest.raises(InputError, match="link: got a function, with linked=False"):
+        OptimalControlProblem(phases, link=[lambda x: x], linked=False)
+    assert replace(OptimalControlProblem(phases), linked=False).link == (None,)
 
 
 def test_two_linked_phases_are_one_cut_in_two():
