@@ -8,7 +8,7 @@ import numpy as np
 
 from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.design_space import sample_designs
+from ccdtools.plants.design_space import DesignSpace, sample_designs
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.sampled_model import SampledModel
 
@@ -16,6 +16,37 @@ Model: TypeAlias = LinearModel | SampledModel
 
 AT_REST = 1e-9  # of the states that one column of the model makes of an input or state of size one
 DEVIATIONS = "State it about its equilibrium: discretise(deviations(plant, equilibrium(plant, p)))."
+
+
+class PlantOfModel:
+    """A plant to simulate whose sizes, sampling time and designs are those of its `model`."""
+
+    model: Model
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return self.model.nx
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return self.model.nu
+
+    @property
+    def nw(self) -> int:
+        """Number of disturbances."""
+        return self.model.nw
+
+    @property
+    def dt(self) -> float:
+        """Sampling time [s]."""
+        return self.model.dt
+
+    @property
+    def design(self) -> DesignSpace | None:
+        """The box of designs."""
+        return self.model.design
 
 
 def as_model(argument: str, value: Any) -> Model:

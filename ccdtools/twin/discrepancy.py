@@ -13,8 +13,7 @@ from torch import Tensor
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_choice, as_flag, as_instance, as_weight
 from ccdtools.exceptions import InputError
-from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.models import Model, as_model
+from ccdtools.plants.models import Model, PlantOfModel, as_model
 from ccdtools.twin.residuals import Residuals, stacked
 from ccdtools.twin.transport import Transport
 from learning.copula import InnovationCopula
@@ -161,7 +160,7 @@ class Discrepancy(Immutable):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TwinPlant(Immutable):
+class TwinPlant(Immutable, PlantOfModel):
     """The updated model as a plant to simulate: x⁺ = f(x, u, 0, p) + e⁺, with e⁺ from a discrepancy.
 
     f is the model's own step, A(p) x + B(p) u + c(p) of a linear one.
@@ -191,29 +190,9 @@ class TwinPlant(Immutable):
         return f"TwinPlant({self.model!r}, {self.discrepancy!r})"
 
     @property
-    def nx(self) -> int:
-        """Number of states."""
-        return self.model.nx
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return self.model.nu
-
-    @property
     def nw(self) -> int:
         """Number of disturbances, one per state."""
         return self.model.nx
-
-    @property
-    def dt(self) -> float:
-        """Sampling time [s]."""
-        return self.model.dt
-
-    @property
-    def design(self) -> DesignSpace | None:
-        """The box of designs."""
-        return self.model.design
 
     def stepper(self, p: Array, *, batch: int) -> TwinStepper:
         """(x, u, w) → x⁺ at design `p` (np,), from e₀ = 0 or the error given, remembering e."""

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.models import Model
+from ccdtools.plants.models import Model, PlantOfModel
 from ccdtools.twin.residuals import Residuals, stacked
 from ccdtools.twin.transport import ErrorSplit, Transport, carried
 from learning.quantile import QuantileConfig, QuantileNetwork, fit_quantiles
@@ -18,7 +17,7 @@ FEWEST = 20  # samples that a median can be fitted to
 
 
 @dataclass(frozen=True, eq=False)
-class UpdatedPlant:
+class UpdatedPlant(PlantOfModel):
     """The updated model: x⁺ = f(x, u, ŵ, p) + T(p) g(x, u) + ρ, driven by (ŵ, ρ).
 
     Logged errors hold E(p) w, and a model fitted in closed loop can mistake a coloured disturbance for a consequence of
@@ -83,31 +82,6 @@ class UpdatedPlant:
         nw = w.shape[-1]
         logged = [self.split.disturbances(log)[..., :nw].reshape(-1, nw) for log in self.unexplained(logs)]
         return np.concatenate([w + np.concatenate(logged).mean(axis=0), np.zeros((*w.shape[:2], self.nx))], axis=-1)
-
-    @property
-    def nx(self) -> int:
-        """Number of states."""
-        return self.model.nx
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return self.model.nu
-
-    @property
-    def nw(self) -> int:
-        """Number of disturbances and of errors."""
-        return self.model.nw
-
-    @property
-    def dt(self) -> float:
-        """Sampling time [s]."""
-        return self.model.dt
-
-    @property
-    def design(self) -> DesignSpace | None:
-        """The box of designs."""
-        return self.model.design
 
     def stepper(self, p: Array, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x, u, (ŵ, ρ)) → x⁺ at design `p` (np,)."""
