@@ -41,8 +41,9 @@ def sensitivity_of(
                 return _at_optimum(plan, step)
             if not size <= last:
                 break
-            last = size
-            point = step.after()
+            after = step.after()
+            last = size if (after.acting == point.acting).all() else NEAR_OPTIMUM  # other rows, other steps
+            point = after
     return conditions.none(plan, SensitivityStatus.UNSOLVED)
 
 
@@ -128,7 +129,7 @@ class IdleRows:
         pushing = worth > WEAKLY_ACTIVE
         room = np.where(pushing, worth, -linear.values / linear.units)
         counts = pushing | (linear.own & ~(point.acting | idle))
-        counts &= np.array([label.kind != "slack" for label in linear.labels], dtype=bool) | pushing
+        counts &= np.array([label.kind != "slack" for label in linear.labels], dtype=bool) | pushing | ~linear.on_bound
         if (idle & ~point.acting).any() and not counts.any():
             return 0.0
         return float(np.maximum(room[counts], 0.0).min(initial=np.inf))
@@ -167,10 +168,7 @@ class NewtonStep:
 
     @classmethod
     def of(cls, linear: Linearised, point: Point) -> NewtonStep | None:
-        """The step at a point; None at a saddle.
-
-        The acting rows are independent: of dependent ones a basic solution has multipliers on a part only.
-        """
+        """The step at a point; None at a saddle, or where acting rows depend on each other."""
         at, nt = linear.conditions.columns, linear.conditions.nt
         acting = np.flatnonzero(point.acting)
         d = linear.scale
@@ -184,6 +182,8 @@ class NewtonStep:
         right = -np.column_stack([linear.F, residual]) * d[:, None]
         missed = rows[:, at["gap"]].ravel() + linear.values[acting]
         at_rows = -np.column_stack([rows[:, :nt], missed]) / length[:, None]
+        if len(G) and (len(G) > len(d) or np.linalg.svd(G, compute_uv=False)[-1] <= INDEPENDENT):
+            return None
         first = np.linalg.lstsq(G, at_rows, rcond=None)[0] if len(G) else np.zeros_like(right)
         Z = null_directions(G)
         if Z.shape[1]:
@@ -225,6 +225,28 @@ class NewtonStep:
         move = self.moves[:, -1]
         values = linear.values + linear.rows[:, at["gap"]].ravel() + linear.rows[:, linear.free] @ move
         passed = (values > WEAKLY_ACTIVE * linear.units) & ~point.acting & linear.own
-        acting = linear.acting(multipliers) | passed
+        acting = linear.acting(multipliers)
+        enter(linear.rows[:, linear.free] * linear.scale, multipliers, acting, passed)
         slacks = point.slacks + move[at["z"].stop - at["z"].start :]
         return Point(point.inputs + inputs, point.states + states, slacks, np.where(acting, multipliers, 0.0), acting)
+
+
+def enter(rows: Array, multipliers: Array, acting: Mask, passed: Mask) -> None:
+    """Let passed rows act, in place: one that is a sum of acting rows takes the place of the first that would pull.
+
+    That is the ratio test of the dual simplex method (Lemke, Naval Research Logistics Quarterly 1, 1954): the slope
+    stays balanced, the multipliers stay >= 0 and the acting rows independent.
+    """
+    for i in np.flatnonzero(passed):
+        kept = np.flatnonzero(acting)
+        parts = np.linalg.lstsq(rows[kept].T, rows[i], rcond=None)[0]
+        length = INDEPENDENT * np.linalg.norm(rows[i])
+        if np.linalg.norm(rows[i] - parts @ rows[kept]) <= length:
+            giving = parts * np.linalg.norm(rows[kept], axis=1) > length
+            shares = multipliers[kept[giving]] / parts[giving]
+            if not len(shares):  # the rows contradict each other
+                continue
+            multipliers[kept] -= shares.min() * parts
+            multipliers[i] = shares.min()
+            acting[kept[giving][shares.argmin()]] = False
+        acting[i] = True

@@ -1,15 +1,19 @@
 """The generated C: compiles without a warning, and computes what the Python law computes."""
 
 import ctypes
+import re
 import shutil
 import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_mpc import integrator, scaled_suspension
 from plants import box, double_integrator, suspension
 from random_problems import random_plant
 
+from invariant_sets import Polytope
 from mpc import InputError, LinearMPC
 
 CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
@@ -97,10 +101,48 @@ def test_compiles_with_strict_conversions(explicit_laws, tmp_path):
 
 
 @needs_compiler
-def test_a_state_that_is_not_finite_is_reported_and_gives_zero(explicit_laws, tmp_path):
-    explicit_laws[0].to_c(tmp_path)
-    out = run_c(tmp_path, np.array([[np.nan, 0.0], [np.inf, 1.0], [0.0, 0.0]]), "double").reshape(3, 2)
-    np.testing.assert_array_equal(out, [[0, 2], [0, 2], [0, 0]])
+@pytest.mark.parametrize("scalar", ["double", "float"])
+@pytest.mark.parametrize(
+    ("U", "nearest"),
+    [
+        (box([1.0, 2.0]), [0.0, 0.0]),
+        (([0.2, -1.0], [1.0, -0.5]), [0.2, -0.5]),
+        (Polytope([[-1, -1], [1, 0], [0, 1], [-1, 0], [0, -1]], [-1, 1, 1, 1, 1]), [0.5, 0.5]),
+    ],
+    ids=["around zero", "box away from zero", "no box"],
+)
+def test_a_state_that_is_not_finite_is_reported_and_gives_the_input_nearest_to_zero(U, nearest, scalar, tmp_path):
+    A, _ = double_integrator()
+    law = LinearMPC(A, np.eye(2), Q=np.eye(2), R=0.1, horizon=2, X=(-5, 5), U=U).explicit()
+    law.to_c(tmp_path, scalar=scalar)
+    out = run_c(tmp_path, np.array([[np.nan, 0.0], [np.inf, 1.0], [0.0, -np.inf]]), scalar)
+    np.testing.assert_allclose(out.reshape(3, 3), [[*nearest, 2]] * 3, atol=1e-7)
+
+
+@needs_compiler
+def test_the_input_stays_within_its_limits_a_little_beyond_the_border(explicit_laws, tmp_path):
+    # in single precision the last 1e-5 beyond the border count as inside, and this law has gains of 260
+    law = explicit_laws[3]
+    law.to_c(tmp_path, scalar="float")
+    p, border = law.partition, law.tree.border
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=(5000, law.nt))
+    share = (border[:, -1] - border[:, :-1] @ law.tree.centre) / np.maximum(ways @ border[:, :-1].T, 1e-300)
+    points = law.tree.centre + ways * (share.min(axis=1, where=share > 0, initial=np.inf) * (1 + 3e-6))[:, None]
+    out = run_c(tmp_path, p.centre + p.half * points, "float").reshape(-1, law.nu + 1)
+    assert np.mean(out[:, -1] == 0) > 0.2
+    assert np.abs(out[:, :-1]).max() <= np.abs(law.input_rows[1]).max()
+
+
+@pytest.mark.quick(2)
+def test_laws_cost_no_more_than_the_documents_say(tmp_path):
+    table = (Path(__file__).parents[2] / "docs" / "mpc.md").read_text(encoding="utf-8")
+    for controller in (integrator(20, 0.1), scaled_suspension(8), random_plant(4)):
+        report = controller.explicit().to_c(tmp_path)
+        stated = re.search(rf"{report.regions} regions, .*: (\d+) bytes .* (\d+) multiply-adds and (\d+) comp", table)
+        assert stated, report
+        for stated_cost, cost in zip(stated.groups(), (report.flash_bytes, report.operations, report.comparisons)):
+            assert int(stated_cost) / 1.1 <= cost <= 1.1 * int(stated_cost)
 
 
 @needs_compiler

@@ -262,6 +262,44 @@ def test_at_the_corners_of_a_law_rates_are_its_gains_or_none(kind):
     assert found["right"] > 20
 
 
+@pytest.mark.parametrize(
+    ("A", "B", "horizon", "soft", "signals", "ends", "shares"),
+    [
+        ([[-0.02, 0.34, -0.09], [-0.15, -1.08, -0.85], [0.71, 0.68, -0.19]], [0.63, -0.97, 1.79], 2, 5.0,
+         {"u_prev": [0.48]}, ([-1.45, 0.58, -0.19], [-1.41, 1.0, 0.27]), (0.5085147094726689, 0.508514709472669)),
+        ([[-0.46, -0.01, -0.76], [0.38, 0.69, 0.34], [-1.0, -1.39, 0.53]], [-0.38, 0.54, -0.25], 2, 0.5,
+         {}, ([0.54, 0.68, 0.12], [0.38, 1.0, -0.18]), (0.5262477759830275, 0.5262477759830276)),
+        ([[-0.01, -0.47, -0.23], [0.52, 0.09, -0.47], [-0.2, -0.07, 0.69]], [0.42, 1.04, 2.36], 4, 5.0,
+         {"u_prev": [-0.07]}, ([0.68, 0.12, -0.67], [0.74, 0.08, -0.89]), (0.48644196830534187, 0.4864419683053419)),
+    ],
+    ids=["input held by its rate", "soft limits alone", "four steps"],
+)  # fmt: skip
+def test_more_limits_met_than_the_plan_has_inputs_give_no_wrong_rates(A, B, horizon, soft, signals, ends, shares):
+    limits = {"X": (-0.5, 0.5), "U": (-0.5, 0.5), "soft": (soft, 20.0)} | ({"rate_limit": 0.2} if signals else {})
+    controller = LinearMPC(A, np.reshape(B, (-1, 1)), Q=1.0, R=0.1, horizon=horizon, **limits)
+    first, last = np.array(ends)
+    for share in (*shares, shares[0] - 1e-3, shares[0] + 1e-3):
+        x = first + share * (last - first)
+        found = controller.sensitivity(x, **signals)
+        ahead = controller.solve(x + 1e-4 * (last - first), **signals)
+        rates = found.along(last - first)
+        if share in shares and found.status is SensitivityStatus.DEPENDENT:
+            assert np.isnan(rates.inputs).all()
+        else:
+            assert rates.inputs == pytest.approx((ahead.inputs - found.plan.inputs) * 1e4, abs=1e-3)
+
+
+@pytest.mark.parametrize("beyond", [1e-3, 1e-2])
+def test_margin_sees_a_violation_that_is_about_to_end(beyond):
+    # the inputs are held at their limits: only the slope of the cost jumps where the speed is within its limit again
+    controller = LinearMPC([[1.0]], [[0.1]], Q=1.0, R=0.1, horizon=1, U=(-0.5, 0.5), X=(-1.0, 1.0), soft=(5.0, 20.0))
+    found = controller.sensitivity([1.05 + beyond])
+    assert found.smooth
+    assert beyond / 10 < found.margin <= beyond * (1 + 1e-6)
+    inside = controller.sensitivity([1.05 - beyond])
+    assert abs(found.cost_by_state[0] - inside.cost_by_state[0]) > 5
+
+
 def test_a_constraint_stated_twice_changes_nothing():
     box = ([-0.05, -0.05], [0.05, 0.05])
     statement = STATEMENT | {"U": (-3, 3)}

@@ -18,7 +18,7 @@ typedef @scalar@ @name@_real;
 
 /* Write the input that belongs to theta into u.
    Returns 0; 1 where theta is outside the partition (u: @outside@);
-   2 where theta is not finite (u: zero). */
+   2 where theta is not finite (u: the input nearest to zero). */
 int @name@_law(const @name@_real theta[@NAME@_NT], @name@_real u[@NAME@_NU]);
 
 #endif
@@ -42,6 +42,7 @@ typedef @name@_real real;
 @law@
 static const real lowest[NU] = @low@;
 static const real highest[NU] = @high@;
+static const real nearest[NU] = @nearest@; /* to zero, of all inputs */
 
 /* a'theta - b of a hyperplane [a, b] */
 static real distance(const real plane[NT + 1], const real theta[NT])
@@ -64,7 +65,7 @@ int @name@_law(const real theta[NT], real u[NU])
     for (j = 0; j < NT; j++) {
         if (!(theta[j] >= -@largest@ && theta[j] <= @largest@)) {
             for (i = 0; i < NU; i++) {
-                u[i] = 0;
+                u[i] = nearest[i];
             }
             return 2;
         }
@@ -74,10 +75,10 @@ int @name@_law(const real theta[NT], real u[NU])
     k = find_law(point, &outside);
     for (i = 0; i < NU; i++) {
         u[i] = apply(k, i, point);
-        if (outside && !(u[i] <= highest[i])) {
+        if (!(u[i] <= highest[i])) {
             u[i] = highest[i];
         }
-        if (outside && !(u[i] >= lowest[i])) {
+        if (!(u[i] >= lowest[i])) {
             u[i] = lowest[i];
         }
     }

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mpc.checks import Array
+from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.explicit.codegen import c_source as c
 from mpc.explicit.codegen.c_source import real, table
@@ -57,9 +58,10 @@ def write_c(
 ) -> CodeReport:
     """Write `folder`/`name`.h and `name`.c, which define `int name_law(const name_real theta[], name_real u[])`.
 
-    The function returns 0; 1 where theta lies outside the partition; 2 where it is not finite (u is zero). Outside, u
-    is what `ExplicitMPC.evaluate` gives, by either method: the input where the straight line to an inner point enters
-    the partition; for an incomplete partition the law of the nearest region, saturated where the input set is a box.
+    The function returns 0; 1 where theta lies outside the partition; 2 where it is not finite (u is the input nearest
+    to zero). u never leaves an input set that is a box. Outside, u is what `ExplicitMPC.evaluate` gives, by either
+    method: the input where the straight line to an inner point enters the partition; for an incomplete partition the
+    law of the nearest region, saturated where the input set is a box.
     Gains and hyperplanes that occur more than once, up to sign for the hyperplanes, are stored once.
 
     Parameters
@@ -99,13 +101,14 @@ def write_c(
     law_text, numbers = _law_tables(law, scalar)
     count = int(law.law_number.max()) + 1
     search = _tree(law, scalar) if method == "tree" else _scan(law, scalar)
-    low, high = _box(law)
+    low, high, nearest = _inputs(law)
     fields = {
         "name": name, "NAME": name.upper(), "scalar": scalar, "nt": law.nt, "nu": law.nu,
         "border": _border(law, scalar), "regions": search.regions, "body": search.body,
         "law": law_text, "summary": f"{len(law)} regions, {count} laws, {method} search",
-        "low": table(low, scalar), "high": table(high, scalar), "large": real(_LARGE, scalar),
-        "largest": _LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar), "far": real(FAR_AWAY, scalar),
+        "low": table(low, scalar), "high": table(high, scalar), "nearest": table(nearest, scalar),
+        "large": real(_LARGE, scalar), "largest": _LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar),
+        "far": real(FAR_AWAY, scalar),
         "outside": "the input where the straight line to an inner point enters it" if complete
         else "the law of the nearest region, saturated",
     }  # fmt: skip
@@ -117,7 +120,7 @@ def write_c(
     except OSError as error:
         raise InputError("folder", f"{str(folder)!r} ({error.strerror})", "a folder that can be written to") from error
     border = len(law.tree.border)
-    numbers += 2 * law.nu + search.numbers + (border * (law.nt + 2) + 2 * law.nt if border else 0)
+    numbers += 3 * law.nu + search.numbers + (border * (law.nt + 2) + 2 * law.nt if border else 0)
     rows = 2 * border + search.rows
     operations = law.nt * rows + law.nu * law.nt * (1 if scalar == "double" else _COMPENSATED)
     flash = _BYTES[scalar] * numbers + search.index_bytes
@@ -273,10 +276,14 @@ def _unscaled(law: PiecewiseLaw, planes: Array) -> Array:
     return np.hstack([a, (planes[:, -1] + a @ p.centre)[:, None]])
 
 
-def _box(law: PiecewiseLaw) -> tuple[Array, Array]:
-    """Bounds of the inputs where the input set is a box, a very large number elsewhere."""
-    low, high = box_of(*law.input_rows) or (np.full(law.nu, -np.inf), np.full(law.nu, np.inf))
-    return np.maximum(low, -1e37), np.minimum(high, 1e37)
+def _inputs(law: PiecewiseLaw) -> tuple[Array, Array, Array]:
+    """Bounds of the inputs where the input set is a box, a very large number elsewhere; the input nearest to zero."""
+    H, h = law.input_rows
+    low, high = box_of(H, h) or (np.full(law.nu, -np.inf), np.full(law.nu, np.inf))
+    nearest = np.clip(0.0, low, high)
+    if box_of(H, h) is None and (h < 0).any():
+        nearest = DenseQP(np.eye(law.nu), H).solve(nearest, h).z
+    return np.maximum(low, -1e37), np.minimum(high, 1e37), nearest
 
 
 def _index_type(largest: int) -> tuple[str, int]:

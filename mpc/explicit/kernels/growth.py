@@ -13,7 +13,7 @@ from numba import njit
 
 from mpc.checks import Array
 from mpc.explicit.kernels.halfspace import interior_point, project
-from mpc.tolerances import PROJECTION, SIDE
+from mpc.tolerances import PROJECTION, SAME_HYPERPLANE_DIGITS, SIDE
 
 NODES, NEXT, POOL, LEAF = 0, 1, 2, 3  # positions in `Growth.counts`
 FINISHED, GROW, PAUSED = 0, 1, 2  # why the growth returned
@@ -21,7 +21,10 @@ _POINTS = 64  # points of a region that are used
 _SAMPLE = 400  # members of a node that judge a hyperplane
 _CANDIDATES = 64  # hyperplanes judged at a large node
 _FEW = 24  # members of a node up to which every facet is judged
-_TRIES = 4  # hyperplanes tried at a node before it becomes a leaf
+_TRIES = 64  # hyperplanes tried at a node before it becomes a leaf,
+_TRIES_OF_MANY = 4  # the same in partitions
+_MANY = 500  # of more regions, where more tries take longer than the regions
+_SAME = 0.1**SAME_HYPERPLANE_DIGITS
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -121,10 +124,17 @@ _OVERLAP = 0.5  # weight of the regions on both sides beside the fuller side
 
 
 @njit(cache=True)
+def same_plane(rows, i, j):
+    """Whether two rows are one hyperplane, up to sign."""
+    return min(np.abs(rows[i] - rows[j]).max(), np.abs(rows[i] + rows[j]).max()) < _SAME
+
+
+@njit(cache=True)
 def best_rows(regions, members, inside, node, best):
     """Write the facet rows that divide the members best into `best`, the best first; returns their number."""
     scores = np.empty(len(best))
     found = 0
+    thorough = len(best) == _TRIES  # else rows of one score count as one hyperplane
     total = 0
     for r in members:
         total += regions.offsets[r + 1] - regions.offsets[r]
@@ -147,8 +157,13 @@ def best_rows(regions, members, inside, node, best):
         at = found
         while at > 0 and scores[at - 1] > value:
             at -= 1
-        if at > 0 and scores[at - 1] == value:
-            continue  # the same hyperplane again, most likely
+        equal = at
+        while (
+            thorough and equal > 0 and scores[equal - 1] == value and not same_plane(regions.rows, best[equal - 1], row)
+        ):
+            equal -= 1
+        if equal > 0 and scores[equal - 1] == value:
+            continue
         if at < len(best):
             for move in range(min(found, len(best) - 1), at, -1):
                 best[move] = best[move - 1]
@@ -250,7 +265,7 @@ def grow(regions, growth, bucket, budget):
     largest = 0
     for r in range(len(regions.offsets) - 1):
         largest = max(largest, regions.offsets[r + 1] - regions.offsets[r])
-    best = np.empty(_TRIES, np.int64)
+    best = np.empty(_TRIES if len(regions.laws) <= _MANY else _TRIES_OF_MANY, np.int64)
     while counts[NEXT] < counts[NODES]:
         if budget <= 0:
             return PAUSED
