@@ -97,6 +97,11 @@ WRONG = [
     ([*RUN, "--sets-time-limit", "1h"], "such as 3600 for an hour"),
     ([*RUN, "--design-gradient", "up"], "--design-gradient: got 'up', expected one of pathwise, network_input"),
     ([*RUN, "--design-gradient", "network-input"], "--design-gradient: got 'network-input'"),
+    # Options without an effect
+    ([*RUN, "--generations", "1", "--redesign-price", "2 %"], "--redesign-price: got it with --generations 1, expected 2"),
+    ([*RUN, "--sets", "none", "--sets-time-limit", "5"], "--sets-time-limit: got it with sets 'none', which computes"),
+    ([*RUN, "--sets", "lqr", "--sets-time-limit", "5"], "--sets-time-limit: got it with sets 'lqr', which computes"),
+    ([*RUN, "--preset", "paper", "--method", "pathwise+ppo"], "--method: got 'pathwise+ppo' with --preset paper"),
     ([*RUN, "--driver", "wild"], "--driver: got 'wild', expected one of mild, aggressive"),
     ([*RUN, "--driver", ""], "--driver: got ''"),
     # Starts
