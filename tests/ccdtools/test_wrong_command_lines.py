@@ -241,16 +241,23 @@ def ccdtools(*arguments, cwd, **environment):
     )  # fmt: skip
 
 
-def test_a_wrong_option_is_answered_before_anything_slow_is_imported(tmp_path):
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "suspension", "--preset", "papr"], "--preset: got 'papr'"),
+        (["codesign", "suspension", "--methods", "nested-lq"], "--methods: got 'nested-lq', expected one of sequential"),
+    ],
+)
+def test_a_wrong_option_is_answered_before_anything_slow_is_imported(tmp_path, arguments, message):
     code = (
-        "import sys; sys.argv = ['ccdtools', 'run', 'suspension', '--preset', 'papr']\n"
+        f"import sys; sys.argv = ['ccdtools', *{arguments}]\n"
         "import ccdtools.cli\n"
         "try:\n    ccdtools.cli.main()\nexcept SystemExit: pass\n"
         "print(sorted({'torch', 'casadi', 'matplotlib', 'scipy.signal'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "[]"
-    assert "--preset: got 'papr'" in done.stderr
+    assert message in done.stderr
 
 
 @pytest.mark.check
