@@ -98,7 +98,7 @@ WRONG = [
     ([*RUN, "--design-gradient", "up"], "--design-gradient: got 'up', expected one of pathwise, network_input"),
     ([*RUN, "--design-gradient", "network-input"], "--design-gradient: got 'network-input'"),
     # Options without an effect
-    ([*RUN, "--generations", "1", "--redesign-price", "2 %"], "--redesign-price: got it with --generations 1, expected 2"),
+    ([*RUN, "--generations", "1", "--redesign-price", "2 %"], "--redesign-price: got it with --generations 1"),
     ([*RUN, "--sets", "none", "--sets-time-limit", "5"], "--sets-time-limit: got it with sets 'none', which computes"),
     ([*RUN, "--sets", "lqr", "--sets-time-limit", "5"], "--sets-time-limit: got it with sets 'lqr', which computes"),
     ([*RUN, "--preset", "paper", "--method", "pathwise+ppo"], "--method: got 'pathwise+ppo' with --preset paper"),
@@ -245,7 +245,7 @@ def ccdtools(*arguments, cwd, **environment):
     ("arguments", "message"),
     [
         (["run", "suspension", "--preset", "papr"], "--preset: got 'papr'"),
-        (["codesign", "suspension", "--methods", "nested-lq"], "--methods: got 'nested-lq', expected one of sequential"),
+        (["codesign", "suspension", "--methods", "nested-lq"], "--methods: got 'nested-lq', expected one of"),
     ],
 )
 def test_a_wrong_option_is_answered_before_anything_slow_is_imported(tmp_path, arguments, message):
