@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 import ccdtools
+from ccdtools.co_design.method_names import as_method_names
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import InputError
 from ccdtools.jobs import held_back, insisting
@@ -174,17 +175,16 @@ def codesign(
     """
     options = Options(located(study), seed=whole_number("--seed", seed), x0=numbers("--x0", x0), p0=numbers("--p0", p0))
     processes = whole_number("--jobs", jobs)
+    asked = "all" if methods == "all" else as_method_names(methods.split(","), "--methods")
     with held_back():
         from ccdtools.studies.asked_study import asked_study
         from ccdtools.studies.loading import blamed_on_source
 
         own = asked_study(options).study
-        from ccdtools.co_design.compare_methods import compare_methods, named_methods
+        from ccdtools.co_design.compare_methods import compare_methods
         from ccdtools.studies.report.method_page import check_folder, write_methods, write_table
     folder = None if output is None else check_folder(output, overwrite=overwrite)
     _single_thread()
-    asked = "all" if methods == "all" else [name.strip() for name in methods.split(",")]
-    named_methods(asked)
     ended: list[MethodComparison] = []
 
     def keep(found: MethodComparison) -> None:

@@ -17,9 +17,10 @@ def what_hides_ours() -> str:
         except ValueError:  # a module without a specification, such as one that a test has made
             continue
         own = (home / name).resolve()
-        if spec is None or spec.origin is None or not own.is_dir():
+        if spec is None or not own.is_dir():
             continue
-        found = Path(spec.origin).resolve()
+        folders = spec.submodule_search_locations or [""]  # of a folder without __init__.py, which has no origin
+        found = Path(spec.origin or f"{next(iter(folders))}/__init__.py").resolve()
         if found.parent != own:
             file = found.parent if found.name == "__init__.py" else found
             return f"{file} hides the package `{name}` that ccdtools is made of. Rename it, or run from another folder."

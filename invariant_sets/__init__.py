@@ -2,7 +2,7 @@
 
 from invariant_sets.admissible_inputs import AdmissibleInputFamily, AdmissibleInputs
 from invariant_sets.control_invariant import maximal_control_invariant_set
-from invariant_sets.exceptions import InvariantSetsError
+from invariant_sets.exceptions import InputError, InvariantSetsError
 from invariant_sets.minimal_robust import minimal_robust_positively_invariant_set
 from invariant_sets.parametric import ParametricSet
 from invariant_sets.plotting import plot_family, plot_polytope
@@ -15,6 +15,7 @@ __all__ = [
     "AdmissibleInputFamily",
     "AdmissibleInputs",
     "Certificate",
+    "InputError",
     "InvariantSetsError",
     "ParametricSet",
     "Polytope",

@@ -2,7 +2,7 @@
 
 from learning.checkpoint import load, save
 from learning.copula_fit import fit_copula
-from learning.exceptions import LearningError
+from learning.exceptions import InputError, LearningError
 from learning.networks import ActorCritic, NetworkConfig
 from learning.ppo import PPO, PPOConfig, gae, train
 from learning.quantile import QuantileConfig, fit_quantiles
@@ -13,6 +13,7 @@ __all__ = [
     "PPO",
     "ActorCritic",
     "CloningConfig",
+    "InputError",
     "LearningError",
     "NetworkConfig",
     "PPOConfig",

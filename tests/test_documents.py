@@ -11,7 +11,7 @@ from ccdtools.cli import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-BLOCK = re.compile(r"```python\n(.*?)```|<!-- setup\n(.*?)-->", re.S)  # printed, or for this test alone
+BLOCK = re.compile(r"```python\n(.*?)```", re.S)  # what is printed, and nothing else
 WRITTEN = re.compile(r"```sh\n(.*?)```", re.S)
 INLINE = re.compile(r"`((?:ccdtools|python|make) [^`…]+)`")
 HEAVY = {"codesign.md": pytest.mark.slow}  # every method, ten starts
@@ -25,8 +25,12 @@ def test_every_python_block_of_a_page_runs_in_order(page, tmp_path, monkeypatch)
     text = page.read_text(encoding="utf-8")
     for block in BLOCK.finditer(text):
         before = "\n" * text[: block.start()].count("\n")  # an error names the line of the page
-        source = next(part for part in block.groups() if part is not None)
-        exec(compile(f"{before}\n{source}", str(page), "exec"), namespace)
+        exec(compile(f"{before}\n{block[1]}", str(page), "exec"), namespace)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_page_hides_what_its_code_needs(page):
+    assert "<!--" not in page.read_text(encoding="utf-8")
 
 
 def commands() -> list[tuple[str, str]]:
@@ -40,12 +44,14 @@ def commands() -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(("page", "line"), sorted(set(commands())))
-def test_every_command_line_of_a_page_is_one(page, line):
+def test_every_command_line_of_a_page_is_one_and_short_ones_run(page, line, tmp_path, monkeypatch):
     program, *words = shlex.split(line, comments=True)
     if program == "ccdtools":
         group = typer.main.get_command(app)
         name, command, rest = group.resolve_command(group.make_context("ccdtools", words), words)
         command.make_context(name, rest, resilient_parsing=not rest)  # a command alone is its name in a sentence
+        monkeypatch.chdir(tmp_path)
+        app(words if name == "studies" or (name == "new" and rest) else [name, "--help"], standalone_mode=False)
     elif program == "make":
         targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
         assert words[0] in targets

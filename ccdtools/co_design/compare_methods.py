@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_flag, as_instance, shown
 from ccdtools.co_design.agents import as_agent
-from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
+from ccdtools.co_design.codesign import Method, as_method, codesign
 from ccdtools.co_design.configuration import METHODS as LEARNING
 from ccdtools.co_design.method_comparison import MethodComparison
+from ccdtools.co_design.method_names import ALL, as_method_names
 from ccdtools.co_design.method_pairs import MethodRow, Pairs, closed_loop_returns, scenarios_of
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.methods.nested import NAMES as INNER
@@ -30,10 +31,6 @@ from ccdtools.jobs import as_jobs, as_they_end, interrupted
 from learning.networks import ActorCritic
 
 REFERENCE = "nested LQR"
-ALL = (
-    "sequential", "nested Riccati", "nested LQR", "nested MPC", "nested trajectory", "simultaneous",
-    "simultaneous gain", "CMA-ES", "Bayesian search", "pathwise",
-)  # fmt: skip
 
 
 def compare_methods(
@@ -163,10 +160,7 @@ def named_methods(methods: Any, agent: ActorCritic | None = None) -> dict[str, M
         names = ALL if methods == "all" else (methods,) if isinstance(methods, str) else methods
         if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
             raise InputError("methods", shown(methods), '"all", a list of names, or a mapping of names to methods')
-        found = [_named(name, agent) for name in names]
-        chosen = {method.name: method for method in found}
-        if len(chosen) < len(found):
-            raise InputError("methods", shown(list(names)), "every method once", "Name them in a mapping.")
+        chosen = {name: _named(name, agent) for name in as_method_names(names)}
     if not chosen:
         raise InputError("methods", "none", "at least one method")
     return chosen
@@ -182,17 +176,7 @@ def known_methods() -> dict[str, Method]:
 
 
 def _named(name: str, agent: ActorCritic | None) -> Method:
-    """The method of a name, whatever its capitals and hyphens."""
-    known = {_key(one): method for one, method in known_methods().items()}
-    if _key(name) in known:
-        found = known[_key(name)]
-        learns = isinstance(found, Learned) or (isinstance(found, Nested) and found.inner == "rl")
-        return replace(found, agent=agent) if learns else found  # type: ignore[type-var]
-    if name in METHODS:
-        return as_method(name)
-    raise InputError("methods", shown(name), f"one of {', '.join(known_methods())}")
-
-
-def _key(name: str) -> str:
-    """A name as it is looked up."""
-    return " ".join(name.lower().replace("-", " ").replace("_", " ").split())
+    """The method of a name."""
+    found = known_methods()[as_method_names([name])[0]]
+    learns = isinstance(found, Learned) or (isinstance(found, Nested) and found.inner == "rl")
+    return replace(found, agent=agent) if learns else found  # type: ignore[type-var]

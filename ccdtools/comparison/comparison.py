@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count, as_instance, as_mapping
+from ccdtools.checks import as_choice, as_count, as_instance, as_limits, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.co_design.risk import Risk, as_risk, measure
 from ccdtools.co_design.risk_intervals import summarise_in_risk
@@ -32,7 +32,6 @@ from ccdtools.scenario import Scenario
 from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.table import Table
 from ccdtools.trajectory import Trajectory
-from invariant_sets import Polytope
 
 MPC_RUNS = 100
 TIMED_CALLS = 50
@@ -199,7 +198,7 @@ def compare(
     *,
     design: ArrayLike | None = None,
     objective: Objective,
-    X: Limits,
+    X: Limits | tuple[ArrayLike, ArrayLike],
     limit: ArrayLike | None = None,
     few: Mapping[str, int] | None = None,
     output_limits: OutputLimits | None = None,
@@ -213,12 +212,12 @@ def compare(
     ----------
     controllers : mapping of name to controller
         Functions of the state, see `ccdtools.controllers.controllers`, or models with the ``predict`` of
-        Stable-Baselines3.
+        Stable-Baselines3 or scikit-learn.
     scenario : Scenario
     design : (np,) array_like
         Required when the plant has design parameters.
     objective : QuadraticObjective or CustomObjective
-    X : Polytope, or the X(p) of a problem
+    X : Polytope, bounds (lower, upper), or the X(p) of a problem
         State limits, whose violations are counted.
     limit : (nx,) array_like, optional
         Divergence limit on |x|, see `simulate`.
@@ -254,9 +253,7 @@ def compare(
         if design is None:
             raise InputError("design", "nothing", "the design whose limits X(p) count")
         X = X.at(design)
-    as_instance("X", X, Polytope, "a Polytope")
-    if X.dim != scenario.plant.nx:
-        raise InputError("X", f"dimension {X.dim}", f"{scenario.plant.nx}, one per state")
+    X = as_limits("X", X, scenario.plant.nx, "one per state")
     if output_limits is not None:
         as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
     few = {"MPC": MPC_RUNS} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")

@@ -19,6 +19,7 @@ from ccdtools.simulation import Simulable, Step, simulate
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 
 FEW = 32  # scenarios on which a model that is not linear decides
+RECOVERED = 0.05  # of what LQR gains over the passive plant: a PID with less is no baseline
 UNSTABLE = 1e12  # cost of a loop that is not stable
 REFERENCE = "LQR"
 
@@ -84,7 +85,8 @@ def tuned_pid(
         best = sorted(refined + screening[:starts], key=lambda found: found[0])
         refined = [(own.cost(C, z), C, z) for _, C, z in best]
     _, C, z = min(refined, key=lambda found: found[0])
-    return trial.controller(C, z)
+    found = trial.controller(C, z)
+    return replace(found, remark=found.remark or own.remark(found))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,14 +128,25 @@ class _Trial:
     def cost(self, C: Array, z: Array) -> float:
         """Mean cost of a candidate; a large one where the loop is not stable."""
         pid = self.controller(C, z)
-        if not is_stable(self.A, self.B, pid):
-            return UNSTABLE
+        return self.loss(pid) if is_stable(self.A, self.B, pid) else UNSTABLE
+
+    def loss(self, controller: Controller) -> float:
+        """Mean cost of a controller."""
         problem = self.problem
         run = simulate(
-            self.plant, pid, x0=self.x0, steps=problem.steps, disturbance=self.w, design=self.design,
+            self.plant, controller, x0=self.x0, steps=problem.steps, disturbance=self.w, design=self.design,
             limit=problem.limit,
         )  # fmt: skip
         return float(-run.returns(problem.objective).mean())
+
+    def remark(self, pid: PID) -> str:
+        """What a table says of gains that recover little of what LQR gains over the passive plant, without offsets."""
+        laws = (Passive(self.problem.model.nu), saturated_lqr(self.problem, self.design), pid)
+        plain = replace(self, x0=self.x0[1::2], w=self.w[1::2])
+        passive, lqr, own = (plain.loss(law) for law in laws)
+        if passive <= lqr or passive - own >= RECOVERED * (passive - lqr):
+            return ""
+        return f"its gains recover {(passive - own) / (passive - lqr):.1%} of what LQR gains over the passive plant"
 
 
 class _Linearisation:

@@ -107,6 +107,8 @@ class PID(Immutable):
         Sampling time [s].
     lower, upper : (ny,) array_like
         Input bounds.
+    remark : str
+        What a table says of it: that it acts on nothing, where all gains are zero.
     """
 
     C: ArrayField
@@ -116,6 +118,7 @@ class PID(Immutable):
     dt: float = field(kw_only=True)
     lower: ArrayField = field(kw_only=True)
     upper: ArrayField = field(kw_only=True)
+    remark: str = field(default="", kw_only=True, repr=False)
     _memory: _Memory = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -127,16 +130,13 @@ class PID(Immutable):
         for name in ("lower", "upper"):
             set_(self, name, _bounds(name, getattr(self, name), len(self.C)))
         _check_order(self.lower, self.upper)
+        if not np.any([self.kp, self.ki, self.kd]):
+            set_(self, "remark", NO_GAINS)
         set_(self, "_memory", _Memory())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
         object.__setattr__(self, "_memory", _Memory())
-
-    @property
-    def remark(self) -> str:
-        """What a table says of it: that it acts on nothing, where all gains are zero; else nothing."""
-        return "" if np.any([self.kp, self.ki, self.kd]) else NO_GAINS
 
     def reset(self, n: int) -> None:
         """Forget the past of `n` runs."""

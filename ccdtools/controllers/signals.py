@@ -133,21 +133,30 @@ class Driver:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """A model with ``predict(observation, deterministic=True)`` → (action, memory) as a controller of the state."""
+    """A model as a controller: ``predict(x)`` → u of rows, or ``predict(x, deterministic=True)`` → (u, memory)."""
 
     model: Any
+    deterministic: bool
 
     def __call__(self, x: ArrayLike) -> Array:
         """Inputs (n, nu) or (nu,)."""
-        return np.asarray(self.model.predict(np.asarray(x), deterministic=True)[0], dtype=float)
+        rows = np.atleast_2d(np.asarray(x))
+        found = self.model.predict(rows, deterministic=True)[0] if self.deterministic else self.model.predict(rows)
+        u = np.asarray(found, dtype=float).reshape(len(rows), -1)  # of one input a model may return (n,)
+        return u if np.ndim(x) > 1 else u[0]
 
 
 def as_controller(controller: Any) -> Any:
-    """The controller; a model of Stable-Baselines3, or of another library with its ``predict``, as one of its own."""
+    """The controller; a model of Stable-Baselines3, scikit-learn or the like with its ``predict`` as one of its own."""
     predict = getattr(controller, "predict", None)
-    if callable(controller) or not callable(predict) or "deterministic" not in inspect.signature(predict).parameters:
+    if callable(controller) or not callable(predict):
         return controller
-    return Predicted(controller)
+    signature = inspect.signature(predict)
+    try:
+        signature.bind(None)
+    except TypeError:  # an estimator's, of a belief and an input
+        return controller
+    return Predicted(controller, "deterministic" in signature.parameters)
 
 
 def needs_of(controller: Any) -> frozenset[str]:

@@ -208,7 +208,7 @@ def _accurate(
             lost.append(f"{method}: {why} at {_place(plant, error)}")
     assert best is not None
     reached = f"{best.relative:.4g} is reached (worst at {_place(plant, best)})"
-    got = f"{accuracy:g}, of which {reached if math.isfinite(best.relative) else 'nothing is reached'}"
+    got = f"{accuracy:g}, where {reached if math.isfinite(best.relative) else 'nothing is reached'}"
     got = "; ".join([got, *lost])
     cure = "Shorten dt, allow a larger error, or narrow X, U and W to where the plant is smooth."
     if jump is not None:

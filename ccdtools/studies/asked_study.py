@@ -25,6 +25,7 @@ def asked_study(options: Options, recording: Recorded | None = None) -> LoadedSt
     """
     loaded = load_with_sources(options.study)
     study = loaded.study
+    _check_effect(options, study)
     source = recording if recording is not None else _source(options, study)
     with blamed_on_options({name: f"--{name}" for name in ("x0", "p0") if getattr(options, name) is not None}):
         study = study.started(x0=options.x0, p0=options.p0)
@@ -41,6 +42,20 @@ def blamed_on_source_options(options: Options) -> AbstractContextManager[None]:
     """Have an `InputError` about the disturbance name the option that it came from."""
     given = options.sources()
     return blamed_on_options({"real.disturbance": f"--{given[0]}", "disturbance": f"--{given[0]}"} if given else {})
+
+
+def _check_effect(options: Options, study: Study) -> None:
+    """Raise where an option would change nothing beside the others and the study."""
+    sets = study.sets if options.sets is None else options.sets
+    if options.sets_time_limit is not None and sets != "auto":
+        raise InputError("--sets-time-limit", f"it with sets {sets!r}, which computes none", "it with --sets auto")
+    if options.redesign_price is not None and options.generations == 1:
+        raise InputError("--redesign-price", "it with --generations 1", "2 generations: the second one redesigns")
+    if options.preset == "paper" and "pathwise" in (options.method or ""):
+        got = f"{options.method!r} with --preset paper, which has no rate for it"
+        raise InputError("--method", got, "ppo with that preset, or --preset default")
+    if options.design_gradient is not None and not study.plant.design.allowed.free.any():
+        raise InputError("--design-gradient", "it for a design that has no gradient", "an entry that is free to move")
 
 
 def _source(options: Options, study: Study) -> Disturbance | None:

@@ -25,7 +25,6 @@ from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise_returns
 from ccdtools.studies.presets import StudyConfig
-from ccdtools.studies.real_plant import MINIMUM_LOG
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
 from ccdtools.studies.warm_up import warm_up
@@ -73,9 +72,6 @@ class Evaluation:
             steps = min(steps, self.config.real_steps)
         if isinstance(real.disturbance, Recorded):
             steps = min(steps, len(real.disturbance.signal))
-        if steps * real.runs < MINIMUM_LOG:
-            expected = f"at least {MINIMUM_LOG} to learn the discrepancy from"
-            raise InputError("real.disturbance", f"{steps * real.runs} samples", expected)
         return steps
 
     def check_recording(self) -> None:

@@ -84,7 +84,6 @@ class Generations:
         self.folder = folder
         self.echo = echo
         self.evaluation = Evaluation(study, config, as_count("seed", seed, least=0))
-        self.evaluation.deployment_steps  # noqa: B018  (raises if a recording is too short)
         self.evaluation.held_out  # noqa: B018  (raises if fresh runs cannot be drawn)
         self.compute = LoopStages(self.evaluation, progress, None if progress else echo)
 

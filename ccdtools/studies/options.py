@@ -196,7 +196,7 @@ def located(study: str) -> str:
 def whole_number(argument: str, text: str) -> int:
     """The whole number that a text holds."""
     if not WHOLE.fullmatch(text):
-        raise InputError(argument, repr(text[:50]), "a whole number of at most 40 digits")
+        raise InputError(argument, repr(text[:50]), "a whole number below 1e40, such as 42")
     return int(text)
 
 

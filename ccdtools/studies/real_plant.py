@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ccdtools.arrays import ArrayField, Immutable
 from ccdtools.checks import as_count, as_flag, as_instance, as_vector
 from ccdtools.disturbances.combinations import is_recorded
-from ccdtools.disturbances.disturbance import Disturbance
+from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
@@ -64,6 +64,10 @@ class RealPlant(Immutable):
             got = f"{self.runs} of {self.steps} steps"
             raise InputError("real.runs", got, f"at least {MINIMUM_LOG} samples to learn the discrepancy from")
         check_disturbance("real.disturbance", self.disturbance, self.plant)
+        recorded = len(self.disturbance.signal) if isinstance(self.disturbance, Recorded) else self.steps
+        if self.runs * recorded < MINIMUM_LOG:
+            expected = f"at least {MINIMUM_LOG} to learn the discrepancy from"
+            raise InputError("real.disturbance", f"{self.runs * recorded} samples", expected)
         if as_flag("real.road", self.road) and self.plant.nw != 1:
             raise InputError("real.road", f"True of {self.plant.nw} disturbances", "one, the road under one wheel")
         if self.held_out is not None:

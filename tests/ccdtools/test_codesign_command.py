@@ -85,7 +85,7 @@ def test_an_interruption_loses_only_the_method_that_it_falls_in(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        (("nowhere",), "study"), (("illustrative", "--methods", "magic"), "methods"),
+        (("nowhere",), "study"), (("illustrative", "--methods", "magic"), "--methods"),
         (("illustrative", "--seed", "x"), "--seed"), (("illustrative", "--jobs", "0", "--methods", "nested"), "jobs"),
     ],
 )  # fmt: skip

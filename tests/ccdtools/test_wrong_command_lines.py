@@ -97,6 +97,11 @@ WRONG = [
     ([*RUN, "--sets-time-limit", "1h"], "such as 3600 for an hour"),
     ([*RUN, "--design-gradient", "up"], "--design-gradient: got 'up', expected one of pathwise, network_input"),
     ([*RUN, "--design-gradient", "network-input"], "--design-gradient: got 'network-input'"),
+    # Options without an effect
+    ([*RUN, "--generations", "1", "--redesign-price", "2 %"], "--redesign-price: got it with --generations 1"),
+    ([*RUN, "--sets", "none", "--sets-time-limit", "5"], "--sets-time-limit: got it with sets 'none', which computes"),
+    ([*RUN, "--sets", "lqr", "--sets-time-limit", "5"], "--sets-time-limit: got it with sets 'lqr', which computes"),
+    ([*RUN, "--preset", "paper", "--method", "pathwise+ppo"], "--method: got 'pathwise+ppo' with --preset paper"),
     ([*RUN, "--driver", "wild"], "--driver: got 'wild', expected one of mild, aggressive"),
     ([*RUN, "--driver", ""], "--driver: got ''"),
     # Starts
@@ -236,16 +241,23 @@ def ccdtools(*arguments, cwd, **environment):
     )  # fmt: skip
 
 
-def test_a_wrong_option_is_answered_before_anything_slow_is_imported(tmp_path):
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "suspension", "--preset", "papr"], "--preset: got 'papr'"),
+        (["codesign", "suspension", "--methods", "nested-lq"], "--methods: got 'nested-lq', expected one of"),
+    ],
+)
+def test_a_wrong_option_is_answered_before_anything_slow_is_imported(tmp_path, arguments, message):
     code = (
-        "import sys; sys.argv = ['ccdtools', 'run', 'suspension', '--preset', 'papr']\n"
+        f"import sys; sys.argv = ['ccdtools', *{arguments}]\n"
         "import ccdtools.cli\n"
         "try:\n    ccdtools.cli.main()\nexcept SystemExit: pass\n"
         "print(sorted({'torch', 'casadi', 'matplotlib', 'scipy.signal'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "[]"
-    assert "--preset: got 'papr'" in done.stderr
+    assert message in done.stderr
 
 
 @pytest.mark.check

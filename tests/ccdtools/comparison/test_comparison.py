@@ -1,6 +1,7 @@
 """Every controller on the same disturbances, and what one long run says."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from ccdtools import (
     saturated_lqr,
     simulate,
 )
+from invariant_sets import Polytope
 from mpc import LinearMPC
 
 DESIGN = [2.0]
@@ -162,6 +164,35 @@ class Model:
 def test_a_model_with_predict_is_a_controller(illustrative, controllers, scenario):
     table = scored(illustrative, controllers | {"agent": Model(controllers["LQR"])}, scenario)
     assert table["agent"].summary.mean == pytest.approx(table["LQR"].summary.mean, rel=1e-5)
+
+
+class Regression:
+    """A model as scikit-learn hands it over: predict(rows) → one number a row, where there is one output."""
+
+    def __init__(self, law):
+        self.law = law
+
+    def predict(self, rows):
+        assert rows.ndim == 2
+        return self.law(rows)[:, 0]
+
+
+def test_a_model_whose_predict_takes_states_alone_is_a_controller(illustrative, controllers, scenario):
+    table = scored(illustrative, controllers | {"fitted": Regression(controllers["LQR"])}, scenario)
+    assert table["fitted"].summary.mean == pytest.approx(table["LQR"].summary.mean, rel=1e-12)
+    with pytest.raises(InputError, match=r"Observed\(controller, estimator\) is one"):
+        scored(illustrative, {"LQR": SimpleNamespace(predict=lambda belief, u: belief)}, scenario)
+
+
+def test_limits_of_a_comparison_may_be_bounds(illustrative, scenario):
+    problem = illustrative.problem()
+    gains = {"LQR": saturated_lqr(problem, DESIGN)}
+    lower, upper = [-0.5, -0.2], [0.4, np.inf]
+    known = Polytope([[1, 0], [-1, 0], [0, -1]], [0.4, 0.5, 0.2])
+    options = {"design": DESIGN, "objective": problem.objective}
+    tables = [compare(gains, scenario, X=X, **options) for X in ((lower, upper), known)]
+    assert tables[0]["LQR"].violations == tables[1]["LQR"].violations > 0
+    assert tables[0]["LQR"].depth_worst == pytest.approx(tables[1]["LQR"].depth_worst)
 
 
 # ── the table ──

@@ -48,7 +48,7 @@ def mass(force, **options):
 def test_a_jump_is_not_linear_and_an_accuracy_that_it_forbids_is_refused_by_it(name):
     plant = mass(JUMPS[name])
     assert plant.nonlinear_states == ("x2",)
-    with pytest.raises(InputError, match=r"accuracy: got 1e-06, of which .* is reached .*the dynamics of x2 jump"):
+    with pytest.raises(InputError, match=r"accuracy: got 1e-06, where .* is reached .*the dynamics of x2 jump"):
         discretise(plant, **LIMITS)
 
 

@@ -213,7 +213,7 @@ def test_a_model_says_what_it_is_and_survives_a_pickle():
         ({"X": ([0, 0, 0], [1, 1, 1])}, r"X\[0\]: got shape \(3,\)"),
         ({"X": ([-np.inf, -1], [1, 1])}, "X: got an empty or unbounded set"),
         ({"X": ([0.0, -1], [0.0, 1])}, r"X: got no width in θ \[rad\]"),
-        ({"X": (-1e3, 1e3), "method": "rk4", "accuracy": 1e-14}, "accuracy: got 1e-14, of which .* is reached"),
+        ({"X": (-1e3, 1e3), "method": "rk4", "accuracy": 1e-14}, "accuracy: got 1e-14, where .* is reached"),
     ],
 )
 def test_what_cannot_be_sampled_is_refused_by_name(options, message):

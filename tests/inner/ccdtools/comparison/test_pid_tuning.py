@@ -1,9 +1,22 @@
 """A PID that is tuned, not crippled."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import LinearFeedback, Passive, simulate
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    LinearFeedback,
+    Passive,
+    Plant,
+    QuadraticObjective,
+    discretise,
+    saturated_lqr,
+    simulate,
+)
 from ccdtools.comparison.pid_tuning import tuned_pid
 from mpc import lqr
 
@@ -55,3 +68,24 @@ def test_the_generator_decides(illustrative):
     ]
     assert gains[0].kp == pytest.approx(gains[1].kp)
     assert gains[0].ki == pytest.approx(gains[1].ki)
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(("unit", "weight", "hardly"), [(1.0, 0.01, True), (1e4, 0.01, True), (1.0, 30.0, False)])
+def test_a_pid_that_sees_hardly_any_of_the_cost_says_what_part_of_lqr_s_gain_it_recovers(unit, weight, hardly):
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w", 2), ca.SX.sym("p")
+    after = ca.vertcat(0.5 * x[0], 0.97 * p * x[1]) + u / unit + w
+    model = discretise(Plant(x, u, w, p, after, DesignSpace(["p"], lower=[0.9], upper=[1.0]), dt=1.0, continuous=False))
+    problem = CoDesignProblem(
+        model, X=(-50, 50), U=(-9 * unit, 9 * unit), steps=60, scenarios=FixedStart([0.0, 0.0], Gaussian([1.0, 1.0])),
+        objective=QuadraticObjective(np.diag([weight, 1.0]), [[1e-3 / unit**2]]),
+    )  # fmt: skip
+    given = {"outputs": np.array([[[1.0, 0.0]]]), "runs": 32, "screened": 12, "refinements": 40}
+    pid = tuned_pid(problem, [1.0], rng=np.random.default_rng(0), **given)
+    assert np.any([pid.kp, pid.ki, pid.kd])
+    x0, w = problem.scenarios.sample(300, 60, np.random.default_rng(9))
+    own, lqr, passive = (
+        simulate(model, law, x0=x0, steps=60, disturbance=w, design=[1.0]).returns(problem.objective).mean()
+        for law in (pid, saturated_lqr(problem, [1.0]), Passive())
+    )
+    assert ((own - passive) / (lqr - passive) < 0.05) == hardly == ("of what LQR gains over the passive" in pid.remark)

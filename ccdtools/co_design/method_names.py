@@ -1,0 +1,38 @@
+"""The names that tables give to methods; nothing here waits for what is slow to import."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ccdtools.checks import nearest, shown
+from ccdtools.exceptions import InputError
+
+ALL = (
+    "sequential", "nested Riccati", "nested LQR", "nested MPC", "nested trajectory", "simultaneous",
+    "simultaneous gain", "CMA-ES", "Bayesian search", "pathwise",
+)  # fmt: skip
+NAMES = (*ALL, "nested NMPC", "nested RL", "ppo", "pathwise+ppo")
+SHORT = {"nested": "nested LQR", "search": "CMA-ES"}  # what `codesign` means by its short names
+
+
+def as_method_names(names: Sequence[str], argument: str = "methods") -> list[str]:
+    """The names of methods as tables write them, whatever their capitals and hyphens.
+
+    Raises
+    ------
+    InputError
+        If there is none of a name, none at all, or one twice.
+    """
+    known = {_key(name): name for name in NAMES} | SHORT
+    for name in names:
+        if _key(name) not in known:
+            raise InputError(argument, shown(name), f"one of {', '.join(NAMES)}", nearest(name, NAMES))
+    found = [known[_key(name)] for name in names]
+    if len(set(found)) < len(found):
+        raise InputError(argument, shown(list(names)), "every method once", "Name them in a mapping.")
+    return found
+
+
+def _key(name: str) -> str:
+    """A name as it is looked up."""
+    return " ".join(name.lower().replace("-", " ").replace("_", " ").split())
