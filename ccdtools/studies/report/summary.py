@@ -98,7 +98,7 @@ def bare(name: str) -> str:
 
 
 def next_steps(results: Values) -> list[str]:
-    """What the user may do next: the advice of the co-design that is deployed, and what to do about a number that got worse."""
+    """What to do next: about numbers that got worse, and the advice of the co-design that is deployed."""
     steps = []
     worse = ", ".join(bare(name) for name in of_word(results, "worse"))
     if worse:
