@@ -61,7 +61,7 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
         f"{_runs(run)} runs each on common random numbers), computed apart from the co-design; "
     )
     if isinstance(run.problem.risk, Mean):
-        caption += "a diamond marks the start design, a square where each co-design began, a star, above it, where it ended."
+        caption += "diamond: the start design; square: where a co-design began; star, above it: where it ended."
     else:
         caption += f"the co-design followed the {measure(run.problem.risk)}, whose best design may lie elsewhere."
     if space.whole[shown].any():
