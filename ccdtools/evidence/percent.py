@@ -16,9 +16,9 @@ def share(fraction: float | None) -> str:
     return "< 0.01 %" if 0 < percent < 0.01 else f"{_rounded(percent)} %"
 
 
-def signed_percent(percent: float) -> str:
-    """A change in per cent with its sign: "+0.34 %", "−12 %"; what rounds to nothing is "0 %"."""
-    text = _rounded(percent)
+def signed_percent(percent: float, more: int = 0) -> str:
+    """A change in per cent with its sign: "+0.34 %", "−12 %", with `more` decimals; what rounds to nothing is "0 %"."""
+    text = _rounded(percent, more)
     return "0 %" if float(text) == 0 else with_minus(f"{'+' if percent > 0 else ''}{text} %")
 
 
@@ -26,7 +26,10 @@ def percent_interval(mean: float | None, ci95: Sequence[float | None], size: flo
     """A change with its 95 % interval in per cent of a size: "+0.1 % [−0.2, +0.4]"; "n/a" where there is none."""
     if not _finite(mean) or not _finite(size) or size == 0:
         return "n/a"
-    values = [signed_percent(100 * value / abs(size)) for value in (mean, *ci95) if _finite(value)]  # type: ignore
+    parts = [100 * value / abs(size) for value in (mean, *ci95) if _finite(value)]  # type: ignore
+    values = [signed_percent(part) for part in parts]
+    if any(shown == values[0] != "0 %" and part != parts[0] for shown, part in zip(values[1:], parts[1:])):
+        values = [signed_percent(part, 1) for part in parts]  # an end would stand on the estimate
     ends = f" [{', '.join(value.removesuffix(' %') for value in values[1:])}]" if len(values) == 3 else ""
     return values[0] + ends
 
@@ -46,8 +49,8 @@ def _finite(value: float | None) -> bool:
     return value is not None and math.isfinite(value)
 
 
-def _rounded(percent: float) -> str:
-    """Two decimals below 1, one below 10, none above."""
-    decimals = 2 if abs(percent) < 1 else 1 if abs(percent) < 10 else 0
+def _rounded(percent: float, more: int = 0) -> str:
+    """Two decimals below 1, one below 10, none above, and some more."""
+    decimals = more + (2 if abs(percent) < 1 else 1 if abs(percent) < 10 else 0)
     text = f"{percent:.{decimals}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text

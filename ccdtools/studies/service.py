@@ -30,7 +30,8 @@ class Agreement(Enum):
     AGREED = "within chance"
     MORE = "more than predicted"
     LESS = "less than predicted"
-    OPEN = "too few runs to tell"
+    APART = "95 % intervals apart, chance not ruled out"
+    OPEN = "no interval"
 
     @property
     def kept(self) -> bool | None:
@@ -195,13 +196,14 @@ def judge_deployment(
     for k, one in enumerate(evidence[1:], 1):
         sure = np.isfinite(one.gain.ci95).all()
         evidence[k] = replace(one, asked=Asked.NO_SURE_LOSS if sure else Asked.SHOWN)
-    verdict = decide(evidence) if evidence else Verdict(Status.NOT_WORSE, reason="nothing was changed")
+    reason = "no samples in common" if candidates else "the same policy"
+    verdict = decide(evidence) if evidence else Verdict(Status.NOT_WORSE, reason=reason)
     size = evidence[0].size if evidence else size
     return Delivery(expected, returns, agreement, verdict, size, carried and bool(evidence), former.generation)
 
 
 def _agreement(predicted: Summary, returns: Summary, rounding: float = 0.0) -> Agreement:
-    """How they agree: apart where chance hardly ever parts them so far; open where only their intervals are apart."""
+    """How they agree: apart where chance hardly ever parts them so far; open without intervals."""
     if np.isfinite(predicted.mean) and not np.isfinite(returns.mean):
         return Agreement.LESS
     if not np.isfinite([*predicted.ci95, *returns.ci95]).all():
@@ -211,7 +213,7 @@ def _agreement(predicted: Summary, returns: Summary, rounding: float = 0.0) -> A
     if _apart(predicted, returns, rounding):
         return Agreement.MORE
     disjoint = max(predicted.ci95[0], returns.ci95[0]) > min(predicted.ci95[1], returns.ci95[1]) + rounding
-    return Agreement.OPEN if disjoint else Agreement.AGREED
+    return Agreement.APART if disjoint else Agreement.AGREED
 
 
 def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ccdtools.studies.gains import SOURCES
-from ccdtools.studies.report.formatting import generation_name, number, signed_percent, with_minus
-from ccdtools.studies.report.verdicts import percent_of_reference, reference_of, verdict
+from ccdtools.studies.report.formatting import generation_name, number, percent_interval, signed_percent, with_minus
+from ccdtools.studies.report.verdicts import on_same_runs, reference_of, saw_fewer_runs, size_of, verdict
 
 Values = Mapping[str, Any]
 WORDS = {
@@ -36,15 +36,14 @@ def gain_percent(place: Values, source: str) -> tuple[float, float | None, float
 
 
 def gain_text(place: Values, source: str) -> str:
-    """A gain in per cent with its interval: "+23 % [+22 %, +24 %]"; "0 %" where nothing was changed."""
+    """A gain in per cent with its interval: "+23 % [+22, +24]"; "0 %" where nothing was changed."""
     percent = gain_percent(place, source)
     if percent is None:
         return "n/a"
     mean, low, high = percent
     if low == high == 0:
         return "0 %"
-    ends = "no interval" if low is None or high is None else f"{signed_percent(low)}, {signed_percent(high)}"
-    return f"{signed_percent(mean)} [{ends}]"
+    return f"{signed_percent(mean)} [no interval]" if low is None else percent_interval(mean, (low, high), 100)
 
 
 def gain_rows(results: Values) -> list[list[str]]:
@@ -110,8 +109,10 @@ def _cell(rows: Sequence[Values], generation: int, controller: str, scale: float
     if own is None:
         return None
     reference = reference_of(rows, own)
-    percent = percent_of_reference(own, reference)
-    against = "" if own is reference or percent is None else signed_percent(percent[0])
-    mean = own["mean"]
+    gain = own["paired_to_lqr"]["mean"]
+    size = 0.0 if own is reference or gain is None else size_of(own, "lqr_mean")
+    against = signed_percent(100 * gain / size) if size else ""
+    mean = on_same_runs(own, reference)["mean"]
     shown = "n/a" if mean is None else with_minus(number(scale * mean))
-    return {"mean": shown, "against": against, "verdict": "reference" if own is reference else verdict(own, reference)}
+    word = "reference" if own is reference else verdict(own, reference)
+    return {"mean": shown + " *" * saw_fewer_runs(own, reference), "against": against, "verdict": word}

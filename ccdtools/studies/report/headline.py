@@ -14,9 +14,10 @@ from ccdtools.studies.report.formatting import (
     number,
     share,
     signed_percent,
+    with_minus,
 )
-from ccdtools.studies.report.gains import held_out_phrase
-from ccdtools.studies.report.summary import bare, of_word
+from ccdtools.studies.report.gains import gain_percent, held_out_phrase
+from ccdtools.studies.report.summary import bare, deployed_codesign, of_word
 from ccdtools.studies.report.verdicts import (
     EQUAL,
     NOT_WORSE,
@@ -39,9 +40,25 @@ def headline(results: Results) -> str:
     cost = "; ".join(part for part in (_cost(results, last), held_out_phrase(results)) if part)
     sentences = [
         cost, _worse(results), _policy(results, last), _limits(results, last), _judged_by(results), "; ".join(changes),
+        *_missed(results),
     ]  # fmt: skip
     text = " ".join(f"{capitalised(sentence)}." for sentence in sentences if sentence)
     return f"QUICK run, not a result. {text}" if results["quick"] else text
+
+
+def _missed(results: Results) -> list[str]:
+    """Every deployment of something new whose 95 % interval lies below that of its prediction."""
+    said = []
+    for generation in results["generations"]:
+        expected, found = (generation["delivery"].get(name, {}) for name in ("predicted", "returns"))
+        ends = (expected.get("ci95", (None,))[0], found.get("ci95", (None,))[-1])
+        redesign = generation["redesign"]
+        if None not in ends and ends[0] > ends[1] and expected["mean"] and (redesign is None or redesign["accepted"]):
+            less = share((expected["mean"] - found["mean"]) / abs(expected["mean"]))
+            returns = " → ".join(with_minus(number(one["mean"])) for one in (expected, found))
+            said.append(f"the deployment of generation {generation['generation']} returned {less} less than predicted "
+                        f"({returns}; 95 % intervals apart)")  # fmt: skip
+    return said
 
 
 def _worse(results: Results) -> str:
@@ -95,6 +112,11 @@ def _cost(results: Results, last: int) -> str:
     before = _row(results, 0, "LQR")
     lqr = _row(results, last, "LQR")
     after = _row(results, last, "learned")
+    place = next(iter(results.get("gains", ())), None)
+    if place is not None and gain_percent(place, "total") is not None:  # the runs of the table
+        before = before | {"mean": place["start"]}
+        lqr = lqr | {"mean": place["start"] + place["design"]["mean"]}
+        after = after | {"mean": place["start"] + place["total"]["mean"]}
     lost = f", with {share(after['diverged'])} of its runs diverged" if after["diverged"] else ""
     if after["mean"] is None:
         return "real plant: every run of the learned policy diverges"
@@ -173,13 +195,8 @@ def _limits(results: Results, last: int) -> str:
 
 def _limits_as_deployed(results: Results) -> Mapping[str, Any] | None:
     """How the co-design of the deployed policy kept its limits; None where it says nothing of them."""
-    for generation in reversed(results["generations"]):
-        redesign = generation["redesign"]
-        if redesign is None or (redesign["chosen"] == "redesign" and generation["delivery"]["replaces"]):
-            return generation.get("limits")  # type: ignore[no-any-return]
-        if redesign["accepted"] and generation["delivery"]["replaces"]:
-            return None
-    return None
+    found = deployed_codesign(results)
+    return None if found is None else found.get("limits")
 
 
 def _without_interval(row: Mapping[str, Any]) -> str:

@@ -52,12 +52,16 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
     else:
         return_plots.plot_landscape_map(ax, axes[0], axes[1], mean, fine, paths, labels=(labels[0], labels[1]),
                                         whole=bool(space.whole[shown].any()))  # fmt: skip
+    start = run.designs[0][shown]
+    height = start[1] if len(shown) == 2 else np.interp(start[0], axes[0], mean)
+    ax.plot(start[0], height, "D", color=style.generation_colour(0), mec="k", ms=9, label="start design", zorder=5)
+    ax.legend(loc="best", markerscale=0.5)
     caption = (
         f"Mean return of saturated LQR on the nominal model over the design box ({mean.size} designs, "
         f"{_runs(run)} runs each on common random numbers), computed apart from the co-design; "
     )
     if isinstance(run.problem.risk, Mean):
-        caption += "the design should walk from its square to its star towards higher return."
+        caption += "diamond: the start design; square: where a co-design began; star, above it: where it ended."
     else:
         caption += f"the co-design followed the {measure(run.problem.risk)}, whose best design may lie elsewhere."
     if space.whole[shown].any():

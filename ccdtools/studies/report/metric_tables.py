@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ccdtools.studies.report.formatting import generation_name
-from ccdtools.studies.report.verdicts import reference_of, saw_fewer_runs
+from ccdtools.studies.report.verdicts import on_same_runs, reference_of, saw_fewer_runs
 
 Values = Mapping[str, Any]
 
@@ -19,7 +19,7 @@ def metric_table(rows: Sequence[Values]) -> dict[str, Any] | None:
     reference = reference_of(rows, rows[0])
     lines = [
         {"controller": row["controller"], "star": saw_fewer_runs(row, reference),
-         "values": [metrics_in(row).get(name) for name in names]}
+         "values": [metrics_in(on_same_runs(row, reference)).get(name) for name in names]}
         for row in rows
     ]  # fmt: skip
     return {"names": names, "lines": lines}

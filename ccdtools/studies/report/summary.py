@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ccdtools.studies.report.formatting import number, signed_percent, with_minus
+from ccdtools.studies.report.formatting import number, percent_interval, with_minus
 from ccdtools.studies.report.gains import gain_percent
 from ccdtools.studies.report.verdicts import NOT_WORSE
 
@@ -28,6 +28,8 @@ class Change:
     percent : (float, float, float) or None
         The change and its 95 % interval, in per cent of `before`; None where there is no interval.
     word : {"better", "worse", "same", "open"}
+    steps : int
+        Of every run of a cost.
     """
 
     name: str
@@ -36,14 +38,19 @@ class Change:
     after: float
     percent: tuple[float, float, float] | None
     word: str
+    steps: int = 0
+
+    @property
+    def label(self) -> str:
+        """A metric by its name, a cost with its place and the steps that it adds up."""
+        return f"cost of {self.steps} steps, {self.place}" if self.name == COST else self.name
 
     @property
     def text(self) -> str:
         """The change with its interval: "+21 % [+19, +22]"."""
         if self.percent is None:
             return "n/a"
-        mean, low, high = (signed_percent(value) for value in self.percent)
-        return f"{mean} [{low.removesuffix(' %')}, {high.removesuffix(' %')}]"
+        return percent_interval(self.percent[0], self.percent[1:], 100)
 
     @property
     def shown(self) -> tuple[str, str]:
@@ -91,13 +98,30 @@ def bare(name: str) -> str:
 
 
 def next_steps(results: Values) -> list[str]:
-    """What the user may do next: the advice of the last co-design, and what to do about a number that got worse."""
+    """What to do next: about numbers that got worse, and the advice of the co-design that is deployed."""
     steps = []
     worse = ", ".join(bare(name) for name in of_word(results, "worse"))
     if worse:
         steps.append(f"{worse} got worse: if that matters, weigh it in the objective or limit it, and run again")
-    advice = results["generations"][-1]["codesign"]["advice"].strip() if results["generations"] else ""
-    return [*steps, advice.removesuffix(".")] if advice else steps
+    found = deployed_codesign(results)
+    advice = found["codesign"]["advice"].strip().removesuffix(".") if found else ""
+    if found:
+        named = [f"{name} ({side} bound)" for name, side in found["active_bounds"].items()]
+        named += list(found["active_constraints"])
+        general = "Widen the named bounds, or relax the named constraints"
+        advice = advice.replace(general, f"Widen or relax {', '.join(named)}") if named else advice
+    return [*steps, advice] if advice else steps
+
+
+def deployed_codesign(results: Values) -> Values | None:
+    """The generation whose co-design found what is deployed at the end; None where it went back to the start."""
+    for generation in reversed(results["generations"]):
+        redesign = generation["redesign"]
+        if redesign is None or (redesign["chosen"] == "redesign" and generation["delivery"]["replaces"]):
+            return generation  # type: ignore[no-any-return]
+        if redesign["accepted"] and generation["delivery"]["replaces"]:
+            return None
+    return None
 
 
 def _cost(place: Values) -> Iterator[Change]:
@@ -109,7 +133,7 @@ def _cost(place: Values) -> Iterator[Change]:
     after = before - place["total"]["mean"]
     mean, low, high = gain
     percent = None if low is None or high is None else (-mean, -high, -low)
-    yield Change(COST, place["place"], before, after, percent, _word(percent))
+    yield Change(COST, place["place"], before, after, percent, _word(percent), place["steps"])
 
 
 def _metrics(place: Values) -> Iterator[Change]:

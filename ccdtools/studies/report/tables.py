@@ -64,7 +64,11 @@ def source_rows(results: Mapping[str, Any]) -> list[Row]:
 
 
 def comparison_rows(results: Mapping[str, Any], table: str = "comparison") -> list[Row]:
-    """One row per plant, generation and controller; `table` is "comparison" or "held_out"."""
+    """One row per plant, generation and controller; `table` is "comparison" or "held_out".
+
+    Means of fewer runs than LQR's are left out: that of the return is `lqr_mean_on_these_runs` + `paired_to_lqr`.
+    """
+    rows = results[table]
     return [
         _run_columns(results)
         | {name: row[name] for name in ("plant", "model", "generation", "controller")}
@@ -79,7 +83,7 @@ def comparison_rows(results: Mapping[str, Any], table: str = "comparison") -> li
         | {name: row[name] for name in ("diverged", *LIMIT_COLUMNS)}
         | {"further_outside_than": ", ".join(row["further_outside_than"]), "step_time_us": row["step_time_us"]}
         | dict(metrics_in(row))
-        for row in results[table]
+        for row in (on_same_runs(row, reference_of(rows, row)) for row in rows)
     ]
 
 

@@ -24,8 +24,11 @@ def saw_fewer_runs(row: Row, reference: Row | None) -> bool:
 
 
 def on_same_runs(row: Row, reference: Row | None) -> Row:
-    """A row without its mean and spread where these are of fewer runs than those of LQR: they share no column."""
-    return {**row, "mean": None, "std": None} if saw_fewer_runs(row, reference) else row
+    """A row without its means and metrics where these are of fewer runs than those of LQR: they share no column."""
+    if not saw_fewer_runs(row, reference):
+        return row
+    nothing = {"mean": None, "std": None, "median": None, "ci95": (None, None)}
+    return {**row, **nothing, "metrics": dict.fromkeys(row.get("metrics", ()))}
 
 
 def _tried(row: Row) -> float:

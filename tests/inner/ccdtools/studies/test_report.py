@@ -119,13 +119,20 @@ def test_quick_is_marked_in_every_output(illustrative, masses):
     assert not style.blank(4, 3).texts
 
 
+def key(row):
+    """The block of a row."""
+    return row["plant"], row["generation"]
+
+
 def test_tables_repeat_the_results(illustrative, masses):
     for folder, results in (illustrative, masses):
         comparison = rows_of(folder, "comparison.csv")
         assert len(comparison) == len(results["comparison"])
+        lqr = {key(row): row["n"] for row in results["comparison"] if row["controller"] == "LQR"}
         for row, source in zip(comparison, results["comparison"]):
             assert row["controller"] == source["controller"]
-            assert row["mean"] == ("" if source["mean"] is None else str(source["mean"]))
+            few = source["controller"] == "MPC" and source["n"] < lqr[key(source)]
+            assert row["mean"] == ("" if few or source["mean"] is None else str(source["mean"]))
             assert all(float(row[name]) == value for name, value in source["design"].items())
         generations = rows_of(folder, "generations.csv")
         assert [float(row["deployed_return_mean"]) for row in generations] == [

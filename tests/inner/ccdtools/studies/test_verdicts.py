@@ -2,8 +2,12 @@
 
 import pytest
 
-from ccdtools.studies.report.formatting import number, share, signed_percent
+from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.studies.report.formatting import number, percent_interval, share, signed_percent
+from ccdtools.studies.report.gains import held_out_rows
 from ccdtools.studies.report.headline import headline
+from ccdtools.studies.report.metric_tables import metric_table
+from ccdtools.studies.report.summary import next_steps
 from ccdtools.studies.report.verdicts import limit_notes, verdict
 
 
@@ -202,7 +206,8 @@ def metric(name, before, after, half):
 def with_places(results, *metrics):
     """Results with one other place, in which the learned policy is 6 % worse than LQR."""
     gain = {"mean": 20.0, "ci95": [19.0, 21.0]}
-    place = {"start": -100.0, "design_cost": 0.0, "runs": 5, "steps": 10, "left_out": 0.0, "total": gain}
+    place = {"start": -100.0, "design_cost": 0.0, "runs": 5, "steps": 10, "left_out": 0.0, "design": gain,
+             "total": gain}  # fmt: skip
     results["gains"] = [place | {"place": "drive", "metrics": metrics[:-1]},
                         place | {"place": "start", "metrics": metrics}]  # fmt: skip
     same = {"plant": "held out: start", "model": "start", "generation": 2, "n": 30, "diverged": 0.0, "lqr_mean": -50.0}
@@ -225,3 +230,59 @@ def test_the_headline_does_not_call_a_policy_equal_to_LQR_that_is_worse_somewher
     said = headline(with_places(outcome(100, 80, 80), metric("noise [dB]", 10.0, 9.0, 0.5)))
     assert "The learned policy equals LQR, but it is worse than LQR with start (+6 % cost)." in said
     assert "Worse" not in said
+
+
+def test_headline_and_table_take_the_cost_from_the_same_runs():
+    results = with_places(outcome(102, 80, 80), metric("noise [dB]", 10.0, 9.0, 0.5))
+    assert headline(results).startswith("Real plant: cost −20 % (100 → 80), all of it from the design")
+
+
+def test_the_headline_says_that_a_deployment_returned_less_than_predicted():
+    results = outcome(100, 80, 80)
+    first, second = (generation["delivery"] for generation in results["generations"])
+    for one in (first, second):  # the second deployed nothing new
+        one["predicted"] = {"mean": -45.0, "ci95": [-46.0, -44.0]}
+        one["returns"] = {"mean": -63.0, "ci95": [-99.0, -48.0]}
+    assert headline(results).count("less than predicted") == 1
+    assert "The deployment of generation 1 returned 40 % less than predicted (−45.00 → −63.00;" in headline(results)
+    first["returns"]["ci95"][1] = -45.5
+    assert "predicted" not in headline(results)
+
+
+@pytest.mark.parametrize(
+    ("mean", "ends", "text"),
+    [(-23.4, (-26.0, -23.1), "−23.4 % [−26, −23.1]"), (0.003, (-0.001, 0.006), "0 % [0, +0.01]"),
+     (5.0, (5.0, 5.0), "+5 % [+5, +5]"), (-23.0, (-26.0, -20.0), "−23 % [−26, −20]")],
+)  # fmt: skip
+def test_an_interval_does_not_end_on_its_estimate_by_rounding(mean, ends, text):
+    assert percent_interval(mean, ends, 100) == text
+
+
+def test_advice_is_of_the_codesign_that_is_deployed_and_names_its_bounds():
+    results = outcome(100, 80, 80)
+    for generation, advice in zip(results["generations"], (CoDesignStatus.AT_BOUND.advice, "Raise it.")):
+        generation |= {"codesign": {"advice": advice}, "active_bounds": {"p": "upper"}, "active_constraints": {}}
+    assert next_steps(results) == [
+        "Widen or relax p (upper bound), if the plant allows it: the return still rises across them"
+    ]
+    results["generations"][1]["redesign"] = {"accepted": True, "chosen": "redesign"}
+    assert next_steps(results) == ["Raise it"]
+
+
+def test_means_of_fewer_runs_share_no_column():
+    lqr = limit_row("LQR") | {"metrics": {"noise": 1.0}}
+    few = limit_row("MPC") | {"n": 2, "metrics": {"noise": 0.5}}
+    table = metric_table([lqr, few])
+    assert [(line["values"], line["star"]) for line in table["lines"]] == [([1.0], False), ([None], True)]
+    place = {"place": "road", "steps": 10}
+    rows = [row | {"model": "road"} for row in (lqr, few)]
+    (_, shown) = held_out_rows({"gains": [place | {"place": "drive"}, place], "comparison": [], "held_out": rows}, 10)
+    assert shown["cells"][1] == {"mean": "n/a *", "against": "0 %", "verdict": "equal"}
+
+
+def test_a_difference_without_an_interval_keeps_its_per_cent():
+    rows = [limit_row("LQR"), limit_row("PID") | {"paired_to_lqr": {"mean": -6.0, "ci95": [None, None]}}]
+    rows = [row | {"model": "road"} for row in rows]
+    places = [{"place": "drive", "steps": 10}, {"place": "road", "steps": 10}]
+    shown = held_out_rows({"gains": places, "comparison": [], "held_out": rows}, 10)
+    assert shown[1]["cells"][1]["against"] == "−6 %"
