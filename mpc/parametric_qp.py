@@ -150,7 +150,12 @@ class ParametricQP:
                 T = np.hstack([T, np.eye(self.nt)[:, rows]])
             column += size
         left = tuple(p for p in self.parameters if p[0] not in values)
-        return replace(self._substitute(T, t), parameters=left)
+        return replace(  # θ = T θ' + t
+            self, F=self.F @ T, f=self.f + self.F @ t, S=self.S @ T, w=self.w + self.S @ t, Lt=self.Lt @ T,
+            l=self.l + self.Lt @ t, Xt=self.Xt @ T, x=self.x + self.Xt @ t,
+            Y=T.T @ self.Y @ T, y=T.T @ (self.y + self.Y @ t),
+            c=self.c + float(self.y @ t + 0.5 * t @ self.Y @ t), parameters=left,
+        )  # fmt: skip
 
     def without(self, rows: Iterable[int]) -> ParametricQP:
         """Return the problem without some of its constraints."""
@@ -165,15 +170,6 @@ class ParametricQP:
         if isinstance(i, (bool, np.bool_)) or not isinstance(i, (int, np.integer)) or not 0 <= i < self.m:
             raise InputError("rows", repr(i), f"numbers of constraints in 0 … {self.m - 1}")
         return int(i)
-
-    def _substitute(self, T: Array, t: Array) -> ParametricQP:
-        """Replace θ by T θ' + t."""
-        return replace(
-            self, F=self.F @ T, f=self.f + self.F @ t, S=self.S @ T, w=self.w + self.S @ t, Lt=self.Lt @ T,
-            l=self.l + self.Lt @ t, Xt=self.Xt @ T, x=self.x + self.Xt @ t,
-            Y=T.T @ self.Y @ T, y=T.T @ (self.y + self.Y @ t),
-            c=self.c + float(self.y @ t + 0.5 * t @ self.Y @ t),
-        )  # fmt: skip
 
 
 def _vector(name: str, value: ArrayLike, n: int) -> Array:

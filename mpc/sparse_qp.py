@@ -94,15 +94,12 @@ class SparseSolver:
             v, y = self._osqp(q, low, high) if solver == "osqp" else self._clarabel(q, low, high)
             found = self._candidate(v, self._residuals(v, y, q, low, high), x, given, solver)
             if found.status is Status.SOLVED:
-                cost = self._scaled_cost(found, given) if self.problem.S is not None else None
+                cost = None if self.problem.S is None else (
+                    cost_of(self.problem, found.inputs, found.states, given) / self._staging.cost)  # fmt: skip
                 if self._check.doubt(v, y, q, high, found.states, cost) <= KKT_REPORTED:
                     break
                 found = replace(found, status=Status.INACCURATE)
         return found
-
-    def _scaled_cost(self, found: Candidate, given: Given) -> float:
-        """Cost of a candidate in the units of the QP."""
-        return cost_of(self.problem, found.inputs, found.states, given) / self._staging.cost
 
     def _vectors(self, x: Array, given: Given) -> tuple[Array, Array, Array]:
         """Linear cost and the two sides of all rows."""

@@ -264,7 +264,7 @@ class Ascent:
         values = self.task.judge.risk.values(seen.total)
         mean, std, lost = of_kept_runs(self.task.judge.risk, seen.total.double().numpy(), seen.diverged.numpy())
         steps = self.model_steps + self.ppo.env_steps
-        self.rows.append((self.iterations, steps, self._design(), mean, std, lost))
+        self.rows.append((self.iterations, steps, self.region.settled(self.v), mean, std, lost))
         violation = 0.0
         outcome = None
         if self.limits is not None:
@@ -337,10 +337,6 @@ class Ascent:
     def _p(self) -> Tensor:
         """The present design (np,), without its gradient."""
         return to_design(self.task.problem, self.v.detach())
-
-    def _design(self) -> Array:
-        """The present design (np,), in physical units."""
-        return self.region.settled(self.v)
 
     def history(self) -> History:
         """The evaluations so far."""

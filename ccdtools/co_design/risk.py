@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from operator import methodcaller
 from typing import Any, Protocol
 
 import numpy as np
@@ -168,7 +169,7 @@ class WorstCase:
 
     def _smoothed(self, means: Any) -> tuple[Any, Any]:
         """The measure of the means of the cases, (..., 1), and its slopes in them, (..., m)."""
-        exp, log = (np.exp, np.log) if isinstance(means, np.ndarray) else (_exp, _log)
+        exp, log = (np.exp, np.log) if isinstance(means, np.ndarray) else map(methodcaller, ("exp", "log"))
         worst, _ = _least(means)
         tau = self.smoothing * abs(worst) + TINY
         parts = exp((worst - means) / tau)
@@ -221,16 +222,6 @@ def _least(means: Any) -> tuple[Any, Any]:
         worst = means.amin(-1, keepdim=True)
         parts = (means == worst).to(means)
     return worst, parts / parts.sum(-1)[..., None]
-
-
-def _exp(tensor: Any) -> Any:
-    """Of a torch tensor."""
-    return tensor.exp()
-
-
-def _log(tensor: Any) -> Any:
-    """Of a torch tensor."""
-    return tensor.log()
 
 
 def as_risk(argument: str, value: Any) -> Risk:

@@ -181,9 +181,5 @@ def as_start(x0: ArrayLike | None, P0: ArrayLike | None, nx: int) -> tuple[Array
     if P0 is None:
         cure = "How far the first state may lie from x0; steady=True of a KalmanFilter needs none."
         raise InputError("P0", "nothing", f"the covariance ({nx}, {nx}) of the first state", cure)
-    return _estimate(x0, nx), as_covariance("P0", P0, nx)
-
-
-def _estimate(x0: ArrayLike | None, nx: int) -> Array:
-    """The first estimate, (nx,)."""
-    return frozen(np.zeros(nx)) if x0 is None else as_vector("x0", x0, nx, of="one per state")
+    estimate = frozen(np.zeros(nx)) if x0 is None else as_vector("x0", x0, nx, of="one per state")
+    return estimate, as_covariance("P0", P0, nx)

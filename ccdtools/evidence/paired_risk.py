@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from ccdtools.arrays import Array
 from ccdtools.co_design.risk import Mean, Risk
 from ccdtools.co_design.risk_intervals import difference_of_parts, parts_of_risk, too_few
-from ccdtools.evidence.groups import paired_over_groups
-from ccdtools.statistics import PairedDifference, mean_interval
+from ccdtools.statistics import PairedDifference, mean_interval, paired_returns
 
 Labels = NDArray[np.int64]
 
@@ -55,3 +54,19 @@ def stretches(rewards: Array, stretch: int) -> Array:
     length = min(stretch, rewards.shape[1])
     count = rewards.shape[1] // length
     return rewards[:, : count * length].reshape(-1, length).sum(axis=1)
+
+
+def paired_over_groups(after: Array, before: Array, labels: Labels, *, runs: int) -> PairedDifference:
+    """Mean difference of the returns of runs with rewards (n, T), over the groups that their labels (n,) tell.
+
+    Only groups are independent evidence. Of one group the interval is that of its series, if no more runs were begun.
+    """
+    return paired_returns(*(_grouped(rewards, labels) for rewards in (after, before)), runs=runs)
+
+
+def _grouped(rewards: Array, labels: Labels) -> Array:
+    """Mean rewards (groups, T) of the runs (n, T) with the same label."""
+    _, group, sizes = np.unique(labels, return_inverse=True, return_counts=True)
+    means = np.zeros((len(sizes), rewards.shape[1]))
+    np.add.at(means, group, rewards / sizes[group, None])
+    return means

@@ -51,7 +51,7 @@ def nearest(
             continue
         if best is None or np.linalg.norm(found - v) < np.linalg.norm(best - v):
             best = found
-        if not thorough and _is_nearest(limits, v, found, free):
+        if not thorough and _held_still(v - found, limits.prices(found, v - found, free)[2]):
             return found
     return best
 
@@ -174,11 +174,6 @@ def _corrected(limits: UnitConstraints, u: Array, free: Array) -> Array:
             moved = u[moving] + step
         u[moving] = np.clip(moved, 0.0, 1.0)
     return u
-
-
-def _is_nearest(limits: UnitConstraints, v: Array, u: Array, free: Array) -> bool:
-    """Whether constraints and bounds at `u` hold it against its push towards `v`."""
-    return _held_still(v - u, limits.prices(u, v - u, free)[2])
 
 
 def _held_still(push: Array, rest: Array) -> bool:

@@ -3,7 +3,8 @@
 References
 ----------
 Blanchini (1994), Ultimate boundedness control for uncertain discrete-time systems via set-induced Lyapunov functions,
-IEEE TAC 39(2): contraction makes the recursion end in an invariant set.
+IEEE TAC 39(2): contraction makes the recursion end in an invariant set. Blanchini, Miani (2015), Set-Theoretic Methods
+in Control, 2nd ed., section 5.1 and algorithm 5.1: the backward step.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from invariant_sets.engine.local_problem import LocalProblem
-from invariant_sets.engine.predecessor import predecessor_rows
 from invariant_sets.engine.recursion import Caps, Outcome, Predecessor, Region, Rows, Shape, iterate
 from invariant_sets.interior_form import unit_rows
-from invariant_sets.time_limits import Deadline, LimitReached
+from invariant_sets.projection import eliminate_last, project_rows, unit
+from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
 from invariant_sets.tolerances import CENTRAL, CLOSED_LOOP_MARGIN, CONTRACTIONS, SHRUNK
 
 Array = np.ndarray
@@ -216,3 +217,37 @@ def gap(outer: Region, inner: Region) -> float:
     if (excess[passing] > CENTRAL).any():
         return np.inf
     return float(max(0.0, (excess[~passing] / inner.g[~passing]).max(initial=0.0)))
+
+
+def predecessor_rows(target: Rows, A: Array, B: Array, joint: Rows, *, fresh: Array | None = None,
+                     deadline: Deadline = NO_DEADLINE) -> Rows:
+    """Return unit rows (R, r) of {x : some u with H [x; u] <= h has F (A x + B u) <= g}.
+
+    Parameters
+    ----------
+    target : (F, g)
+        The target set, already tightened by the disturbance; unit rows.
+    A, B : (n, n) and (n, nu) arrays
+        Dynamics.
+    joint : (H, h)
+        Constraints on state and input together.
+    fresh : (m,) bool array, optional
+        Rows of the target that are new since the last call. With one input, only what follows from these is
+        returned: a recursion that only shrinks its set has the rest already.
+    deadline : Deadline
+        When to stop.
+
+    Notes
+    -----
+    Assumes coordinates of order one (scale by the bounding boxes first). Redundant rows are removed between
+    the inputs, not after the last one. A set without points gives the row 0 x <= −1.
+    """
+    F, g = target
+    H, h = joint
+    nu = B.shape[1]
+    R = np.vstack([np.hstack([F @ A, F @ B]), H])
+    r = np.append(g, h)
+    if nu == 1:
+        R, r = unit(R, r)
+        return eliminate_last(R, r, None if fresh is None else np.append(fresh, np.zeros(len(h), bool)))
+    return project_rows(R, r, R.shape[1] - nu, deadline=deadline)

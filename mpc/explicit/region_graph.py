@@ -108,7 +108,8 @@ class RegionGraph:
 
     def active_bits(self, regions: int) -> Bits:
         """Members of the active sets of the first regions, (regions, m)."""
-        return _bits(self.graph.masks[self.graph.queue[:regions]], len(self.qp.M))
+        masks = np.ascontiguousarray(self.graph.masks[self.graph.queue[:regions]]).view(np.uint8)
+        return np.unpackbits(masks, axis=1, bitorder="little")[:, : len(self.qp.M)]
 
     def keep_rows(self, kept: Ints) -> None:
         """Keep these rows of the problem, among them all active ones; forget the sets without region."""
@@ -184,11 +185,6 @@ def _longer(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     longer = np.empty((2 * len(array), *array.shape[1:]), array.dtype)
     longer[: len(array)] = array
     return longer
-
-
-def _bits(masks: Masks, m: int) -> Bits:
-    """Members of active sets among m rows, (n, m), from bit masks."""
-    return np.unpackbits(np.ascontiguousarray(masks).view(np.uint8), axis=1, bitorder="little")[:, :m]
 
 
 def _masks(bits: Bits, words: int) -> Masks:

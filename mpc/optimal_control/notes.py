@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -91,15 +90,10 @@ def _first(function: ca.Function | None, entries: Sequence[str], columns: dict[s
     row, i = wrong[np.argmin(times[wrong[:, 1]])]
     when = f" at t = {times[i]:.6g}" if "t" in given else ""
     where = ", ".join(
-        f"{name} = {_shown(given[name][:, i])}"
+        f"{name} = {brief('[' + ', '.join(f'{entry:.4g}' for entry in given[name][:, i]) + ']')}"
         for name in function.name_in() if name not in ("t", "t0") and given[name].size
     )  # fmt: skip
     return f"{values[row, i]:g} in {entries[row]}{phase}{when}, where {where}"
-
-
-def _shown(value: Any) -> str:
-    """A column, with four digits each."""
-    return brief("[" + ", ".join(f"{entry:.4g}" for entry in value) + "]")
 
 
 def notes_of(program: NonlinearProgram, v: Array, solved: bool) -> tuple[str, ...]:
