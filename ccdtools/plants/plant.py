@@ -93,7 +93,8 @@ class Plant:
         named = (("state_names", "x", self.nx), ("input_names", "u", self.nu), ("output_names", "y", self.ny))
         for name, letter, n in named:
             given = getattr(self, name)
-            set_(self, name, _labels(letter, n) if isinstance(given, tuple) and not given else as_names(name, given, n))
+            given = [f"{letter}{i + 1}" for i in range(n)] if isinstance(given, tuple) and not given else given
+            set_(self, name, as_names(name, given, n))
         Vectorised(self.right_hand_side)  # refuses operations that have no array counterpart
 
     def _check_outputs(self) -> None:
@@ -242,8 +243,3 @@ def _bound(argument: str, value: Any, size: int) -> Array:
     if bound.shape not in ((), (size,)) or np.isnan(bound).any():
         raise InputError(argument, f"{bound.tolist()} of shape {bound.shape}", f"a number, or ({size},) of them")
     return frozen(np.broadcast_to(bound, (size,)).copy())
-
-
-def _labels(letter: str, n: int) -> tuple[str, ...]:
-    """Names such as x1, x2."""
-    return tuple(f"{letter}{i + 1}" for i in range(n))
