@@ -19,7 +19,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.tolerances import FLAT, LOOSE, UNSTABLE
 
 Array = np.ndarray
-_ROOM = 0.1  # of its width: by how much a box is larger than need be, so that its sides touch nothing
+_ROOM = 0.1  # of its width: by how much a box is larger than need be; its inverse is how far away a row is far
 
 
 def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
