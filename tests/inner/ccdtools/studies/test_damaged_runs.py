@@ -14,36 +14,18 @@ import numpy as np
 import pytest
 import small_runs
 import tiny_command
+from small_runs import ARGUMENTS, call
 
-from ccdtools.cli import main
-from ccdtools.studies import RunFolder, preparation
+from ccdtools.studies import RunFolder
 from ccdtools.studies.fingerprint import differences
 
 COMMAND = [sys.executable, tiny_command.__file__]
 
 
-def call(*arguments: str) -> int:
-    """The exit code of the command line in this process, with the tiny configuration."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(preparation, "configuration", small_runs.tiny_configuration)
-        patch.setattr(sys, "argv", ["ccdtools", *arguments])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-    return stopped.value.code
-
-
-def run_spring(place: Path):
-    """Fill a folder with a study and its finished run of two generations."""
-    (place / "spring.py").write_text(small_runs.SPRING)
-    rows = "\n".join(f"{value:.3f}" for value in 0.1 * np.random.default_rng(0).standard_normal(600))
-    (place / "w.csv").write_text("w\n" + rows + "\n")
-    assert call("run", str(place / "spring.py"), "--output", str(place / "run")) == 0
-
-
 @pytest.fixture(scope="module")
 def whole(stored):
     """A folder with a study and its finished run, which all processes share."""
-    return stored("spring", run_spring)
+    return stored("spring", small_runs.run_spring)
 
 
 @pytest.fixture
@@ -271,7 +253,7 @@ def test_a_recording_is_kept_with_the_run(whole, tmp_path):
 def test_a_run_that_is_killed_ends_like_one_that_is_not(whole, tmp_path, stage):
     run = tmp_path / "run"
     process = subprocess.Popen(
-        [*COMMAND, "run", str(whole / "spring.py"), "--output", str(run)],
+        [*COMMAND, "run", str(whole / "spring.py"), "--output", str(run), *ARGUMENTS],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
         env=os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
     )  # fmt: skip

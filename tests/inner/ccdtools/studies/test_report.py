@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from markupsafe import escape
 from matplotlib.figure import Figure
-from small_runs import tiny
+from small_runs import run_spring, tiny
 
 from ccdtools import CVaR, DesignSpace, Gaussian, Plant, QuadraticObjective
 from ccdtools import figure_style as style
@@ -45,11 +45,11 @@ def two_masses() -> Study:
     )  # fmt: skip
 
 
-def finished(study: Study, path, *, generations: int = 1, quick: bool = True):
-    """Make a run of hardly any iterations and its report."""
-    config = replace(tiny(configuration(study, quick=True)), quick=quick, sets_time_limit=2.0)
+def finished(study: Study, path):
+    """Make a run of hardly any iterations that is not called quick, and its report."""
+    config = replace(tiny(configuration(study, quick=True)), quick=False, sets_time_limit=2.0)
     folder = RunFolder.create(path)
-    Generations(study, config, folder, generations=generations, seed=3, echo=lambda line: None, progress=False).run()
+    Generations(study, config, folder, generations=1, seed=3, echo=lambda line: None, progress=False).run()
     write_report(study, folder)
 
 
@@ -60,17 +60,15 @@ def read(path):
 
 
 @pytest.fixture(scope="module")
-def illustrative(stored):
+def spring(stored):
     """A quick run of two generations on two states."""
-    study = load_study("illustrative")
-    study = replace(study, steps=20, real=replace(study.real, runs=20, steps=30))
-    return read(stored("illustrative", lambda place: finished(study, place / "run", generations=2)))
+    return read(stored("spring", run_spring))
 
 
 @pytest.fixture(scope="module")
 def masses(stored):
     """A run that is not quick, of a study that is in no file of the package."""
-    return read(stored("masses", lambda place: finished(two_masses(), place / "run", quick=False)))
+    return read(stored("masses", lambda place: finished(two_masses(), place / "run")))
 
 
 def rows_of(folder, name):
@@ -84,8 +82,8 @@ def figures_of(folder):
     return {path.stem for path in (folder.path / "figures").glob("*.png")}
 
 
-def test_two_state_study_has_every_figure(illustrative):
-    assert figures_of(illustrative[0]) == {
+def test_two_state_study_has_every_figure(spring):
+    assert figures_of(spring[0]) == {
         "changes", "history", "landscape", "comparison", "feasible_sets", "policy", "trajectories_model",
         "trajectories_real",
         "quantiles_1", "quantiles_2",
@@ -98,8 +96,8 @@ def test_figures_that_a_study_cannot_have_are_left_out(masses):
     }  # fmt: skip
 
 
-def test_page_holds_every_figure_and_links_to_nothing(illustrative, masses):
-    for folder, _ in (illustrative, masses):
+def test_page_holds_every_figure_and_links_to_nothing(spring, masses):
+    for folder, _ in (spring, masses):
         page = (folder.path / "report.html").read_text(encoding="utf-8")
         assert page.count("data:image/png;base64,") == len(figures_of(folder))
         assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)|https?://|@import|<script""", page)
@@ -108,8 +106,8 @@ def test_page_holds_every_figure_and_links_to_nothing(illustrative, masses):
         assert "nan" not in text
 
 
-def test_quick_is_marked_in_every_output(illustrative, masses):
-    for (folder, results), marked in ((illustrative, True), (masses, False)):
+def test_quick_is_marked_in_every_output(spring, masses):
+    for (folder, results), marked in ((spring, True), (masses, False)):
         page = (folder.path / "report.html").read_text(encoding="utf-8")
         assert ("QUICK" in page) == marked
         assert ("QUICK" in console_table(results)) == marked
@@ -124,8 +122,8 @@ def key(row):
     return row["plant"], row["generation"]
 
 
-def test_tables_repeat_the_results(illustrative, masses):
-    for folder, results in (illustrative, masses):
+def test_tables_repeat_the_results(spring, masses):
+    for folder, results in (spring, masses):
         comparison = rows_of(folder, "comparison.csv")
         assert len(comparison) == len(results["comparison"])
         lqr = {key(row): row["n"] for row in results["comparison"] if row["controller"] == "LQR"}
@@ -140,15 +138,15 @@ def test_tables_repeat_the_results(illustrative, masses):
         ]
 
 
-def test_learning_curves_have_one_row_per_evaluation(illustrative):
-    folder, results = illustrative
+def test_learning_curves_have_one_row_per_evaluation(spring):
+    folder, results = spring
     curves = rows_of(folder, "learning_curves.csv")
     for generation in results["generations"]:
         g = generation["generation"]
         history = folder.read_stage(f"codesign-{g}").arrays
         own = [row for row in curves if row["generation"] == str(g)]
         assert [float(row["model_return"]) for row in own] == history["history_model_return"].tolist()
-        assert [float(row["p"]) for row in own] == history["history_design"][:, 0].tolist()
+        assert [float(row["k"]) for row in own] == history["history_design"][:, 0].tolist()
 
 
 def test_page_names_designs_with_units_and_active_bounds(masses):
@@ -172,16 +170,16 @@ def test_console_table_is_aligned_and_names_active_bounds(masses):
 
 
 @pytest.mark.check
-def test_a_page_can_be_written_again(illustrative, tmp_path):
-    folder = RunFolder(shutil.copytree(illustrative[0].path, tmp_path / "run"))
+def test_a_page_can_be_written_again(spring, tmp_path):
+    folder = RunFolder(shutil.copytree(spring[0].path, tmp_path / "run"))
     study = load_study("illustrative")
     before = (folder.path / "report.html").read_text(encoding="utf-8")
     write_report(replace(study, steps=20, real=replace(study.real, runs=20, steps=30)), folder)
     assert (folder.path / "report.html").read_text(encoding="utf-8") == before
 
 
-def test_every_decision_stands_on_the_page_with_all_its_evidence(illustrative):
-    folder, results = illustrative
+def test_every_decision_stands_on_the_page_with_all_its_evidence(spring):
+    folder, results = spring
     page = (folder.path / "report.html").read_text(encoding="utf-8")
     table = page[page.index('<details id="decisions">') : page.index('<details id="sets">')]
     shown = [re.sub(r"<.*?>", "", cell).strip() for cell in re.findall(r"<td.*?</td>", table, flags=re.S)]
@@ -198,9 +196,9 @@ def test_a_folder_without_results_is_an_error(tmp_path):
         write_report(load_study("illustrative"), RunFolder(tmp_path))
 
 
-def test_mpc_stands_beside_lqr_on_the_runs_that_both_saw(illustrative):
-    text = console_table(illustrative[1])
-    rows = [row for row in illustrative[1]["comparison"] if row["controller"] in ("MPC", "LQR")][:2]
+def test_mpc_stands_beside_lqr_on_the_runs_that_both_saw(spring):
+    text = console_table(spring[1])
+    rows = [row for row in spring[1]["comparison"] if row["controller"] in ("MPC", "LQR")][:2]
     mpc, lqr = sorted(rows, key=lambda row: row["n"])
     shared = mpc["mean"] - mpc["paired_to_lqr"]["mean"]
     assert mpc["n"] < lqr["n"]
@@ -209,15 +207,15 @@ def test_mpc_stands_beside_lqr_on_the_runs_that_both_saw(illustrative):
     assert "MPC *" in text
 
 
-def test_the_headline_comes_first(illustrative):
-    folder, results = illustrative
+def test_the_headline_comes_first(spring):
+    folder, results = spring
     page = (folder.path / "report.html").read_text(encoding="utf-8")
     assert page.lower().index("real plant: cost") < page.index("What changed") < page.index("Where the gain comes from")
     assert results["headline"].startswith("QUICK run, not a result. ")
 
 
-def test_the_page_says_how_many_updates_were_accepted_and_states_the_problem(illustrative):
-    folder, results = illustrative
+def test_the_page_says_how_many_updates_were_accepted_and_states_the_problem(spring):
+    folder, results = spring
     page = (folder.path / "report.html").read_text(encoding="utf-8")
     for generation in results["generations"]:
         updates = generation["online_updates"]
@@ -226,8 +224,8 @@ def test_the_page_says_how_many_updates_were_accepted_and_states_the_problem(ill
     assert "quantile loss (pinball loss)" in page
 
 
-def test_the_redesign_is_reported_whether_taken_or_not(illustrative):
-    folder, results = illustrative
+def test_the_redesign_is_reported_whether_taken_or_not(spring):
+    folder, results = spring
     redesign = results["generations"][1]["redesign"]
     assert results["generations"][0]["redesign"] is None
     assert redesign["texts"]
@@ -235,8 +233,8 @@ def test_the_redesign_is_reported_whether_taken_or_not(illustrative):
     assert str(escape(redesign["texts"][0].replace("-", "−")[1:])) in page
 
 
-def test_predicted_and_deployed_return_stand_side_by_side(illustrative):
-    folder, results = illustrative
+def test_predicted_and_deployed_return_stand_side_by_side(spring):
+    folder, results = spring
     page = (folder.path / "report.html").read_text(encoding="utf-8")
     with (folder.path / "generations.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -280,8 +278,8 @@ def test_landscape_of_nothing_but_divergence_is_still_drawn():
     assert style.png(figure).startswith(b"\x89PNG")
 
 
-def test_every_table_shows_how_far_outside_X_beside_how_often(illustrative):
-    folder, results = illustrative
+def test_every_table_shows_how_far_outside_X_beside_how_often(spring):
+    folder, results = spring
     assert all(0 <= row["depth_mean"] <= row["depth_peak"] <= row["depth_worst"] for row in results["comparison"]
                if row["depth_peak"] is not None)  # fmt: skip
     text = console_table(results)
@@ -318,11 +316,14 @@ def test_the_gain_on_the_deployed_drive_is_that_of_its_rows(masses):
     assert drive["total"]["mean"] == pytest.approx(rows[1, "learned"]["mean"] - rows[0, "LQR"]["mean"])
 
 
-def test_a_plant_of_several_runs_says_that_its_comparison_is_fresh(illustrative):
-    folder, results = illustrative
-    assert results["held_out"] == []
-    assert [place["place"] for place in results["gains"]] == ["real plant"]
+def test_a_place_that_no_generation_has_met_is_said_and_that_there_is_none(spring):
+    folder, results = spring
+    assert {row["plant"] for row in results["held_out"]} == {"held out: the study's start"}
+    assert [place["place"] for place in results["gains"]] == ["real plant", "the study's start"]
     page = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert "the other columns are disturbances that no generation has met" in page
+    without = results | {"gains": results["gains"][:1], "held_out": []}
+    page = render(FinishedRun(load_study(folder.path.parent / "spring.py"), folder, without), [])
     assert "the runs on the real plant are fresh in every comparison" in page
 
 
@@ -332,8 +333,8 @@ def test_a_gain_without_an_interval_or_without_a_reference_says_so():
     assert gain_text(place, "design") == "n/a"
     assert gain_text(place | {"start": 0.0}, "total") == "n/a"
 
-def test_the_page_and_the_results_say_which_sets_the_samples_came_from(illustrative, masses):
-    for folder, results in (illustrative, masses):
+def test_the_page_and_the_results_say_which_sets_the_samples_came_from(spring, masses):
+    for folder, results in (spring, masses):
         sets = results["initialisation"]["sets"]
         assert sets["X_fea"] + sets["lqr"] + sets["X"] > 0
         assert f"Sets: {sets['text']}." in (folder.path / "report.html").read_text(encoding="utf-8")
