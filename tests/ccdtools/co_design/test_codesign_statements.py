@@ -29,6 +29,7 @@ def weak(illustrative):
     )  # fmt: skip
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("method", TRAJECTORIES, ids=lambda method: method.name)
 def test_limits_that_no_design_keeps_are_named_by_every_method_of_trajectories(method, illustrative):
     found = codesigned(weak(illustrative), method, design=[0.5])
@@ -72,6 +73,7 @@ def test_limits_are_named_as_the_plant_and_the_user_name_them():
         assert "travel [m] ≤ 0.2" in "\n".join(found.notes)
 
 
+@pytest.mark.check
 def test_a_design_that_is_infeasible_is_projected_before_it_is_measured(illustrative):
     case = CASES["two budgets"]
     problem = case.problem()

@@ -199,6 +199,7 @@ def test_a_preview_keeps_both():
 # --- fixed limits, copies, files ----------------------------------------------------------------------------
 
 
+@pytest.mark.check
 def test_limits_that_happen_not_to_depend_on_the_design_are_fixed_ones():
     fixed = native(U=([-1.0], [2.0]))
     function = native(X=lambda p: ([-3, -4], np.array([3.0, 4.0])), U=lambda p: (-1, 2.0))

@@ -49,6 +49,7 @@ def test_constrained_designs_are_those_of_slsqp_on_the_exact_cost(name, method):
     assert found.slope < 1e-3
 
 
+@pytest.mark.check
 def test_a_multiplier_is_what_more_of_the_budget_brings():
     case = CASES["a mass budget"]
     found = cc.codesign(case.problem(), method="nested", design=case.start, rng=np.random.default_rng(1))

@@ -40,6 +40,7 @@ def found():
     return trade_off(priced(), [0.0, 2.0, 8.0], method=NESTED)
 
 
+@pytest.mark.check
 def test_designs_over_a_price_are_the_exact_ones(found):
     np.testing.assert_allclose(found.designs[:, 0], [exact_best(10.0, price) for price in found.values], atol=0.01)
 

@@ -51,6 +51,7 @@ def test_a_gain_found_with_the_design_is_as_good_as_nested_lqr(unit):
     assert gain.closed_loop.summary.mean >= worst - 0.02 * abs(worst)
 
 
+@pytest.mark.check
 def test_the_plant_first_is_no_better_than_both_together():
     problem = mass()
     first, together = (codesigned(problem, method) for method in ("sequential", "nested"))
@@ -139,6 +140,7 @@ def test_any_function_of_a_design_can_be_searched():
     assert found.objective == pytest.approx(0, abs=1e-3)
 
 
+@pytest.mark.check
 def test_methods_with_the_same_seed_meet_the_same_scenarios():
     problem = mass()
     first, second = (codesigned(problem, method, seed=7, design=[1.0]) for method in ("nested", cc.Nested("riccati")))
@@ -156,6 +158,7 @@ def test_trajectories_refuse_what_they_cannot_honour(illustrative):
             codesigned(changed, "simultaneous")
 
 
+@pytest.mark.check
 def test_limits_that_no_inputs_keep_are_told(illustrative):
     problem = illustrative.problem()
     weak = replace(problem, X=([-10, -2], [5, 0.05]), U=([-0.05], [0.05]), steps=20)
@@ -184,6 +187,7 @@ def test_a_body_that_is_free_to_drift_is_not_designed_by_what_it_does_alone():
     assert "known ahead" in codesigned(problem, "sequential").criterion
 
 
+@pytest.mark.check
 def test_an_unstable_plant_is_not_designed_by_what_it_does_alone(illustrative):
     problem = replace(illustrative.problem(), steps=8)  # too short for a run to be lost
     assert "known ahead" in codesigned(problem, "sequential").criterion

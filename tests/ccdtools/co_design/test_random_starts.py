@@ -72,6 +72,7 @@ def problem_from(scenarios, steps=30):
     )  # fmt: skip
 
 
+@pytest.mark.check
 def test_a_problem_takes_them_and_its_expert_starts_there(rng):
     S = Polytope.from_bounds([0.2, 1.0], [0.4, 2.0])
     problem = problem_from(RandomStarts(S, NOISE))

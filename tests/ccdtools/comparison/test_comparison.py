@@ -138,6 +138,7 @@ def test_a_baseline_that_is_not_there_is_refused(illustrative, controllers, scen
         scored(illustrative, {}, scenario)
 
 
+@pytest.mark.check
 def test_any_controller_is_the_baseline_and_without_lqr_the_first(illustrative, controllers, scenario):
     by_lqr = compared(illustrative, controllers, scenario)
     others = {name: controllers[name] for name in ("passive", "MPC")}

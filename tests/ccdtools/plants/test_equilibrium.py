@@ -38,6 +38,7 @@ def test_the_derivative_by_the_design_is_that_of_solutions_nearby():
     assert rest.du_dp[0, 0] == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.check
 def test_an_equilibrium_follows_the_design_over_the_whole_box():
     plant = tanks()
     rest = equilibrium(plant, [2.0], x=[NAN, 0.3], u=[NAN])

@@ -14,6 +14,7 @@ from mpc.rollout import spread_signals
 from mpc.solving import stagewise_candidate
 
 
+@pytest.mark.check
 def test_stage_by_stage_the_plan_is_that_of_least_output_cost_with_blocks_and_references_too():
     held = 0
     for seed in range(40):

@@ -3,6 +3,7 @@
 import time
 
 import numpy as np
+import pytest
 from random_problems import problem_of
 
 from invariant_sets import Polytope
@@ -22,6 +23,7 @@ def least_norm(G, w, S, theta_set=ONE, f=None, H=None):
     return solve_mpqp(problem_of(H, np.zeros((n, S.shape[1])), f, G, np.asarray(w, dtype=float), S), theta_set)
 
 
+@pytest.mark.check
 def test_the_first_regions_and_a_single_question_keep_the_time_limit():
     """3400 rows on 200 variables: finding one feasible parameter takes a third of a second."""
     n = 200

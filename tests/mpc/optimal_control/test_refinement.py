@@ -75,6 +75,7 @@ def test_dynamics_that_are_not_finite_between_the_points_are_not_met():
     assert np.isinf(found.errors[0]).any()
 
 
+@pytest.mark.check
 def test_a_corridor_that_is_blocked_is_not_made_passable_by_a_lower_accuracy():
     # a disc across the whole corridor: a coarse mesh steps over it, a fine one cannot
     blocked = Phase(

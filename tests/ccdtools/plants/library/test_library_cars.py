@@ -163,6 +163,7 @@ def test_the_fifteenth_state_forgets_the_twist_of_the_road_at_the_rate_it_is_tol
     )
 
 
+@pytest.mark.check
 def test_roads_given_by_speeds_and_by_heights_move_the_same_car():
     pace, size = np.array([7.0, 9.0, 5.0, 8.0]), np.array([0.03, -0.02, 0.025, 0.01])
     height = lambda t: size * np.sin(pace * t) ** 2  # noqa: E731

@@ -114,6 +114,7 @@ def test_matrices_refuse_vectors_of_another_width():
 # ── the PID of the baselines ──
 
 
+@pytest.mark.check
 def test_the_pid_is_tuned_on_the_updated_model():
     nominal = problem_of(1)
     strong = 1.5 * nominal.model.matrices([1.5])[1][:, 0]

@@ -10,6 +10,7 @@ from ccdtools.co_design.feasible import PULL, DesignRegion, FeasibleSlope
 from ccdtools.co_design.landscape import Landscape, valleys
 
 
+@pytest.mark.check
 def test_the_landscape_is_lowest_where_a_constraint_is_broken_and_its_valleys_are_feasible():
     case = CASES["a forbidden disc"]
     problem = case.problem()

@@ -68,6 +68,7 @@ def test_the_tolerance_is_a_quarter_more_than_what_mpc_does_there():
     assert not idle.active
 
 
+@pytest.mark.check
 def test_near_the_design_at_which_mpc_was_measured_the_tolerance_follows_the_design():
     problem = rail()
     scenarios = scenario_tensors(problem, 40, np.random.default_rng(0))

@@ -1,6 +1,7 @@
 """The landscape of saturated LQR: exact where nothing saturates, and its valleys told apart."""
 
 import numpy as np
+import pytest
 from small_plants import best_design, exact_return, mass, two_valleys
 
 from ccdtools.co_design.landscape import Landscape, valleys
@@ -40,6 +41,7 @@ def test_a_landscape_of_one_valley_has_one():
     assert abs(valley.design[0] - design[0]) < 0.05 * 2.8
 
 
+@pytest.mark.check
 def test_both_valleys_are_found_the_better_first():
     problem = two_valleys()
     design, _ = best_design(problem)

@@ -36,6 +36,7 @@ def scores(illustrative, controllers, scenario):
     return scored(illustrative, controllers, scenario)
 
 
+@pytest.mark.check
 def test_differences_are_paired_on_the_same_runs(illustrative, scores, controllers, scenario):
     problem = illustrative.problem()
 

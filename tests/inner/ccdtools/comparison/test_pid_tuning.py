@@ -40,6 +40,7 @@ def test_it_recovers_most_of_what_lqr_gains_over_doing_nothing(suspension):
     assert (mean_return(suspension, pid, p) - nothing) / (best - nothing) > 0.5
 
 
+@pytest.mark.check
 def test_it_stabilises_the_unstable_example(illustrative):
     pid = tuned_pid(illustrative.problem(), [2.0], rng=np.random.default_rng(0), runs=64, screened=24, refinements=80)
     assert mean_return(illustrative, pid, [2.0]) > -45  # LQR −29.8

@@ -59,6 +59,7 @@ def test_held_out_runs_are_repeated_exactly_and_are_not_those_of_the_deployment(
     assert not any(np.allclose(run, deployed[: w.shape[1]]) for run in w)
 
 
+@pytest.mark.check
 def test_baselines_are_tuned_once_and_as_new_every_time(study, evaluation):
     one, other = (evaluation.baselines(study.p0) for _ in range(2))
     x = np.array([[0.3, -0.2]])
