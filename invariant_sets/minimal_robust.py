@@ -50,7 +50,8 @@ def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, ep
     max_iterations, max_facets : int
         Caps on the number of terms and of facets.
     time_limit : float, optional
-        Latest end, in seconds from the call; no limit if left out. At the limit `set` is robust, but not the smallest.
+        Latest end, in seconds from the call; no limit if left out. Then `set` is robust, but not the
+        smallest; empty if none was found yet.
 
     Returns
     -------

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import dataclass
-from typing import Any
 
 import daqp
 import numpy as np
@@ -63,14 +62,6 @@ class DenseQP:
         self.second = second
         self._units = units
         self._size = 0.0 if units is None else _typical(units[self._rows] * self._r)
-        self._workspace = threading.local()
-
-    def __getstate__(self) -> dict[str, Any]:
-        """The workspace of the solver is not copied: a copy sets up its own."""
-        return {name: value for name, value in self.__dict__.items() if name != "_workspace"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
         self._workspace = threading.local()
 
     def solve(self, q: Array, b: Array, *, confirm_infeasible: bool = False) -> QPResult:

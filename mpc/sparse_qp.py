@@ -56,13 +56,6 @@ class SparseSolver:
         self._parameters = parameters
         self._workspace = threading.local()
 
-    def __getstate__(self) -> dict[str, Any]:
-        """What a copy is made of: the workspace of the solver and its factors are set up anew."""
-        return {"problem": self.problem, "parameters": self._parameters, "solver": self.solvers[0]}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        SparseSolver.__init__(self, **state)
-
     def plan(self, x: Array, given: Given, start: float) -> Plan:
         """Plan from the state x; `start` is when the clock of its solve time began."""
         with np.errstate(over="ignore", invalid="ignore"):

@@ -12,11 +12,6 @@ from ccdtools.twin.residuals import Residuals
 EVERY = 2  # of several runs, from the first on, meets the same disturbance in every deployment
 
 
-def common_runs(runs: int) -> slice:
-    """The runs of a deployment that meet the same disturbances in every generation."""
-    return slice(None, None, EVERY if runs > 1 else 1)
-
-
 def is_common(numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether runs of these numbers in their deployment meet the same disturbance in every one."""
     return numbers % EVERY == 0

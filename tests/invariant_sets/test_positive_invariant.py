@@ -129,3 +129,13 @@ def test_caps_too_small_for_any_robust_set_are_a_status_and_no_exception():
     assert result.status in (Status.ITERATION_LIMIT, Status.FACET_LIMIT)
     assert result.set.is_empty
     assert not result.certificate.holds
+
+
+def test_at_the_time_limit_the_set_is_robust_and_not_the_smallest_or_empty():
+    A4 = 0.4 * np.random.default_rng(0).standard_normal((4, 4))
+    W = box([-1.0] * 4, [1.0] * 4)
+    found = minimal_robust_positively_invariant_set(A4, W, eps=1e-6, time_limit=0.3)
+    assert found.status is Status.TIME_LIMIT
+    if not found.set.is_empty:
+        assert stays(A4, found.set, W.vertices) <= 1e-9
+        assert found.certificate.gap > 1e-6

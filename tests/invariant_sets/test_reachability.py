@@ -89,3 +89,24 @@ def test_no_steps_ask_nothing_of_the_inputs():
     for result in (reachable_set(A, B, start, nothing, 1), controllable_set(A, B, start, nothing, start, 1)):
         assert result.status is Status.EMPTY
         assert result.set.is_empty
+
+
+def test_what_is_found_before_the_time_limit_can_be_steered_to_the_target(rng):
+    A, B = 0.5 * rng.standard_normal((4, 4)), rng.standard_normal((4, 2))
+    steps = 12
+    found = controllable_set(A, B, ([-9.0] * 4, [9.0] * 4), ([-1.0] * 2, [1.0] * 2), ([-1.0] * 4, [1.0] * 4), steps,
+                             time_limit=0.05)  # fmt: skip
+    assert found.status is Status.TIME_LIMIT
+    assert found.is_bounded
+    assert "TIME_LIMIT, bounded set of dimension 4" in repr(found)
+    forced = [np.zeros((4, 2 * steps))]
+    free = [np.eye(4)]
+    for k in range(steps):
+        forced.append(A @ forced[-1])
+        forced[-1][:, 2 * k : 2 * k + 2] += B
+        free.append(A @ free[-1])
+    M = np.vstack([sign * F for F in forced[1:] for sign in (1, -1)])
+    ends = np.repeat([9.0] * (steps - 1) + [1.0], 8)
+    for x in found.set.vertices[::20]:
+        drift = np.concatenate([sign * (F @ x) for F in free[1:] for sign in (1, -1)])
+        assert linprog(np.zeros(2 * steps), M, ends - drift + 1e-7, bounds=(-1, 1)).status == 0

@@ -117,3 +117,16 @@ def test_starts_that_end_apart_are_told_apart_and_the_better_one_is_the_best():
 def test_wrong_starts_are_refused(starts):
     with pytest.raises(InputError, match="starts"):
         multi_start(mass(), starts, method=NESTED)
+
+
+def test_starts_and_what_each_found_stand_in_a_table():
+    own = two_valleys()
+    found = multi_start(own, [[0.2], [0.85]], method=Nested(starts=1, runs=50, evaluations=1))
+    name = own.design.names[0]
+    assert len(found) == 2
+    assert [row[name] for row in found.table()] == [result.design[0] for result in found]
+    assert [row[f"{name} at first"] for row in found.table()] == pytest.approx([0.2, 0.85])
+    lines = str(found).splitlines()
+    assert len(lines) in (3, 4)  # a heading, perhaps a rule
+    assert all(f"{name} = {value:g}" in line for value, line in zip((0.2, 0.85), lines[-2:]))
+    assert "2 starts" in repr(found)

@@ -199,3 +199,17 @@ def test_a_search_of_one_parameter_knows_that_it_has_converged():
     found = codesigned(mass(), cc.Search(of=lambda p: -((p[0] - 1.3) ** 2)))
     assert found.status.name == "CONVERGED"
     assert found.design[0] == pytest.approx(1.3, abs=1e-3)
+
+
+@pytest.mark.parametrize("method", [cc.Simultaneous(runs=1, starts=1), cc.Nested("trajectory", runs=1, starts=1)])
+def test_an_actuator_is_as_large_as_what_it_saves_where_its_limit_is_the_design(method):
+    x, u, w, p = (ca.SX.sym(name) for name in "xuwp")
+    plant = cc.Plant(x, u, w, p, x + u + w, cc.DesignSpace(["reach"], [0.1], [1.0]), dt=1.0, continuous=False)
+    problem = cc.CoDesignProblem(
+        cc.discretise(plant), X=(-5.0, 5.0), U=lambda p: (-p, p), scenarios=cc.FixedStart([1.0], cc.Gaussian([0.0])),
+        objective=cc.QuadraticObjective([[1.0]], [[1e-6]], design_cost=lambda p: 0.8 * p[0]), steps=1,
+        limit_tolerance="off",
+    )  # fmt: skip
+    found = codesigned(problem, method, design=[0.5])
+    assert found.design == pytest.approx([1 - 0.8 / 2], abs=1e-5)  # least (1 - p)² + 0.8 p
+    assert found.objective == pytest.approx(-(0.4**2 + 0.8 * 0.6), rel=1e-5)

@@ -1,6 +1,7 @@
 """Disturbances known ahead: the shift register, optimal preview control, and laws of both on the plant itself."""
 
 import pickle
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -15,6 +16,7 @@ from ccdtools import (
     InputError,
     LinearFeedback,
     LinearModel,
+    OutputLimits,
     Plant,
     Previewing,
     QuadraticObjective,
@@ -231,3 +233,17 @@ GAIN = LinearFeedback(np.ones((1, 4)))
 def test_bad_previews_are_refused(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_an_objective_and_limits_of_outputs_are_those_of_the_plant_before_the_register(rng):
+    own = problem_of()
+    limits = OutputLimits(lambda x, u, p: x[2] - x[0] + 0.1 * u[0] + p[0], [-0.2], [0.3])
+    objective = CustomObjective(lambda x, u, p: x[0] ** 2 + u[0] ** 2)
+    ahead = previewed_problem(replace(own, output_limits=limits, objective=objective), 3)
+    x, u, p = (rng.standard_normal(size) for size in (7, 1, own.design.dim))
+    values = ahead.output_limits.outputs.function(7, 1, own.design.dim)(x, u, p)
+    assert float(values) == pytest.approx(x[2] - x[0] + 0.1 * u[0] + p[0])
+    assert ahead.objective.describe() == objective.describe()
+    assert "stage cost" in objective.describe()
+    assert ahead.objective.looks_back == objective.looks_back
+    assert "register of 3" in repr(ahead.objective)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from nonlinear_programs import optimum
 
-from mpc import InputError, Status
+from mpc import InputError, LinearMPC, Status
 from mpc.optimal_control import NonlinearMPC
 
 N = 20
@@ -133,3 +133,16 @@ def test_an_invariant_terminal_set_needs_limits():
     assert caught.value.argument == "terminal_set"
     with pytest.raises(InputError, match="terminal_set"):
         law_in(np.ones(2), 1.0, 1.0, N, {"U": [5.0], "terminal_set": "largest"})
+
+
+@pytest.mark.parametrize(("weight", "cross"), [(0.0, None), (1.0, [[0.0], [0.2]])])
+def test_a_linear_model_whose_weights_do_not_see_what_grows_has_the_plan_of_linear_mpc(weight, cross):
+    A, B = np.array([[1.3, 0.2], [0.0, 1.2]]), np.array([[0.1], [1.0]])
+    own = {"Q": np.diag([0.0, weight]), "R": [[1.0]], "S": cross, "P": np.zeros((2, 2)), "horizon": 25,
+           "X": ([-5, -5], [5, 5]), "U": (-2.0, 2.0)}  # fmt: skip
+    mpc = NonlinearMPC(lambda x, u: ca.DM(A) @ x + ca.DM(B) @ u, 2, 1, **own)
+    for x in ([1.0, 0.3], [-2.0, 1.0], [0.5, -1.0]):
+        expected = LinearMPC(A, B, **own).solve(x)
+        plan = mpc.solve(x)
+        assert plan.status == expected.status
+        np.testing.assert_allclose(plan.inputs, expected.inputs, atol=1e-8)

@@ -306,3 +306,20 @@ def test_a_mesh_of_too_few_unknowns_says_so():
 def test_a_single_parameter_is_held_as_a_number():
     problem = OptimalControlProblem(block(dynamics=lambda x, u, p: ca.vertcat(x[1], p * u)), p_bounds=(0.1, 2))
     assert solve(problem, p=0.5).cost == pytest.approx(48.0)
+
+
+def test_no_bounds_may_be_said_by_none_for_all_or_one_entry_and_inputs_have_times():
+    def cost(**bounds):
+        double = Phase(lambda x, u: ca.vertcat(x[1], u), 2, 1, start=[0, 0], end=[1, 0], duration=1.0,
+                       stage_cost=lambda u: u**2, **bounds)  # fmt: skip
+        return solve(double)
+
+    free = cost()
+    assert free.cost == pytest.approx(12.0, rel=1e-3)
+    for bounds in ({"x_bounds": None, "u_bounds": None}, {"x_bounds": ([None, -9.0], None), "u_bounds": (None, 9.0)}):
+        assert cost(**bounds).cost == pytest.approx(free.cost, rel=1e-9)
+    (phase,) = free.phases
+    assert phase.input_times.shape == (len(phase.inputs),)
+    for t, u in zip(phase.input_times, phase.inputs):
+        assert phase.u(t) == pytest.approx(u)
+        assert u == pytest.approx([6 - 12 * t], abs=0.05)
