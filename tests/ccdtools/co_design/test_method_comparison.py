@@ -6,23 +6,29 @@ import signal
 import time
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
+from constrained_plants import CASES
 from small_plants import best_design, clone_of, exact_return, mass, two_valleys
 
 from ccdtools import (
     CoDesignConfig,
+    CoDesignProblem,
+    DesignSpace,
     FixedStart,
     Gaussian,
     InputError,
     Learned,
     LinearFeedback,
     Nested,
+    Plant,
     QuadraticObjective,
     Search,
     Sequential,
     closed_loop_returns,
     compare_methods,
+    discretise,
     simulate,
 )
 from ccdtools.cli import insisting
@@ -305,3 +311,39 @@ def test_a_comparison_says_which_method_it_is_at(problem, capsys):
     compare_methods(problem, chosen, progress=False)
     compare_methods(problem, chosen, each=lambda _: None)
     assert not capsys.readouterr().err
+
+
+FEW = {"few": Nested(starts=1, runs=8, evaluations=2), "more": Nested(starts=1, runs=8, evaluations=4)}
+
+
+def marks(figure, comparison):
+    """Where the right picture has the marker of every method, (n, 2)."""
+    ax = figure.axes[1]
+    drawn = [line.get_xydata() for line in ax.lines if line.get_marker() not in ("None", "", None)]
+    return np.concatenate(drawn)[-len(comparison):], ax
+
+
+def test_designs_of_two_parameters_are_drawn_on_a_map():
+    table = compare_methods(CASES["a mass budget"].problem(), FEW, seed=0)
+    drawn, ax = marks(table.plot(), table)
+    np.testing.assert_allclose(drawn, [row.result.design for row in table])
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("p0", "p1")
+
+
+def test_designs_of_three_parameters_are_drawn_each_in_its_range():
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 3)
+    space = DesignSpace(["k", "c", "m"], [1.0, 0.1, 1.0], [3.0, 1.0, 2.0], ["N/m", "-", "kg"])
+    plant = Plant(x, u, w, p, ca.vertcat(x[1], (-p[0] * x[0] - p[1] * x[1] + u + w) / p[2]), space, dt=0.1)
+    body = CoDesignProblem(
+        discretise(plant), X=(-10.0, 10.0), U=(-20.0, 20.0), objective=QuadraticObjective(np.eye(2), [[0.1]]),
+        scenarios=FixedStart([1.0, 0.0], Gaussian([0.3])), steps=30,
+    )  # fmt: skip
+    table = compare_methods(body, FEW, seed=0)
+    ax = table.plot().axes[1]
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["k [N/m]", "c", "m [kg]"]
+    drawn = [line.get_xydata()[0] for line in ax.lines if line.get_marker() not in ("None", "", None)]
+    expected = np.array([space.to_unit(row.result.design) for row in table]).T
+    np.testing.assert_allclose(np.array(drawn)[:, 0].reshape(3, 2), expected, atol=1e-12)
+    assert len(table) == 2
+    assert "MethodComparison(few, more" in repr(table)
+    assert table.markdown().splitlines()[0].startswith("| method")
