@@ -13,7 +13,7 @@ from invariant_sets.equalities import AffineHull, Stated, eliminated, opposite_r
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.hulls import extreme_points, hull_rows
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
-from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, THIN
+from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, SETTLED, THIN
 from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look
 
 Array = np.ndarray
@@ -63,22 +63,27 @@ class Body:
         return Stated(A, self.g + A @ self.centre, A_eq, A_eq @ self.centre,
                       self.sizes + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms).unit
 
-    def less(self, Q: Body) -> Body | None:
+    def less(self, Q: Body, V: Array | None = None) -> Body | None:
         """Return {x : x + q in the set for every q in Q}, not `settled`; None if the hull or an end excludes all of it.
 
         Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
+        V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `SAME`.
         """
         shape = replace(Q, centre=np.zeros(len(Q.centre)))
         across = self.normals
-        if (support(shape, across) > FLAT * (np.abs(across) @ (self.half_widths + Q.half_widths))
+        if len(across) and (support(shape, across) > FLAT * (np.abs(across) @ (self.half_widths + Q.half_widths))
                 + ROUNDING * (np.abs(across) @ (self.terms + Q.terms))).any():
             return None
         slope = self.F @ self.inverse
-        reach = support(shape, slope)
+        reach = support(shape, slope) if V is None else (slope @ V.T).max(axis=1)
         if np.isinf(reach).any():
             return None
         sizes = self.sizes + reach + GIVEN / ROUNDING * (np.abs(slope) @ (self.terms + Q.terms))
         return replace(self, g=self.g - reach, sizes=sizes, centre=self.centre - Q.centre, terms=self.terms + Q.terms)
+
+    def holds_part_of(self, whole: Body) -> bool:
+        """Return whether the tightened set holds a copy of the `whole`, `SETTLED` of its size: it is as little flat."""
+        return bool((self.g > SETTLED * whole.g).all())
 
     def settled(self) -> Body | None:
         """Return the set, whose g may have changed, about a point of its own and by its own extents; None if empty."""

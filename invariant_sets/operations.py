@@ -18,7 +18,7 @@ from invariant_sets.hulls import irredundant_rows
 from invariant_sets.interior_form import Body, body_of, support
 from invariant_sets.polyhedron import Polyhedron
 from invariant_sets.time_limits import Deadline, LimitReached, check_time_limit
-from invariant_sets.tolerances import CANCELLED, FLAT, GIVEN, SETTLED
+from invariant_sets.tolerances import CANCELLED, FLAT, GIVEN
 from invariant_sets.validation import as_floats, as_matrix, as_vector, check_finite, shown
 
 Array = np.ndarray
@@ -126,10 +126,13 @@ class SetOperations(Polyhedron):
             return type(self)(np.zeros((0, n)), np.zeros(0))
         if mine is None:
             return type(self).empty(n)
-        left = mine.less(theirs)
+        V = other._about_centre
+        left = mine.less(theirs, V)
+        if V is not None and not (left and left.holds_part_of(mine)):  # what has hardly any room needs all digits
+            left = mine.less(theirs)
         if left is None:
             return type(self).empty(n)
-        solid = (left.g > SETTLED * mine.g).all()  # it holds a copy of P of this size, and is as little flat as P is
+        solid = left.holds_part_of(mine)
         if mine.bounded:
             if solid:
                 return type(self)._of(left.rows, body=left, settled=False)

@@ -236,6 +236,14 @@ class Polyhedron:
         corners = extreme_points(Y, body.F, body.g, ROUNDING * body.sizes.max(initial=0.0))
         return body.centre, counter_clockwise(Y[corners]) @ body.basis.T
 
+    @property
+    def _about_centre(self) -> Array | None:
+        """The vertices less the centre of the body (k, n) where they are known already."""
+        if self._vertices is None and self._enumerated is None:
+            return None
+        anchor, Y = self._offsets
+        return Y + (anchor - self._require_point("vertices").centre)
+
     @cached_property
     def volume(self) -> float:
         """Volume in the n-dimensional space; 0 if flat or empty. Raises `UnboundedError`."""
