@@ -95,8 +95,8 @@ def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytop
                       deadline: Deadline) -> Step | None:
     """Return the step without the ends so far away that a set with a width seems flat; None if it is flat.
 
-    In units of the width of the sets, or of what moves the target by its width: `1 / FLAT` of them away doubles do not
-    tell where the rows are.
+    In units of what moves the target by `LOOSE` times its width, at most of the width of the sets: `1 / FLAT` of them
+    away doubles do not tell where the rows are.
 
     Raises
     ------
@@ -108,12 +108,13 @@ def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytop
     M = np.hstack([system.A, system.B])
     width = S._require_point("backward_step").half_widths
     with np.errstate(divide="ignore", over="ignore"):
-        unit = (np.where(width > 0.0, width, np.inf)[:, None] / np.abs(system.A)).min(axis=0, initial=1.0)
+        unit = (np.where(width > 0.0, LOOSE * width, np.inf)[:, None] / np.abs(system.A)).min(axis=0, initial=1.0)
+        moved = np.minimum(np.abs(system.A) @ unit + np.abs(system.B) @ body.half_widths[n:], 1.0)
     known = ROUNDING * (body.terms + body.half_widths)
     rows = len(X.b) + len(S.b)
     for distance in (1 / FLAT, LOOSE):
         states = _without_rows_beyond(X, body.centre[:n], distance * unit + known[:n])
-        target = _without_rows_beyond(S, M @ body.centre, distance + np.abs(M) @ known)
+        target = _without_rows_beyond(S, M @ body.centre, distance * moved + np.abs(M) @ known)
         if len(states.b) + len(target.b) == rows:
             continue
         step = backward_step(system, target, states, U, deadline)
