@@ -407,3 +407,20 @@ def test_prices_of_soft_limits_change_with_their_units(lower, upper, U, rate, le
     for name, of in (("cost_by_parameters", "cost"), ("inputs_by_parameters", "inputs")):
         expected = slopes(lambda p, of=of: getattr(make(p).solve(start, **signals), of), np.zeros(2), [1e-4] * 2)
         assert distance(getattr(found, name), expected) < REQUIRED, name
+
+
+@pytest.mark.parametrize("room", [1e-4, 1e-5, 3e-6])
+def test_a_soft_limit_that_the_plan_only_comes_near_does_not_push(room):
+    """The rate limit decides the first state, which keeps a little room to its soft limit: the cost is smooth there."""
+    A = np.array([[0.1, -0.8, 0.2], [-0.6, -0.3, 0.1], [-0.3, 0.2, 0.1]])
+    B = np.array([[-0.4], [2.9], [-0.4]])
+    mpc = LinearMPC(A, B, Q=1.0, R=0.1, horizon=3, U=(-0.5, 0.5), X=(-0.5, 0.5), soft=(5.0, 20.0), rate_limit=0.2)
+    last = {"u_prev": [0.41]}
+    x = np.array([0.69, (0.1 * 0.69 + 0.2 * 0.2 - 0.4 * 0.21 - 0.5 * (1 - room)) / 0.8, 0.2])
+    assert mpc.solve(x, **last).states[1, 0] == pytest.approx(0.5 * (1 - room), abs=1e-12)
+    moved = np.array([0.0, 1e-7, 0.0])
+    expected = (mpc.solve(x + moved, **last).cost - mpc.solve(x - moved, **last).cost) / 2e-7
+    sensitivity = mpc.sensitivity(x, **last)
+    assert sensitivity.status is SensitivityStatus.SMOOTH
+    assert sensitivity.margin == pytest.approx(room, rel=1e-6)
+    assert sensitivity.along([0.0, 1.0, 0.0]).cost == pytest.approx(expected, rel=1e-5)
