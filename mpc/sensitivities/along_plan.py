@@ -230,8 +230,8 @@ class NewtonStep:
         at = linear.conditions.columns
         move = self.moves[:, -1]
         values = linear.values + linear.rows[:, at["gap"]].ravel() + linear.rows[:, linear.free] @ move
-        # half of what counts as on its bound: else rounding may leave a row that is passed and neither acts nor is met
-        passed = (values > WEAKLY_ACTIVE / 2 * linear.units) & ~point.acting & linear.own
+        # by more than it takes to act on: a row that is passed by as much as that would enter and leave for ever
+        passed = (values > 2 * WEAKLY_ACTIVE * linear.units) & ~point.acting & linear.own
         acting = linear.acting(multipliers)
         enter(linear.rows[:, linear.free] * linear.scale, multipliers, acting, passed)
         slacks = point.slacks + self._of_slacks
