@@ -13,6 +13,7 @@ recursive LDLᵀ updates, IEEE Trans. Automatic Control 67(8).
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -40,7 +41,8 @@ class Optimum:
 def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) -> tuple[Array, Array]:
     """Return the least values (k,) that DAQP finds, and which of them (k,) are right.
 
-    They are recomputed from their active rows and right to `LP_ROUNDING`; if `coarse`, as found, to `LP_RESIDUAL`.
+    They are right to `LP_ROUNDING`, recomputed where their active rows meet in a corner; if `coarse`, as found, to
+    `LP_RESIDUAL`.
     """
     X = np.zeros(costs.shape)
     dual = np.zeros((len(costs), len(b)))
@@ -52,7 +54,7 @@ def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) ->
             dual[i] = info["lam"]
             solved[i] = True
     if not coarse:
-        solved &= _at_corners(A, b, X, dual)
+        _move_to_corners(A, b, X, dual)
     values = (costs * X).sum(axis=1)
     slope = np.abs(costs + dual @ A)
     wrong = np.array([(X @ A.T - b).max(axis=1), -dual.min(axis=1), slope.max(axis=1), (slope * np.abs(X)).sum(axis=1),
@@ -60,17 +62,14 @@ def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) ->
     return values, solved & (wrong <= (LP_RESIDUAL if coarse else LP_ROUNDING)).all(axis=0)
 
 
-def _at_corners(A: Array, b: Array, X: Array, dual: Array) -> Array:
-    """Move the points X (k, n) to the corners of their active rows; return which of them (k,) have one."""
+def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
+    """Move those of the points X (k, n) whose active rows meet in a corner to it, in place."""
     n = X.shape[1]
     active = dual > 0.0
     corners = np.count_nonzero(active, axis=1) == n
     rows = np.nonzero(active[corners])[1].reshape(-1, n)
-    try:
+    with suppress(np.linalg.LinAlgError):
         X[corners] = np.linalg.solve(A[rows], b[rows][:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        return np.zeros(len(X), bool)
-    return corners
 
 
 def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:

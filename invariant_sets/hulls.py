@@ -165,8 +165,12 @@ def distinct(points: Array, tol: float = SAME) -> Array:
         return np.arange(len(points))
     direction = np.cos(np.arange(1.0, points.shape[1] + 1) * 1.7) + 2.0
     along = points @ direction
-    order = np.argsort(along, kind="stable")
-    run = np.concatenate([[0], np.cumsum(np.diff(along[order]) > tol * np.abs(direction).sum())])
+    order = along.argsort(kind="stable")
+    along = along[order]
+    apart = along[1:] - along[:-1] > tol * direction.sum()
+    if apart.all():
+        return np.arange(len(points))
+    run = np.append(0, apart.cumsum())
     first = np.full(run[-1] + 1, len(points))
     np.minimum.at(first, run, order)
     copies = np.abs(points[order] - points[first[run]]).max(axis=1) <= tol
@@ -228,7 +232,7 @@ def hull_rows(points: Array) -> tuple[Array, Array, Array]:
         ends = np.array([points.argmax(), points.argmin()])
         return np.array([[1.0], [-1.0]]), points[ends, 0] * [1.0, -1.0], ends
     hull = convex_hull(points)
-    equations = merge_points(np.unique(hull.equations, axis=0), tol=REDUNDANT)
+    equations = merge_points(hull.equations[np.lexsort(hull.equations.T[::-1])], tol=REDUNDANT)
     index = hull.vertices[distinct(points[hull.vertices])]
     return np.ascontiguousarray(equations[:, :-1]), -equations[:, -1], index
 

@@ -13,7 +13,7 @@ from invariant_sets.equalities import AffineHull, Stated, eliminated, opposite_r
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.hulls import extreme_points, hull_rows
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
-from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, THIN
+from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, SETTLED, THIN
 from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look
 
 Array = np.ndarray
@@ -49,8 +49,9 @@ class Body:
     def normals(self) -> Array:
         """Rows (n − k, n) that span the orthogonal complement of the hull, one for each coordinate that is not free."""
         n = len(self.centre)
-        rows = np.eye(n) - self.basis @ self.inverse
-        return rows[np.setdiff1d(np.arange(n), self.free)]
+        tied = np.ones(n, bool)
+        tied[self.free] = False
+        return (np.eye(n) - self.basis @ self.inverse)[tied]
 
     @property
     def rows(self) -> Stated:
@@ -62,35 +63,35 @@ class Body:
         return Stated(A, self.g + A @ self.centre, A_eq, A_eq @ self.centre,
                       self.sizes + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms).unit
 
-    def less(self, Q: Body, stated: Stated) -> Body | None:
-        """Return {x : x + q in the set for every q in Q}; None if it is empty. `stated` are the rows of the set.
+    def less(self, Q: Body, V: Array | None = None) -> Body | None:
+        """Return {x : x + q in the set for every q in Q}, not `settled`; None if the hull or an end excludes all of it.
 
         Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
-        What has no end has no length that Q could be small to, and goes by its rows as they are stated.
+        V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `SAME`.
         """
         shape = replace(Q, centre=np.zeros(len(Q.centre)))
         across = self.normals
-        if (support(shape, across) > FLAT * (np.abs(across) @ (self.half_widths + Q.half_widths))
+        if len(across) and (support(shape, across) > FLAT * (np.abs(across) @ (self.half_widths + Q.half_widths))
                 + ROUNDING * (np.abs(across) @ (self.terms + Q.terms))).any():
             return None
         slope = self.F @ self.inverse
-        reach = support(shape, slope)
+        reach = support(shape, slope) if V is None else (slope @ V.T).max(axis=1)
         if np.isinf(reach).any():
             return None
-        if not self.bounded:
-            A, b, E, e, terms, sizes = stated
-            size = Q.terms + Q.half_widths
-            return body_of(Stated(A, b - support(Q, A), E, e - support(Q, E),
-                                  terms + np.abs(A) @ size, sizes + np.abs(E) @ size))
-        left = self
-        if len(self.free):
-            none = np.zeros((0, len(self.free)))
-            sizes = self.sizes + reach + GIVEN / ROUNDING * (np.abs(slope) @ (self.terms + Q.terms))
-            found = body_of(Stated(self.F, self.g - reach, none, none[:, 0], sizes, none[:, 0]))
-            if found is None:
-                return None
-            left = self.part(found)
-        return replace(left, centre=left.centre - Q.centre, terms=left.terms + Q.terms)
+        sizes = self.sizes + reach + GIVEN / ROUNDING * (np.abs(slope) @ (self.terms + Q.terms))
+        return replace(self, g=self.g - reach, sizes=sizes, centre=self.centre - Q.centre, terms=self.terms + Q.terms)
+
+    def holds_part_of(self, whole: Body) -> bool:
+        """Return whether the tightened set holds a copy of the `whole`, `SETTLED` of its size: it is as little flat."""
+        return bool((self.g > SETTLED * whole.g).all())
+
+    def settled(self) -> Body | None:
+        """Return the set, whose g may have changed, about a point of its own and by its own extents; None if empty."""
+        if not len(self.free):
+            return self
+        none = np.zeros((0, len(self.free)))
+        found = body_of(Stated(self.F, self.g, none, none[:, 0], self.sizes, none[:, 0]))
+        return None if found is None else self.part(found)
 
     def part(self, inner: Body) -> Body:
         """Return the part of the set whose y lies in a body."""
@@ -215,12 +216,11 @@ def _box(A: Array, b: Array, terms: Array) -> Body | None:
     slope = A[np.arange(len(b)), column]
     bound = b / np.abs(slope)
     doubt = ROUNDING * terms / np.abs(slope)
-    above = slope > 0
-    upper, room = _tightest(column[above], bound[above], doubt[above], n)
-    lower, room_below = _tightest(column[~above], bound[~above], doubt[~above], n)
-    lower = -lower
-    doubt = np.maximum(room, room_below)
-    size = np.maximum(np.where(np.isfinite(lower), np.abs(lower), 0), np.where(np.isfinite(upper), np.abs(upper), 0))
+    reach, room = _tightest(np.where(slope > 0, column, n + column), bound, doubt, 2 * n)
+    upper = reach[:n]
+    lower = -reach[n:]
+    doubt = np.maximum(room[:n], room[n:])
+    size = np.where(np.isfinite(reach), np.abs(reach), 0.0).reshape(2, n).max(axis=0)
     width = upper / 2 - lower / 2
     if (-width > doubt).any():
         return None
@@ -231,17 +231,19 @@ def _box(A: Array, b: Array, terms: Array) -> Body | None:
     high = np.where(np.isfinite(upper), upper, low + unit)
     centre = low / 2 + high / 2
     half = high / 2 - low / 2
-    sides = np.vstack([np.eye(n)[:, solid], -np.eye(n)[:, solid]])
-    length = np.where(solid, half, 1.0)
-    ends = np.concatenate([(upper - centre), (centre - lower)]) / np.tile(length, 2)
-    used = np.isfinite(ends) & np.tile(solid, 2)
-    return Body(centre, np.diag(half)[:, solid], sides[used], ends[used], np.tile(doubt / length, 2)[used],
-                bool(used.sum() == 2 * solid.sum()),
-                np.flatnonzero(solid), np.where(solid, half, 0.0), np.maximum(np.abs(centre), doubt))
+    free = solid.nonzero()[0]
+    eye = np.eye(len(free))
+    length = half[free]
+    ends = np.concatenate([upper[free] - centre[free], centre[free] - lower[free]])
+    used = np.isfinite(ends)
+    scale = np.concatenate([length, length])[used]
+    return Body(centre, np.diag(half)[:, free], np.concatenate([eye, -eye])[used], ends[used] / scale,
+                np.concatenate([doubt[free], doubt[free]])[used] / scale, bool(used.all()), free,
+                np.where(solid, half, 0.0), np.maximum(np.abs(centre), doubt))
 
 
 def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array, Array]:
-    """Return the least bound (n,) of each coordinate and its doubt; one within its own doubt of another says less."""
+    """Return the least bound (n,) of each column and its doubt; one within its own doubt of another says less."""
     most = np.full(n, np.inf)
     np.minimum.at(most, column, bound + doubt)
     felt = bound + doubt <= most[column]

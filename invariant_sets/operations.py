@@ -15,7 +15,7 @@ from invariant_sets.equalities import Stated
 from invariant_sets.exceptions import InputError, TimeLimitError
 from invariant_sets.generators import Generators, generators, rows_of
 from invariant_sets.hulls import irredundant_rows
-from invariant_sets.interior_form import Body
+from invariant_sets.interior_form import Body, body_of, support
 from invariant_sets.polyhedron import Polyhedron
 from invariant_sets.time_limits import Deadline, LimitReached, check_time_limit
 from invariant_sets.tolerances import CANCELLED, FLAT, GIVEN
@@ -126,8 +126,26 @@ class SetOperations(Polyhedron):
             return type(self)(np.zeros((0, n)), np.zeros(0))
         if mine is None:
             return type(self).empty(n)
-        left = mine.less(theirs, self._stated)
-        return type(self).empty(n) if left is None else type(self)._of(left.rows, body=left)
+        V = other._about_centre
+        left = mine.less(theirs, V)
+        if V is not None and not (left and left.holds_part_of(mine)):  # what has hardly any room needs all digits
+            left = mine.less(theirs)
+        if left is None:
+            return type(self).empty(n)
+        solid = left.holds_part_of(mine)
+        if mine.bounded:
+            if solid:
+                return type(self)._of(left.rows, body=left, settled=False)
+            found = left.settled()
+        else:  # no length that Q could be small to: by the rows as they are stated
+            A, b, E, e, terms, sizes = self._stated
+            size = theirs.terms + theirs.half_widths
+            rows = Stated(A, b - support(theirs, A), E, e - support(theirs, E),
+                          terms + np.abs(A) @ size, sizes + np.abs(E) @ size)
+            if solid:
+                return type(self)._of(rows)
+            found = body_of(rows)
+        return type(self).empty(n) if found is None else type(self)._of(found.rows, body=found)
 
     def affine_map(self, M: Any, c: Any = None, *, time_limit: float | None = None) -> Self:
         """Return {M x + c : x in P}. M may be singular or change the dimension.

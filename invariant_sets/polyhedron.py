@@ -87,12 +87,15 @@ class Polyhedron:
             object.__setattr__(self, name, None if array is None else frozen(array))
 
     @classmethod
-    def _of(cls, rows: Stated, V: Array | None = None, body: Body | None = None) -> Self:
-        """Return the set of these rows, with its vertices V (k, n) and its body where known; nothing is copied."""
+    def _of(cls, rows: Stated, V: Array | None = None, body: Body | None = None, settled: bool = True) -> Self:
+        """Return the set of these rows, with its vertices V (k, n) and its body where known; nothing is copied.
+
+        A body that is not settled says where the set lies; its own extents are found when something asks for them.
+        """
         P = cls.__new__(cls)
         P._fill(rows, V)
         if body is not None:
-            P.__dict__["_body"] = body
+            P.__dict__["_body" if settled else "_unsettled"] = body
         return P
 
     @classmethod
@@ -105,7 +108,9 @@ class Polyhedron:
         return cls._of(body.rows, counter_clockwise(anchor + Y[extreme]), body)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self)._of, (self._stated, self._vertices, self.__dict__.get("_body"))
+        settled = "_body" in self.__dict__
+        return type(self)._of, (self._stated, self._vertices,
+                                self.__dict__.get("_body" if settled else "_unsettled"), settled)
 
     @property
     def _stated(self) -> Stated:
@@ -180,6 +185,9 @@ class Polyhedron:
     @cached_property
     def _body(self) -> Body | None:
         """The set in coordinates that suit it; None if it is empty."""
+        unsettled = self.__dict__.get("_unsettled")
+        if unsettled is not None:
+            return unsettled.settled()
         if self._vertices is not None and not len(self.b_eq) and len(self._vertices) > self.dim:
             body = body_of_vertices(self.A, self.b, self._vertices)
             if body is not None:
@@ -227,6 +235,14 @@ class Polyhedron:
         Y = facets_and_vertices(body.F[rows], body.g[rows])[1]
         corners = extreme_points(Y, body.F, body.g, ROUNDING * body.sizes.max(initial=0.0))
         return body.centre, counter_clockwise(Y[corners]) @ body.basis.T
+
+    @property
+    def _about_centre(self) -> Array | None:
+        """The vertices less the centre of the body (k, n) where they are known already."""
+        if self._vertices is None and self._enumerated is None:
+            return None
+        anchor, Y = self._offsets
+        return Y + (anchor - self._require_point("vertices").centre)
 
     @cached_property
     def volume(self) -> float:

@@ -17,7 +17,7 @@ from mpc.parametric_qp import ParametricQP
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import finite, violation_of
-from mpc.tolerances import FEASIBLE, KKT, RELAXATION_MARGIN, RELAXATION_SHARES, RELAXATION_WIDER, WIDE_INPUT
+from mpc.tolerances import FEASIBLE, KKT, RELAXATION_MARGIN, RELAXATION_SHARES, RELAXATION_WIDER
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def least_violation(
     last = int(steps[soft].max())
     columns = np.zeros((qp.m, last))
     columns[soft, steps[soft] - 1] = -units[soft]
-    typical = typical_cost(qp, input_extent, q)
+    typical = typical_cost(qp, units, input_extent, q)
     for share in RELAXATION_SHARES:
         share = share / typical
         elastic = DenseQP(block_diag(share * qp.H, np.eye(last)), np.hstack([qp.G, columns]), units, second=second)
@@ -115,16 +115,20 @@ def least_violation(
     return relaxed + np.where(soft, np.maximum(qp.G @ z - relaxed, 0.0), 0.0), z
 
 
-def typical_cost(qp: ParametricQP, input_extent: Array, q: Array) -> float:
-    """Cost of inputs at their bounds, or of the unconstrained optimum where that is less: wide bounds say nothing."""
+def typical_cost(qp: ParametricQP, units: Array, input_extent: Array, q: Array) -> float:
+    """Cost of the unconstrained optimum, of each input at most that at its bounds; at least of one unit of some row.
+
+    A wide bound plays no part in it, and next to the origin, where nothing is wanted, violations still count.
+    """
     curvature = np.diag(qp.H)
-    size = np.zeros(qp.nz)
+    size = np.full(qp.nz, np.inf)
     moves = qp.nz - sum(label.kind == "slack" for label in qp.labels)
     if moves % len(input_extent) == 0:
-        size[:moves] = np.tile(input_extent, moves // len(input_extent))
-    wanted = q**2 / curvature
-    cost = np.where(size > 0, np.minimum(size**2 * curvature, wanted + WIDE_INPUT**2 * size**2 * curvature), wanted)
-    return float(cost.sum()) or 1.0
+        size[:moves] = np.tile(np.where(input_extent > 0, input_extent, np.inf), moves // len(input_extent))
+    wanted = float(np.minimum(size**2 * curvature, q**2 / curvature).sum())
+    soft = np.array([label.kind in ("state", "terminal") for label in qp.labels], dtype=bool)
+    moved = ((qp.G[soft] / units[soft, None]) ** 2 / curvature).sum(axis=1).max(initial=0.0)
+    return max(wanted, float(1 / moved)) if moved > 0.0 else wanted or 1.0
 
 
 def saturated_regulator(problem: MPCProblem, x: Array, start: float) -> Plan:

@@ -159,5 +159,5 @@ class CondensedSolver:
 
     def _stage_by_stage(self, inputs: Array, x: Array, given: Given, q: Array) -> Candidate | None:
         """The plan found stage by stage; None if that did not converge."""
-        typical = typical_cost(self.qp, self.problem.input_extent, q)
+        typical = typical_cost(self.qp, self.units, self.problem.input_extent, q)
         return stagewise_candidate(self.problem, x, given, inputs, typical)

@@ -32,8 +32,6 @@ DEFINITE = 1e-13  # Least eigenvalue of a Hessian with unit diagonal [-]
 EMPTY = 1e-9
 # Bound, relative to the farthest one along the same axis, below which it is a zero that was rounded [-]
 ROUNDED_ZERO = 1e-13
-# Part of its limits that an input is at least taken to use where violations are weighed against costs [-]
-WIDE_INPUT = 1e-5
 # Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]
 SMALL_STATE = 1e-3
 # Bound of a row, relative to the extent of the set along it, below which that extent is the unit of the row [-]

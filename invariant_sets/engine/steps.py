@@ -21,7 +21,7 @@ from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import INVARIANT, ROUNDING, USEFUL_INPUTS
+from invariant_sets.tolerances import FLAT, INVARIANT, LOOSE, ROUNDING, USEFUL_INPUTS
 
 Array = np.ndarray
 _EVERY = 50  # linear programs between two looks at the clock
@@ -66,6 +66,10 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
     lifted = tight.preimage(np.hstack([system.A, system.B])).intersection(X.cartesian_product(U))
     if lifted.is_empty:
         return Step(Polytope(np.zeros((1, n)), [-1.0]), 0.0, 0.0, 0)
+    if lifted.affine_dim < lifted.dim:
+        longer = _without_far_ends(system, S, X, U, lifted, deadline)
+        if longer is not None:
+            return longer
     ways: list[Callable[[], Polytope | None]] = [
         lambda: _by_elimination(lifted, n, deadline), lambda: _by_sum(system, tight, X, U, lifted, deadline)]
     if system.B.shape[1] > 1:
@@ -85,6 +89,46 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
         if best is None or max(step.violation, step.missing) < max(best.violation, best.missing):
             best = step
     return Step(X, np.inf, 0.0, 0) if best is None else best
+
+
+def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
+                      deadline: Deadline) -> Step | None:
+    """Return the step without the ends so far away that a set with a width seems flat; None if it is flat.
+
+    In units of what moves the target by `LOOSE` times its width, at most of the width of the sets: `1 / FLAT` of them
+    away doubles do not tell where the rows are.
+
+    Raises
+    ------
+    NumericalError
+        An end is nearer than that: it would be missed, and beside it the width is nothing.
+    """
+    n = len(system.A)
+    body = lifted._require_point("backward_step")
+    M = np.hstack([system.A, system.B])
+    width = S._require_point("backward_step").half_widths
+    with np.errstate(divide="ignore", over="ignore"):
+        unit = (np.where(width > 0.0, LOOSE * width, np.inf)[:, None] / np.abs(system.A)).min(axis=0, initial=1.0)
+        moved = np.minimum(np.abs(system.A) @ unit + np.abs(system.B) @ body.half_widths[n:], 1.0)
+    known = ROUNDING * (body.terms + body.half_widths)
+    rows = len(X.b) + len(S.b)
+    for distance in (1 / FLAT, LOOSE):
+        states = _without_rows_beyond(X, body.centre[:n], distance * unit + known[:n])
+        target = _without_rows_beyond(S, M @ body.centre, distance * moved + np.abs(M) @ known)
+        if len(states.b) + len(target.b) == rows:
+            continue
+        step = backward_step(system, target, states, U, deadline)
+        if step.set.affine_dim > lifted.projection(np.arange(n)).affine_dim:
+            if distance > LOOSE:
+                return step
+            raise NumericalError("X", X.A.shape, "the width of the set is nothing beside its length")
+    return None
+
+
+def _without_rows_beyond(P: Polytope, point: Array, reach: Array) -> Polytope:
+    """Return P without the inequalities that a box about a point of it, with these half widths (n,), does not meet."""
+    near = P.b - P.A @ point <= np.abs(P.A) @ reach
+    return Polytope(P.A[near], P.b[near], P.A_eq, P.b_eq)
 
 
 def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:

@@ -197,14 +197,14 @@ class NewtonStep:
 
     @property
     def size(self) -> float:
-        """How far it goes, in sizes of inputs and states [-]."""
+        """How far it goes, in sizes of inputs and states, and in the units of the slacks [-]."""
         linear = self.linear
         problem = linear.conditions.problem
         inputs, states = self._of_plan
         extent = np.where(problem.input_extent > 0, problem.input_extent, np.abs(inputs).max(initial=0.0))
         own = np.maximum(np.abs(linear.U[:, :, linear.conditions.columns["value"]]).max(axis=(0, 2)), extent)
         size = float(np.abs(inputs / np.where(own > 0, own, 1.0)).max(initial=0.0))
-        size = max(size, float(np.abs(states / problem.state_extent).max()))
+        size = max(size, float(np.abs(states / problem.state_extent).max()), np.abs(self._of_slacks).max(initial=0.0))
         return size if np.isfinite(size) else np.inf
 
     @property
@@ -215,6 +215,12 @@ class NewtonStep:
         inputs, states = (form[:, :, at["z"]] @ move + form[:, :, at["gap"]][:, :, 0] for form in (linear.U, linear.X))
         return inputs, states
 
+    @property
+    def _of_slacks(self) -> Array:
+        """Moves of the slacks to the optimum."""
+        at = self.linear.conditions.columns
+        return self.moves[at["z"].stop - at["z"].start :, -1]
+
     def after(self) -> Point:
         """The point after it; rows that it would pass act from then on, those that would pull do not."""
         linear, point = self.linear, self.point
@@ -224,10 +230,11 @@ class NewtonStep:
         at = linear.conditions.columns
         move = self.moves[:, -1]
         values = linear.values + linear.rows[:, at["gap"]].ravel() + linear.rows[:, linear.free] @ move
-        passed = (values > WEAKLY_ACTIVE * linear.units) & ~point.acting & linear.own
+        # by more than it takes to act on: a row that is passed by as much as that would enter and leave for ever
+        passed = (values > 2 * WEAKLY_ACTIVE * linear.units) & ~point.acting & linear.own
         acting = linear.acting(multipliers)
         enter(linear.rows[:, linear.free] * linear.scale, multipliers, acting, passed)
-        slacks = point.slacks + move[at["z"].stop - at["z"].start :]
+        slacks = point.slacks + self._of_slacks
         return Point(point.inputs + inputs, point.states + states, slacks, np.where(acting, multipliers, 0.0), acting)
 
 

@@ -175,5 +175,5 @@ class Linearised:
 
     @property
     def on_bound(self) -> Mask:
-        """Rows (m,) that hold with equality."""
-        return np.asarray(np.abs(self.values) <= WEAKLY_ACTIVE * self.units)
+        """Rows (m,) that hold with equality, or are passed by less than it takes to act."""
+        return np.asarray(self.values >= -WEAKLY_ACTIVE * self.units)

@@ -10,6 +10,7 @@ from invariant_sets import (
     Status,
     controllable_set,
     maximal_control_invariant_set,
+    predecessor_set,
     reachable_set,
 )
 from invariant_sets.exceptions import NumericalError
@@ -113,6 +114,32 @@ def test_a_strip_too_thin_to_be_seen_beside_a_far_bound_is_not_certified():
     for big in (1e3, 1e12):
         result = maximal_control_invariant_set(A, [[0.0], [1.0]], ([-big] * 2, [big] * 2), ([-1], [1]))
         assert result.status is (Status.CONVERGED if big < 1e6 else Status.NOT_CERTIFIED)
+
+
+@pytest.mark.parametrize("big", [1e15, 1e17, 1e30, 1e100, 1e300])
+@pytest.mark.parametrize("A", [
+    [[0.5, 1.0], [0.1, 0.8]],
+    [[0.07, 0.35, 0.37], [0.06, 0.77, -0.21], [0.11, 0.15, -0.23]],
+])  # fmt: skip
+@pytest.mark.parametrize("steps", [1, 2])
+def test_a_strip_that_ends_where_a_bound_says_no_limit_is_as_wide_as_without_the_bound(A, big, steps):
+    n = len(A)
+    B = np.ones((n, 1))
+    units = 10.0 ** np.arange(n)
+    A = np.array(A) * units[:, None] / units
+    X = np.append(3.0, np.full(n - 1, big)) * units
+    free = np.append(3.0, np.full(n - 1, np.inf)) * units
+    result, plain = (controllable_set(A, B, (-w, w), ([-1], [2]), (-w, w), steps) for w in (X, free))
+    assert result.status is plain.status is Status.CONVERGED
+    assert plain.set.affine_dim == n
+    window = box(-9 * units, 9 * units)
+    assert result.set.intersection(window).equals(plain.set.intersection(window), 1e-6)
+
+
+def test_a_strip_whose_end_counts_and_whose_width_is_lost_beside_it_is_not_certified():
+    result = predecessor_set([[0.5, 1e3], [0.1, 0.8]], [[0.0], [0.0]], ([-1e-5, -1e6], [1e-5, 1e6]), ([-1], [1]),
+                             X=([-1e6, -1e6], [1e6, 1e6]))
+    assert result.status is Status.NOT_CERTIFIED
 
 
 def test_a_set_that_only_stays_where_it_is_at_one_point_is_found_in_unequal_units():

@@ -178,6 +178,23 @@ def test_every_solver_says_the_same_of_a_problem_that_gives():
             assert plan.violation == pytest.approx(plans[0].violation, rel=1e-6)
 
 
+@pytest.mark.parametrize("limit", [10.0, 1e6, 1e12, 1e19, 1e100, 1e300, np.inf])
+@pytest.mark.parametrize("x", [0.0, 1e-9, 0.1])
+def test_a_softened_plan_is_that_of_least_squares_whatever_the_limits_that_are_not_met(x, limit):
+    """Two steps of a double integrator to a position of at least 1 at a speed of at most 0.2."""
+    A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.5], [1.0]])
+    plan = LinearMPC(A, B, Q=1.0, R=1.0, horizon=2, X=([1, -0.2], [3, 0.2]), U=(-limit, limit)).solve([x, 0])
+    assert plan.status is Status.SOFTENED
+    u, violation = cp.Variable(2), cp.Variable(2)
+    position = x + np.array([[0.5, 0.0], [1.5, 0.5]]) @ u
+    speed = cp.abs(np.array([[1.0, 0.0], [1.0, 1.0]]) @ u)
+    rows = [1 - position <= violation, (speed - 0.2) / 0.2 <= violation]
+    least = cp.Problem(cp.Minimize(cp.sum_squares(violation)), rows).solve(solver="CLARABEL")
+    inputs = plan.inputs[:, 0]
+    reached = np.maximum(1 - plan.states[1:, 0], (np.abs(np.cumsum(inputs)) - 0.2) / 0.2)
+    assert (reached**2).sum() == pytest.approx(least, rel=1e-4)
+
+
 @pytest.mark.parametrize("solver", ["daqp", "clarabel", "osqp"])
 def test_wide_inputs_do_not_spoil_the_least_violation(solver):
     """Double integrator outside X: the violation hardly depends on limits of the inputs that are never met."""

@@ -407,3 +407,39 @@ def test_prices_of_soft_limits_change_with_their_units(lower, upper, U, rate, le
     for name, of in (("cost_by_parameters", "cost"), ("inputs_by_parameters", "inputs")):
         expected = slopes(lambda p, of=of: getattr(make(p).solve(start, **signals), of), np.zeros(2), [1e-4] * 2)
         assert distance(getattr(found, name), expected) < REQUIRED, name
+
+
+@pytest.mark.parametrize("room", [1e-4, 1e-5, 3e-6])
+def test_a_soft_limit_that_the_plan_only_comes_near_does_not_push(room):
+    """The rate limit decides the first state, which keeps a little room to its soft limit: the cost is smooth there."""
+    A = np.array([[0.1, -0.8, 0.2], [-0.6, -0.3, 0.1], [-0.3, 0.2, 0.1]])
+    B = np.array([[-0.4], [2.9], [-0.4]])
+    mpc = LinearMPC(A, B, Q=1.0, R=0.1, horizon=3, U=(-0.5, 0.5), X=(-0.5, 0.5), soft=(5.0, 20.0), rate_limit=0.2)
+    last = {"u_prev": [0.41]}
+    x = np.array([0.69, (0.1 * 0.69 + 0.2 * 0.2 - 0.4 * 0.21 - 0.5 * (1 - room)) / 0.8, 0.2])
+    assert mpc.solve(x, **last).states[1, 0] == pytest.approx(0.5 * (1 - room), abs=1e-12)
+    moved = np.array([0.0, 1e-7, 0.0])
+    expected = (mpc.solve(x + moved, **last).cost - mpc.solve(x - moved, **last).cost) / 2e-7
+    sensitivity = mpc.sensitivity(x, **last)
+    assert sensitivity.status is SensitivityStatus.SMOOTH
+    assert sensitivity.margin == pytest.approx(room, rel=1e-6)
+    assert sensitivity.along([0.0, 1.0, 0.0]).cost == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_limit_that_is_passed_by_as_much_as_rounding_decides_is_met_or_acts():
+    """A plan of which one rate limit acts from some state on: next to that state it never counts as neither."""
+    A = np.array([[0.18089289678750647, 0.48653306819065284, -0.05697017087073391],
+                  [0.40610119309398635, -0.11794358065227739, 1.1573122525389195],
+                  [0.12348576114586524, -0.176628767070605, -1.121032477283419]])
+    B = np.array([[0.45757388702260815], [-0.4034421712858918], [-0.03163922518024754]])
+    x = np.array([0.20103873363044802, 0.14560152772011448, 0.30192457884842333])
+    along = np.array([0.4022714429034858, -0.9129606523493713, -1.2655934529116821])
+    last = {"u_prev": [-0.013437282809325879]}
+    mpc = LinearMPC(A, B, Q=1.0, R=0.1, horizon=4, U=(-0.5, 0.5), X=(-0.5, 0.5), soft=(0.5, 20.0), rate_limit=0.2)
+    for step in range(-7, 8):
+        sensitivity = mpc.sensitivity(x + 1e-15 * step**3 * along, **last)
+        if sensitivity.status is SensitivityStatus.SMOOTH:
+            assert sensitivity.margin > 0.0
+            assert sensitivity.along(along).cost == pytest.approx(-13.95, abs=0.01)
+        else:
+            assert np.isnan(sensitivity.along(along).cost)
