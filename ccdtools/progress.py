@@ -14,7 +14,7 @@ from tqdm import tqdm
 Echo = Callable[[str], None]
 Item = TypeVar("Item")
 EVERY = 10.0  # seconds between two lines of text
-_where = [""]  # what the computation is at, in words, for whoever tells it
+_where: list[Any] = ["", 0.0, 0.0, 0.0]  # what the computation is at, and how far; when it was first told, and how far
 
 
 class Lines(tqdm):  # type: ignore[type-arg]
@@ -24,7 +24,8 @@ class Lines(tqdm):  # type: ignore[type-arg]
         """Write a line; nothing where a bar would be cleared."""
         if msg is None:
             elapsed = self._time() - self.start_t if hasattr(self, "start_t") else 0.0  # of the first line
-            self.fp.write(f"{self.desc.removesuffix(': ')}: {self.n} of {self.total} after {elapsed:.0f} s\n")
+            done = f"{self.n} of {self.total} after {elapsed:.0f} s"
+            self.fp.write(f"{self.desc.removesuffix(': ')}: {done}{_left(elapsed, self.n, self.total - self.n)}\n")
             self.fp.flush()
         return False
 
@@ -47,16 +48,24 @@ def counted(
     due = begun + EVERY
     for count, item in enumerate(items):
         now = time.perf_counter()
-        at(f"{label}: {count} of {total}")
+        at(f"{label}: {count} of {total}", count / total)
         if now >= due:
-            echo(f"    {label}: {count} of {total} after {now - begun:.0f} s")
+            left = _left(now - begun, count, total - count)
+            echo(f"    {label}: {count} of {total} after {now - begun:.0f} s{left}")
             due = now + EVERY
         yield item
 
 
-def at(text: str) -> None:
-    """Say what the computation is at: "iteration 40 of 200"."""
-    _where[0] = text
+def at(text: str, part: float = 0.0) -> None:
+    """Say what the computation is at: "iteration 40 of 200", which part 0.2 of it is done."""
+    if part <= _where[1]:
+        _where[2:] = time.perf_counter(), part
+    _where[:2] = text, part
+
+
+def _left(seconds: float, done: float, rest: float) -> str:
+    """How long the rest takes at the pace of what is done, in words; nothing before there is a pace."""
+    return f", about {seconds * rest / done:.0f} s left" if seconds >= EVERY / 2 and done > 0 and rest > 0 else ""
 
 
 @contextmanager
@@ -72,8 +81,10 @@ def telling(echo: Echo | None, what: str = "", *, every: float = EVERY) -> Itera
     def tell() -> None:
         """Say so until it has ended."""
         while not ended.wait(every):
-            where = f"{_where[0]}, " if _where[0] else ""
-            echo(f"    … {where}after {time.perf_counter() - begun:.0f} s")
+            now = time.perf_counter()
+            text, part, since, first = _where
+            left = _left(now - since, part - first, 1 - part)
+            echo(f"    … {text and text + ', '}after {now - begun:.0f} s{left}")
 
     teller = threading.Thread(target=tell, daemon=True)
     teller.start()

@@ -42,8 +42,9 @@ def in_words(error: Exception) -> tuple[str, str]:
         found = re.search(pattern, text)
         if found:
             return brief(words.format(*found.groups())), cure
-    plain = isinstance(error, RuntimeError)
-    return brief(text if plain else f"{type(error).__name__}: {text}"), ""
+    if isinstance(error, RuntimeError):  # what was called stands above what went wrong
+        return brief(CASADI.sub("", (str(error).splitlines() or [""])[-1])).rstrip("."), ""
+    return brief(f"{type(error).__name__}: {text}"), ""
 
 
 def _line(given: Any, error: Exception) -> str:

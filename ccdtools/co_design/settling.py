@@ -37,6 +37,7 @@ from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from mpc import MPCError
 
@@ -66,6 +67,7 @@ class Settling:
 
     def checked(self, result: CoDesignResult) -> CoDesignResult:
         """The result with its closed loop, its limits and baselines, and the status that these leave it."""
+        at("closed loop of what was found, and its baselines")
         loop = self._loop(result.controller, result.design)
         own = (getattr(self.problem.model, "jump", ""), acting_together(self.problem))
         result = replace(result, closed_loop=loop, notes=(*result.notes, *filter(None, own)),

@@ -263,7 +263,7 @@ def test_what_takes_long_says_how_far_it_is_every_ten_seconds(monkeypatch):
     monkeypatch.setattr(progress.time, "perf_counter", Clock(4.0))
     lines = []
     assert list(progress.counted(range(7), "sets", total=7, echo=lines.append)) == list(range(7))
-    assert lines == ["    sets: 2 of 7 after 12 s", "    sets: 5 of 7 after 24 s"]
+    assert lines == ["    sets: 1 of 7 after 12 s, about 72 s left", "    sets: 4 of 7 after 24 s, about 18 s left"]
 
 
 def test_what_is_quick_says_nothing(illustrative):
