@@ -80,7 +80,7 @@ def acting_together(problem: Any) -> str:
 
 def _idle(problem: Any, entries: Any, *, disturbance: float) -> Any:
     """Those of some entries that change no term, with disturbances of one size."""
-    extents = _extents(problem, np.full(problem.model.nw, disturbance))
+    extents = _extents(problem, disturbance)
     for term in _terms(problem):
         entries = entries[~_acting(term, problem.design, entries, extents)] if len(entries) else entries
     return entries
@@ -103,7 +103,7 @@ def _terms(problem: Any) -> Iterator[ca.Function]:
         yield model.design.constraints
 
 
-def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[str, Array]) -> Any:
+def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[str, Any]) -> Any:
     """Whether each of some entries changes a term."""
     place = _names(term).index("p")
     acting = np.isin(entries, term.jac_sparsity(0, place).get_triplet()[1])
@@ -125,7 +125,7 @@ def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[s
     return found
 
 
-def _slopes(problem: Any, extents: dict[str, Array]) -> Iterator[ca.Function]:
+def _slopes(problem: Any, extents: dict[str, Any]) -> Iterator[ca.Function]:
     """The slopes (rows, np) of every term by the design: of a linear model those of its matrices."""
     model = problem.model
     for term in _terms(problem):
@@ -140,7 +140,7 @@ def _slopes(problem: Any, extents: dict[str, Array]) -> Iterator[ca.Function]:
         yield ca.Function("slopes", given, [ca.densify(slopes)], names, ["slopes"])
 
 
-def _rows(slopes: ca.Function, p: Array, extents: dict[str, Array], rng: np.random.Generator) -> Array:
+def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random.Generator) -> Array:
     """Slopes (n, np) of a term at a design (np,), of all its values and at random points, rounding left out."""
     count = BESIDE if slopes.n_in() > 1 else 1
     found = np.asarray(slopes(*_drawn(slopes, np.tile(p, (count, 1)), extents, rng)), dtype=float)
@@ -161,11 +161,11 @@ def _without_effect(rows: Array) -> Array:
     return found
 
 
-def _drawn(term: ca.Function, designs: Array, extents: dict[str, Array], rng: np.random.Generator) -> list[Array]:
+def _drawn(term: ca.Function, designs: Array, extents: dict[str, Any], rng: np.random.Generator) -> list[Array]:
     """Arguments of a term, one column for each of some designs: within ten times their extents, in all magnitudes."""
     given = []
     for i, name in enumerate(_names(term)):
-        size = extents.get(name, np.ones(term.size1_in(i)))[:, None]
+        size = np.broadcast_to(extents.get(name, 1.0), term.size1_in(i))[:, None]
         shape = (len(size), len(designs))
         random = size * 10.0 ** rng.uniform(*MAGNITUDES, shape) * rng.choice([-1.0, 1.0], shape)
         given.append(designs.T if name == "p" else random)
@@ -187,7 +187,7 @@ def _disturbance(problem: Any, runs: int) -> Array:
     return np.asarray(problem.scenarios.sample(runs, problem.steps, np.random.default_rng(0))[1])
 
 
-def _extents(problem: Any, disturbance: Array) -> dict[str, Array]:
+def _extents(problem: Any, disturbance: Any) -> dict[str, Any]:
     """Largest size of each state and input within their limits, and of each disturbance."""
     boxes = {"x": widest(problem.X).bounding_box(), "u": widest(problem.U).bounding_box()}
     return {name: np.max(np.abs(box), axis=0) for name, box in boxes.items()} | {"w": disturbance}
