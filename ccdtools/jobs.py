@@ -67,7 +67,10 @@ def as_they_end(
             if names:
                 shown_bar.set_description(f"{label}, now {names[i]}")
             yield function(item)
-            shown_bar.update()
+            if names:  # the next line says it
+                shown_bar.n += 1
+            else:
+                shown_bar.update()
 
 
 def interrupted() -> bool:
