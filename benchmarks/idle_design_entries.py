@@ -128,7 +128,7 @@ def main() -> None:
     print(f"{sum(named(k, False) for k in range(plants))} of {plants} idle entries named")
     print(f"{sum(named(k, True) for k in range(plants))} of {plants} entries that act blamed")
     pairs = [told(k) for k in range(plants)]
-    print(f"{sum(text.startswith('k, q act only together, in 1') for text in pairs)} of {plants} pairs named")
+    print(f"{sum(text.startswith('k, q act only together, in 1 of 2') for text in pairs)} of {plants} pairs named")
     apart = [told(k, SPLIT[k % len(SPLIT)]) for k in range(plants)]
     print(f"{sum(map(bool, apart))} of {plants} pairs blamed that act apart somewhere")
     wrong = 0

@@ -18,7 +18,6 @@ from ccdtools.arrays import Array
 from ccdtools.design_limits import DesignLimits, widest
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.sampled_model import SampledModel
 
 POINTS = (8, 500)  # states, inputs and disturbances that a term is looked at: a few, and where nothing changes many
@@ -63,34 +62,39 @@ def acting_together(problem: Any) -> str:
     rng = np.random.default_rng(0)
     width = space.upper - space.lower  # of a fixed entry zero
     extents = _extents(problem, np.abs(_disturbance(problem, RUNS)).max(axis=(0, 1), initial=0.0))
-    slopes = list(_slopes(problem, extents))
-    found = [
-        _without_effect(np.concatenate([_rows(one, p, extents, rng) * width for one in slopes]))
-        for p in space.latin_hypercube(DESIGNS, rng)
-    ]
-    fewest = min(found, key=len)
+    slopes = [_slopes(term) for term in _terms(problem, extents)]
+    designs = space.latin_hypercube(DESIGNS, rng)
+    rows = ([_rows(one, p, extents, rng) for one in slopes] for p in designs)
+    fewest = min((_without_effect(np.concatenate(found) * width) for found in rows), key=len)
     part = np.flatnonzero(np.abs(fewest).max(axis=0, initial=0.0) > PART)
     if not len(part):
         return ""
-    combinations = len(part) - len(fewest)
-    return (f"{', '.join(space.names[i] for i in part)} act only together, in {combinations} "
-            f"combination{'s' if combinations > 1 else ''}: other values of them are as good. "
-            "Fix one of them, or let each have a price.")  # fmt: skip
+    free = len(fewest)
+    return (f"{', '.join(space.names[i] for i in part)} act only together, in {len(part) - free} of {len(part)} "
+            f"directions: other values of them are as good. Fix {free} of them, or let each have a price.")  # fmt: skip
 
 
 def _idle(problem: Any, entries: Any, *, disturbance: float) -> Any:
     """Those of some entries that change no term, with disturbances of one size."""
     extents = _extents(problem, disturbance)
-    for term in _terms(problem):
+    for term in _terms(problem, extents):
         entries = entries[~_acting(term, problem.design, entries, extents)] if len(entries) else entries
     return entries
 
 
-def _terms(problem: Any) -> Iterator[ca.Function]:
-    """The functions that the design may enter; its argument is called p, or is the only one."""
+def _terms(problem: Any, extents: dict[str, Any]) -> Iterator[ca.Function]:
+    """The functions that the design may enter; its argument is called p, or is the only one.
+
+    Of a linear model it enters [A B E], each column times the extent of what it is multiplied by.
+    """
     model = problem.model
     nx, nu, dim = model.nx, model.nu, model.design.dim
-    yield model.plant.right_hand_side if isinstance(model, SampledModel) else model.step
+    if isinstance(model, SampledModel):
+        yield model.plant.right_hand_side
+    else:
+        p = ca.MX.sym("p", dim)
+        scale = np.r_[extents["x"], extents["u"], np.broadcast_to(extents["w"], model.nw)]
+        yield ca.Function("matrices", [p], [model.function(p) @ ca.diag(ca.DM(scale))])
     for limits in (problem.X, problem.U):
         if isinstance(limits, DesignLimits):
             yield limits.both.function(dim)
@@ -125,19 +129,12 @@ def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[s
     return found
 
 
-def _slopes(problem: Any, extents: dict[str, Any]) -> Iterator[ca.Function]:
-    """The slopes (rows, np) of every term by the design: of a linear model those of its matrices."""
-    model = problem.model
-    for term in _terms(problem):
-        names = _names(term)
-        given = [ca.MX.sym(name, term.size1_in(i)) for i, name in enumerate(names)]
-        if isinstance(model, LinearModel) and term is model.step:
-            met = np.flatnonzero(np.repeat(np.r_[np.ones(model.nx + model.nu), extents["w"]], model.nx))
-            given, names = given[-1:], ["p"]
-            slopes = model.jacobian(*given)[met.tolist(), :]
-        else:
-            slopes = ca.jacobian(term(*given), given[names.index("p")])
-        yield ca.Function("slopes", given, [ca.densify(slopes)], names, ["slopes"])
+def _slopes(term: ca.Function) -> ca.Function:
+    """The slopes (rows, np) of all values of a term by the design, as a function of what the term takes."""
+    names = _names(term)
+    given = [ca.MX.sym(name, term.size1_in(i)) for i, name in enumerate(names)]
+    slopes = ca.jacobian(ca.vec(term(*given)), given[names.index("p")])
+    return ca.Function("slopes", given, [ca.densify(slopes)], names, ["slopes"])
 
 
 def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random.Generator) -> Array:

@@ -31,7 +31,7 @@ def test_an_entry_that_acts_only_beyond_a_stop_and_a_fixed_one_are_let_be():
 
 @pytest.mark.parametrize("number", range(len(TOGETHER)))
 def test_entries_that_act_only_together_are_named(number):
-    assert told(number).startswith("k, q act only together, in 1 combination: ")
+    assert told(number).startswith("k, q act only together, in 1 of 2 directions: ")
 
 
 @pytest.mark.parametrize("number", range(len(SPLIT)))
@@ -53,7 +53,7 @@ def oscillator(dynamics, deviation=0.1):
 def test_the_notes_of_a_result_name_the_entries_of_which_one_is_free():
     problem = oscillator(lambda p: -p[0] * p[1])
     result = cc.codesign(problem, method=cc.Nested(runs=8, starts=1, evaluations=2), rng=np.random.default_rng(0))
-    assert any("k, l act only together, in 1 combination" in note for note in result.notes)
+    assert any("k, l act only together, in 1 of 2 directions" in note for note in result.notes)
 
 
 def test_an_entry_that_scales_only_a_disturbance_of_zero_is_named():
