@@ -37,22 +37,10 @@ def bar(items: Any = None, *, label: str, total: int, progress: bool) -> tqdm:  
     return Lines(items, desc=label, total=total, leave=False, mininterval=EVERY, miniters=1)
 
 
-def counted(
-    items: Iterable[Item], label: str, *, total: int, progress: bool = False, echo: Echo | None = None
-) -> Iterator[Item]:
-    """Yield the items, with a bar if `progress`, else with lines through `echo` where it takes long."""
-    if progress or echo is None:
-        yield from bar(items, label=label, total=total, progress=progress)
-        return
-    begun = time.perf_counter()
-    due = begun + EVERY
-    for count, item in enumerate(items):
-        now = time.perf_counter()
+def counted(items: Iterable[Item], label: str, *, total: int, progress: bool = False) -> Iterator[Item]:
+    """Yield the items, with a bar if `progress`, and say where the computation is."""
+    for count, item in enumerate(bar(items, label=label, total=total, progress=progress)):
         at(f"{label}: {count} of {total}", count / total)
-        if now >= due:
-            left = _left(now - begun, count, total - count)
-            echo(f"    {label}: {count} of {total} after {now - begun:.0f} s{left}")
-            due = now + EVERY
         yield item
 
 
@@ -69,7 +57,7 @@ def _left(seconds: float, done: float, rest: float) -> str:
 
 
 @contextmanager
-def telling(echo: Echo | None, what: str = "", *, every: float = EVERY) -> Iterator[None]:
+def telling(echo: Echo | None, what: str = "") -> Iterator[None]:
     """Have a line say every ten seconds what the computation within is `at`, first `what`; nothing without `echo`."""
     if echo is None:
         yield
@@ -80,7 +68,7 @@ def telling(echo: Echo | None, what: str = "", *, every: float = EVERY) -> Itera
 
     def tell() -> None:
         """Say so until it has ended."""
-        while not ended.wait(every):
+        while not ended.wait(EVERY):
             now = time.perf_counter()
             text, part, since, first = _where
             left = _left(now - since, part - first, 1 - part)
