@@ -176,15 +176,16 @@ def codesign(
     options = Options(located(study), seed=whole_number("--seed", seed), x0=numbers("--x0", x0), p0=numbers("--p0", p0))
     processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
     asked = "all" if methods == "all" else as_method_names(methods.split(","), "--methods")
+    folder = None if output is None else _output(output)
+    if folder is not None:
+        folder.check_new(overwrite=overwrite, argument="--output", mark="methods.csv")
     with held_back():
-        from ccdtools.studies.report.method_page import check_folder, write_methods, write_table
-
-        folder = None if output is None else check_folder(output, overwrite=overwrite)
         from ccdtools.studies.asked_study import asked_study
         from ccdtools.studies.loading import blamed_on_source
 
         own = asked_study(options).study
         from ccdtools.co_design.compare_methods import compare_methods
+        from ccdtools.studies.report.method_page import write_methods, write_table
     _single_thread()
     ended: list[MethodComparison] = []
 

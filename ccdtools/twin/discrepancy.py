@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_choice, as_flag, as_instance, as_weight
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, PlantOfModel, as_model
-from ccdtools.twin.residuals import Residuals, stacked
+from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import Transport
 from learning.copula import InnovationCopula
 from learning.quantile import QuantileNetwork, pinball
@@ -83,10 +82,6 @@ class Discrepancy(Immutable):
         if self.design_as_feature:
             columns.append(p.expand(*x.shape[:-1], p.shape[-1]))
         return torch.cat(columns, dim=-1)
-
-    def inputs_of(self, parts: Sequence[Residuals]) -> Array:
-        """Inputs of the network along stretches of logs, one after the other, (n, ·)."""
-        return np.hstack(stacked(parts)[: 4 if self.design_as_feature else 3])
 
     def median(self, log: Residuals) -> Array:
         """Predicted median of e⁺ along a log in the coordinates of the network, (n, T, nx)."""
