@@ -186,12 +186,7 @@ def mean_law(agent: ActorCritic, p: Tensor) -> Law:
 def latent_law(agent: ActorCritic, p: Tensor) -> Law:
     """The latent actions (n, nu) of the mean policy, not clipped, as a function of the states (n, nx)."""
     layers = agent.mean_network.at(p, agent.observation_offset, agent.observation_scale)
-    return lambda x: layers(x, torch.tanh, _affine)
-
-
-def _affine(x: Tensor, W: Tensor, b: Tensor) -> Tensor:
-    """x W + b in one kernel."""
-    return torch.addmm(b, x, W)
+    return lambda x: layers(x, torch.tanh, lambda x, W, b: torch.addmm(b, x, W))  # in one kernel
 
 
 def episode_at(

@@ -46,7 +46,7 @@ def check_every_entry_acts(problem: Any) -> None:
     if len(idle):
         raise InputError("model.design", f"{_named(problem, idle)}, which nothing depends on", EXPECTED, CURE)
     if len(undisturbed) and problem.discrepancy is None and not _disturbance(problem, RUNS).any():
-        got = f"{_named(problem, undisturbed)}, which scales only a disturbance that is zero"
+        got = f"{_named(problem, undisturbed)}, which nothing depends on but what a disturbance of zero does"
         raise InputError("model.design", got, EXPECTED, UNDISTURBED)
 
 
