@@ -111,16 +111,17 @@ class FeedForward(nn.Module):
         """The network of normalised observations as one of the first entries of raw ones, whose last ones are `p`.
 
         What does not change with the first entries is computed once: the part of the first layer that belongs to `p`
-        (np,) or (n, np), and the normalisation by `offset` and `scale` (n_in,).
+        (np,) or (n, np), and the normalisation by `offset` and `scale` (n_in,); in the precision of `p`.
         """
+        offset, scale = offset.to(p.dtype), scale.to(p.dtype)
         n = len(offset) - p.shape[-1]
         given = (p - offset[n:]) / scale[n:]
         shift = offset[:n] / scale[:n]
 
         def entry(weight: Tensor) -> tuple[Tensor, Tensor]:
             """The map from raw entries, (n, m), and what offset and `p` add to it, (m,) or (·, m)."""
-            own = weight[:, :n]
-            return (own / scale[:n]).T, given @ weight[:, n:].T - own @ shift
+            own, of_given = weight.to(p.dtype).split([n, weight.shape[1] - n], dim=1)
+            return (own / scale[:n]).T, given @ of_given.T - own @ shift
 
         first, *others = [layer for layer in self.body if isinstance(layer, nn.Linear)]
         W, b = entry(first.weight)

@@ -67,8 +67,8 @@ class LearnedPolicy(Immutable):
                 "design", f"{size} values", f"at most {most}: the agent observes {most + 1} numbers, (x, p)"
             )
         first = most + 1 - size  # the observation is (x, p)
-        offset = _array(self.agent.observation_offset.double())[first:]
-        scale = _array(self.agent.observation_scale.double())[first:]
+        offset = _array(self.agent.observation_offset)[first:]
+        scale = _array(self.agent.observation_scale)[first:]
         outside = np.abs(self.design - offset) > EDGE * scale
         if outside.any():
             i = int(np.argmax(outside))
@@ -157,11 +157,10 @@ class _Forward:
     @classmethod
     def of(cls, agent: ActorCritic, design: Array) -> _Forward:
         """The actor of an agent, copied."""
-        exact = copy.deepcopy(agent).double()
-        at = (torch.tensor(design), exact.observation_offset, exact.observation_scale)
-        std = None if exact.std_network is None else exact.std_network.at(*at).of(_array)
-        middle, half = exact.action_range(at[0])
-        return cls(exact.mean_network.at(*at).of(_array), std, _array(exact.log_std), _array(middle), _array(half))
+        at = (torch.tensor(design), agent.observation_offset, agent.observation_scale)
+        std = None if agent.std_network is None else agent.std_network.at(*at).of(_array)
+        middle, half = agent.action_range(at[0])
+        return cls(agent.mean_network.at(*at).of(_array), std, _array(agent.log_std), _array(middle), _array(half))
 
     def action(self, x: Array, rng: np.random.Generator | None) -> Array:
         """Actions (..., nu) in the units of the plant: the mean ones, or samples from `rng`."""
@@ -173,8 +172,8 @@ class _Forward:
 
 
 def _array(tensor: torch.Tensor) -> Array:
-    """A copy of a tensor."""
-    return tensor.detach().numpy().copy()
+    """A copy of a tensor in float64."""
+    return tensor.detach().double().numpy().copy()
 
 
 def _as_rows(array: Array) -> ca.DM:

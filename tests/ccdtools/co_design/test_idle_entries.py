@@ -58,5 +58,5 @@ def test_the_notes_of_a_result_name_the_entries_of_which_one_is_free():
 
 def test_an_entry_that_scales_only_a_disturbance_of_zero_is_named():
     oscillator(lambda p: -p[0] - p[1])
-    with pytest.raises(cc.InputError, match="the entry m, .* but what a disturbance of zero does"):
+    with pytest.raises(cc.InputError, match=r"the entry m, .* but what a disturbance of zero does"):
         oscillator(lambda p: -p[0] - p[1], deviation=0.0)
