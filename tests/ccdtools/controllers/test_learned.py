@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import DesignSpace, InputError, LearnedPolicy, load_policy
-from ccdtools.design_limits import DesignLimits
+from ccdtools import InputError, LearnedPolicy, load_policy
 from learning import ActorCritic, NetworkConfig
 
 CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
@@ -76,17 +75,6 @@ def test_in_casadi_a_policy_gives_its_mean_action(options, rng):
     assert (function.name_in(), function.name_out()) == (["x"], ["u"])
     for x in rng.uniform(-3, 3, (50, 2)):
         np.testing.assert_allclose(np.asarray(function(x)).ravel(), policy(x), rtol=1e-12, atol=1e-12)
-
-
-def test_in_casadi_a_policy_keeps_bounds_that_depend_on_the_design(rng):
-    space = DesignSpace(["p"], [1.0], [3.0])
-    limits = DesignLimits.of("U", lambda p: (-p[0], 2 * p[0]), 1, "one per input", space)
-    net = ActorCritic([-1, 1], [1, 3], *limits.box, config=NetworkConfig((5,)), action_limits=limits)
-    policy = LearnedPolicy(net, [1.5])
-    x = rng.uniform(-90, 90, (50, 1))
-    u = np.array([np.asarray(policy.to_casadi()(row)).ravel() for row in x])
-    np.testing.assert_allclose(u, policy(x), rtol=1e-12)
-    assert {u.min(), u.max()} == {-1.5, 3.0}
 
 
 def test_casadi_differentiates_a_policy(policy):
