@@ -53,7 +53,8 @@ def at(text: str, part: float = 0.0) -> None:
 
 def _left(seconds: float, done: float, rest: float) -> str:
     """How long the rest takes at the pace of what is done, in words; nothing before there is a pace."""
-    return f", about {seconds * rest / done:.0f} s left" if seconds >= EVERY / 2 and done > 0 and rest > 0 else ""
+    known = seconds >= EVERY / 2 and done > 0 and rest > 0
+    return f", about {seconds * rest / done:.0f} s left at this pace" if known else ""
 
 
 @contextmanager

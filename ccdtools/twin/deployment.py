@@ -192,7 +192,7 @@ class _Service:
         runs, steps = self.whole.disturbance.shape[:2]
         count = possible_updates(runs, steps, self.config)
         for k, part in enumerate(deployment_parts(runs, steps, count + 1)):
-            at(f"part {k + 1} of {count + 1}", k / (count + 1))
+            at(f"part {k + 1} of {count + 1}")
             piece = self._serve(*part, progress)
             self.pieces.append(piece)
             if len(self.pieces) <= count and self._learn(piece, part[0].start):

@@ -34,7 +34,7 @@ def test_without_a_terminal_there_is_a_line_at_the_start_and_no_control_characte
 def test_lines_follow_as_items_do(monkeypatch):
     monkeypatch.setattr("ccdtools.progress.EVERY", 0.0)
     text = shown(monkeypatch, io.StringIO(), progress=True)
-    assert "simulating: 2 of 3 after 0 s, about 0 s left" in text.splitlines()
+    assert "simulating: 2 of 3 after 0 s, about 0 s left at this pace" in text.splitlines()
 
 
 def test_on_a_terminal_there_is_a_bar_and_without_progress_nothing(monkeypatch):
@@ -66,7 +66,7 @@ def test_a_stage_that_takes_long_says_how_long_the_rest_takes(monkeypatch):
             at(f"iteration {k} of 100", k / 100)
         while not lines:
             time.sleep(0.005)
-    assert re.fullmatch(r"    … iteration \d of 100, after 0 s, about \d s left", lines[-1])
+    assert re.fullmatch(r"    … iteration \d of 100, after 0 s, about \d s left at this pace", lines[-1])
 
 
 def test_a_stage_that_ends_soon_or_has_no_echo_says_nothing():
