@@ -43,7 +43,8 @@ def in_words(error: Exception) -> tuple[str, str]:
         if found:
             return brief(words.format(*found.groups())), cure
     if isinstance(error, RuntimeError):  # what was called stands above what went wrong
-        return brief(CASADI.sub("", (str(error).splitlines() or [""])[-1])).rstrip("."), ""
+        last = CASADI.sub("", (str(error).splitlines() or [type(error).__name__])[-1])
+        return brief(last).rstrip("."), ""
     return brief(f"{type(error).__name__}: {text}"), ""
 
 
