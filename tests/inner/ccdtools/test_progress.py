@@ -85,5 +85,13 @@ def test_an_interrupted_stage_is_told_of_no_more(monkeypatch):
     assert not lines
 
 
-def test_items_are_all_yielded():
-    assert list(counted(range(4), "X_fea(p)", total=4)) == [0, 1, 2, 3]
+def test_items_are_all_yielded_and_said(monkeypatch):
+    monkeypatch.setattr("ccdtools.progress.EVERY", 0.01)
+    lines = []
+    found = []
+    with telling(lines.append):
+        for item in counted(range(4), "X_fea(p)", total=4):
+            found.append(item)
+            while item == 2 and not any("X_fea(p): 2 of 4, after 0 s" in line for line in lines):
+                time.sleep(0.005)
+    assert found == [0, 1, 2, 3]
