@@ -16,7 +16,7 @@ import ccdtools
 from ccdtools.co_design.method_names import as_method_names
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import InputError
-from ccdtools.jobs import held_back, insisting
+from ccdtools.jobs import as_jobs, held_back, insisting
 from ccdtools.studies.options import (
     Options,
     described_studies,
@@ -174,16 +174,18 @@ def codesign(
     table of the methods that have ended.
     """
     options = Options(located(study), seed=whole_number("--seed", seed), x0=numbers("--x0", x0), p0=numbers("--p0", p0))
-    processes = whole_number("--jobs", jobs)
+    processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
     asked = "all" if methods == "all" else as_method_names(methods.split(","), "--methods")
+    folder = None if output is None else _output(output)
+    if folder is not None:
+        folder.check_new(overwrite=overwrite, argument="--output", mark="methods.csv")
     with held_back():
         from ccdtools.studies.asked_study import asked_study
         from ccdtools.studies.loading import blamed_on_source
 
         own = asked_study(options).study
         from ccdtools.co_design.compare_methods import compare_methods
-        from ccdtools.studies.report.method_page import check_folder, write_methods, write_table
-    folder = None if output is None else check_folder(output, overwrite=overwrite)
+        from ccdtools.studies.report.method_page import write_methods, write_table
     _single_thread()
     ended: list[MethodComparison] = []
 

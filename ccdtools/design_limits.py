@@ -17,6 +17,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import FEASIBLE, DesignSpace
 from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.plants.symbols import as_expression, check_known
+from ccdtools_ground.user_functions import stopped
 from invariant_sets import Polytope
 
 ON_LIMIT = 1e-9  # of the half-width: a point this far beyond a bound is on it
@@ -213,8 +214,7 @@ def _compiled(argument: str, given: Callable[..., Any], size: int, of: str, desi
     try:
         pair = given(p)
     except Exception as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InputError(argument, f"a function that stops with {reason[:200]}", PAIR, EXAMPLE) from error
+        raise stopped(argument, given, error, PAIR, EXAMPLE) from error
     if not isinstance(pair, tuple | list) or len(pair) != 2:
         raise InputError(argument, f"{shown(pair)} from a function of p", PAIR, EXAMPLE)
     columns = []

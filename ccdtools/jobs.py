@@ -15,14 +15,14 @@ AGAIN = 1.0  # s after which an interruption that nobody has felt comes again
 _felt: list[int] = []  # signals since the last `insisting` began
 
 
-def as_jobs(value: Any) -> int:
+def as_jobs(value: Any, argument: str = "jobs") -> int:
     """A number of processes: at least one, or −1 for as many as there are cores."""
     if isinstance(value, int) and not isinstance(value, bool) and value == -1:
         return -1
     try:
-        return as_count("jobs", value)
+        return as_count(argument, value)
     except InputError:
-        raise InputError("jobs", shown(value), "a number of processes, or -1 for all cores") from None
+        raise InputError(argument, shown(value), "a number of processes, or -1 for all cores") from None
 
 
 def in_processes(
@@ -67,7 +67,10 @@ def as_they_end(
             if names:
                 shown_bar.set_description(f"{label}, now {names[i]}")
             yield function(item)
-            shown_bar.update()
+            if names:  # the next line says it
+                shown_bar.n += 1
+            else:
+                shown_bar.update()
 
 
 def interrupted() -> bool:

@@ -14,7 +14,7 @@ from tqdm import tqdm
 Echo = Callable[[str], None]
 Item = TypeVar("Item")
 EVERY = 10.0  # seconds between two lines of text
-_where = [""]  # what the computation is at, in words, for whoever tells it
+_where: list[Any] = ["", 0.0, 0.0, 0.0]  # what the computation is at, and how far; when it was first told, and how far
 
 
 class Lines(tqdm):  # type: ignore[type-arg]
@@ -24,7 +24,8 @@ class Lines(tqdm):  # type: ignore[type-arg]
         """Write a line; nothing where a bar would be cleared."""
         if msg is None:
             elapsed = self._time() - self.start_t if hasattr(self, "start_t") else 0.0  # of the first line
-            self.fp.write(f"{self.desc.removesuffix(': ')}: {self.n} of {self.total} after {elapsed:.0f} s\n")
+            done = f"{self.n} of {self.total} after {elapsed:.0f} s"
+            self.fp.write(f"{self.desc.removesuffix(': ')}: {done}{_left(elapsed, self.n, self.total - self.n)}\n")
             self.fp.flush()
         return False
 
@@ -36,31 +37,28 @@ def bar(items: Any = None, *, label: str, total: int, progress: bool) -> tqdm:  
     return Lines(items, desc=label, total=total, leave=False, mininterval=EVERY, miniters=1)
 
 
-def counted(
-    items: Iterable[Item], label: str, *, total: int, progress: bool = False, echo: Echo | None = None
-) -> Iterator[Item]:
-    """Yield the items, with a bar if `progress`, else with lines through `echo` where it takes long."""
-    if progress or echo is None:
-        yield from bar(items, label=label, total=total, progress=progress)
-        return
-    begun = time.perf_counter()
-    due = begun + EVERY
-    for count, item in enumerate(items):
-        now = time.perf_counter()
-        at(f"{label}: {count} of {total}")
-        if now >= due:
-            echo(f"    {label}: {count} of {total} after {now - begun:.0f} s")
-            due = now + EVERY
+def counted(items: Iterable[Item], label: str, *, total: int, progress: bool = False) -> Iterator[Item]:
+    """Yield the items, with a bar if `progress`, and say where the computation is."""
+    for count, item in enumerate(bar(items, label=label, total=total, progress=progress)):
+        at(f"{label}: {count} of {total}", count / total)
         yield item
 
 
-def at(text: str) -> None:
-    """Say what the computation is at: "iteration 40 of 200"."""
-    _where[0] = text
+def at(text: str, part: float = 0.0) -> None:
+    """Say what the computation is at: "iteration 40 of 200", which part 0.2 of it is done."""
+    if part <= _where[1]:
+        _where[2:] = time.perf_counter(), part
+    _where[:2] = text, part
+
+
+def _left(seconds: float, done: float, rest: float) -> str:
+    """How long the rest takes at the pace of what is done, in words; nothing before there is a pace."""
+    known = seconds >= EVERY / 2 and done > 0 and rest > 0
+    return f", about {seconds * rest / done:.0f} s left at this pace" if known else ""
 
 
 @contextmanager
-def telling(echo: Echo | None, what: str = "", *, every: float = EVERY) -> Iterator[None]:
+def telling(echo: Echo | None, what: str = "") -> Iterator[None]:
     """Have a line say every ten seconds what the computation within is `at`, first `what`; nothing without `echo`."""
     if echo is None:
         yield
@@ -71,9 +69,11 @@ def telling(echo: Echo | None, what: str = "", *, every: float = EVERY) -> Itera
 
     def tell() -> None:
         """Say so until it has ended."""
-        while not ended.wait(every):
-            where = f"{_where[0]}, " if _where[0] else ""
-            echo(f"    … {where}after {time.perf_counter() - begun:.0f} s")
+        while not ended.wait(EVERY):
+            now = time.perf_counter()
+            text, part, since, first = _where
+            left = _left(now - since, part - first, 1 - part)
+            echo(f"    … {text and text + ', '}after {now - begun:.0f} s{left}")
 
     teller = threading.Thread(target=tell, daemon=True)
     teller.start()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +19,8 @@ def front_door(package: str, file: str) -> tuple[list[str], Callable[[str], Any]
     def load(name: str) -> Any:
         """The object of a public name."""
         if name not in homes:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+            said = f"module {package!r} has no attribute {name!r}"
+            raise AttributeError(said, name=name, obj=sys.modules[package])  # which Python compares with dir()
         return getattr(import_module(homes[name]), name)
 
     return sorted(homes), load

@@ -67,9 +67,10 @@ def as_bounds(value: Any, name: str, size: int) -> tuple[Array, Array]:
 
 
 def as_samples(inputs: Any, targets: Any) -> tuple[Array, Array]:
-    """Return inputs (n, d) and targets (n, m) as finite float arrays of at least 20 samples."""
+    """Return inputs (n, d) and targets (n, m) or (n,) as finite float arrays of two axes, of at least 20 samples."""
     x = as_floats("inputs", inputs)
     y = as_floats("targets", targets)
+    y = y[:, None] if y.ndim == 1 else y
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
         raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", "(n, d), (n, m), n ≥ 20")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):

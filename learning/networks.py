@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any, Protocol
@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from learning.checks import as_floats, as_sizes, check_instance, check_number
 from learning.exceptions import InputError
 
+LOG_STD = (-7.0, 1.0)  # range of the logarithm of the exploration that a network of its own gives
 LEAK = 0.01  # slope of the clip outside its range while cloning, so that a saturated output can still come back
 
 
@@ -67,6 +68,32 @@ class ActionLimits(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """A tanh network of affine maps x W + b of rows, and an affine map `skip` beside them.
+
+    They are tensors, arrays or matrices of CasADi, and so is what is passed through them.
+    """
+
+    maps: tuple[tuple[Any, Any], ...]
+    skip: tuple[Any, Any] | None
+
+    def of(self, convert: Callable[[Any], Any]) -> Layers:
+        """The same network of numbers of another kind."""
+        skip = None if self.skip is None else (convert(self.skip[0]), convert(self.skip[1]))
+        return Layers(tuple((convert(W), convert(b)) for W, b in self.maps), skip)
+
+    def __call__(self, x: Any, tanh: Callable[[Any], Any], affine: Callable[..., Any] | None = None) -> Any:
+        """Outputs (..., m) of rows x (..., n), by a function `affine` of (x, W, b) where there is a quicker one."""
+        affine = affine or (lambda x, W, b: x @ W + b)
+        *hidden, head = self.maps
+        h = x
+        for W, b in hidden:
+            h = tanh(affine(h, W, b))
+        out = affine(h, *head)
+        return out if self.skip is None else affine(x, self.skip[0], out + self.skip[1])
+
+
 class FeedForward(nn.Module):
     """Fully connected tanh network (..., n_in) → (..., n_out) with an optional linear skip."""
 
@@ -80,9 +107,26 @@ class FeedForward(nn.Module):
         self.head = nn.Linear(sizes[-1], n_out)
         self.skip = nn.Linear(n_in, n_out, bias=False) if skip else None
 
-    def linear_layers(self) -> list[nn.Linear]:
-        """The hidden layers without their activations."""
-        return [layer for layer in self.body if isinstance(layer, nn.Linear)]
+    def at(self, p: Tensor, offset: Tensor, scale: Tensor) -> Layers:
+        """The network of normalised observations as one of the first entries of raw ones, whose last ones are `p`.
+
+        What does not change with the first entries is computed once: the part of the first layer that belongs to `p`
+        (np,) or (n, np), and the normalisation by `offset` and `scale` (n_in,); in the precision of `p`.
+        """
+        offset, scale = offset.to(p.dtype), scale.to(p.dtype)
+        n = len(offset) - p.shape[-1]
+        given = (p - offset[n:]) / scale[n:]
+        shift = offset[:n] / scale[:n]
+
+        def entry(weight: Tensor) -> tuple[Tensor, Tensor]:
+            """The map from raw entries, (n, m), and what offset and `p` add to it, (m,) or (·, m)."""
+            own, of_given = weight.to(p.dtype).split([n, weight.shape[1] - n], dim=1)
+            return (own / scale[:n]).T, given @ of_given.T - own @ shift
+
+        first, *others = [layer for layer in self.body if isinstance(layer, nn.Linear)]
+        W, b = entry(first.weight)
+        layers = [(W, b + first.bias), *((layer.weight.T, layer.bias) for layer in (*others, self.head))]
+        return Layers(tuple(layers), None if self.skip is None else entry(self.skip.weight))
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Outputs (..., n_out)."""
@@ -169,7 +213,7 @@ class ActorCritic(nn.Module):
         """Standard deviation of the latent actions, broadcastable to (..., nu)."""
         if self.std_network is None:
             return self.log_std.exp()
-        return self.std_network(self.normalise(observations)).clamp(-7.0, 1.0).exp()
+        return self.std_network(self.normalise(observations)).clamp(*LOG_STD).exp()
 
     def action_range(self, observations: Tensor | None) -> tuple[Tensor, Tensor]:
         """Middle and half-width of the actions, (nu,), or (..., nu) where they depend on observations (..., n_obs).
@@ -186,6 +230,10 @@ class ActorCritic(nn.Module):
     def action(self, latent: Tensor, observations: Tensor | None = None, *, leak: float = 0.0) -> Tensor:
         """Actions in the units of the plant: the latent clipped to [−1, 1] and scaled."""
         return scaled(latent, self.action_range(observations), leak=leak)
+
+    def forward(self, observations: Tensor) -> Tensor:
+        """Mean actions (..., nu) within their bounds, in the units of the plant."""
+        return self.action(self.latent(observations), observations)
 
     def value(self, observations: Tensor) -> Tensor:
         """Values (...,) in the units of the return."""

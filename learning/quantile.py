@@ -130,9 +130,18 @@ class QuantileNetwork(nn.Module):
         return torch.maximum(torch.minimum(inputs, self.input_upper), self.input_lower)
 
     def predict(self, inputs: ArrayLike) -> Array:
-        """`forward` for arrays, in float64."""
+        """Quantiles (..., levels, m) of inputs (..., d), in float64.
+
+        Raises
+        ------
+        InputError
+            If the inputs are not numbers, or not d in a row.
+        """
+        x = as_floats("inputs", inputs)
+        if x.shape[-1:] != (len(self.input_offset),):
+            raise InputError("inputs", f"shape {x.shape}", f"(..., {len(self.input_offset)}), as in the fit")
         with torch.no_grad():
-            return self(torch.tensor(np.asarray(inputs), dtype=torch.float32)).double().numpy()
+            return self(torch.tensor(x, dtype=torch.float32)).double().numpy()
 
     def shape(self) -> dict:
         """All that `from_shape` needs to build the same network again."""
@@ -172,11 +181,12 @@ def fit_quantiles(
     ----------
     inputs : (n, d) array_like
         In time order.
-    targets : (n, m) array_like
+    targets : (n, m) or (n,) array_like
     stretches : sequence of int, optional
         Lengths of the contiguous stretches that make up the n samples; one stretch by default. The last part
         of each is kept from the fit and calibrates the outer levels: a time series is never split at random.
     rng : numpy.random.Generator
+        No number in its place: each fit of a loop would begin with the same weights.
     config : QuantileConfig, optional
 
     Raises

@@ -239,7 +239,8 @@ class Ascent:
     def count(self, bar: tqdm) -> None:
         """One more iteration."""
         self.iterations += 1
-        at(f"iteration {self.iterations} of at most {self.task.config.iterations}")
+        most = self.task.config.iterations
+        at(f"iteration {self.iterations} of at most {most}", self.iterations / most)
         bar.update()
 
     def cost(self, v: Tensor, scenarios: ScenarioTensors) -> Tensor:

@@ -184,38 +184,9 @@ def mean_law(agent: ActorCritic, p: Tensor) -> Law:
 
 
 def latent_law(agent: ActorCritic, p: Tensor) -> Law:
-    """The latent actions (n, nu) of the mean policy, not clipped, as a function of the states (n, nx).
-
-    What does not change along an episode, the design's part of the first layer and the scaling of the states, is
-    computed once.
-    """
-    nx = len(agent.observation_offset) - p.shape[-1]
-    scale = agent.observation_scale[:nx]
-    design = (p - agent.observation_offset[nx:]) / agent.observation_scale[nx:]
-    network = agent.mean_network
-    shift = agent.observation_offset[:nx] / scale
-
-    def entry(weight: Tensor) -> tuple[Tensor, Tensor]:
-        """The map from raw states, (nx, m), and what offset and design add to it, (m,) or (n, m)."""
-        own = weight[:, :nx]
-        return (own / scale).T, design @ weight[:, nx:].T - own @ shift
-
-    first, *others = network.linear_layers()
-    W, fixed = entry(first.weight)
-    b = fixed + first.bias
-    layers = [(layer.weight.T, layer.bias) for layer in others]
-    head = (network.head.weight.T, network.head.bias)
-    skip = None if network.skip is None else entry(network.skip.weight)
-
-    def law(x: Tensor) -> Tensor:
-        """Latent actions (n, nu)."""
-        hidden = torch.tanh(torch.addmm(b, x, W))
-        for weight, bias in layers:
-            hidden = torch.tanh(torch.addmm(bias, hidden, weight))
-        latent = torch.addmm(head[1], hidden, head[0])
-        return latent if skip is None else torch.addmm(latent + skip[1], x, skip[0])
-
-    return law
+    """The latent actions (n, nu) of the mean policy, not clipped, as a function of the states (n, nx)."""
+    layers = agent.mean_network.at(p, agent.observation_offset, agent.observation_scale)
+    return lambda x: layers(x, torch.tanh, lambda x, W, b: torch.addmm(b, x, W))  # in one kernel
 
 
 def episode_at(

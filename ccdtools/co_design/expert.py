@@ -23,7 +23,7 @@ from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
-from ccdtools.progress import Echo
+from ccdtools.progress import Echo, telling
 from invariant_sets import ParametricSet
 
 EXPERTS = ("lqr", "mpc", "explicit")
@@ -136,7 +136,7 @@ def expert_dataset(
     progress : bool
         Show progress bars.
     echo : callable, optional
-        Takes a line of text every ten seconds where there is no bar.
+        Takes a line of text every ten seconds.
 
     Raises
     ------
@@ -154,11 +154,12 @@ def expert_dataset(
     if echo is not None and not callable(echo):
         raise InputError("echo", shown(echo), "a function that takes a line of text, or None")
     option = "auto" if isinstance(sets, ParametricSet) else as_choice("sets", sets, SETS)
-    effort = Effort(option, limit, progress, echo)
-    family = sets if isinstance(sets, ParametricSet) else limited(feasible_sets(problem), effort)
-    begin = starts(problem, family, samples, designs, effort, rng)
-    loops = ExpertLoops(problem, begin, expert, horizon, progress=progress, echo=echo)
-    found = follow(problem, loops, gamma, rng, progress=progress, echo=echo)
+    effort = Effort(option, limit, progress)
+    with telling(echo, "the expert's data"):
+        family = sets if isinstance(sets, ParametricSet) else limited(feasible_sets(problem), effort)
+        begin = starts(problem, family, samples, designs, effort, rng)
+        loops = ExpertLoops(problem, begin, expert, horizon, progress=progress)
+        found = follow(problem, loops, gamma, rng, progress=progress)
     known = (np.abs(found.states) <= FAR * problem.state_scale).all(axis=2)  # NaN is not
     designs_of_all = np.broadcast_to(begin.p, (*found.states.shape[:2], begin.p.shape[1]))
     inputs = np.concatenate([found.states, designs_of_all], axis=2)

@@ -14,7 +14,7 @@ from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
-from ccdtools.progress import Echo, counted
+from ccdtools.progress import counted
 from invariant_sets import AdmissibleInputs, Polytope
 from mpc import LinearMPC
 
@@ -34,9 +34,8 @@ class Followed:
 
 
 def follow(
-    problem: CoDesignProblem, loops: ExpertLoops, gamma: float, rng: np.random.Generator, *,
-    progress: bool = False, echo: Echo | None = None,
-) -> Followed:  # fmt: skip
+    problem: CoDesignProblem, loops: ExpertLoops, gamma: float, rng: np.random.Generator, *, progress: bool = False
+) -> Followed:
     """The loops on the problem's own model under what drives its episodes, looked at after `VISITS` steps."""
     x = loops.starts.x
     steps = VISITS[-1] + TAIL
@@ -45,7 +44,7 @@ def follow(
     rewards = np.empty((steps, len(x)))
     visited = []
     actions = []
-    for k in counted(range(steps), "expert's closed loops", total=steps, progress=progress, echo=echo):
+    for k in counted(range(steps), "expert's closed loops", total=steps, progress=progress):
         u = loops.inputs(x)
         if k in VISITS:
             visited.append(x)
@@ -74,14 +73,12 @@ class ExpertLoops:
     expert : {"lqr", "mpc", "explicit"}
     horizon : int
         Of the MPC experts.
-    progress, echo
-        As in `counted`.
+    progress : bool
     """
 
     def __init__(
-        self, problem: CoDesignProblem, starts: Starts, expert: str, horizon: int, *, progress: bool = False,
-        echo: Echo | None = None,
-    ) -> None:  # fmt: skip
+        self, problem: CoDesignProblem, starts: Starts, expert: str, horizon: int, *, progress: bool = False
+    ) -> None:
         self.starts = starts
         self.filters = SetFilters(problem, starts)
         self.controllers: list[Controller] | None = None
@@ -92,7 +89,7 @@ class ExpertLoops:
             models = zip(starts.regions.A, starts.regions.B, weights, kept, applied)
             laws = [LinearMPC(A, B, **own, horizon=horizon, X=X, U=U) for A, B, own, X, U in models]
             label = f"{expert} of every design"
-            made = counted(laws, label, total=len(laws), progress=progress, echo=echo)
+            made = counted(laws, label, total=len(laws), progress=progress)
             self.controllers = [self._law(law, expert) for law in made]
 
     @staticmethod

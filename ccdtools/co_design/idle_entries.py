@@ -1,4 +1,10 @@
-"""Entries of the design that change nothing: whatever value they end at would be no result."""
+"""Entries of the design that change nothing, alone or together: whatever value they end at would be no result.
+
+References
+----------
+Jacquez and Greif, "Numerical parameter identifiability and estimability", Mathematical Biosciences 77, 1985 (the rank
+of the sensitivities at random parameters).
+"""
 
 from __future__ import annotations
 
@@ -9,67 +15,107 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.design_limits import DesignLimits, Limits, widest
+from ccdtools.design_limits import DesignLimits, widest
 from ccdtools.exceptions import InputError
-from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
 
 POINTS = (8, 500)  # states, inputs and disturbances that a term is looked at: a few, and where nothing changes many
-ROUNDING = 1e-12  # of the largest value of a term: a change this small is rounding
+RUNS = 20  # of the scenarios, which tell a disturbance that is always zero
+DESIGNS = 3  # at which slopes are looked at: the one where fewest entries act together tells
+MAGNITUDES = (-5.0, 1.0)  # powers of ten of states, inputs and disturbances beside their extents
+BESIDE = 100  # states, inputs and disturbances at each of them
+ROUNDING = 1e-12  # of the largest value or slope of a term: a change this small is rounding
+RANK = 1e-6  # singular value of slopes, rows and columns scaled to one, below which entries act together
+PART = 1e-3  # of a unit direction that changes nothing: an entry with less has no part in it
 EXPECTED = "entries that change the dynamics, a cost, a limit or a constraint"
 CURE = "Remove it from the DesignSpace, or state what it acts on."
+UNDISTURBED = "Give the scenarios a disturbance, or remove it from the DesignSpace."
 
 
-def check_every_entry_acts(
-    model: Model, X: Limits, U: Limits, objective: Any, output_limits: OutputLimits | None
-) -> None:
-    """Raise an `InputError` that names the entries of the design that are not fixed and change nothing.
+def check_every_entry_acts(problem: Any) -> None:
+    """Raise an `InputError` that names the entries of a problem's design that are not fixed and change nothing.
 
     An entry acts if a term depends on it by its expression and takes another value at another design, at one of 500
-    states within ten times X, with inputs within ten times U.
+    states within ten times X, with inputs within ten times U. One that scales nothing but a disturbance does not act
+    where that is always zero.
     """
-    space = model.design
-    assert space is not None
-    idle = np.flatnonzero(space.free)
-    extents = {"x": _extent(X), "u": _extent(U)}
-    for term in _terms(model, X, U, objective, output_limits):
-        idle = idle[~_acting(term, space, idle, extents)] if len(idle) else idle
+    free = np.flatnonzero(problem.design.free)
+    undisturbed = _idle(problem, free, disturbance=0.0)
+    idle = _idle(problem, undisturbed, disturbance=1.0)
     if len(idle):
-        names = ", ".join(space.names[int(i)] for i in idle)
-        kind = "entry" if len(idle) == 1 else "entries"
-        raise InputError("model.design", f"the {kind} {names}, which nothing depends on", EXPECTED, CURE)
+        raise InputError("model.design", f"{_named(problem, idle)}, which nothing depends on", EXPECTED, CURE)
+    if len(undisturbed) and problem.discrepancy is None and not _disturbance(problem, RUNS).any():
+        got = f"{_named(problem, undisturbed)}, which nothing depends on but what a disturbance of zero does"
+        raise InputError("model.design", got, EXPECTED, UNDISTURBED)
 
 
-def _terms(model: Model, X: Limits, U: Limits, objective: Any, outputs: OutputLimits | None) -> Iterator[ca.Function]:
-    """The functions that the design may enter; its argument is called p, or is the only one."""
-    nx, nu, dim = model.nx, model.nu, model.design.dim  # type: ignore[union-attr]
-    yield model.plant.right_hand_side if isinstance(model, SampledModel) else model.step
-    for limits in (X, U):
+def acting_together(problem: Any) -> str:
+    """Which entries of a problem's design can change together without any change of the problem; empty where none can.
+
+    Slopes of the dynamics, costs, limits and constraints by the design are compared at random states, inputs and
+    disturbances. Of a problem with learned errors nothing is said.
+    """
+    space = problem.design
+    if np.sum(space.free) < 2 or problem.discrepancy is not None:
+        return ""
+    rng = np.random.default_rng(0)
+    width = space.upper - space.lower  # of a fixed entry zero
+    extents = _extents(problem, np.abs(_disturbance(problem, RUNS)).max(axis=(0, 1), initial=0.0))
+    slopes = [_slopes(term) for term in _terms(problem, extents)]
+    designs = space.latin_hypercube(DESIGNS, rng)
+    rows = ([_rows(one, p, extents, rng) for one in slopes] for p in designs)
+    fewest = min((_without_effect(np.concatenate(found) * width) for found in rows), key=len)
+    part = np.flatnonzero(np.abs(fewest).max(axis=0, initial=0.0) > PART)
+    if not len(part):
+        return ""
+    free = len(fewest)
+    return (f"{', '.join(space.names[i] for i in part)} act only together, in {len(part) - free} of {len(part)} "
+            f"directions: other values of them are as good. Fix {free} of them, or let each have a price.")  # fmt: skip
+
+
+def _idle(problem: Any, entries: Any, *, disturbance: float) -> Any:
+    """Those of some entries that change no term, with disturbances of one size."""
+    extents = _extents(problem, disturbance)
+    for term in _terms(problem, extents):
+        entries = entries[~_acting(term, problem.design, entries, extents)] if len(entries) else entries
+    return entries
+
+
+def _terms(problem: Any, extents: dict[str, Any]) -> Iterator[ca.Function]:
+    """The functions that the design may enter; its argument is called p, or is the only one.
+
+    Of a linear model it enters [A B E], each column times the extent of what it is multiplied by.
+    """
+    model = problem.model
+    nx, nu, dim = model.nx, model.nu, model.design.dim
+    if isinstance(model, SampledModel):
+        yield model.plant.right_hand_side
+    else:
+        p = ca.MX.sym("p", dim)
+        scale = np.r_[extents["x"], extents["u"], np.broadcast_to(extents["w"], model.nw)]
+        yield ca.Function("matrices", [p], [model.function(p) @ ca.diag(ca.DM(scale))])
+    for limits in (problem.X, problem.U):
         if isinstance(limits, DesignLimits):
             yield limits.both.function(dim)
     for name, sizes in (("design_cost", (dim,)), ("stage_cost", (nx, nu, dim)), ("terminal_cost", (nx, dim))):
-        if getattr(objective, name, None) is not None:
-            yield getattr(objective, name).function(*sizes)
-    if outputs is not None:
-        yield outputs.outputs.function(nx, nu, dim)
-    if model.design.constraints is not None:  # type: ignore[union-attr]
-        yield model.design.constraints  # type: ignore[union-attr]
+        if getattr(problem.objective, name, None) is not None:
+            yield getattr(problem.objective, name).function(*sizes)
+    if problem.output_limits is not None:
+        yield problem.output_limits.outputs.function(nx, nu, dim)
+    if model.design.constraints is not None:
+        yield model.design.constraints
 
 
-def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[str, Array]) -> Any:
+def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[str, Any]) -> Any:
     """Whether each of some entries changes a term."""
-    names = term.name_in() if term.n_in() > 1 else ["p"]
-    place = names.index("p")
+    place = _names(term).index("p")
     acting = np.isin(entries, term.jac_sparsity(0, place).get_triplet()[1])
     rng = np.random.default_rng(0)
     for count in POINTS:
         designs = space.latin_hypercube(count, rng)
         others = space.latin_hypercube(count, rng)
-        sizes = [extents.get(name, np.ones(term.size1_in(i))) for i, name in enumerate(names)]
-        given = [designs.T if name == "p" else 10.0 * rng.uniform(0, 1, count) * size[:, None]
-                 * rng.uniform(-1, 1, (len(size), count)) for name, size in zip(names, sizes)]  # fmt: skip
+        given = _drawn(term, designs, extents, rng)
         before = np.asarray(term(*given), dtype=float)
         size = ROUNDING * np.max(np.abs(before), axis=1, initial=0.0, where=np.isfinite(before), keepdims=True)
         found = np.zeros(len(entries), dtype=bool)
@@ -83,6 +129,62 @@ def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[s
     return found
 
 
-def _extent(limits: Limits) -> Array:
-    """Largest size of each coordinate within limits."""
-    return np.max(np.abs(widest(limits).bounding_box()), axis=0)
+def _slopes(term: ca.Function) -> ca.Function:
+    """The slopes (rows, np) of all values of a term by the design, as a function of what the term takes."""
+    names = _names(term)
+    given = [ca.MX.sym(name, term.size1_in(i)) for i, name in enumerate(names)]
+    slopes = ca.jacobian(ca.vec(term(*given)), given[names.index("p")])
+    return ca.Function("slopes", given, [ca.densify(slopes)], names, ["slopes"])
+
+
+def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random.Generator) -> Array:
+    """Slopes (n, np) of a term at a design (np,), of all its values and at random points, rounding left out."""
+    count = BESIDE if slopes.n_in() > 1 else 1
+    found = np.asarray(slopes(*_drawn(slopes, np.tile(p, (count, 1)), extents, rng)), dtype=float)
+    rows = np.concatenate(np.split(found, count, axis=1))
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    size = np.abs(rows).max(axis=1, initial=0.0)
+    return rows[size > ROUNDING * size.max(initial=0.0)]
+
+
+def _without_effect(rows: Array) -> Array:
+    """Unit directions (k, np) along which all slopes (n, np) are zero; entries without a slope are left out."""
+    acting = np.flatnonzero(rows.any(axis=0))
+    scaled = rows[:, acting] / np.abs(rows).max(axis=1, keepdims=True)
+    scaled /= np.linalg.norm(scaled, axis=0)
+    sizes, directions = np.linalg.eigh(scaled.T @ scaled)
+    found = np.zeros((int(np.sum(sizes <= RANK**2)), rows.shape[1]))
+    found[:, acting] = directions[:, : len(found)].T
+    return found
+
+
+def _drawn(term: ca.Function, designs: Array, extents: dict[str, Any], rng: np.random.Generator) -> list[Array]:
+    """Arguments of a term, one column for each of some designs: within ten times their extents, in all magnitudes."""
+    given = []
+    for i, name in enumerate(_names(term)):
+        size = np.broadcast_to(extents.get(name, 1.0), term.size1_in(i))[:, None]
+        shape = (len(size), len(designs))
+        random = size * 10.0 ** rng.uniform(*MAGNITUDES, shape) * rng.choice([-1.0, 1.0], shape)
+        given.append(designs.T if name == "p" else random)
+    return given
+
+
+def _names(term: ca.Function) -> list[str]:
+    """Names of the arguments of a term."""
+    return list(term.name_in()) if term.n_in() > 1 else ["p"]
+
+
+def _named(problem: Any, entries: Any) -> str:
+    """Entries of a design by their names."""
+    return f"the entr{'y' if len(entries) == 1 else 'ies'} {', '.join(problem.design.names[int(i)] for i in entries)}"
+
+
+def _disturbance(problem: Any, runs: int) -> Array:
+    """Some runs of the disturbance, (runs, steps, nw)."""
+    return np.asarray(problem.scenarios.sample(runs, problem.steps, np.random.default_rng(0))[1])
+
+
+def _extents(problem: Any, disturbance: Any) -> dict[str, Any]:
+    """Largest size of each state and input within their limits, and of each disturbance."""
+    boxes = {"x": widest(problem.X).bounding_box(), "u": widest(problem.U).bounding_box()}
+    return {name: np.max(np.abs(box), axis=0) for name, box in boxes.items()} | {"w": disturbance}

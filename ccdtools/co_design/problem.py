@@ -143,7 +143,7 @@ class CoDesignProblem(Immutable):
         not in X or not in U, at some design if they depend on it, U is not a box, starts lie outside X at every design
         or break a limit of an output that no input and no design mends, or the box of designs is too narrow or has no
         entry that is not fixed. If nothing that is chosen changes the objective, or an entry of the design that is not
-        fixed changes nothing.
+        fixed changes nothing, or nothing but how a disturbance of zero enters.
     """
 
     model: Model
@@ -194,7 +194,6 @@ class CoDesignProblem(Immutable):
         if self.output_limits is not None:
             as_instance("output_limits", self.output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
             self.output_limits.check(model.nx, model.nu, model.design.dim)
-        check_every_entry_acts(model, self.X, self.U, self.objective, self.output_limits)
         self._check_over_designs()
         object.__setattr__(self, "warm_up", as_count("warm_up", self.warm_up, least=0))
         if self.warm_up >= self.steps:
@@ -203,6 +202,7 @@ class CoDesignProblem(Immutable):
         object.__setattr__(self, "divergence", as_positive("divergence", self.divergence))
         self._check_discrepancy()
         self._check_scenarios()
+        check_every_entry_acts(self)
 
     def _check_over_designs(self) -> None:
         """Raise an `InputError` unless designs cost something finite, and all have weights for LQR and MPC."""

@@ -206,7 +206,8 @@ class CoDesignResult(Immutable):
     described : str
         The design in words, with names and units.
     notes : tuple of str
-        What else is to be known of how it ended: limits that no inputs keep, what was never looked at.
+        What else is to be known of how it ended: limits that no inputs keep, what was never looked at, entries of the
+        design that act only together.
     """
 
     design: Array

@@ -15,7 +15,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.progress import Echo, counted
+from ccdtools.progress import counted
 from invariant_sets import ParametricSet, Polytope
 from invariant_sets.results import Status
 
@@ -31,7 +31,7 @@ USABLE = (Status.CONVERGED, Status.EMPTY)
 
 @dataclass(frozen=True)
 class Effort:
-    """How much may be spent on sets, and how to say so.
+    """How much may be spent on sets, and whether bars are shown.
 
     Attributes
     ----------
@@ -40,14 +40,11 @@ class Effort:
         For all sets, as work of a usual processor [s].
     progress : bool
         Show progress bars.
-    echo : callable or None
-        Takes a line of text where there is no bar.
     """
 
     option: str
     time_limit: float | None
     progress: bool = False
-    echo: Echo | None = None
 
     @property
     def seconds(self) -> float:
@@ -121,7 +118,7 @@ def found_sets(sets: ParametricSet, designs: Array, effort: Effort) -> tuple[lis
     order = np.unique(index.ravel(), return_index=True)[1].argsort()  # as they come
     known: dict[int, Polytope | None] = {}
     aborted = False
-    for i in counted(order, "X_fea(p)", total=len(order), progress=effort.progress, echo=effort.echo):
+    for i in counted(order, "X_fea(p)", total=len(order), progress=effort.progress):
         aborted = aborted or time.thread_time() - begun > ABORT * effort.seconds
         result = None if aborted else sets.result(unique[i])
         aborted = aborted or (result is not None and result.status is Status.TIME_LIMIT)

@@ -20,6 +20,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.idle_entries import acting_together
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limit_tolerance import BY_MPC, FLOOR, NOTHING, UNTIL_LEFT, Pair, tolerance_at
 from ccdtools.co_design.limits import LimitsOutcome
@@ -36,6 +37,7 @@ from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from mpc import MPCError
 
@@ -65,10 +67,10 @@ class Settling:
 
     def checked(self, result: CoDesignResult) -> CoDesignResult:
         """The result with its closed loop, its limits and baselines, and the status that these leave it."""
+        at("closed loop of what was found, and its baselines")
         loop = self._loop(result.controller, result.design)
-        jump = getattr(self.problem.model, "jump", "")
-        notes = (*result.notes, jump) if jump else result.notes
-        result = replace(result, closed_loop=loop, notes=notes,
+        own = (getattr(self.problem.model, "jump", ""), acting_together(self.problem))
+        result = replace(result, closed_loop=loop, notes=(*result.notes, *filter(None, own)),
                          limits=self._limits(loop, result.design, result.limits))  # fmt: skip
         if result.status is CoDesignStatus.INFEASIBLE:
             return result

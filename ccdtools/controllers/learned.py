@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
+import torch
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
@@ -15,10 +17,9 @@ from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from learning import checkpoint
 from learning.exceptions import CheckpointError
-from learning.networks import ActorCritic, FeedForward
+from learning.networks import LOG_STD, ActorCritic, Layers
 
 EDGE = 1.05  # designs may lie this far out, in half-widths of the range that the agent was made for
-STD_RANGE = (-7.0, 1.0)  # of the logarithm of the exploration, as in `ActorCritic.std`
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,21 +55,20 @@ class LearnedPolicy(Immutable):
             as_generator("rng", self.rng)
         set_(self, "design", as_vector("design", self.design))
         set_(self, "agent", copy.deepcopy(self.agent))
-        set_(self, "_forward", _Forward.of(self.agent))
         self._check_design()
-        set_(self, "_forward", self._forward.at(self.agent, self.design))
+        set_(self, "_forward", _Forward.of(self.agent, self.design))
 
     def _check_design(self) -> None:
         """Raise an `InputError` if the design is not one that the agent was made for."""
         size = len(self.design)
-        most = len(self._forward.offset) - 1
+        most = len(self.agent.observation_offset) - 1
         if size > most:
             raise InputError(
                 "design", f"{size} values", f"at most {most}: the agent observes {most + 1} numbers, (x, p)"
             )
         first = most + 1 - size  # the observation is (x, p)
-        offset = self._forward.offset[first:]
-        scale = self._forward.scale[first:]
+        offset = _array(self.agent.observation_offset)[first:]
+        scale = _array(self.agent.observation_scale)[first:]
         outside = np.abs(self.design - offset) > EDGE * scale
         if outside.any():
             i = int(np.argmax(outside))
@@ -85,12 +85,24 @@ class LearnedPolicy(Immutable):
         if x.shape[-1:] != (self.nx,):
             raise InputError("x", f"shape {x.shape}", f"({self.nx},) or (n, {self.nx})")
         finite("x", x)
-        p = np.broadcast_to(self.design, (*x.shape[:-1], len(self.design)))
-        return self._forward.action(np.concatenate([x, p], axis=-1), self.rng)
+        return self._forward.action(x, self.rng)
 
     def sampled(self, rng: np.random.Generator) -> LearnedPolicy:
         """The stochastic policy, drawing from `rng`."""
         return LearnedPolicy(self.agent, self.design, as_generator("rng", rng))
+
+    def to_casadi(self) -> ca.Function:
+        """The mean action at the design as a `casadi.Function` "policy" from x (nx,) to u (nu,), within the bounds.
+
+        CasADi differentiates it, calls it in expressions, and writes it in C: ``to_casadi().generate("policy.c")``. For
+        torch, `agent` is a module with the same mean action at observations (..., nx + np) of state and design, in
+        single precision, which `torch.export` takes.
+        """
+        x = ca.MX.sym("x", self.nx)
+        forward = self._forward
+        latent = forward.mean.of(_as_rows)(x.T, ca.tanh).T
+        u = ca.DM(forward.middle) + ca.DM(forward.half) * ca.fmin(ca.fmax(latent, -1), 1)
+        return ca.Function("policy", [x], [u], ["x"], ["u"])
 
     def save(self, path: str | Path, **notes: str) -> None:
         """Write the networks, the design and any notes to one safetensors file; read back with `load_policy`.
@@ -107,12 +119,12 @@ class LearnedPolicy(Immutable):
     @property
     def nx(self) -> int:
         """Number of states."""
-        return len(self._forward.offset) - len(self.design)
+        return len(self.agent.observation_offset) - len(self.design)
 
     @property
     def nu(self) -> int:
         """Number of inputs."""
-        return len(self._forward.action_offset)
+        return len(self.agent.action_offset)
 
 
 def load_policy(path: str | Path) -> LearnedPolicy:
@@ -133,68 +145,37 @@ def load_policy(path: str | Path) -> LearnedPolicy:
 
 
 @dataclass(frozen=True, eq=False)
-class _Network:
-    """A `FeedForward` in float64 arrays: an order of magnitude less overhead on single states."""
-
-    layers: tuple[tuple[Array, Array], ...]
-    skip: Array | None
-
-    @classmethod
-    def of(cls, network: FeedForward) -> _Network:
-        """The weights of a torch network, copied."""
-        layers = tuple(
-            (_array(layer.weight).T.copy(), _array(layer.bias)) for layer in (*network.linear_layers(), network.head)
-        )
-        return cls(layers, None if network.skip is None else _array(network.skip.weight).T.copy())
-
-    def __call__(self, z: Array) -> Array:
-        """Outputs (..., n_out) of normalised inputs (..., n_in)."""
-        h = z
-        for W, b in self.layers[:-1]:
-            h = np.tanh(h @ W + b)
-        W, b = self.layers[-1]
-        out = h @ W + b
-        return out if self.skip is None else out + z @ self.skip
-
-
-@dataclass(frozen=True, eq=False)
 class _Forward:
-    """An actor in float64 arrays: its normalisation, its mean and its exploration."""
+    """An actor at a design in float64 arrays: its mean, its exploration, and the range of its actions."""
 
-    offset: Array
-    scale: Array
-    action_offset: Array
-    action_scale: Array
-    mean: _Network
-    std: _Network | None
+    mean: Layers
+    std: Layers | None
     log_std: Array
+    middle: Array
+    half: Array
 
     @classmethod
-    def of(cls, agent: ActorCritic) -> _Forward:
+    def of(cls, agent: ActorCritic, design: Array) -> _Forward:
         """The actor of an agent, copied."""
-        return cls(
-            _array(agent.observation_offset), _array(agent.observation_scale), _array(agent.action_offset),
-            _array(agent.action_scale), _Network.of(agent.mean_network),
-            None if agent.std_network is None else _Network.of(agent.std_network), _array(agent.log_std),
-        )  # fmt: skip
+        at = (torch.tensor(design), agent.observation_offset, agent.observation_scale)
+        std = None if agent.std_network is None else agent.std_network.at(*at).of(_array)
+        middle, half = agent.action_range(at[0])
+        return cls(agent.mean_network.at(*at).of(_array), std, _array(agent.log_std), _array(middle), _array(half))
 
-    def at(self, agent: ActorCritic, design: Array) -> _Forward:
-        """With the range that the actions of the agent have at a design (np,)."""
-        if agent.action_limits is None:
-            return self
-        lower, upper = agent.action_limits.bounds(design[-agent.action_limits.entries :])
-        return replace(self, action_offset=(lower + upper) / 2, action_scale=(upper - lower) / 2)
-
-    def action(self, observations: Array, rng: np.random.Generator | None) -> Array:
+    def action(self, x: Array, rng: np.random.Generator | None) -> Array:
         """Actions (..., nu) in the units of the plant: the mean ones, or samples from `rng`."""
-        z = (observations - self.offset) / self.scale
-        latent = self.mean(z)
+        latent = self.mean(x, np.tanh)
         if rng is not None:
-            log_std = self.log_std if self.std is None else np.clip(self.std(z), *STD_RANGE)
+            log_std = self.log_std if self.std is None else np.clip(self.std(x, np.tanh), *LOG_STD)
             latent = latent + np.exp(log_std) * rng.standard_normal(latent.shape)
-        return self.action_offset + self.action_scale * np.clip(latent, -1.0, 1.0)
+        return self.middle + self.half * np.clip(latent, -1.0, 1.0)
 
 
-def _array(tensor) -> Array:
+def _array(tensor: torch.Tensor) -> Array:
     """A copy of a tensor in float64."""
     return tensor.detach().double().numpy().copy()
+
+
+def _as_rows(array: Array) -> ca.DM:
+    """A matrix of CasADi; of a vector its row."""
+    return ca.DM(np.atleast_2d(array))

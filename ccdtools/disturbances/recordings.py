@@ -143,11 +143,17 @@ class _Table:
         written = "\n".join(",".join(row) for row in (self.header, *self.rows[:20]))
         if written.startswith("#") or "\n#" in written:
             return "Remove # and what follows it: a first line with the names of the columns is read, comments are not."
-        for mark, name in (("\t", "tabs"), (";", "semicolons")):
-            if mark in written:
+        cells = [cell for row in self.rows[:20] for cell in row]
+        spaced = any(len(cell.split()) > 1 and all(map(_is_number, cell.split())) for cell in cells)
+        names = "".join(self.header)
+        for found, name in (("\t" in names, "tabs"), (";" in names, "semicolons"), (spaced, "spaces")):
+            if found:
                 return f"Separate the columns by commas, not {name}, and write decimals with a point."
-        twice = [len(row) == 2 * len(self.header) - any(map(_is_time, self.header)) for row in self.rows[:20]]
-        return "Write decimals with a point: a comma separates columns." if any(twice) else ""
+        size = len(self.header)
+        twice = {2 * size, 2 * size - any(map(_is_time, self.header))} - {size}  # cells of a row; times may be whole
+        decimal = any("," in cell and _is_number(cell.replace(",", ".")) for cell in cells)
+        decimal |= any(len(row) in twice for row in self.rows[:20])
+        return "Write decimals with a point: a comma separates columns." if decimal else ""
 
     def only_value_column(self) -> str:
         """Name of the one column that is not the time."""

@@ -13,6 +13,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbols import as_expression, check_known, rounding
+from ccdtools_ground.user_functions import stopped
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 EXAMPLE = "a function of p that gives expressions, each to be ≤ 0, such as lambda p: p[0] + p[1] - 3.0"
@@ -40,9 +41,7 @@ def compiled(constraints: Any, names: Sequence[str]) -> ca.Function:
     try:
         value = constraints(p)
     except Exception as error:  # the function is the user's: whatever it raises is told with what is expected
-        first = (str(error).strip().splitlines() or [type(error).__name__])[-1][:120]
-        got = f"a function that fails at p ({', '.join(names)}): {first}"
-        raise InputError("constraints", got, EXAMPLE) from error
+        raise stopped("constraints", constraints, error, EXAMPLE, f"p is ({', '.join(names)}).") from error
     g = as_expression("constraints", value)
     if g.numel() == 0 or 1 not in g.shape:
         raise InputError("constraints", f"expressions of shape {g.shape}", EXAMPLE)

@@ -12,6 +12,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.symbols import as_expression, check_known
 from ccdtools_ground.door import brief
+from ccdtools_ground.user_functions import stopped
 
 LONGEST = 200  # characters of an expression that is shown
 
@@ -111,8 +112,7 @@ class SymbolicFunction:
         try:
             value = self._given(*columns)
         except Exception as error:
-            reason = " ".join(f"{type(error).__name__}: {error}".split())
-            raise InputError(self.argument, f"one that stops with {brief(reason, LONGEST)}", expected) from error
+            raise stopped(self.argument, self._given, error, expected) from error
         expression = ca.vec(as_expression(self.argument, value))
         check_known(self.argument, expression, **dict(zip(self.names, columns)))
         return ca.Function(self.argument, columns, [expression], list(self.names), ["value"])

@@ -22,6 +22,7 @@ from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.disturbances.disturbance import Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise_returns
 from ccdtools.studies.presets import StudyConfig
@@ -225,6 +226,7 @@ class Evaluation:
 
         On the model stands the policy as designed, on the real plant the one deployed at the end.
         """
+        at("baselines at the design")
         controllers = self.baselines(design)
         model = model_name(judged_on)
         rows: list[dict[str, Any]] = []

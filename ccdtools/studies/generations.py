@@ -85,7 +85,7 @@ class Generations:
         self.echo = echo
         self.evaluation = Evaluation(study, config, as_count("seed", seed, least=0))
         self.evaluation.held_out  # noqa: B018  (raises if fresh runs cannot be drawn)
-        self.compute = LoopStages(self.evaluation, progress, None if progress else echo)
+        self.compute = LoopStages(self.evaluation, progress)
 
     def run(self) -> dict[str, Any]:
         """All stages; the contents of results.json, which is written too."""
@@ -174,8 +174,7 @@ class Generations:
             return self.folder.read_stage(name)
         self.echo(label)
         start = time.perf_counter()
-        told = None if self.compute.progress or name == "initialisation" else self.echo  # which tells of itself
-        with telling(told, label):
+        with telling(None if self.compute.progress else self.echo, label):
             computed = compute(self.evaluation.rng(name), *inputs)
         timed = replace(computed, values=computed.values | {"seconds": time.perf_counter() - start})
         stage = self.folder.keep_stage(name, timed)

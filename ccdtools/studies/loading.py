@@ -17,6 +17,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.studies.options import known_studies, study_names
 from ccdtools.studies.study import Study
 from ccdtools_ground.packages import NAMES, what_hides_ours
+from ccdtools_ground.user_functions import in_words
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +133,9 @@ def _stopped(path: Path, place: str, error: BaseException) -> InputError:
     if isinstance(error, InputError):
         got = f"{place}, which stops with {error.argument}: got {error.got}"
         return InputError("study", got, error.expected, error.cure)
-    reason = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
-    got = f"{place}, which stops with {type(error).__name__}: {reason}".rstrip(". ")
-    return InputError("study", got, "a file that runs", what_hides_ours() if isinstance(error, ImportError) else "")
+    if isinstance(error, RuntimeError):  # of CasADi
+        reason, cure = in_words(error)
+    else:
+        text = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
+        reason, cure = f"{type(error).__name__}: {text}", what_hides_ours() if isinstance(error, ImportError) else ""
+    return InputError("study", f"{place}, which stops with {reason}".rstrip(". "), "a file that runs", cure)

@@ -62,15 +62,17 @@ class RunFolder:
             raise InputError(argument, str(path)[:80], f"a folder that can be made ({reason})") from None
         return folder
 
-    def check_new(self, *, overwrite: bool = False, argument: str = "path") -> None:
-        """Raise unless there is nothing at the path yet, or a run that is to be overwritten."""
+    def check_new(self, *, overwrite: bool = False, argument: str = "path", mark: str = "run.json") -> None:
+        """Raise unless nothing is at the path yet, or what has the `mark` of its kind and is to be overwritten."""
         if not os.path.lexists(self.path) or self._was_never_begun():
             return
         if not overwrite:
-            cure = "Choose another, continue it with `ccdtools resume`, or add --overwrite."
+            resumed = "continue it with `ccdtools resume`, " if (self.path / "run.json").is_file() else ""
+            cure = f"Choose another, {resumed}or add --overwrite."
             raise InputError(argument, f"{self.path}, which exists", "a new folder", cure)
-        if self.path.is_symlink() or not (self.path / "run.json").is_file():
-            raise InputError(argument, f"{self.path}, which holds no run", "a run's folder to overwrite")
+        if self.path.is_symlink() or not (self.path / mark).is_file():
+            what = "run" if mark == "run.json" else mark
+            raise InputError(argument, f"{self.path}, which holds no {what}", f"a {what}'s folder to overwrite")
 
     def _was_never_begun(self) -> bool:
         """Whether a process was killed after it made the folder and before it wrote run.json."""

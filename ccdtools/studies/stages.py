@@ -14,7 +14,7 @@ from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.evidence.evidence import Pairing, Violation
 from ccdtools.evidence.verdict import Verdict
 from ccdtools.exceptions import InputError
-from ccdtools.progress import Echo
+from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise_returns
 from ccdtools.studies.account import account, region_line
@@ -46,7 +46,6 @@ class LoopStages:
 
     evaluation: Evaluation  # the study, its configuration, and what the stages are measured on
     progress: bool  # show progress bars
-    echo: Echo | None = None  # takes a line of text now and then where there are no bars
 
     def initialise(self, rng: np.random.Generator) -> Stage:
         """The first policy: a network trained to imitate the expert."""
@@ -54,11 +53,10 @@ class LoopStages:
         problem = self.evaluation.problem
         data = expert_dataset(
             problem, samples=config.samples, rng=rng, expert=config.expert, gamma=config.codesign.ppo.gamma,
-            sets=config.sets, time_limit=config.sets_time_limit, progress=self.progress, echo=self.echo,
+            sets=config.sets, time_limit=config.sets_time_limit, progress=self.progress,
         )  # fmt: skip
         assert data.sets is not None
-        if self.echo is not None:
-            self.echo(f"    {len(data.inputs)} samples; imitation takes {config.cloning.steps} steps")
+        at(f"imitation of {len(data.inputs)} samples in {config.cloning.steps} steps")
         agent = fit_actor_critic(
             data.inputs, data.actions, data.values, action_bounds=problem.action_bounds,
             input_bounds=problem.observation_bounds, rng=rng, network=config.network, config=config.cloning,

@@ -3,34 +3,17 @@
 from __future__ import annotations
 
 import inspect
-import re
-import traceback
 from collections.abc import Callable
 from math import isnan
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
 from ccdtools_ground.door import brief
+from ccdtools_ground.user_functions import stopped
 from mpc.exceptions import InputError
 
 Statement = Callable[..., Any]
-CASADI = re.compile(r'^\.\.\./casadi/\S+:\d+: (?:Assertion ".*?" failed:\s)?')
-KNOWN = (
-    (r"Slice \(start=(\d+), stop=\d+, step=1\) out of bounds with supplied length of (\d+)",
-     "index {0} beyond a column of {1}", "Entries are counted from 0."),
-    (r"getScalar: out of bounds", "an index beyond a column",
-     "Entries are counted from 0, and from the end by −1, −2, …"),
-    (r"Got elements in range \[(\S+)\], which is outside the range \[\S+,(\d+)\)",
-     "indices {0} beyond a column of {1}", "Entries are counted from 0."),
-    (r"incompatible dimensions. Lhs is (\S+) and rhs is (\S+?)\.?$", "a product of {0} and {1}",
-     "A product of two columns is ca.dot(a, b), a square ca.sumsqr(x)."),
-    (r"truth value", "a choice by the value of a symbol (if, and, or, min, max, abs)",
-     "Use ca.if_else, ca.logic_and, ca.fmin, ca.fmax, ca.fabs."),
-    (r"Notify the CasADi developers|must be real number, not (?:SX|MX)|__float__",
-     "float(), or a function of math, of a symbol", "Use ca.sin and the like instead of math.sin."),
-)  # fmt: skip
 
 
 def compiled(argument: str, given: Any, sizes: dict[str, int], rows: int | None = None) -> ca.Function:
@@ -84,8 +67,7 @@ def _traced(argument: str, given: Any, own: tuple[str, ...], sizes: dict[str, in
     except InputError:
         raise
     except Exception as error:  # the function is the user's: whatever it raises is told with what is expected
-        reason, cure = in_words(error)
-        raise InputError(argument, f"one that stops with {reason}{_line(given, error)}", expected, cure) from error
+        raise stopped(argument, given, error, expected) from error
     expression = _as_column(argument, value, kind, expected)
     missing = [name for name in own if not sizes[name]]
     cure = f"There is no {missing[0]} in this problem." if missing else ""
@@ -166,22 +148,3 @@ def _has_nan(function: ca.Function) -> bool:
         return False
     constants = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
     return any(isnan(function.instruction_constant(i)) for i in constants)
-
-
-def _line(given: Any, error: Exception) -> str:
-    """Where in the file of a function an error arose."""
-    code = getattr(inspect.unwrap(given), "__code__", None)
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
-    return f" (line {own[-1].lineno} of {Path(own[-1].filename).name})" if own else ""
-
-
-def in_words(error: Exception) -> tuple[str, str]:
-    """What an error of CasADi says without the names of its files, and what to do about it where that is known."""
-    text = " ".join(CASADI.sub("", str(error), count=1).split())
-    for pattern, words, cure in KNOWN:
-        found = re.search(pattern, text)
-        if found:
-            return brief(words.format(*found.groups())), cure
-    plain = isinstance(error, RuntimeError)
-    return brief(text if plain else f"{type(error).__name__}: {text}"), ""

@@ -132,7 +132,8 @@ def _by_cvodes(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str,
     cost = functions.stage_cost(*at) if functions.stage_cost else 0
     given = ca.vertcat(c["own"], c["p"], c["w"], c["t"], c["h"])
     dae = {"x": c["x"], "p": given, "t": tau, "ode": c["h"] * functions.dynamics(*at), "quad": c["h"] * cost}
-    options = {"abstol": scheme.tolerance, "reltol": scheme.tolerance, "quad_err_con": True, "max_num_steps": 100_000}
+    options = {"abstol": scheme.tolerance, "reltol": scheme.tolerance, "quad_err_con": True, "max_num_steps": 100_000,
+               "disable_internal_warnings": True}  # fmt: skip
     integrate = ca.integrator("interval", "cvodes", dae, 0.0, 1.0, options)
     end = integrate(x0=s["x"], p=ca.vertcat(s["own"], s["p"], ca.vec(w), s["t"], s["h"]))
     return ca.vertcat(end["xf"], end["qf"])

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ccdtools_ground.door import brief
+from ccdtools_ground.user_functions import in_words
 from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import describe_row, of_phase
@@ -26,10 +27,13 @@ AT_BOUND = 1e-4  # of a duration, of its lower bound
 
 def check_at_guess(program: NonlinearProgram) -> None:
     """Raise an `InputError` unless cost and constraints are finite at the guess: it says which, when and where."""
-    f, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(program.guess))
+    expected = "finite values where the solution starts from"
+    try:
+        f, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(program.guess))
+    except RuntimeError as error:  # of an integrator
+        raise InputError("guess", f"one that stops with {in_words(error)[0]}", expected, AWAY) from error
     if np.isfinite(f).all() and np.isfinite(g).all():
         return
-    expected = "finite values where the solution starts from"
     got = next(functions_not_finite(program, program.guess), "")
     if not got:  # within an integrator's step
         wrong = np.flatnonzero(~np.isfinite(g))

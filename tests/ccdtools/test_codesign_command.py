@@ -86,7 +86,7 @@ def test_an_interruption_loses_only_the_method_that_it_falls_in(tmp_path):
     ("arguments", "word"),
     [
         (("nowhere",), "study"), (("illustrative", "--methods", "magic"), "--methods"),
-        (("illustrative", "--seed", "x"), "--seed"), (("illustrative", "--jobs", "0", "--methods", "nested"), "jobs"),
+        (("illustrative", "--seed", "x"), "--seed"), (("illustrative", "--jobs", "0"), "--jobs"),
     ],
 )  # fmt: skip
 def test_misuse_is_one_line(arguments, word, tmp_path, monkeypatch, capsys):

@@ -24,6 +24,11 @@ def test_unknown_names_are_refused_as_in_any_module():
         ccdtools.magic  # noqa: B018
 
 
+def test_a_misspelt_name_is_told_the_one_that_was_meant():
+    run = subprocess.run([sys.executable, "-c", "import mpc; mpc.LinearMPc"], capture_output=True, text=True)
+    assert run.stderr.rstrip().endswith("Did you mean: 'LinearMPC'?")
+
+
 def test_public_names_are_listed():
     assert dir(ccdtools) == sorted(ccdtools.__all__)
 

@@ -142,3 +142,18 @@ def test_levels_without_a_median_or_order_are_refused(make, message):
 def test_bad_samples_are_refused_in_one_line(x, y, stretches, message):
     with pytest.raises(InputError, match=message):
         fit_quantiles(x, y, stretches=stretches, rng=np.random.default_rng(0))
+
+
+def test_targets_of_one_output_may_be_a_vector(rng):
+    x = rng.standard_normal((200, 2))
+    short = QuantileConfig(steps=20)
+    fits = [fit_quantiles(x, y, rng=np.random.default_rng(1), config=short) for y in (x[:, 0], x[:, :1])]
+    np.testing.assert_array_equal(fits[0].predict(x), fits[1].predict(x))
+    assert fits[0].predict(x[:5].tolist()).shape == (5, 3, 1)
+
+
+def test_inputs_of_another_width_than_in_the_fit_are_refused(rng):
+    network = fit_quantiles(rng.standard_normal((30, 2)), np.zeros(30), rng=rng, config=QuantileConfig(steps=1))
+    for inputs in (np.zeros((3, 5)), np.zeros(3), 1.0, "a"):
+        with pytest.raises(InputError, match="inputs: got"):
+            network.predict(inputs)

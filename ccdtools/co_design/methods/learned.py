@@ -30,7 +30,7 @@ from ccdtools.co_design.task import LimitPenalty, Task
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.progress import bar
+from ccdtools.progress import at, bar
 from ccdtools.statistics import paired_difference
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
@@ -102,6 +102,7 @@ class Learned:
             limits = StateLimitPenalty(judge)
             warn_of_unavoidable_depth(judge, design)
         task = Task(problem, judge, self.by, config, limits)
+        at("landscape of saturated LQR")
         found = chosen_valleys(task, design, rng)
         agents = [agent]
         if self.agent is not None and (task.pathwise or task.ppo) and _spoilt(judge, agent, design, rng):
@@ -242,6 +243,7 @@ def race(
     better one keeps, or is behind it by more than its last block gained and than chance explains. Each draws from a
     generator of its own, and all are scored on the same scenarios.
     """
+    at("first look at every start")
     config = task.config
     evaluation = scenario_tensors(task.judge, fewer_runs(config.evaluation_runs, task.judge.steps), rng)
     ascents = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import os
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -20,24 +19,6 @@ LOOK = (
     "th,td{padding:.3em .7em;text-align:left;border-bottom:1px solid #ddd}th{border-bottom:2px solid #888}"
     "img{max-width:100%}div{overflow-x:auto}"
 )
-
-
-def check_folder(path: str | Path, *, overwrite: bool = False) -> RunFolder:
-    """The folder of a comparison, not made yet.
-
-    Raises
-    ------
-    InputError
-        If there is something at the path, unless it is a comparison's folder that is to be overwritten.
-    """
-    folder = Path(path)
-    if not str(path).strip():
-        raise InputError("--output", repr(str(path)), "the path of a new folder")
-    if os.path.lexists(folder) and not overwrite:
-        raise InputError("--output", f"{folder}, which exists", "a new folder", "Choose another, or add --overwrite.")
-    if os.path.lexists(folder) and not (folder / TABLE).is_file():
-        raise InputError("--output", f"{folder}, which holds no {TABLE}", "a comparison's folder to overwrite")
-    return RunFolder(folder)
 
 
 def write_table(found: Any, folder: RunFolder) -> None:

@@ -251,7 +251,7 @@ def test_a_casadi_function_and_columns_are_limits_too():
         (lambda p: (-np.inf, p[0]), "finite"),
         (lambda p: (-p[0], ca.vertcat(p[0], 1.0)), "1, one per input"),
         (lambda p: p[0], "two bounds"),
-        (lambda p: (-p[3], p[0]), "stops with"),
+        (lambda p: (-p[3], p[0]), "stops with index 3 beyond a column of 1 (line "),
         (lambda p: (-p[0], ca.SX.sym("q")), "unknown symbols"),
         (lambda p: ("low", "high"), "casadi.SX expression"),
         (lambda: (-1, 1), "stops with"),

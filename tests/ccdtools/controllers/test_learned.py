@@ -1,11 +1,17 @@
 """A learned policy as a controller, and on disk."""
 
+import shutil
+import subprocess
+
+import casadi as ca
 import numpy as np
 import pytest
 import torch
 
 from ccdtools import InputError, LearnedPolicy, load_policy
 from learning import ActorCritic, NetworkConfig
+
+CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 
 
 def agent(**options):
@@ -60,6 +66,41 @@ def test_a_deployed_policy_does_not_see_later_training(policy):
         policy.agent.mean_network.head.bias.add_(1.0)
     np.testing.assert_array_equal(policy(np.ones(2)), before)
     assert not np.allclose(LearnedPolicy(policy.agent, policy.design)(np.ones(2)), before)
+
+
+@pytest.mark.parametrize("options", [{}, {"skip": False}, {"std_network": True}], ids=str)
+def test_in_casadi_a_policy_gives_its_mean_action(options, rng):
+    policy = LearnedPolicy(agent(**options), [3e4])
+    function = policy.to_casadi()
+    assert (function.name_in(), function.name_out()) == (["x"], ["u"])
+    for x in rng.uniform(-3, 3, (50, 2)):
+        np.testing.assert_allclose(np.asarray(function(x)).ravel(), policy(x), rtol=1e-12, atol=1e-12)
+
+
+def test_casadi_differentiates_a_policy(policy):
+    x = ca.MX.sym("x", 2)
+    slope = np.array(ca.Function("slope", [x], [ca.jacobian(policy.to_casadi()(x), x)])([0.1, 0.2]))
+    around = np.array([0.1, 0.2]) + 1e-6 * np.vstack([np.eye(2), -np.eye(2)])
+    differences = (policy(around[:2]) - policy(around[2:])).T / 2e-6
+    np.testing.assert_allclose(slope, differences, atol=1e-7)
+
+
+@pytest.mark.skipif(CC is None, reason="no C compiler")
+def test_the_c_code_of_a_policy_gives_its_mean_action(policy, rng, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    policy.to_casadi().generate("policy.c")
+    subprocess.run([CC, "-shared", "-fPIC", "-O1", "policy.c", "-o", "policy.so", "-lm"], check=True)
+    compiled = ca.external("policy", "./policy.so")
+    for x in rng.uniform(-3, 3, (20, 2)):
+        np.testing.assert_allclose(np.asarray(compiled(x)).ravel(), policy(x), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.check
+def test_torch_exports_the_agent_of_a_policy_as_its_mean_action(policy, rng):
+    x = rng.uniform(-3, 3, (20, 2))
+    observations = torch.tensor(np.c_[x, np.full(20, 2e4)], dtype=torch.float32)
+    exported = torch.export.export(policy.agent, (observations,)).module()
+    np.testing.assert_allclose(exported(observations).detach(), policy(x), rtol=1e-5, atol=1e-5)
 
 
 def test_a_saved_policy_comes_back_with_its_design(policy, tmp_path, rng):

@@ -41,7 +41,11 @@ def test_a_time_column_is_checked_but_not_taken(write, name):
     [
         ("time\tw\n0\t1\n0.05\t2\n", "by commas, not tabs"),
         ("time;w\n0;1,5\n0,05;2,5\n", "by commas, not semicolons"),
+        ("time [s] w\n0 1\n0.05 2\n", "by commas, not spaces"),
+        ("time  w\n0,0   1,5\n0,05  2,5\n", "by commas, not spaces"),
         ("w\n0,1\n0,2\n", "decimals with a point"),
+        ('w\n"0,1"\n"0,2"\n', "decimals with a point"),
+        ("time,w\n0,0,1,5\n0,05,2,5\n", "decimals with a point"),
         ("time,w\n0,0,1\n0,05,0,2\n", "decimals with a point"),
         ("# of a truck\nw\n1\n2\n", "Remove #"),
         ("w\n1\n# a pause\n2\n", "Remove #"),
@@ -50,6 +54,12 @@ def test_a_time_column_is_checked_but_not_taken(write, name):
 def test_another_way_of_writing_a_table_is_told_how_to_write_it(write, text, cure):
     with pytest.raises(InputError, match=cure):
         read_disturbance(write(text), dt=DT)
+
+
+def test_a_plain_table_is_not_told_to_be_written_otherwise(write):
+    with pytest.raises(InputError) as caught:
+        read_disturbance(write('time [s],w,note\n0,1,"a;b"\n0.07,2,"c, d"\n'), dt=DT, column="w")
+    assert caught.value.cure == f"Resample the file at {DT:g} s."
 
 
 def test_a_named_column_is_taken_and_the_others_may_hold_text(write):

@@ -4,7 +4,8 @@ import signal
 
 import pytest
 
-from ccdtools.studies.report.method_page import check_folder, write_table
+from ccdtools.studies.report.method_page import write_table
+from ccdtools.studies.run_folder import RunFolder
 
 
 def test_a_table_that_is_interrupted_while_it_is_written_is_whole(tmp_path):
@@ -16,5 +17,5 @@ def test_a_table_that_is_interrupted_while_it_is_written_is_whole(tmp_path):
                 file.write("ended")
 
     with pytest.raises(KeyboardInterrupt):
-        write_table(Interrupted(), check_folder(tmp_path / "kept"))
+        write_table(Interrupted(), RunFolder(tmp_path / "kept"))
     assert (tmp_path / "kept" / "methods.csv").read_text() == "begun, ended"

@@ -1,6 +1,7 @@
 """A long computation says how far it is: with a bar on a terminal, in plain lines elsewhere."""
 
 import io
+import re
 import sys
 import time
 
@@ -33,7 +34,7 @@ def test_without_a_terminal_there_is_a_line_at_the_start_and_no_control_characte
 def test_lines_follow_as_items_do(monkeypatch):
     monkeypatch.setattr("ccdtools.progress.EVERY", 0.0)
     text = shown(monkeypatch, io.StringIO(), progress=True)
-    assert "simulating: 2 of 3 after 0 s" in text.splitlines()
+    assert "simulating: 2 of 3 after 0 s, about 0 s left at this pace" in text.splitlines()
 
 
 def test_on_a_terminal_there_is_a_bar_and_without_progress_nothing(monkeypatch):
@@ -42,9 +43,10 @@ def test_on_a_terminal_there_is_a_bar_and_without_progress_nothing(monkeypatch):
         assert not shown(monkeypatch, stream, progress=False)
 
 
-def test_a_stage_that_takes_long_says_what_it_is_at():
+def test_a_stage_that_takes_long_says_what_it_is_at(monkeypatch):
+    monkeypatch.setattr("ccdtools.progress.EVERY", 0.01)
     lines = []
-    with telling(lines.append, every=0.01):
+    with telling(lines.append):
         at("iteration 3 of at most 7")
         while not lines:
             time.sleep(0.005)
@@ -54,6 +56,19 @@ def test_a_stage_that_takes_long_says_what_it_is_at():
     assert len(lines) == count  # nothing is told once it has ended
 
 
+def test_a_stage_that_takes_long_says_how_long_the_rest_takes(monkeypatch):
+    monkeypatch.setattr("ccdtools.progress.EVERY", 0.02)
+    lines = []
+    with telling(lines.append):
+        at("landscape")
+        for k in range(1, 5):
+            time.sleep(0.01)
+            at(f"iteration {k} of 100", k / 100)
+        while not lines:
+            time.sleep(0.005)
+    assert re.fullmatch(r"    … iteration \d of 100, after \d+ s, about \d+ s left at this pace", lines[-1])
+
+
 def test_a_stage_that_ends_soon_or_has_no_echo_says_nothing():
     lines = []
     with telling(lines.append), telling(None):
@@ -61,14 +76,22 @@ def test_a_stage_that_ends_soon_or_has_no_echo_says_nothing():
     assert not lines
 
 
-def test_an_interrupted_stage_is_told_of_no_more():
+def test_an_interrupted_stage_is_told_of_no_more(monkeypatch):
+    monkeypatch.setattr("ccdtools.progress.EVERY", 0.01)
     lines = []
-    with pytest.raises(KeyboardInterrupt), telling(lines.append, every=0.01):
+    with pytest.raises(KeyboardInterrupt), telling(lines.append):
         raise KeyboardInterrupt
     time.sleep(0.05)
     assert not lines
 
 
-def test_items_are_all_yielded():
+def test_items_are_all_yielded_and_said(monkeypatch):
+    monkeypatch.setattr("ccdtools.progress.EVERY", 0.01)
     lines = []
-    assert list(counted(range(4), "X_fea(p)", total=4, echo=lines.append)) == [0, 1, 2, 3]
+    found = []
+    with telling(lines.append):
+        for item in counted(range(4), "X_fea(p)", total=4):
+            found.append(item)
+            while item == 2 and not any("X_fea(p): 2 of 4, after " in line for line in lines):
+                time.sleep(0.005)
+    assert found == [0, 1, 2, 3]

@@ -27,7 +27,7 @@ GOOD = {"dynamics": lambda x, u: ca.vertcat(x[1], u), "states": 2, "inputs": 1, 
     [
         ({"dynamics": lambda x, v: x}, "dynamics", "argument named 'v'"),
         ({"dynamics": lambda x, u: x[1]}, "dynamics", "1 rows"),
-        ({"dynamics": lambda x, u: ca.vertcat(x[5], u)}, "dynamics", "stops with"),
+        ({"dynamics": lambda x, u: ca.vertcat(x[5], u)}, "dynamics", "stops with index 5 beyond a column of 2"),
         ({"dynamics": lambda x, u: ca.vertcat(ca.SX.sym("stranger"), u)}, "dynamics", "stranger"),
         ({"dynamics": lambda x, u, p: ca.vertcat(x[1], u * p[0])}, "dynamics", "no p"),
         ({"dynamics": 3}, "dynamics", "3"),
@@ -56,6 +56,14 @@ def test_a_bad_phase_is_refused_where_it_is_stated(change, argument, got):
         build(Phase(**(GOOD | change)))
     assert caught.value.argument == argument
     assert got in str(caught.value)
+
+
+@pytest.mark.check
+def test_an_integrator_that_stops_at_the_guess_is_told_in_words():
+    away = Phase(lambda x, u: ca.vertcat(x[1], 500 * x[0] ** 3 + u), 2, 1, start=[0, 0], end=[1, 0], duration=3.0)
+    with pytest.raises(InputError, match=r"guess: got one that stops with CVode returned .* Give a `guess`") as caught:
+        build(away, MultipleShooting(integrator="cvodes"), intervals=5)
+    assert ".cpp" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import LearnedPolicy, load_policy
+from ccdtools import DesignSpace, LearnedPolicy, load_policy
 from ccdtools.co_design.differentiable_model import observe
+from ccdtools.design_limits import DesignLimits
 from learning import ActorCritic, NetworkConfig, save
 from learning.exceptions import CheckpointError
 from learning.quantile import QuantileNetwork
@@ -24,6 +25,17 @@ def test_the_numpy_forward_equals_the_torch_forward(rng, skip):
         p = torch.tensor([2e4])
         expected = net.action(net.latent(observe(torch.tensor(x, dtype=torch.float32), p))).numpy()
     np.testing.assert_allclose(LearnedPolicy(net, [2e4])(x), expected, rtol=1e-5, atol=1e-5)
+
+
+def test_in_casadi_a_policy_keeps_bounds_that_depend_on_the_design(rng):
+    space = DesignSpace(["p"], [1.0], [3.0])
+    limits = DesignLimits.of("U", lambda p: (-p[0], 2 * p[0]), 1, "one per input", space)
+    net = ActorCritic([-1, 1], [1, 3], *limits.box, config=NetworkConfig((5,)), action_limits=limits)
+    policy = LearnedPolicy(net, [1.5])
+    x = rng.uniform(-90, 90, (50, 1))
+    u = np.array([np.asarray(policy.to_casadi()(row)).ravel() for row in x])
+    np.testing.assert_allclose(u, policy(x), rtol=1e-12)
+    assert {u.min(), u.max()} == {-1.5, 3.0}
 
 
 def test_files_that_hold_no_policy_are_refused(tmp_path):

@@ -1,0 +1,56 @@
+"""What is said of a function that a user states in CasADi and that stops: the error in words, and its line."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import traceback
+from pathlib import Path
+from typing import Any
+
+from ccdtools_ground.door import brief
+from ccdtools_ground.errors import InputError
+
+CASADI = re.compile(r'^\.\.\./casadi/\S+:\d+: (?:Assertion ".*?" failed:\s)?')
+KNOWN = (
+    (r"Slice \(start=(\d+), stop=\d+, step=1\) out of bounds with supplied length of (\d+)",
+     "index {0} beyond a column of {1}", "Entries are counted from 0."),
+    (r"getScalar: out of bounds", "an index beyond a column",
+     "Entries are counted from 0, and from the end by −1, −2, …"),
+    (r"Got elements in range \[(\S+)\], which is outside the range \[\S+,(\d+)\)",
+     "indices {0} beyond a column of {1}", "Entries are counted from 0."),
+    (r"incompatible dimensions. Lhs is (\S+) and rhs is (\S+?)\.?$", "a product of {0} and {1}",
+     "A product of two columns is ca.dot(a, b), a square ca.sumsqr(x)."),
+    (r"truth value", "a choice by the value of a symbol (if, and, or, min, max, abs)",
+     "Use ca.if_else, ca.logic_and, ca.fmin, ca.fmax, ca.fabs."),
+    (r"Notify the CasADi developers|must be real number, not (?:SX|MX)|__float__",
+     "float(), or a function of math, of a symbol", "Use ca.sin and the like instead of math.sin."),
+)  # fmt: skip
+
+
+def stopped(argument: str, given: Any, error: Exception, expected: str, cure: str = "") -> InputError:
+    """The error to raise in the place of the one that a user's function stopped with."""
+    reason, own = in_words(error)
+    cure = f"{own} {cure}".strip()
+    return InputError(argument, f"a function that stops with {reason}{_line(given, error)}", expected, cure)
+
+
+def in_words(error: Exception) -> tuple[str, str]:
+    """What an error of CasADi says without the names of its files, and what to do about it where that is known."""
+    text = " ".join(CASADI.sub("", str(error), count=1).split())
+    for pattern, words, cure in KNOWN:
+        found = re.search(pattern, text)
+        if found:
+            return brief(words.format(*found.groups())), cure
+    if isinstance(error, RuntimeError):  # what was called stands above what went wrong
+        last = CASADI.sub("", (str(error).splitlines() or [type(error).__name__])[-1])
+        return brief(last).rstrip("."), ""
+    return brief(f"{type(error).__name__}: {text}"), ""
+
+
+def _line(given: Any, error: Exception) -> str:
+    """Where in the file of a function an error arose."""
+    code = getattr(inspect.unwrap(given), "__code__", None)
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
+    return f" (line {own[-1].lineno} of {Path(own[-1].filename).name})" if own else ""
