@@ -80,6 +80,7 @@ def test_a_budget_that_ends_while_the_return_rises_says_so(mass_and_clone):
     assert "iterations" in found.status.advice
 
 
+@pytest.mark.check
 def test_what_did_the_work_adds_up_to_the_whole_gain(mass_and_clone):
     problem, agent = mass_and_clone
     found = run(problem, agent, [3.0], starts=1)

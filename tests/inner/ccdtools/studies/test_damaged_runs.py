@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import small_runs
 import tiny_command
-from small_runs import ARGUMENTS, call
+from spring_run import ARGUMENTS, call, run_spring
 
 from ccdtools.studies import RunFolder
 from ccdtools.studies.fingerprint import differences
@@ -25,7 +25,7 @@ COMMAND = [sys.executable, tiny_command.__file__]
 @pytest.fixture(scope="module")
 def whole(stored):
     """A folder with a study and its finished run, which all processes share."""
-    return stored("spring", small_runs.run_spring)
+    return stored("spring", run_spring)
 
 
 @pytest.fixture

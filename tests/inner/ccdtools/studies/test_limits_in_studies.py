@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import small_runs
+from spring_run import run_spring
 
 from ccdtools import InputError, load_study
 from ccdtools.cli import Options
@@ -14,7 +14,7 @@ from ccdtools.studies import RunFolder
 @pytest.fixture(scope="module")
 def filtered(stored):
     """A finished run with a filter and a tolerance of nothing."""
-    return RunFolder(stored("spring", small_runs.run_spring) / "run")
+    return RunFolder(stored("spring", run_spring) / "run")
 
 
 def test_the_deployed_filter_stands_beside_the_policy_without_it(filtered):

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from markupsafe import escape
 from matplotlib.figure import Figure
-from small_runs import run_spring, tiny
+from small_runs import tiny
+from spring_run import run_spring
 
 from ccdtools import CVaR, DesignSpace, Gaussian, Plant, QuadraticObjective
 from ccdtools import figure_style as style
