@@ -73,6 +73,7 @@ def test_the_exceeded_limit_of_an_output_is_named_and_counted_with_those_of_stat
     assert table["LQR"].violations == pytest.approx((force > 0.8).mean())
 
 
+@pytest.mark.check
 def test_mpc_keeps_limits_of_the_state_alone():
     """p x₁ ≤ 0.8 is a row of MPC's set; the slip depends on the input and is not."""
     kept = problem().kept_by_mpc(np.array([2.0]))

@@ -95,6 +95,7 @@ def test_a_design_at_a_bound_does_not_move():
     assert found.return_slope == pytest.approx(-0.2, rel=1e-6)  # of the price: the mass itself
 
 
+@pytest.mark.check
 def test_all_starts_lead_to_the_exact_optimum_and_processes_change_nothing():
     own = mass()
     found = multi_start(own, 3, method=NESTED)

@@ -53,12 +53,14 @@ def bands(illustrative, twin):
     return free_running_bands(twin, fresh, law(illustrative), rng=rng, steps=(1, 10, 20, 60), windows=600, draws=60)
 
 
+@pytest.mark.check
 def test_bands_cover_eighty_per_cent_of_a_log_that_was_never_seen(bands):
     # 600 windows, 20 samples apart, of a signal with a memory of about four: some 300 that are independent
     low, high = (binom.ppf(level, 300, 0.8) / 300 for level in (0.001, 0.999))
     assert ((bands.coverage > low) & (bands.coverage < high)).all()
 
 
+@pytest.mark.check
 def test_the_draws_spread_as_far_as_the_plant(bands):
     np.testing.assert_allclose(bands.spread, 1.0, atol=0.12)
 

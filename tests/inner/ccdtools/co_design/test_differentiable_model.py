@@ -62,6 +62,7 @@ class Scaled(QuadraticObjective):
         return 3.0 * super().rewards(x_next, u)
 
 
+@pytest.mark.check
 def test_an_objective_of_ones_own_is_what_the_design_is_trained_on(illustrative, clone):
     problem, agent = illustrative.problem(), clone(illustrative)
     own = replace(problem, objective=Scaled(problem.objective.Q, problem.objective.R))

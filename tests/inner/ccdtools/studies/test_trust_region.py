@@ -82,6 +82,7 @@ def test_an_E_that_is_the_same_everywhere_need_not_be_identified():
     assert doubt_of(taught(mass(), replace(model, E=constant)), SCALE).identified
 
 
+@pytest.mark.check
 def test_what_enters_away_from_rest_is_told_there_but_a_redesign_stays_limited():
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     arm = ca.vertcat(x[1], (-1.5 * x[0] - 0.4 * x[1] + u + w * ca.sin(x[0])) / p)
@@ -137,6 +138,7 @@ def test_the_edge_of_the_region_is_no_bound_of_the_design(illustrative, clone):
     assert read["bound"].active_bounds == {"p": "upper"}
 
 
+@pytest.mark.check
 def test_a_silent_log_leaves_nothing_to_doubt():
     twin = taught(mass())
     quiet = replace(twin.logs[0], e=0 * twin.logs[0].e, e_next=0 * twin.logs[0].e_next)

@@ -58,6 +58,7 @@ def bands(illustrative, twin):
     return free_running_bands(twin, fresh, law(illustrative), rng=rng, steps=(1, 10, 20, 60), windows=600, draws=60)
 
 
+@pytest.mark.check
 def test_one_signal_is_drawn_as_one(illustrative, twin):
     drawing = replace(twin.discrepancy, noise="quantiles")
     assert drawing.copula.order == 0  # e and x hold the past; a memory besides would count it twice

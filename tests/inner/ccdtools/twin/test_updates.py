@@ -148,6 +148,7 @@ def test_a_candidate_is_trained_from_the_log_and_from_the_starts_that_it_will_se
     assert np.ptp(x0[~logged & ~started], axis=0).min() > 1
 
 
+@pytest.mark.check
 def test_a_candidate_is_trained_at_the_deployed_design_whatever_the_rate_of_the_design(illustrative, clone):
     moving = replace(ONLINE, training=replace(TINY, design_rate=0.5))
     frozen, asked = (
