@@ -104,7 +104,7 @@ class DesignSpace(Immutable):
                 "finite values over the whole box", "Move the bounds, or look for a division by zero.",
             )  # fmt: skip
         if not len(self.allowed.known):
-            p = self.from_unit(self.allowed.least_violated())
+            p = self.from_unit(self.allowed.least_violated)
             raise InputError(
                 "constraints", f"no design that keeps them: at best {self._broken(p)} at {self.describe(p)}",
                 "at least one design in the box at which every constraint is ≤ 0", "Widen the bounds, or ask for less.",
