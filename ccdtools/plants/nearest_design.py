@@ -16,6 +16,7 @@ from scipy.optimize import minimize
 from ccdtools.arrays import Array
 from ccdtools.plants.design_constraints import EXACT, UnitConstraints
 
+NEAREST = 1e-5  # of the distance: what its part along the constraints may be where a point is the nearest
 GRID = 4096  # combinations of whole numbers that are looked at
 
 
@@ -33,7 +34,7 @@ def nearest(
     starts : iterable of (np,) arrays
         Where else the search begins.
     thorough : bool
-        Go through every start; by default the first point at which the search converges will do.
+        Go through every start; by default the first point that is the nearest of its surroundings will do.
     """
     if limits.violation(v) <= EXACT:
         return v
@@ -44,20 +45,25 @@ def nearest(
         yield allowed_point(limits, v, free)[0]
         yield from starts
 
-    kept: list[Array] = []
+    best: Array | None = None
     for place in places():
         begun = np.where(free, place, v)
-        found, converged = _searched(limits, begun, free, v)
-        both = np.array([found, begun])
-        kept += list(both[limits.violation(both) <= EXACT])
-        if kept and converged and not thorough:
+        for u in (_searched(limits, begun, free, v), begun):
+            if limits.violation(u) <= EXACT:
+                break
+        else:
+            continue
+        away = float(np.linalg.norm(v - u))
+        if best is None or away < np.linalg.norm(v - best) - EXACT:
+            best = u
+        if not thorough and np.linalg.norm(limits.prices(u, v - u, free)[2]) <= NEAREST * away:
             break
-    return min(kept, key=lambda u: float(np.linalg.norm(u - v)), default=None)
+    return best
 
 
 def allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[Array, float]:
-    """The point of least violation that a search from a start finds, and that violation."""
-    u = _searched(limits, start, free)[0]
+    """A point that the constraints allow, or the least violated one that a search finds, and its violation."""
+    u = _searched(limits, start, free)
     violations = limits.violation(np.array([start, u]))
     return (u, violations[1]) if violations[1] < violations[0] else (start, violations[0])
 
@@ -78,15 +84,12 @@ def nearest_whole(values: Array, lower: Array, upper: Array, width: Array) -> Ar
     return np.asarray(numbers[np.argsort((((numbers - values) / width) ** 2).sum(axis=1), kind="stable")])
 
 
-def _searched(limits: UnitConstraints, start: Array, free: Array, target: Array | None = None) -> tuple[Array, bool]:
-    """The point nearest to a target within the constraints, and whether SLSQP converged.
-
-    Without a target, the point of least violation: t → min, g ≤ t.
-    """
+def _searched(limits: UnitConstraints, start: Array, free: Array, target: Array | None = None) -> Array:
+    """The point nearest to a target within the constraints; without one, that of least violation: t → min, g ≤ t."""
     size = int(free.sum())
     u = start.copy()
     if not size:
-        return u, True
+        return u
     first = start[free] if target is not None else np.r_[start[free], float(limits.violation(start))]
     wanted = np.zeros(size) if target is None else target[free]
     slack = np.ones((limits.count, len(first) - size))
@@ -107,4 +110,4 @@ def _searched(limits: UnitConstraints, start: Array, free: Array, target: Array 
             constraints={"type": "ineq", "fun": lambda z: slack @ z[size:] - limits.values(at(z)),
                          "jac": lambda z: np.hstack([-limits.jacobian(at(z))[:, free], slack])},
         )  # fmt: skip
-    return np.clip(at(found.x if np.isfinite(found.x).all() else first), 0.0, 1.0).copy(), bool(found.success)
+    return np.clip(at(found.x if np.isfinite(found.x).all() else first), 0.0, 1.0).copy()
