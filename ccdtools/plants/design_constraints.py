@@ -180,20 +180,13 @@ class UnitConstraints:
             Prices of the constraints, those of the bounds (below zero at a lower one), and what is left of the push.
         """
         normals, distances = self.edges(u, push)
-        at = np.flatnonzero(distances <= ON_EDGE)
-        low = np.flatnonzero(free & (u <= 0.0))
-        high = np.flatnonzero(free & (u >= 1.0))
         eye = np.eye(len(u))
-        normals = np.vstack([normals[at], -eye[low], eye[high]])[:, free]
-        paid = held(normals, push[free])
-        constraints = np.zeros(len(distances))
-        constraints[at] = paid[: len(at)]
-        bounds = np.zeros(len(u))
-        bounds[low] = -paid[len(at) : len(at) + len(low)]
-        bounds[high] = paid[len(at) + len(low) :]
-        rest = np.zeros(len(u))
-        rest[free] = push[free] - paid @ normals
-        return constraints, bounds, rest
+        normals = np.vstack([normals, -eye, eye])
+        at = np.r_[distances <= ON_EDGE, free & (u <= 0.0), free & (u >= 1.0)]
+        paid = np.zeros(len(at))
+        paid[at] = held(normals[at][:, free], push[free])
+        constraints, low, high = np.split(paid, [self.count, self.count + len(u)])
+        return constraints, high - low, np.where(free, push - paid @ normals, 0.0)
 
     def pulled_back(self, v: Array, u: Array, gradient: Array, free: Any) -> Array:
         """Gradient at `v` of a function of the nearest point `u` that the constraints allow, from that at `u`, (np,).
@@ -228,10 +221,8 @@ def held(normals: Array, push: Array) -> Array:
     """
     if not len(normals):
         return np.zeros(0)
-    lengths = np.linalg.norm(normals, axis=1)
-    lengths = np.where(lengths > 0, lengths, 1.0)
-    paid = nnls((normals / lengths[:, None]).T, push)[0] / lengths
-    return np.asarray(paid, dtype=float)
+    lengths = np.maximum(np.linalg.norm(normals, axis=1), TINY)
+    return np.asarray(nnls((normals / lengths[:, None]).T, push)[0] / lengths, dtype=float)
 
 
 def _mapped(function: Callable[[Any], Any], points: Array) -> Array:
