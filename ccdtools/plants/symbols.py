@@ -1,9 +1,4 @@
-"""CasADi symbols and expressions: checked, packed so that objects that hold them can be pickled, and their rounding.
-
-References
-----------
-Higham, "Accuracy and Stability of Numerical Algorithms", SIAM, 2002, chapter 3 (rounding).
-"""
+"""CasADi symbols and expressions: checked, and packed so that objects that hold them can be pickled."""
 
 from __future__ import annotations
 
@@ -14,11 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ccdtools.arrays import Array
 from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
-
-EPSILON = 2.0**-52
 
 
 def as_symbols(argument: str, value: Any) -> ca.SX:
@@ -90,40 +82,3 @@ def unpack(packed: dict[str, Any]) -> tuple[list[ca.SX], list[ca.SX]]:
     """Fresh symbols of the same names, and the expressions in them."""
     inputs = [ca.vertcat(*map(ca.SX.sym, names)) if names else ca.SX(0, 1) for names in packed["names"]]
     return inputs, ca.Function.deserialize(packed["function"]).call(inputs)
-
-
-def rounding(function: ca.Function, v: ca.SX, lower: Array, upper: Array) -> ca.SX:
-    """What rounding may make of the constraints at a point of the unit box, (ng,), as an expression.
-
-    To first order, every intermediate result being off by a part of the machine's precision. Of functions that are
-    called from within, the result alone counts.
-    """
-    if any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions())):
-        return EPSILON * ca.fabs(ca.densify(function(ca.DM(lower) + v * ca.DM(upper - lower))))
-    work: list[Any] = [None] * function.sz_w()
-    off: list[ca.SX] = []
-    out = [ca.SX(0)] * function.numel_out(0)
-    p = [low + v[i] * (high - low) for i, (low, high) in enumerate(zip(lower, upper))]
-
-    def rounded(value: ca.SX) -> ca.SX:
-        """An intermediate result, with its relative error beside it."""
-        off.append(ca.SX.sym("off"))
-        return value * (1 + off[-1])
-
-    p = [rounded(entry) for entry in p]
-    for k in range(function.n_instructions()):
-        op = function.instruction_id(k)
-        into, of = function.instruction_output(k), function.instruction_input(k)
-        if op == ca.OP_CONST:
-            work[into[0]] = ca.SX(function.instruction_constant(k))
-        elif op == ca.OP_INPUT:
-            work[into[0]] = p[of[1]]
-        elif op == ca.OP_OUTPUT:
-            out[into[1]] = work[of[0]]
-        elif len(of) == 1:
-            work[into[0]] = rounded(ca.SX.unary(op, work[of[0]]))
-        else:
-            work[into[0]] = rounded(ca.SX.binary(op, work[of[0]], work[of[1]]))
-    errors = ca.vertcat(*off)
-    slopes = ca.substitute(ca.jacobian(ca.vertcat(*out), errors), errors, ca.DM.zeros(len(off)))
-    return EPSILON * ca.sum2(ca.fabs(ca.densify(slopes)))
