@@ -13,8 +13,7 @@ from scipy.optimize import nnls
 from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.casadi_arrays import KNOWN, Tape
-from ccdtools.plants.symbols import as_expression, check_known
+from ccdtools.plants.symbols import as_expression, check_known, term_sizes
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 EXAMPLE = "a function of p that gives expressions, each to be ≤ 0, such as lambda p: p[0] + p[1] - 3.0"
@@ -88,16 +87,18 @@ class UnitConstraints:
 
     References
     ----------
+    Higham, "Accuracy and Stability of Numerical Algorithms", SIAM, 2002, section 3.3 (running errors).
     Schröder, Mathematische Annalen 2, 1870 (g/g′ has a simple root where g has one of any order).
     """
 
     def __init__(self, function: ca.Function, lower: Array, upper: Array, samples: Array) -> None:
         v = ca.SX.sym("v", len(lower))
-        g = function(ca.DM(lower) + v * ca.DM(upper - lower))
+        p = ca.DM(lower) + v * ca.DM(upper - lower)
+        g = function(p)
         prices = ca.SX.sym("prices", g.numel())
         self._g = ca.Function("g", [v], [g])
         self._rows = ca.Function("rows", [v], [ca.vec(ca.densify(ca.jacobian(g, v)).T)])
-        self._rounding = ca.Function("rounding", [v], [rounding(function, v, lower, upper)])
+        self._rounding = ca.Function("rounding", [v], [EPSILON * term_sizes(function, p)])
         self._curvature = ca.Function("H", [v, prices], [ca.densify(ca.hessian(ca.dot(prices, g), v)[0])])
         raw = _mapped(self._g, samples)
         self.not_finite = ~np.isfinite(raw).all(axis=1)
@@ -232,31 +233,3 @@ def _mapped(function: Callable[[Any], Any], points: Array) -> Array:
     if not len(points):
         return np.zeros((0, 0))
     return np.asarray(function(points.T), dtype=float).reshape(-1, len(points)).T
-
-
-def rounding(function: ca.Function, v: ca.SX, lower: Array, upper: Array) -> ca.SX:
-    """What rounding may make of the constraints at a point of the unit box, (ng,), as an expression.
-
-    To first order, every intermediate result being off by a part of the machine's precision (Higham, "Accuracy and
-    Stability of Numerical Algorithms", SIAM, 2002, chapter 3). Of functions that are called from within, the result
-    alone counts.
-    """
-    p = ca.DM(lower) + v * ca.DM(upper - lower)
-    if any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions())):
-        return EPSILON * ca.fabs(function(p))
-    off: list[ca.SX] = []
-
-    def rounded(value: ca.SX) -> ca.SX:
-        """An intermediate result, with its relative error beside it."""
-        off.append(ca.SX.sym("off"))
-        return value * (1 + off[-1])
-
-    def carried_out(op: int) -> Callable[..., ca.SX]:
-        """An operation whose result is rounded."""
-        return lambda *of: rounded(ca.SX.unary(op, *of) if len(of) == 1 else ca.SX.binary(op, *of))
-
-    entries = [rounded(entry) for entry in ca.vertsplit(p)]
-    out = Tape(function, "constraints").run([entries], {op: carried_out(op) for op in KNOWN}, ca.SX)[0]
-    errors = ca.vertcat(*off)
-    slopes = ca.substitute(ca.jacobian(ca.vertcat(*out), errors), errors, ca.DM.zeros(len(off)))
-    return EPSILON * ca.sum2(ca.fabs(ca.densify(slopes)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from math import isnan
 from typing import Any
 
@@ -11,6 +12,9 @@ import numpy as np
 
 from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import Tape
+
+MOVES = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)  # instructions that compute nothing
 
 
 def as_symbols(argument: str, value: Any) -> ca.SX:
@@ -82,3 +86,28 @@ def unpack(packed: dict[str, Any]) -> tuple[list[ca.SX], list[ca.SX]]:
     """Fresh symbols of the same names, and the expressions in them."""
     inputs = [ca.vertcat(*map(ca.SX.sym, names)) if names else ca.SX(0, 1) for names in packed["names"]]
     return inputs, ca.Function.deserialize(packed["function"]).call(inputs)
+
+
+def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
+    """Sizes of the terms that the entries of a function are the sums of, to which their rounding is in proportion.
+
+    Of functions that are called from within, the result alone counts.
+    """
+    if any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions())):
+        return ca.fabs(function(*arguments))
+    entries = [[(value, ca.fabs(value)) for value in elements(column)] for column in arguments]
+    tape = Tape(function)
+    operations = {op: _sized(op, len(inputs)) for op, inputs, _, _ in tape.instructions if op not in MOVES}
+    (rows,) = tape.run(entries, operations, constant=lambda number: (ca.SX(number), ca.SX(abs(number))))
+    return ca.vertcat(*(size for _, size in rows))
+
+
+@cache
+def _sized(op: int, inputs: int) -> Any:
+    """An operation on pairs (value, size of its terms), by its slopes: sums add the sizes, products scale them."""
+    values, sizes = ca.vertsplit(ca.SX.sym("value", inputs)), ca.SX.sym("size", inputs)
+    value = ca.SX.unary(op, *values) if inputs == 1 else ca.SX.binary(op, *values)
+    counted = 1 if op in (ca.OP_POW, ca.OP_CONSTPOW) else inputs  # by an exponent, a negative base has no slope
+    size = sum(ca.fabs(ca.jacobian(value, values[i])) * sizes[i] for i in range(counted))
+    function = ca.Function("sized", [ca.vertcat(*values), sizes], [value, ca.fmax(ca.fabs(value), size)])
+    return lambda *pairs: function(*(ca.vertcat(*one) for one in zip(*pairs)))
