@@ -186,8 +186,7 @@ class DesignSpace(Immutable):
     def project(self, p: ArrayLike) -> Array:
         """The nearest feasible design (np,), distances measured in the unit box.
 
-        SLSQP from the design and from feasible designs about it; that the result is the nearest one of its surroundings
-        is confirmed by its multipliers, and none of the known feasible designs is nearer.
+        The nearest of what SLSQP finds from the design and from known feasible designs, of which none is nearer.
 
         Raises
         ------
