@@ -17,12 +17,10 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_gradients import AHEAD, SIGNIFICANT, Differences, Slope
-from ccdtools.plants.design_constraints import EXACT, UnitConstraints, held
+from ccdtools.plants.design_constraints import UnitConstraints, held
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.nearest_design import nearest
 
 PULL = 10.0  # of the return: ½ · 10 · distance² is what a point loses at least for its distance from the feasible ones
-STARTS = 4  # known feasible points that a search begins at where it finds nothing from the point itself
 ACTIVE = 1e-3  # of the unit box: an edge that is closer holds the design
 
 
@@ -53,13 +51,7 @@ class DesignRegion:
 
     def nearest(self, v: Array) -> Array | None:
         """The nearest feasible point to `v` (np,), its held entries those of the start; None if none is found."""
-        limits = self.space.allowed.limits
-        point = np.where(self.free, np.clip(v, 0.0, 1.0), self.last)
-        if limits is None or limits.violation(point) <= EXACT:
-            return point
-        known = self.space.allowed.known
-        starts = [self.last, *known[np.argsort(np.linalg.norm(known - point, axis=1))[:STARTS]]]
-        found = nearest(limits, point, free=self.free, starts=starts)
+        found = self.space.allowed.near_with(np.where(self.free, np.clip(v, 0.0, 1.0), self.last), [self.last])
         self.last = self.last if found is None else found
         return found
 
@@ -90,11 +82,8 @@ class DesignRegion:
     def settled(self, v: Tensor) -> Array:
         """The design (np,) of a point in single precision: feasible to the last digit, its whole numbers exact."""
         point = v.detach().double().numpy()
-        if not self.bounded and not self.space.integer:
-            return self.space.from_unit(point)
         exact = self.space.allowed.rounded(point)
-        limits = self.space.allowed.limits
-        found = exact if limits is None else nearest(limits, exact, free=self.free, starts=[self.last])
+        found = self.space.allowed.near_with(exact, [self.last])
         return self.space.settled(exact if found is None else found)
 
 

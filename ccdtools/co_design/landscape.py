@@ -26,7 +26,6 @@ from ccdtools.co_design.lqr_regions import lqr_gains
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.nearest_design import nearest
 
 RUNS = 96  # scenarios that every design is simulated on, the same for all
 ROWS = 6000  # runs simulated side by side
@@ -171,12 +170,9 @@ def _spread(size: int, rng: np.random.Generator) -> Array:
 
 def _feasible(space: DesignSpace, V: Array) -> Array:
     """Points (n, np) with those that break a constraint moved to the nearest that keep it, their whole numbers kept."""
-    limits = space.allowed.limits
-    if limits is None:
-        return V
     V = V.copy()
-    for i in np.flatnonzero(limits.violation(V) > 0):
-        found = nearest(limits, V[i], free=space.allowed.free)
+    for i in np.flatnonzero(space.allowed.violation(V) > 0):
+        found = space.allowed.near_with(V[i])
         V[i] = V[i] if found is None else found
     return V
 

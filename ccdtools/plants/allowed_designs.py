@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import islice, product
+from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -99,47 +100,43 @@ class AllowedDesigns:
     def known(self) -> Array:
         """Allowed points (n, np) to search from; none if none is found anywhere."""
         samples = self.rounded(self._samples)
-        violations = self.violation(samples)
-        inside = samples[violations <= EXACT]
+        inside = samples[self.violation(samples) <= EXACT]
         if len(inside):
             return inside[:ANCHORS]
-        found = self._searched(samples[np.argsort(violations, kind="stable")])[0]
-        return samples[:0] if found is None else found[None]
+        return self.least_violated[None][self.violation(self.least_violated[None]) <= EXACT]
 
+    @cached_property
     def least_violated(self) -> Array:
-        """Where no point is allowed, the one that breaks the constraints least among those found, (np,)."""
-        samples = self.rounded(self._samples)
-        return self._searched(samples[np.argsort(self.violation(samples), kind="stable")])[1]
-
-    def _searched(self, samples: Array) -> tuple[Array | None, Array]:
-        """An allowed point if one is found from samples (n, np), the best first; and the least violated one."""
+        """The point (np,) that breaks the constraints least among those that searches from the samples find."""
         assert self.limits is not None
-        least = samples[0]
+        samples = self.rounded(self._samples)
+        samples = samples[np.argsort(self.violation(samples), kind="stable")]
         tried = [*samples[:STARTS], *samples[STARTS :: max(1, len(samples) // STARTS)]]
         if self.whole.any():
             between = allowed_point(self.limits, samples[0], self._moving)[0]
             for centre in (between, samples[0]):
-                tried += islice(self._by_whole_numbers(centre), COMBINATIONS)
+                tried += list(self._by_whole_numbers(centre)[:COMBINATIONS])
+        least, violation = samples[0], np.inf
         for start in tried:
-            u, violation = allowed_point(self.limits, start, self.free)
+            u, broken = allowed_point(self.limits, start, self.free)
+            if broken < violation:
+                least, violation = u, broken
             if violation <= EXACT:
-                return u, u
-            least = u if violation < self.violation(least) else least
-        return None, least
+                break
+        return least
 
-    def _by_whole_numbers(self, v: Array) -> Any:
-        """`v` with other and other whole numbers in their entries, the nearest first."""
-        numbers = (self.lower + v * self.width)[self.whole]
-        ranges = (part[self.whole] for part in (self.lower, self.upper, self.width))
-        for chosen in nearest_whole(numbers, *ranges):
-            point = v.copy()
-            point[self.whole] = (chosen - self.lower[self.whole]) / self.width[self.whole]
-            yield point
+    def _by_whole_numbers(self, v: Array) -> Array:
+        """`v` with other and other whole numbers in their entries (n, np), the nearest first."""
+        lower, upper, width = (part[self.whole] for part in (self.lower, self.upper, self.width))
+        numbers = nearest_whole(lower + v[self.whole] * width, lower, upper, width)
+        points = np.tile(v, (len(numbers), 1))
+        points[:, self.whole] = (numbers - lower) / width
+        return points
 
     def combinations(self) -> Array:
         """Every combination of whole numbers (n, np), in the unit box; the other entries are 0."""
         first = np.zeros(len(self.lower))
-        return np.array(list(self._by_whole_numbers(self.rounded(first))))
+        return self._by_whole_numbers(self.rounded(first))
 
     def near(self, v: Array) -> Array | None:
         """The nearest point to `v` (np,) that is allowed; None if none is found.
@@ -148,40 +145,35 @@ class AllowedDesigns:
         point that keeps the constraints with numbers in between, and then those of the known points.
         """
         if not self.whole.any():
-            return self._near(v)
+            return self.near_with(v, thorough=True)
         best = self._of_whole_numbers(v, v)
+        known = sorted(self.known, key=lambda one: _apart(one, v))[:STARTS]
         if best is None and self.limits is not None:
-            between = nearest(self.limits, v, free=self._moving, starts=self._closest_known(v), thorough=True)
+            between = nearest(self.limits, v, free=self._moving, starts=known, thorough=True)
             best = None if between is None else self._of_whole_numbers(between, v)
-        known = self._closest_known(v)
         return known[0] if best is None and known else best
 
     def _of_whole_numbers(self, centre: Array, v: Array) -> Array | None:
         """The nearest allowed point to `v` among those with whole numbers about a point."""
         best: Array | None = None
-        for held in islice(self._by_whole_numbers(centre), COMBINATIONS):
+        for held in self._by_whole_numbers(centre)[:COMBINATIONS]:
             if best is not None and _apart(held, centre) >= _apart(best, centre):
                 break
-            found = self._near(np.where(self.whole, held, v))
+            found = self.near_with(np.where(self.whole, held, v), thorough=True)
             if found is not None and (best is None or _apart(found, v) < _apart(best, v)):
                 best = found
         return best
 
-    def _closest_known(self, v: Array) -> list[Array]:
-        """Some known points, the nearest first."""
-        return sorted(self.known, key=lambda one: _apart(one, v))[:STARTS]
+    def near_with(self, v: Array, starts: Sequence[Array] = (), *, thorough: bool = False) -> Array | None:
+        """The nearest allowed point to `v` (np,) with its fixed entries and whole numbers; None if none is found.
 
-    def _near(self, v: Array) -> Array | None:
-        """The same with the whole numbers as they are: the nearest of several searches, and of the known points."""
+        Searches begin at `v`, at `starts` and at known points: see `nearest`.
+        """
         if self.limits is None or self.limits.violation(v) <= EXACT:
             return v
-        held = ~self.free
-        same = self.known[(np.abs(self.known[:, held] - v[held]) <= 1e-9).all(axis=1)] if len(self.known) else []
-        starts = sorted(same, key=lambda one: _apart(one, v))[:STARTS]
-        found = nearest(self.limits, v, free=self.free, starts=starts, thorough=True)
-        if len(starts) and (found is None or _apart(starts[0], v) < _apart(found, v)):
-            return np.asarray(starts[0])
-        return found
+        same = self.known[(np.abs(self.known - v) <= 1e-9)[:, ~self.free].all(axis=1)]
+        known = sorted(same, key=lambda one: _apart(one, v))[:STARTS]
+        return nearest(self.limits, v, free=self.free, starts=[*starts, *known], thorough=thorough)
 
 
 def _apart(u: Array, v: Array) -> float:

@@ -7,12 +7,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import null_space
 from scipy.optimize import nnls
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.symbols import as_expression, check_known, rounding
+from ccdtools.plants.symbols import as_expression, check_known, term_sizes
 from ccdtools_ground.user_functions import stopped
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
@@ -21,9 +22,10 @@ EXTENT = (0.05, 0.95)  # quantiles of a constraint over the box, between which i
 EXACT = 1e-9  # violation, as `UnitConstraints.violation` has it, that is rounding
 ON_EDGE = 1e-7  # of the unit box: a constraint whose edge is closer may hold a design
 BESIDE = 1e-3  # of the unit box: samples that are closer to an edge say nothing of a constraint's size about it
-BESIDE_LEVEL = 1e-6  # of the unit box: where a constraint is level on its edge, its normal is that so far from it
+BESIDE_LEVEL = 1e-6  # of the unit box: normals are those so far off an edge, where none is level
 LEVEL = 1e-12  # slope beside the value below which a constraint is level
 TINY = 1e-300
+EPSILON = 2.0**-52
 CURVED = 0.1  # curvature of the distance along the constraints below which its own curvature is left out
 
 
@@ -45,7 +47,7 @@ def compiled(constraints: Any, names: Sequence[str]) -> ca.Function:
     g = as_expression("constraints", value)
     if g.numel() == 0 or 1 not in g.shape:
         raise InputError("constraints", f"expressions of shape {g.shape}", EXAMPLE)
-    g = ca.vec(g)
+    g = ca.densify(ca.vec(g))
     check_known("constraints", g, p=p)
     if any(not entry.is_constant() and entry.op() in COMPARISONS for entry in ca.vertsplit(g)):
         raise InputError("constraints", "a comparison", EXAMPLE, "Write a ≤ b as a - b.")
@@ -84,18 +86,18 @@ class UnitConstraints:
 
     References
     ----------
+    Higham, "Accuracy and Stability of Numerical Algorithms", SIAM, 2002, section 3.3 (running errors).
     Schröder, Mathematische Annalen 2, 1870 (g/g′ has a simple root where g has one of any order).
     """
 
     def __init__(self, function: ca.Function, lower: Array, upper: Array, samples: Array) -> None:
         v = ca.SX.sym("v", len(lower))
-        g = ca.densify(function(ca.DM(lower) + v * ca.DM(upper - lower)))
+        p = ca.DM(lower) + v * ca.DM(upper - lower)
+        g = function(p)
         prices = ca.SX.sym("prices", g.numel())
-        J = ca.densify(ca.jacobian(g, v))
         self._g = ca.Function("g", [v], [g])
-        self._J = ca.Function("J", [v], [J])
-        self._rows = ca.Function("rows", [v], [ca.vec(J.T)])
-        self._rounding = ca.Function("rounding", [v], [rounding(function, v, lower, upper)])
+        self._rows = ca.Function("rows", [v], [ca.vec(ca.densify(ca.jacobian(g, v)).T)])
+        self._rounding = ca.Function("rounding", [v], [EPSILON * term_sizes(function, p)])
         self._curvature = ca.Function("H", [v, prices], [ca.densify(ca.hessian(ca.dot(prices, g), v)[0])])
         raw = _mapped(self._g, samples)
         self.not_finite = ~np.isfinite(raw).all(axis=1)
@@ -111,15 +113,16 @@ class UnitConstraints:
 
     def _near_edge(self, values: Array, samples: Array) -> Array:
         """Size of each constraint about its edge, (ng,): the least among the samples that are not all but on it."""
-        slopes = self._steepness(samples)
+        slopes = self._slopes(samples)[1]
         size = np.abs(values)
         far = (size > 0) & (size > BESIDE * np.where(np.isfinite(slopes), slopes, 0.0))
         least = np.where(far, size, np.inf).min(axis=0)
         return np.where(np.isfinite(least), least, self._scale)
 
-    def _steepness(self, points: Array) -> Array:
-        """Lengths of the slopes (n, ng) at points (n, np)."""
-        return _lengths(_mapped(self._rows, points).reshape(len(points), -1, points.shape[1]))
+    def _slopes(self, points: Array) -> tuple[Array, Array]:
+        """Slopes (n, ng, np) at points (n, np), and their lengths (n, ng)."""
+        slopes = _mapped(self._rows, points).reshape(len(points), -1, points.shape[1])
+        return slopes, np.nan_to_num(np.hypot.reduce(slopes, axis=-1), nan=np.inf, posinf=np.inf)
 
     @property
     def count(self) -> int:
@@ -146,7 +149,7 @@ class UnitConstraints:
         """
         points = np.atleast_2d(v)
         g = _mapped(self._g, points)
-        slopes = self._steepness(points)
+        slopes = self._slopes(points)[1]
         noise = _mapped(self._rounding, points)
         with np.errstate(invalid="ignore"):
             distance = g / np.hypot(slopes, np.maximum(np.abs(g), TINY))
@@ -158,29 +161,17 @@ class UnitConstraints:
         """Outward unit normals (ng, np) of the constraints at a point, and how far their edges are, (ng,).
 
         The distances are those of straight constraints: of signs opposite to those of g, infinite where g is level.
-        With `off`, a direction (np,) that leads out, the normals of a constraint level at its edge are those beside it.
+        With `off`, a direction (np,) that leads out, the normals are those beside the point, for constraints that are
+        level at their edge.
         """
         g = np.asarray(self._g(v), dtype=float).ravel()
-        J, slopes = self._slopes_beside(v, off)[:2]
-        own = self._steepness(v[None])[0]
+        (_, J), (own, slopes) = self._slopes(np.array([v, _beside(v, off)]))
         finite = np.isfinite(slopes) & (slopes > 0)
         normals = np.divide(J, slopes[:, None], out=np.zeros_like(J), where=finite[:, None])
         far = np.where(g < 0, np.inf, np.where(g > 0, -np.inf, 0.0))
         level = own <= LEVEL * np.abs(g)
         far = np.divide(-g, own, out=far, where=np.isfinite(own) & ~level)
         return normals, np.where(np.isfinite(own), far, -g / self._scale)
-
-    def _slopes_beside(self, v: Array, off: Array | None) -> tuple[Array, Array, Any]:
-        """Slopes (ng, np), their lengths (ng,), and which are those beside the point as they vanish at it, (ng,)."""
-        J = np.asarray(self._J(v), dtype=float)
-        slopes = _lengths(J)
-        length = 0.0 if off is None else float(np.linalg.norm(off))
-        if off is None or length == 0:
-            return J, slopes, np.zeros(len(J), dtype=bool)
-        other = np.asarray(self._J(v + BESIDE_LEVEL * off / length), dtype=float)
-        steeper = _lengths(other)
-        vanishes = slopes < 0.5 * steeper
-        return np.where(vanishes[:, None], other, J), np.where(vanishes, steeper, slopes), vanishes
 
     def prices(self, u: Array, push: Array, free: Any) -> tuple[Array, Array, Array]:
         """What holds a point against a push: see `held`. Here the edges are those of constraints and unit box at `u`.
@@ -191,20 +182,13 @@ class UnitConstraints:
             Prices of the constraints, those of the bounds (below zero at a lower one), and what is left of the push.
         """
         normals, distances = self.edges(u, push)
-        at = np.flatnonzero(distances <= ON_EDGE)
-        low = np.flatnonzero(free & (u <= 0.0))
-        high = np.flatnonzero(free & (u >= 1.0))
         eye = np.eye(len(u))
-        normals = np.vstack([normals[at], -eye[low], eye[high]])[:, free]
-        paid = held(normals, push[free])
-        constraints = np.zeros(len(distances))
-        constraints[at] = paid[: len(at)]
-        bounds = np.zeros(len(u))
-        bounds[low] = -paid[len(at) : len(at) + len(low)]
-        bounds[high] = paid[len(at) + len(low) :]
-        rest = np.zeros(len(u))
-        rest[free] = push[free] - paid @ normals
-        return constraints, bounds, rest
+        normals = np.vstack([normals, -eye, eye])
+        at = np.r_[distances <= ON_EDGE, free & (u <= 0.0), free & (u >= 1.0)]
+        paid = np.zeros(len(at))
+        paid[at] = held(normals[at][:, free], push[free])
+        constraints, low, high = np.split(paid, [self.count, self.count + len(u)])
+        return constraints, high - low, np.where(free, push - paid @ normals, 0.0)
 
     def pulled_back(self, v: Array, u: Array, gradient: Array, free: Any) -> Array:
         """Gradient at `v` of a function of the nearest point `u` that the constraints allow, from that at `u`, (np,).
@@ -214,9 +198,11 @@ class UnitConstraints:
         push = v - u
         constraints, bounds, _ = self.prices(u, push, free)
         eye = np.eye(len(v))
-        normals = np.vstack([self.edges(u, push)[0][constraints > 0], eye[bounds != 0], eye[~free]])
-        along = _null_space(normals)
-        curvature = along.T @ (eye + self._curved(u, push, constraints)) @ along
+        beside = _beside(u, push)
+        holding = constraints > 0
+        along = null_space(np.vstack([self.edges(u, push)[0][holding], eye[bounds != 0], eye[~free]]), rcond=1e-8)
+        paid = np.divide(constraints, self._slopes(beside[None])[1][0], out=np.zeros(self.count), where=holding)
+        curvature = along.T @ (eye + np.asarray(self._curvature(beside, paid), dtype=float)) @ along
         if not along.size:
             return np.zeros(len(v))
         if np.linalg.eigvalsh(curvature)[0] < CURVED:
@@ -224,24 +210,10 @@ class UnitConstraints:
         return np.asarray(along @ np.linalg.solve(curvature, along.T @ gradient), dtype=float)
 
 
-    def _curved(self, u: Array, push: Array, prices: Array) -> Array:
-        """Curvature (np, np) of the constraints with those prices of their unit normals."""
-        total = np.zeros((len(u), len(u)))
-        _, slopes, vanishes = self._slopes_beside(u, push)
-        paid = np.divide(prices, slopes, out=np.zeros_like(prices), where=prices > 0)
-        beside = u + BESIDE_LEVEL * push / max(float(np.linalg.norm(push)), TINY)
-        for place, those in ((u, ~vanishes), (beside, vanishes)):
-            if paid[those].any():
-                total += np.asarray(self._curvature(place, paid * those), dtype=float)
-        return total
-
-
-def _lengths(rows: Array) -> Array:
-    """Lengths (...,) of vectors (..., np), of numbers whose squares are too large too."""
-    largest = np.asarray(np.abs(rows).max(axis=-1, initial=TINY))
-    with np.errstate(invalid="ignore"):
-        lengths = largest * np.linalg.norm(rows / largest[..., None], axis=-1)
-    return np.asarray(np.where(np.isfinite(largest), lengths, np.inf))
+def _beside(v: Array, off: Array | None) -> Array:
+    """The point of the unit box (np,) so far off that what is level at `v` no longer is."""
+    length = 0.0 if off is None else float(np.linalg.norm(off))
+    return v if off is None or length == 0 else np.clip(v + BESIDE_LEVEL * off / length, 0.0, 1.0)
 
 
 def held(normals: Array, push: Array) -> Array:
@@ -251,19 +223,8 @@ def held(normals: Array, push: Array) -> Array:
     """
     if not len(normals):
         return np.zeros(0)
-    lengths = np.linalg.norm(normals, axis=1)
-    lengths = np.where(lengths > 0, lengths, 1.0)
-    paid = nnls((normals / lengths[:, None]).T, push)[0] / lengths
-    return np.asarray(paid, dtype=float)
-
-
-def _null_space(normals: Array) -> Array:
-    """An orthonormal basis (np, k) of what is at right angles to normals (m, np) of whatever length."""
-    if not len(normals):
-        return np.eye(normals.shape[1])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    _, sizes, rows = np.linalg.svd(normals / np.where(lengths > 0, lengths, 1.0))
-    return np.asarray(rows[(sizes > 1e-8).sum() :].T)
+    lengths = np.maximum(np.linalg.norm(normals, axis=1), TINY)
+    return np.asarray(nnls((normals / lengths[:, None]).T, push)[0] / lengths, dtype=float)
 
 
 def _mapped(function: Callable[[Any], Any], points: Array) -> Array:

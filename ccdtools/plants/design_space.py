@@ -104,7 +104,7 @@ class DesignSpace(Immutable):
                 "finite values over the whole box", "Move the bounds, or look for a division by zero.",
             )  # fmt: skip
         if not len(self.allowed.known):
-            p = self.from_unit(self.allowed.least_violated())
+            p = self.from_unit(self.allowed.least_violated)
             raise InputError(
                 "constraints", f"no design that keeps them: at best {self._broken(p)} at {self.describe(p)}",
                 "at least one design in the box at which every constraint is ≤ 0", "Widen the bounds, or ask for less.",
@@ -186,8 +186,7 @@ class DesignSpace(Immutable):
     def project(self, p: ArrayLike) -> Array:
         """The nearest feasible design (np,), distances measured in the unit box.
 
-        SLSQP from the design and from feasible designs about it; that the result is the nearest one of its surroundings
-        is confirmed by its multipliers, and none of the known feasible designs is nearer.
+        The nearest of what SLSQP finds from the design and from known feasible designs, of which none is nearer.
 
         Raises
         ------

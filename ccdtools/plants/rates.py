@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -12,13 +12,11 @@ from scipy.optimize import least_squares
 
 from ccdtools.arrays import Array, Indices
 from ccdtools.exceptions import InputError
-from ccdtools.plants.casadi_arrays import Tape
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.symbols import elements
+from ccdtools.plants.symbols import term_sizes
 
 ROUNDING = 1e-9  # of the terms that a rate is the sum of: what is left of it at rest
 DEPENDENT = 1e-9  # of the largest pivot: a row or column of the Jacobian that says nothing new
-MOVES = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)  # instructions that compute nothing
 STARTS = 20  # from which an equilibrium is looked for, the guess first
 
 
@@ -73,23 +71,8 @@ class Rates:
 
     @cached_property
     def _terms(self) -> ca.Function:
-        """(z, p) → sizes (nx, 1) of the terms that each rate is the sum of at z: what rounding is in proportion to."""
-        entries = [[(symbol, ca.fabs(symbol)) for symbol in elements(column)] for column in self._arguments]
-        tape = Tape(self._rate, "dynamics")
-        operations = {op: _sized(op, len(inputs)) for op, inputs, _, _ in tape.instructions if op not in MOVES}
-        (rows,) = tape.run(entries, operations, constant=lambda number: (ca.SX(number), ca.SX(abs(number))))
-        return ca.Function("terms", self._arguments, [ca.vertcat(*(size for _, size in rows))])
-
-
-@cache
-def _sized(op: int, inputs: int) -> Any:
-    """An operation on pairs (value, size of its terms), by its slopes: sums add the sizes, products scale them."""
-    values, sizes = ca.vertsplit(ca.SX.sym("value", inputs)), ca.SX.sym("size", inputs)
-    value = ca.SX.unary(op, *values) if inputs == 1 else ca.SX.binary(op, *values)
-    counted = 1 if op in (ca.OP_POW, ca.OP_CONSTPOW) else inputs  # by an exponent, a negative base has no slope
-    size = sum(ca.fabs(ca.jacobian(value, values[i])) * sizes[i] for i in range(counted))
-    function = ca.Function("sized", [ca.vertcat(*values), sizes], [value, ca.fmax(ca.fabs(value), size)])
-    return lambda *pairs: function(*(ca.vertcat(*one) for one in zip(*pairs)))
+        """(z, p) → sizes (nx, 1) of the terms that each rate is the sum of at z."""
+        return ca.Function("terms", self._arguments, [term_sizes(self._rate, *self._arguments)])
 
 
 def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:

@@ -1,24 +1,20 @@
-"""CasADi symbols and expressions: checked, packed so that objects that hold them can be pickled, and their rounding.
-
-References
-----------
-Higham, "Accuracy and Stability of Numerical Algorithms", SIAM, 2002, chapter 3 (rounding).
-"""
+"""CasADi symbols and expressions: checked, and packed so that objects that hold them can be pickled."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from math import isnan
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ccdtools.arrays import Array
 from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import Tape
 
-EPSILON = 2.0**-52
+MOVES = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)  # instructions that compute nothing
 
 
 def as_symbols(argument: str, value: Any) -> ca.SX:
@@ -92,38 +88,26 @@ def unpack(packed: dict[str, Any]) -> tuple[list[ca.SX], list[ca.SX]]:
     return inputs, ca.Function.deserialize(packed["function"]).call(inputs)
 
 
-def rounding(function: ca.Function, v: ca.SX, lower: Array, upper: Array) -> ca.SX:
-    """What rounding may make of the constraints at a point of the unit box, (ng,), as an expression.
+def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
+    """Sizes of the terms that the entries of a function are the sums of, to which their rounding is in proportion.
 
-    To first order, every intermediate result being off by a part of the machine's precision. Of functions that are
-    called from within, the result alone counts.
+    Of functions that are called from within, the result alone counts.
     """
     if any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions())):
-        return EPSILON * ca.fabs(ca.densify(function(ca.DM(lower) + v * ca.DM(upper - lower))))
-    work: list[Any] = [None] * function.sz_w()
-    off: list[ca.SX] = []
-    out = [ca.SX(0)] * function.numel_out(0)
-    p = [low + v[i] * (high - low) for i, (low, high) in enumerate(zip(lower, upper))]
+        return ca.fabs(function(*arguments))
+    entries = [[(value, ca.fabs(value)) for value in elements(column)] for column in arguments]
+    tape = Tape(function)
+    operations = {op: _sized(op, len(inputs)) for op, inputs, _, _ in tape.instructions if op not in MOVES}
+    (rows,) = tape.run(entries, operations, constant=lambda number: (ca.SX(number), ca.SX(abs(number))))
+    return ca.vertcat(*(size for _, size in rows))
 
-    def rounded(value: ca.SX) -> ca.SX:
-        """An intermediate result, with its relative error beside it."""
-        off.append(ca.SX.sym("off"))
-        return value * (1 + off[-1])
 
-    p = [rounded(entry) for entry in p]
-    for k in range(function.n_instructions()):
-        op = function.instruction_id(k)
-        into, of = function.instruction_output(k), function.instruction_input(k)
-        if op == ca.OP_CONST:
-            work[into[0]] = ca.SX(function.instruction_constant(k))
-        elif op == ca.OP_INPUT:
-            work[into[0]] = p[of[1]]
-        elif op == ca.OP_OUTPUT:
-            out[into[1]] = work[of[0]]
-        elif len(of) == 1:
-            work[into[0]] = rounded(ca.SX.unary(op, work[of[0]]))
-        else:
-            work[into[0]] = rounded(ca.SX.binary(op, work[of[0]], work[of[1]]))
-    errors = ca.vertcat(*off)
-    slopes = ca.substitute(ca.jacobian(ca.vertcat(*out), errors), errors, ca.DM.zeros(len(off)))
-    return EPSILON * ca.sum2(ca.fabs(ca.densify(slopes)))
+@cache
+def _sized(op: int, inputs: int) -> Any:
+    """An operation on pairs (value, size of its terms), by its slopes: sums add the sizes, products scale them."""
+    values, sizes = ca.vertsplit(ca.SX.sym("value", inputs)), ca.SX.sym("size", inputs)
+    value = ca.SX.unary(op, *values) if inputs == 1 else ca.SX.binary(op, *values)
+    counted = 1 if op in (ca.OP_POW, ca.OP_CONSTPOW) else inputs  # by an exponent, a negative base has no slope
+    size = sum(ca.fabs(ca.jacobian(value, values[i])) * sizes[i] for i in range(counted))
+    function = ca.Function("sized", [ca.vertcat(*values), sizes], [value, ca.fmax(ca.fabs(value), size)])
+    return lambda *pairs: function(*(ca.vertcat(*one) for one in zip(*pairs)))
