@@ -95,7 +95,7 @@ def test_what_is_found_before_the_time_limit_can_be_steered_to_the_target(rng):
     A, B = 0.5 * rng.standard_normal((4, 4)), rng.standard_normal((4, 2))
     steps = 12
     found = controllable_set(A, B, ([-9.0] * 4, [9.0] * 4), ([-1.0] * 2, [1.0] * 2), ([-1.0] * 4, [1.0] * 4), steps,
-                             time_limit=0.05)  # fmt: skip
+                             time_limit=0.5)  # fmt: skip
     assert found.status is Status.TIME_LIMIT
     assert found.is_bounded
     assert "TIME_LIMIT, bounded set of dimension 4" in repr(found)
