@@ -1,6 +1,6 @@
 """Small wrong changes of the library: how many does `make test` see of those that all tests together see?
 
-    python benchmarks/mutants.py --reach                   which test enters which function: once, twice the whole suite
+    python benchmarks/mutants.py --reach                   which test enters which function: once
     python benchmarks/mutants.py [--killed 200] [--seed 0] [--under mpc]    draws mutants until so many were killed
 
 A mutant is one change of one line: a number tenfold or of the other sign, a comparison or its boundary turned, + for -,
@@ -30,8 +30,9 @@ from pathlib import Path
 
 import numba
 import pytest
-from reach_of_tests import CHILDREN, PACKAGES, ROOT
+from reach_of_tests import CHILDREN, PACKAGES, told
 
+ROOT = Path(__file__).resolve().parents[1]
 STORE = ROOT / "build" / "mutants"
 COPIED = (*PACKAGES, "ccdtools_ground", "tests", "benchmarks", "notebooks", "docs", "pyproject.toml", "README.md",
           "LICENSE", "Makefile")  # fmt: skip
@@ -49,14 +50,19 @@ MIRRORED = {ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Gt: ast.Lt, ast.GtE: ast.LtE}
 
 
 def measure_reach(processes: int, arguments: list[str]) -> None:
-    """Run the tests once, traced, and keep what each enters."""
+    """Run the tests once, in a copy whose functions say that they were entered, and keep what each enters."""
     STORE.mkdir(parents=True, exist_ok=True)
     for old in STORE.glob("part.*"):
         old.unlink()
+    tree = copied(STORE / "told")
+    for path in (path for package in PACKAGES for path in (tree / package).rglob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        path.write_text(told(source, path.relative_to(tree).as_posix()), encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "reach_of_tests", *arguments]
-    path = os.pathsep.join((str(ROOT), str(ROOT / "benchmarks")))
+    path = os.pathsep.join((str(tree), str(tree / "benchmarks")))
     environment = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1", "REACH": str(STORE / "part")}
-    subprocess.run([*command, "-n", str(processes), "--dist", "worksteal"], cwd=ROOT, env=environment, check=False)
+    subprocess.run([*command, "-n", str(processes), "--dist", "worksteal"], cwd=tree, env=environment, check=False)
+    shutil.rmtree(tree)
     rows = [line for path in sorted(STORE.glob("part.*")) for line in path.read_text(encoding="utf-8").splitlines()]
     (STORE / "reach.jsonl").write_text("\n".join(rows) + "\n", encoding="utf-8")
     print(f"{len(rows)} tests")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
+from ccdtools_ground.outcome import Outcome
 from invariant_sets.polytope import Polytope
 from invariant_sets.tolerances import INVARIANT
 
 
-class Status(Enum):
+class Status(Outcome):
     """How a computation ended; the value is advice."""
 
     CONVERGED = "The set is what was asked for, to the stated tolerance."
@@ -28,11 +28,6 @@ class Status(Enum):
                    "neither it nor `outer` is known to be the maximal one. Rescale the data, or increase `tol`.")
     OUTER_ONLY = ("X is unbounded and the recursion has not ended in an invariant set: only `outer` holds. "
                   "Intersect X with a box.")
-
-    @property
-    def advice(self) -> str:
-        """What to do about it."""
-        return self.value
 
 
 @dataclass(frozen=True)

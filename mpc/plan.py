@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
+from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array
 
 
-class Status(Enum):
+class Status(Outcome):
     """Outcome of a solve; the value is the advice."""
 
     SOLVED = "Solved: the optimality conditions hold to the tolerance."
@@ -26,11 +26,6 @@ class Status(Enum):
         "No plan was found: that of the sample before, shifted, or that of the linear law stands in, see `solver`. "
         "Check that the model is finite and smooth within the limits."
     )
-
-    @property
-    def advice(self) -> str:
-        """What to do about it."""
-        return self.value
 
 
 @dataclass(frozen=True)

@@ -102,14 +102,6 @@ class MetricChange:
     change: PairedDifference
     word: str
 
-    @property
-    def relative(self) -> tuple[float, float, float] | None:
-        """The change and its interval as parts of `before`; None where that is zero."""
-        if not self.before:
-            return None
-        mean, low, high = (value / abs(self.before) for value in (self.change.mean, *self.change.ci95))
-        return mean, low, high
-
 
 def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> tuple[MetricChange, ...]:
     """The change of every metric between two sets of runs on the same disturbances.

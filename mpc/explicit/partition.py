@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import DEFINITE
@@ -16,7 +16,7 @@ from mpc.tolerances import DEFINITE
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 
-class MPQPStatus(Enum):
+class MPQPStatus(Outcome):
     """How the exploration ended; the value is the advice."""
 
     COMPLETE = "Complete: every region behind every facet was explored, and no feasible parameter found outside them."
@@ -27,11 +27,6 @@ class MPQPStatus(Enum):
         "In some regions, left out, rounding decides the law. Raise the smallest weights of the cost; leave out rows "
         "that nearly repeat others; choose a `theta_set` in which the limits of the inputs are not nothing."
     )
-
-    @property
-    def advice(self) -> str:
-        """What to do about it."""
-        return self.value
 
 
 class Laws(NamedTuple):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, as_seconds
 from mpc.exceptions import InputError
 from mpc.explicit.partition import Ints, Laws, MPQPStatus, Partition
@@ -24,18 +24,13 @@ METHODS = ("tree", "sequential")
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
-class TreeStatus(Enum):
+class TreeStatus(Outcome):
     """How the growth of a search tree ended; the value is the advice."""
 
     COMPLETE = "Complete: every leaf holds regions of one law, or few."
     TIME_LIMIT = "Stopped at `tree_time_limit`: some leaves hold many regions and are scanned. The law is the same."
     SIZE_LIMIT = "Stopped at the limit on memory: some leaves hold many regions and are scanned. The law is the same."
     SEQUENTIAL = "No tree: all regions are scanned. Pass method='tree' where many states are evaluated."
-
-    @property
-    def advice(self) -> str:
-        """What to do about it."""
-        return self.value
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import of_phase
@@ -25,7 +25,7 @@ DEARER = 0.003  # estimated error of the cost, beside it, that a solution may ha
 ROUNDED = 1e-6  # of the cost's size, or of its slope's: an error of the cost that is rounding
 
 
-class OptimalControlStatus(Enum):
+class OptimalControlStatus(Outcome):
     """Outcome of a solve; the value is the advice."""
 
     SOLVED = (
@@ -53,11 +53,6 @@ class OptimalControlStatus(Enum):
     INACCURATE = (
         "The solver ended, but the optimality conditions do not hold to the tolerance. Rescale, or refine the mesh."
     )
-
-    @property
-    def advice(self) -> str:
-        """What to do about it."""
-        return self.value
 
 
 ON_MESH = (OptimalControlStatus.SOLVED, OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.COARSE)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, as_array
 from mpc.dense_qp import DenseQP
 from mpc.parametric_qp import Constraint
@@ -16,7 +16,7 @@ from mpc.plan import Plan
 from mpc.tolerances import KKT_REPORTED
 
 
-class SensitivityStatus(Enum):
+class SensitivityStatus(Outcome):
     """How far derivatives can be believed; the value is the advice."""
 
     SMOOTH = "The active set is the same nearby: the derivatives hold on every side, as far as `margin`."
@@ -35,11 +35,6 @@ class SensitivityStatus(Enum):
         "depend on each other. There are no derivatives. Give every input a cost, or start from another plan."
     )
     UNSOLVED = "The plan is no optimum of the problem as posed, so there are no derivatives: see `plan.status`."
-
-    @property
-    def advice(self) -> str:
-        """What to do about it."""
-        return self.value
 
 
 class Rates(NamedTuple):

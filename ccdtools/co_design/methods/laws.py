@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,17 +54,34 @@ class LQRLaw:
         return saturated_lqr(problem, p)
 
 
+class _OnLineLaw(ABC):
+    """A controller that is made anew at every design and asked at every state."""
+
+    differentiable = False
+
+    @abstractmethod
+    def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
+        """The controller of a design."""
+
+    def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
+        """A run beyond the divergence limit is lost and costs no program."""
+        controller = self.controller(problem, p.detach().numpy())
+
+        def law(x: Tensor) -> Tensor:
+            """The inputs."""
+            states = x.detach().numpy()
+            lost = (np.abs(states) > problem.limit).any(axis=1)
+            return x.new_tensor(controller(np.where(lost[:, None], 0.0, states)))
+
+        return law
+
+
 @dataclass(frozen=True, eq=False)
-class SecantLaw:
+class SecantLaw(_OnLineLaw):
     """Saturated LQR of the linearisation over the states that the loop of each design visits on given scenarios."""
 
     scenarios: ScenarioTensors
     words = "saturated LQR of the secant over the visited states"
-    differentiable = False
-
-    def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """Fitted anew at every design."""
-        return _on_line(self.controller(problem, p.detach().numpy()), problem.limit)
 
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
         """Saturated LQR."""
@@ -71,60 +89,23 @@ class SecantLaw:
 
 
 @dataclass(frozen=True)
-class MPCLaw:
-    """Linear MPC of every design, on line."""
+class MPCLaw(_OnLineLaw):
+    """MPC of every design, on line; nonlinear by one real-time iteration a sample, each run with a plan of its own."""
 
     horizon: int = HORIZON
-    differentiable = False
+    nonlinear: bool = False
 
     @property
     def words(self) -> str:
         """What it is, in words."""
-        return f"linear MPC (N = {self.horizon})"
-
-    def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """A program for every state."""
-        return _on_line(self.controller(problem, p.detach().numpy()), problem.limit)
+        return f"{'nonlinear' if self.nonlinear else 'linear'} MPC (N = {self.horizon})"
 
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
         """The MPC of a design."""
-        return linear_mpc(problem, p, horizon=self.horizon)
+        return (nonlinear_mpc if self.nonlinear else linear_mpc)(problem, p, horizon=self.horizon)
 
 
-@dataclass(frozen=True)
-class NonlinearMPCLaw:
-    """Nonlinear MPC of every design, on line, by one real-time iteration a sample."""
-
-    horizon: int = HORIZON
-    differentiable = False
-
-    @property
-    def words(self) -> str:
-        """What it is, in words."""
-        return f"nonlinear MPC (N = {self.horizon})"
-
-    def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """A program for every state, each run with a plan of its own."""
-        return _on_line(self.controller(problem, p.detach().numpy()), problem.limit)
-
-    def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """The MPC of a design."""
-        return nonlinear_mpc(problem, p, horizon=self.horizon)
-
-
-def _on_line(controller: Controller, limit: Array) -> Law:
-    """A controller of the state as a law; a run beyond the divergence limit (nx,) is lost and costs no program."""
-
-    def law(x: Tensor) -> Tensor:
-        """The inputs."""
-        states = x.detach().numpy()
-        lost = (np.abs(states) > limit).any(axis=1)
-        return x.new_tensor(controller(np.where(lost[:, None], 0.0, states)))
-
-    return law
-
-
-DesignLaw = PassiveLaw | LQRLaw | SecantLaw | MPCLaw | NonlinearMPCLaw
+DesignLaw = PassiveLaw | LQRLaw | SecantLaw | MPCLaw
 """A controller for every design; `differentiable` says whether its inputs are, by state and design."""
 
 

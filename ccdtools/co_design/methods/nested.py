@@ -21,7 +21,7 @@ from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.agents import as_agent
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, NonlinearMPCLaw, SecantLaw
+from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, SecantLaw
 from ccdtools.co_design.methods.learned import warm_start
 from ccdtools.co_design.methods.loop_cost import LearnedCost, LoopCost
 from ccdtools.co_design.methods.open_loop import drawn
@@ -154,7 +154,7 @@ class Nested:
             agent = warm_start(problem, rng, progress=progress) if self.agent is None else self.agent
             return lambda v: LearnedCost(problem, agent, scenarios, rng, self.by)
         laws: dict[str, DesignLaw] = {
-            "lqr": LQRLaw(), "mpc": MPCLaw(self.horizon), "nmpc": NonlinearMPCLaw(self.horizon)
+            "lqr": LQRLaw(), "mpc": MPCLaw(self.horizon), "nmpc": MPCLaw(self.horizon, nonlinear=True)
         }  # fmt: skip
         return lambda v: LoopCost(problem, laws[self.inner], scenarios)
 
