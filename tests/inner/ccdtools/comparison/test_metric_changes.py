@@ -70,11 +70,3 @@ def test_lost_runs_are_in_neither_number():
 def test_runs_that_do_not_pair_are_refused():
     with pytest.raises(InputError, match=r"before, after: got \(2, 40\) and \(3, 40\)"):
         metric_changes(level, runs([1.0, 2.0]), runs([1.0, 2.0, 3.0]))
-
-
-def test_a_change_is_a_part_of_what_was_and_of_nothing_none():
-    (found,) = metric_changes(level, runs([10.0, 10.0]), runs([11.0, 12.0]))
-    assert found.relative[0] == pytest.approx(0.15)
-    assert found.relative[1:] == pytest.approx(np.array(found.change.ci95) / 10)
-    (found,) = metric_changes(level, runs([0.0, 0.0]), runs([1.0, 2.0]))
-    assert found.relative is None
