@@ -7,10 +7,10 @@ from ccdtools.figure_style import styled
 
 draws = run("how_to/disturbances.md")["draws"]
 with styled():
-    figure, axes = plt.subplots(1, 4, figsize=(11, 2.4), layout="constrained")
+    figure, axes = plt.subplots(1, 4, figsize=(10, 2.4), layout="constrained")
     for ax, (name, w) in zip(axes, draws.items()):
-        ax.plot(w[:, :150].reshape(len(w), -1, w.shape[2])[..., 0].T, lw=0.8)
+        ax.plot(w[:, :60].reshape(len(w), -1, w.shape[2])[..., 0].T, lw=0.8)
         if w.shape[2] > 1:
-            ax.plot(w[:, :150, 1].T, "--")
+            ax.plot(w[:, :60, 1].T, "--")
         ax.set(title=name, xlabel="sample")
     save(figure, __file__)

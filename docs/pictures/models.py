@@ -1,4 +1,4 @@
-"""Draw the picture of explanation/nonlinear_plants.md: the pole itself and its linearisation under one LQR."""
+"""Draw the picture of reference/models.md: the pole itself and its linearisation under one LQR."""
 
 import matplotlib.pyplot as plt
 import numpy as np
