@@ -1,13 +1,14 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SETUP := .venv/.ready
+SITE := .venv/.site
 KERNELS ?= Nehalem Sandybridge Haswell
 ALGEBRA := tests/invariant_sets tests/mpc tests/inner/invariant_sets tests/inner/mpc
 NO_ALGEBRA := notebook or benchmark or codegen or plotting or import or bad_input or wrong_calls
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: run test check kernels targets lint bench clean
+.PHONY: run test check kernels targets lint bench docs pictures clean
 .DELETE_ON_ERROR:
 
 run: $(SETUP)          ## the suspension study, start to report
@@ -34,6 +35,16 @@ lint: $(SETUP)
 
 bench: $(SETUP)        ## side by side with peers
 	for f in benchmarks/bench_*.py; do $(BIN)/python $$f || exit 1; done
+
+docs: $(SITE)          ## the site, in build/docs; warnings are errors
+	$(BIN)/python -m sphinx -W --keep-going -q docs build/docs
+
+pictures: $(SETUP)     ## the pictures of the pages, each by its script
+	for f in docs/pictures/*.py; do $(BIN)/python $$f || exit 1; done
+
+$(SITE): $(SETUP) requirements/docs.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements/docs.txt
+	@touch $@
 
 $(SETUP): requirements/run.txt requirements/dev.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "ccdtools needs Python >= 3.11; make PYTHON=/path/to/python3.11")'

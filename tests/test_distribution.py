@@ -23,7 +23,8 @@ def test_wheel_holds_exactly_the_typed_packages_and_the_sdist_the_documents(tmp_
     (archive,) = tmp_path.glob("*.tar.gz")
     with tarfile.open(archive) as sdist:
         unpacked = {name.partition("/")[2] for name in sdist.getnames()}
-    assert {"docs/mpc.md", "notebooks/02_invariant_sets.ipynb", "CHANGELOG.md", "tests/conftest.py"} <= unpacked
+    documents = {"docs/conf.py", "docs/how_to/linear_mpc.md", "notebooks/02_invariant_sets.ipynb", "CHANGELOG.md"}
+    assert documents | {"tests/conftest.py"} <= unpacked
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     packages = {name.split("/")[0] for name in names if not name.split("/")[0].endswith(".dist-info")}

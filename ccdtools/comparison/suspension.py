@@ -77,7 +77,7 @@ def suspension_metrics(
 ) -> SuspensionMetrics:
     """All of them at once, of signals whose last axis is time.
 
-    Of a `Trajectory` of the quarter car, x = [z_us − z₀, ż_us, z_s − z_us, ż_s]:
+    Of a `Trajectory` of the quarter car, x = [z_us − z₀, ż_us, z_s − z_us, ż_s]::
 
         kept = ~run.diverged
         x, u = run.states[kept], run.inputs[kept]

@@ -14,6 +14,7 @@ NEXT = [0, 1, 2, 3, 4, 5, 6, 1]
 with styled():
     figure, ax = plt.subplots(figsize=(9.5, 2.6), layout="constrained")
     places = list(STAGES.values())
+    ax.plot(*zip(*places), ",", color="white")
     for text, (x, y) in STAGES.items():
         colour = "#DDEBDD" if text.startswith("decide") else "#DCE8F2"
         ax.text(x, y, text, ha="center", va="center", bbox={"boxstyle": "round,pad=0.5", "fc": colour, "ec": "#666666"})

@@ -136,7 +136,7 @@ def test_the_input_stays_within_its_limits_a_little_beyond_the_border(explicit_l
 
 @pytest.mark.quick(2)
 def test_laws_cost_no_more_than_the_documents_say(tmp_path):
-    table = (Path(__file__).parents[2] / "docs" / "mpc.md").read_text(encoding="utf-8")
+    table = (Path(__file__).parents[2] / "docs" / "benchmarks" / "mpc.md").read_text(encoding="utf-8")
     for controller in (integrator(20, 0.1), scaled_suspension(8), random_plant(4)):
         report = controller.explicit().to_c(tmp_path)
         stated = re.search(rf"{report.regions} regions, .*: (\d+) bytes .* (\d+) multiply-adds and (\d+) comp", table)
