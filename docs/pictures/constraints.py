@@ -24,7 +24,7 @@ values = np.array([[value([a, b]) for a in k] for b in c])
 with styled():
     figure, ax = plt.subplots(figsize=(6, 3.4), layout="constrained")
     draw_map(ax, k, c, values, np.isfinite(values), label="return of saturated LQR")
-    ax.fill_between(k, (3.2 - k) / 2, 1.0, where=(3.2 - k) / 2 < 1.0, color="white", alpha=0.6, label="beyond the budget")
+    ax.fill_between(k, (3.2 - k) / 2, 1.0, fc="none", ec="#444444", hatch="//", label="beyond the budget")
     ax.plot(*found, "*", color="#D55E00", mec="white", ms=16, label="co-designed")
     ax.set(xlabel="k", ylabel="c", ylim=(0.1, 1.0))
     ax.legend(loc="lower right")
