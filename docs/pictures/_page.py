@@ -1,0 +1,43 @@
+"""What the Python blocks of a page leave behind, so that its picture is the one that its code draws."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+DOCS = Path(__file__).parents[1]
+
+
+def run(page: str) -> dict[str, Any]:
+    """Names that the Python blocks of `page`, a path below docs/, have defined."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    names: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", text, re.S):
+        exec(compile(block, page, "exec"), names)
+    return names
+
+
+def save(figure: Any, script: str) -> None:
+    """Write the figure beside the script that draws it."""
+    figure.savefig(Path(script).with_suffix(".png"), dpi=100)
+
+
+def table(page: str, first: str) -> list[list[str]]:
+    """Cells of the rows below the heading of the table of `page` that begins with the cell `first`."""
+    lines = (DOCS / page).read_text(encoding="utf-8").splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith(f"| {first} |".replace("|  |", "| |")))
+    rows = []
+    for line in lines[start + 2 :]:
+        if not line.startswith("|"):
+            break
+        rows.append([cell.strip() for cell in line.strip("|").split("|")])
+    return rows
+
+
+def number(text: str) -> float:
+    """The first number in a cell; NaN where there is none."""
+    found = re.search(r"[−+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?", text)
+    return float(found[0].replace("−", "-")) if found else float("nan")
