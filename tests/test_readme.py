@@ -1,4 +1,4 @@
-"""The README's code runs as it stands."""
+"""The code of the README, and of every stage alone, runs as it stands."""
 
 import re
 from pathlib import Path
@@ -8,14 +8,30 @@ import pytest
 README = Path(__file__).parents[1] / "README.md"
 
 
-@pytest.mark.check
-def test_readme_code_runs_from_top_to_bottom(tmp_path, monkeypatch):
-    blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), flags=re.S)
-    assert len(blocks) >= 4
-    monkeypatch.chdir(tmp_path)
+def run(page):
+    """Return the blocks of a page and the names that they leave behind."""
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.S)
     namespace: dict = {}
     for block in blocks:
-        exec(compile(block, "README.md", "exec"), namespace)
+        exec(compile(block, page.name, "exec"), namespace)
+    return blocks, namespace
+
+
+def test_the_readme_is_short_and_its_example_co_designs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (block,), namespace = run(README)
+    assert README.read_text(encoding="utf-8").count("\n") <= 120
+    assert sum(bool(line.strip()) for line in block.splitlines()) <= 15
+    result = namespace["result"]
+    assert result.status.settled
+    assert result.design == pytest.approx([2.56, 0.49], abs=0.02)
+
+
+@pytest.mark.check
+def test_every_stage_alone_runs_from_top_to_bottom(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    blocks, namespace = run(README.parent / "docs" / "how_to" / "every_stage_alone.md")
+    assert len(blocks) >= 4
     assert namespace["u0"].shape == (1,)
     assert {score.controller for score in namespace["table"]} == {"passive", "LQR", "PID", "MPC", "learned"}
     learned = next(s for s in namespace["table"] if s.controller == "learned")
