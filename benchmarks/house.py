@@ -24,6 +24,12 @@ MODULES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): tree
     for path, tree in FILES.items()
 }
+HOMES = {  # public names, and the modules that hold them
+    f"{'.'.join(stub.parent.relative_to(ROOT).parts)}.{alias.name}": node.module or ""
+    for name in PACKAGES for stub in (ROOT / name).rglob("__init__.pyi")
+    for node in ast.parse(stub.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)
+    for alias in node.names
+}  # fmt: skip
 MID_SENTENCE = ("And", "As", "At", "Beside", "By", "From", "In", "Its", "Of", "On", "That", "The same", "Their",
                 "Those", "To", "With")  # fmt: skip
 
@@ -66,7 +72,8 @@ def _imported(name: str) -> set[str]:
     for node in MODULES[name].body:
         if isinstance(node, ast.ImportFrom) and node.module:
             parts = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= parts & MODULES.keys() or {node.module}
+            homes = {HOMES[part] for part in parts if part in HOMES}
+            found |= parts & MODULES.keys() | homes or {node.module}
         elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
     return {other for other in found if other in MODULES and other != name}

@@ -7,8 +7,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from mpc.checks import Array
-from mpc.lqr import cost_units
 from mpc.problem import MPCProblem
+from mpc.riccati import cost_units
 from mpc.tolerances import GROWTH
 
 Weights: TypeAlias = tuple[Array, Array, Array, Array]

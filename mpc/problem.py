@@ -25,7 +25,7 @@ from mpc.checks import (
 )
 from mpc.exceptions import InputError
 from mpc.halfspaces import Limits, along_axes, first_positive, is_empty
-from mpc.lqr import lqr
+from mpc.riccati import lqr
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,7 +12,7 @@ from scipy.linalg import schur, solve_triangular
 
 from mpc.checks import Array, as_array, as_cross_weight, as_floats, as_pair, as_weight
 from mpc.exceptions import InputError
-from mpc.lqr import cost_units, lqr
+from mpc.riccati import cost_units, lqr
 from mpc.tolerances import ASYMMETRY
 
 
