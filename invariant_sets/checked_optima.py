@@ -24,7 +24,6 @@ from invariant_sets.exact_programs import exact_optimum
 from invariant_sets.tolerances import ACTIVE, LP_COARSE, LP_PROXIMAL, LP_RESIDUAL, LP_ROUNDING, LP_SOLVER, UNEVEN
 
 Array = np.ndarray
-_ITERATIONS = 100  # of HiGHS, in numbers of rows and columns
 
 
 @dataclass(frozen=True)
@@ -127,7 +126,7 @@ def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optim
 
     answer = linprog(c, A_ub=A, b_ub=b, bounds=(None, None), method=method,
                      options={"primal_feasibility_tolerance": LP_SOLVER, "dual_feasibility_tolerance": LP_SOLVER,
-                              "maxiter": _ITERATIONS * sum(A.shape)})  # else interior points may not end
+                              "maxiter": 100 * sum(A.shape)})  # else interior points may not end
     if answer.status != 0:
         return None
     return _recomputed(c, A, b, np.asarray(answer.x), -np.asarray(answer.ineqlin.marginals))

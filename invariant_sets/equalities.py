@@ -38,7 +38,7 @@ class Stated(NamedTuple):
 
     @property
     def unit(self) -> Stated:
-        """The same set by rows of norm one; rows of norm zero stay as they are."""
+        """The set by rows of norm one; rows of norm zero stay as they are."""
         size, size_eq = (np.where(norms > 0.0, norms, 1.0) for norms in (row_norms(self.A), row_norms(self.A_eq)))
         return Stated(self.A / size[:, None], self.b / size, self.A_eq / size_eq[:, None], self.b_eq / size_eq,
                       self.terms / size, self.terms_eq / size_eq)

@@ -16,11 +16,19 @@ import numpy as np
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.time_limits import hull_facets
-from invariant_sets.tolerances import CHECKED, EPS, FLAT, NULL_SPACE, REDUNDANT, SAME, TINY, TOUCHING
+from invariant_sets.tolerances import (
+    CHECKED,
+    EPS,
+    FLAT,
+    MOST_SORTING_FACETS,
+    NULL_SPACE,
+    REDUNDANT,
+    SAME,
+    TINY,
+    TOUCHING,
+)
 
 Array = np.ndarray
-MOST_DUAL_FACETS = 100_000  # of a hull that only sorts rows out before their linear programs: three seconds
-_DIRECTIONS = 5  # tried for a volume; the two with the least cancellation are compared
 
 
 def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Array, Array]:
@@ -102,7 +110,7 @@ def cone_volume(F: Array, g: Array) -> float | None:
     V = V[solid]
     sizes = np.abs(np.linalg.det(cones)) * math.factorial(n)
     found = []
-    for c in np.random.default_rng(0).standard_normal((_DIRECTIONS, n)):
+    for c in np.random.default_rng(0).standard_normal((5, n)):
         gamma = np.linalg.solve(cones.transpose(0, 2, 1), np.broadcast_to(c[:, None], (len(cones), n, 1)))[..., 0]
         terms = (V @ c) ** n / (sizes * gamma.prod(axis=1))
         found.append((float(np.abs(terms).sum()), math.fsum(terms)))
@@ -178,7 +186,7 @@ def distinct(points: Array, tol: float = SAME) -> Array:
 
 
 def _distinct_by_pairs(points: Array, tol: float) -> Array:
-    """Return what `distinct` does, by comparing all pairs that are close; most copies go by rounding before."""
+    """Return the indices that `distinct` does, from all close pairs; most copies go by rounding before."""
     from scipy.spatial import cKDTree
 
     _, first = np.unique(np.round(points / tol), axis=0, return_index=True)
@@ -215,7 +223,7 @@ def strongly_irredundant_rows(F: Array, g: Array) -> Array:
     {F y <= g} with 0 inside may be unbounded: then 0 is a vertex of the dual hull and counts for nothing.
     """
     n = F.shape[1]
-    if n == 1 or len(g) <= n + 1 or g.min() <= FLAT or hull_facets(len(g) + 1, n) > MOST_DUAL_FACETS:
+    if n == 1 or len(g) <= n + 1 or g.min() <= FLAT or hull_facets(len(g) + 1, n) > MOST_SORTING_FACETS:
         return np.arange(len(g))
     try:
         hull = convex_hull(np.vstack([F / g[:, None], np.zeros(n)]))

@@ -21,11 +21,10 @@ from invariant_sets.hulls import (
 from invariant_sets.interior_form import Body, body_of, body_of_vertices, hull_about, support
 from invariant_sets.membership import rows_hold
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, check_time_limit
-from invariant_sets.tolerances import INVARIANT, MEMBERSHIP, PLACE, ROUNDING
+from invariant_sets.tolerances import CHEAP_HULL_DIM, INVARIANT, MEMBERSHIP, PLACE, ROUNDING
 from invariant_sets.validation import as_batch, as_bounds, as_count, as_matrix, as_vector, check_tolerance, frozen
 
 Array = np.ndarray
-_MANY_VERTICES = 5  # dimensions from which the hull of the vertices takes much longer than that of the rows
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -255,7 +254,7 @@ class Polyhedron:
             unit = float(np.abs(np.diag(body.basis)).prod())  # the basis of a solid set is diagonal
         if not 0.0 < unit < np.inf:
             raise NumericalError("The volume", self.A.shape, "it is too large or too small for doubles")
-        if self.dim >= _MANY_VERTICES:
+        if self.dim > CHEAP_HULL_DIM:
             self.vertices  # noqa: B018  # the limits on the size of the hull
             found = cone_volume(body.F, body.g)
             if found is not None:
@@ -319,7 +318,7 @@ class Polyhedron:
 
     @cached_property
     def _missed(self) -> Array:
-        """By how much the centre of the set misses each one-sided row, doubled: a set holds its own points."""
+        """Violation of each one-sided row by the centre of the set, doubled: a set holds its own points."""
         A, b = self._one_sided
         if self._solid_vertices is not None or self._body is None:
             return np.zeros(len(b))

@@ -12,7 +12,7 @@ from invariant_sets.tolerances import INVARIANT
 
 
 class Status(Outcome):
-    """How a computation ended; the value is advice."""
+    """Outcome of a computation; the value is advice."""
 
     CONVERGED = "The set is what was asked for, to the stated tolerance."
     EMPTY = "No state has the property: enlarge X or U, or shrink W."

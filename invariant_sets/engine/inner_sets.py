@@ -19,16 +19,14 @@ from invariant_sets.engine.recursion import Caps, Outcome, Predecessor, Region, 
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.projection import eliminate_last, project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CENTRAL, CLOSED_LOOP_MARGIN, CONTRACTIONS, SHRUNK
+from invariant_sets.tolerances import CENTRAL, CHEAP_HULL_DIM, CLOSED_LOOP_MARGIN, CONTRACTIONS, SHRUNK
 
 Array = np.ndarray
-_INPUT_WEIGHTS = (1.0, 1e-2, 1e2, 1e4)  # of the linear-quadratic feedbacks tried where no better set is known
-_VERTEX_DIM = 4  # beyond, closed-loop sets are kept by their rows alone
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When to stop.
+    """Limits at which a computation stops.
 
     Attributes
     ----------
@@ -100,7 +98,7 @@ def candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits: 
 
 
 def shrunk(region: Region, part: float) -> Region:
-    """Return (1 − part) times the region."""
+    """Return the region times 1 − part."""
     V = None if region.V is None else (1 - part) * region.V
     return Region(region.F, (1 - part) * region.g, V, minimal=region.minimal)
 
@@ -152,7 +150,7 @@ def _grow(problem: LocalProblem, region: Region, seed: Region, limits: Limits) -
 
 def feedback_sets(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[Candidate]:
     """Yield the positively invariant sets in the region of several linear-quadratic feedbacks."""
-    for weight in _INPUT_WEIGHTS:
+    for weight in (1.0, 1e-2, 1e2, 1e4):
         K = _feedback(problem, weight)
         if K is None:
             continue
@@ -172,7 +170,7 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
     rows, right = unit_rows(problem.joint[0] @ np.vstack([np.eye(k), K]), problem.joint[1])
     if rows is None:
         return None
-    seed = region if k <= _VERTEX_DIM else Region(region.F, region.g, None)
+    seed = region if k <= CHEAP_HULL_DIM else Region(region.F, region.g, None)
     seed = seed.cut(rows, right, limits.deadline)
     if seed.shape is not Shape.SOLID:
         return None

@@ -4,7 +4,7 @@
    without an equilibrium holds no invariant set. Flat sets are solved on their affine hull.
 2. `unstable_modes`: unstable modes are bounded first; without that the recursion creeps and stops outside.
 3. `recursion`: Ω ← Pre(Ω) ∩ Ω until no row cuts any more. This is `outer`. A set that has become small or flat
-   is taken back to 1.
+   starts again at 1.
 4. `inner_sets`: (1 − tol/10) Ω is invariant with room to spare, because inputs scale with the state. Disturbances
    do not scale; there the recursion is repeated from Ω for a contraction factor just below one. Where a cap came
    first, the invariant set of a linear feedback is grown from inside. Where two fifths of the time have gone, one such
@@ -42,15 +42,11 @@ from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
 from invariant_sets.tolerances import GAP_ROUNDING, INVARIANT, MISSING, STOP
 
 Array = np.ndarray
-_OUTER_SHARE = 0.4  # of the time limit: a recursion that ends within it needs no inner set in reserve
-_RESERVE_SHARE = 0.7  # of the time left then at most, for an inner set that is kept in reserve
-_LAST_SHARE = 0.5  # of the time left after that, for the rest of the recursion
-_INNER_SHARE = 0.6  # of the time left then for better inner sets; the rest is for the certificate
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is asked for: the largest set in X that inputs in U can keep the state in, within limits."""
+    """Task of finding the largest set in X that inputs in U can keep the state in, within limits."""
 
     system: LinearSystem
     X: Polytope
@@ -102,7 +98,7 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     iterations = 0
     widest = _extent(X)
     reserve: _Reserve | None = None
-    outer_deadline = limits.deadline.part(_OUTER_SHARE)
+    outer_deadline = limits.deadline.part(0.4)  # a recursion that ends within it needs no inner set in reserve
     for _ in range(4 * nx + 8):
         localised = localise(task.system, X, task.U, widest)
         if localised.flatter is not None:
@@ -139,14 +135,14 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
 
 
 def _recursion(problem: LocalProblem, start: Region, caps: Caps) -> Outcome:
-    """Return how the recursion from `start` ended; at once, where that is flat, empty or has to be rescaled."""
+    """Return the outcome of the recursion from `start`; at once, where that is flat, empty or has to be rescaled."""
     if start.shape is not Shape.SOLID or start.is_small:
         return Outcome(start, 0)
     return iterate(start, predecessor_of(problem, deadline=caps.deadline), caps)
 
 
 def _continued(problem: LocalProblem, outcome: Outcome, caps: Caps) -> Outcome:
-    """Return how a recursion ends with more time, if time stopped it; `caps` are those of the whole."""
+    """Return the outcome of a recursion with more time, if time stopped it; `caps` are those of the whole."""
     left = caps.iterations - outcome.iterations
     if outcome.limit is not Status.TIME_LIMIT or left == 0:
         return outcome
@@ -209,7 +205,7 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
 
 @dataclass(frozen=True)
 class _Reserve:
-    """What a time limit leaves: the set of a linear feedback, None if none was found; the recursion's last deadline."""
+    """Set of a linear feedback in reserve for a time limit, None if none was found; the recursion's last deadline."""
 
     inner: _Inner | None
     deadline: Deadline
@@ -219,8 +215,8 @@ def _reserve(task: Task, problem: LocalProblem, start: Region) -> _Reserve:
     """Return the set of a linear feedback, if a part of the time left is enough to find one."""
     inner = None
     if problem.bounded and problem.at_equilibrium and start.shape is Shape.SOLID:
-        inner = _feedback_set(task, problem, replace(start, V=None), task.limits.deadline.part(_RESERVE_SHARE))
-    return _Reserve(inner, task.limits.deadline.part(_LAST_SHARE))
+        inner = _feedback_set(task, problem, replace(start, V=None), task.limits.deadline.part(0.7))
+    return _Reserve(inner, task.limits.deadline.part(0.5))  # half of what is left is for the rest of the recursion
 
 
 def _feedback_set(task: Task, problem: LocalProblem, start: Region, deadline: Deadline) -> _Inner | None:
@@ -252,7 +248,7 @@ def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Reser
     if not outcome.converged:
         status = outcome.limit or Status.ITERATION_LIMIT
         status = status if problem.bounded else Status.OUTER_ONLY
-    inside = replace(limits, deadline=limits.deadline.part(_INNER_SHARE))
+    inside = replace(limits, deadline=limits.deadline.part(0.6))  # the rest is for the certificate
     steps = outcome.iterations
     for candidate in candidates(problem, outcome, region, inside):
         steps += candidate.steps

@@ -18,11 +18,10 @@ from invariant_sets.interior_form import Body, normals, null_space
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
-from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT_ROW, THINNEST
+from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT_ROW, THINNEST, WELL_INSIDE
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
-_WELL_INSIDE = 0.02  # the origin is kept as the equilibrium if it is this far from every row of X
 
 
 @dataclass(frozen=True)
@@ -231,7 +230,7 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
     point = np.append(y, v)
     if np.abs(residual - dynamics.B @ v).max() > AT_REST * max(1.0, np.abs(y).max()):
         return None
-    inside = (problem.states[1] - problem.states[0] @ y).min(initial=1.0) > _WELL_INSIDE
+    inside = (problem.states[1] - problem.states[0] @ y).min(initial=1.0) > WELL_INSIDE
     inside = inside and (problem.joint[1] - problem.joint[0] @ point).min(initial=1.0) > 0
     return point if inside else None
 
