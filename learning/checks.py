@@ -11,7 +11,6 @@ from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance,
 from learning.exceptions import InputError
 
 Array = np.ndarray
-ROUNDING = 1e-9  # a column whose spread is below this part of its size is constant; networks work in single precision
 
 
 def check_number(value: Any, name: str, low: float = 0.0, high: float = np.inf, *, closed: bool = False) -> float:
@@ -20,7 +19,7 @@ def check_number(value: Any, name: str, low: float = 0.0, high: float = np.inf, 
 
 
 def _interval(low: float, high: float, *, closed: bool) -> str:
-    """Return an interval in words."""
+    """Return the words for an interval."""
     relation = "at least" if closed else "above"
     if np.isinf(high):
         return f"a finite number {relation} {low:g}"

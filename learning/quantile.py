@@ -18,7 +18,6 @@ from torch import Tensor, nn
 from tqdm import trange
 
 from learning.checks import (
-    ROUNDING,
     as_count,
     as_floats,
     as_generator,
@@ -30,6 +29,7 @@ from learning.checks import (
 )  # fmt: skip
 from learning.exceptions import InputError
 from learning.networks import FeedForward
+from learning.tolerances import ROUNDING
 
 Array = NDArray[np.float64]
 
@@ -144,7 +144,7 @@ class QuantileNetwork(nn.Module):
             return self(torch.tensor(x, dtype=torch.float32)).double().numpy()
 
     def shape(self) -> dict:
-        """All that `from_shape` needs to build the same network again."""
+        """Sizes from which `from_shape` builds the network again."""
         return {
             "inputs": len(self.input_offset), "outputs": self.outputs,
             "levels": list(self.levels), "hidden": list(self.hidden),
