@@ -12,10 +12,9 @@ from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.problem import MPCProblem
-from mpc.tolerances import CERTIFICATE, FARTHEST, FEASIBLE, KKT_REPORTED, LP_FEASIBLE, LP_SUPPORT, OVERFLOW
+from mpc.tolerances import CERTIFICATE, FARTHEST, FEASIBLE, KKT_REPORTED, LP_OPTIONS, LP_SUPPORT, OVERFLOW
 
 Rows = list[int]
-_OPTIONS = {"primal_feasibility_tolerance": LP_FEASIBLE, "dual_feasibility_tolerance": LP_FEASIBLE}
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,7 @@ def _least_maximum(G: Array, b: Array, rows: Rows) -> tuple[float, Array]:
     n = G.shape[1]
     matrix = np.hstack([G[rows], -np.ones((len(rows), 1))])
     result = linprog(
-        np.eye(n + 1)[n], A_ub=matrix, b_ub=b[rows], bounds=[(None, None)] * n + [(0, None)], options=_OPTIONS
+        np.eye(n + 1)[n], A_ub=matrix, b_ub=b[rows], bounds=[(None, None)] * n + [(0, None)], options=LP_OPTIONS
     )
     if result.status != 0:  # the other solver decides
         return _least_by_qp(G, b, rows), np.ones(len(rows))
@@ -199,7 +198,7 @@ def _least_sum(G: Array, b: Array, givable: Rows) -> dict[int, float]:
     cost = np.concatenate([np.zeros(n), np.ones(len(givable))])
     bounds = [(None, None)] * n + [(0, None)] * len(givable)
     for method in ("highs", "highs-ds", "highs-ipm"):  # unstable plants over long horizons defeat one or the other
-        result = linprog(cost, A_ub=np.hstack([G, relax]), b_ub=b, bounds=bounds, method=method, options=_OPTIONS)
+        result = linprog(cost, A_ub=np.hstack([G, relax]), b_ub=b, bounds=bounds, method=method, options=LP_OPTIONS)
         if result.status == 0:
             return {i: float(s) for i, s in zip(givable, result.x[n:]) if s > LP_SUPPORT}
     return {i: np.inf for i in givable}

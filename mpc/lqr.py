@@ -28,9 +28,6 @@ from mpc.tolerances import (
     UNSEEN,
 )
 
-NEWTON_STEPS = 40  # at most: from a gain far away each step at least halves the distance
-DOUBLINGS = 60  # at most: 2^60 samples
-
 
 def lqr(
     A: Any, B: ArrayLike | None = None, *, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None
@@ -162,7 +159,7 @@ class _Regulation:
         is from the unit circle: that halves with every step where Q does not see a mode there.
         """
         K, P = self.gain(root), root.T @ root
-        for _ in range(NEWTON_STEPS):
+        for _ in range(40):  # from a gain far away each step at least halves the distance
             margin = self._margin(K)
             if not margin >= LEAST_MARGIN:
                 return None
@@ -233,7 +230,7 @@ def _lyapunov_root(A: Array, root: Array) -> Array:
 
     Infinite where it does not end.
     """
-    for _ in range(DOUBLINGS):
+    for _ in range(60):  # 2^60 samples
         more = root @ A
         root = np.asarray(np.linalg.qr(np.vstack([root, more]), mode="r"))
         if (np.linalg.norm(more, axis=0) <= DOUBLED * np.linalg.norm(root, axis=0)).all():

@@ -24,7 +24,7 @@ from mpc.rollout import (
     rollout_with_feedback,
     violation_of,
 )
-from mpc.stages import Staging
+from mpc.stages import StagewiseQP
 from mpc.stagewise import solve_stagewise
 from mpc.tolerances import FEASIBLE, GROWTH, KKT_REPORTED, OVERFLOW, RELAXATION_SHARES, RUNAWAY, UNIT_CIRCLE
 
@@ -58,13 +58,13 @@ def stagewise_candidate(
     hard = problem.soft is None and len(problem.state_rows[1]) + len(problem.terminal_rows[1]) > 0
     shares = (RELAXATION_SHARES[0], RELAXATION_SHARES[-1]) if hard else (1.0,)
     for share in shares:  # a weight too stiff to solve is followed by a lower one
-        staging = Staging(problem, x, given, (0.0, typical_cost / share) if hard else problem.soft)
-        found = solve_stagewise(staging.stages, staging.start, staging.first_guess(inputs))
+        stagewise = StagewiseQP(problem, x, given, (0.0, typical_cost / share) if hard else problem.soft)
+        found = solve_stagewise(stagewise.stages, stagewise.start, stagewise.first_guess(inputs))
         if found.converged:
             break
     else:
         return None
-    inputs, states = staging.plan(found.states, found.variables, x)
+    inputs, states = stagewise.plan(found.states, found.variables, x)
     inputs = admissible(problem, inputs, given)  # changes what rounding has left undetermined
     violated = problem.soft is None and relative_violations(problem, states).max() > FEASIBLE
     status = Status.SOFTENED if violated else Status.SOLVED

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
-ROOM = 1e-3  # of the width of the feasible parameters: the box around them has no side that touches them
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +288,7 @@ def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:
     reach = joint.support(directions)
     if not np.isfinite(reach).all():
         return known
-    room = ROOM * (reach[:n] + reach[n:])
+    room = 1e-3 * (reach[:n] + reach[n:])  # no side of the box touches the feasible parameters
     return known.intersection(Polytope.from_bounds(-reach[n:] - room, reach[:n] + room))
 
 

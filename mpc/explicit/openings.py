@@ -13,7 +13,6 @@ from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, 
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import CROSSING, KKT, LAW_ERROR, OPTIMAL_SET, PARALLEL, TIE
 
-_FAR = 0.1  # the farther point beyond a facet, in radii of the facet
 Candidates = list[tuple[int, ...]]
 
 
@@ -46,7 +45,7 @@ def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
         radius = interior_point(A, slack[sides] / length[sides], np.inf, centre)
     if radius == 0.0:
         return np.empty((0, len(foot)))
-    steps = [CROSSING, max(CROSSING, _FAR * radius)]
+    steps = [CROSSING, max(CROSSING, 0.1 * radius)]
     points = np.array([foot + plane @ centre + step * normal for step in steps])
     return points[(points @ qp.TA.T <= qp.Tb).all(axis=1)]
 

@@ -16,8 +16,6 @@ Masks = np.ndarray[Any, np.dtype[np.uint64]]
 Bits = np.ndarray[Any, np.dtype[np.uint8]]
 Bools = np.ndarray[Any, np.dtype[np.bool_]]
 
-_CAPACITY = 1024  # active sets for which there is room at first
-_FACETS = 16  # facets a region for which there is room at first
 
 
 class Found(NamedTuple):
@@ -167,14 +165,14 @@ class RegionGraph:
         return Found(status, self.qp, sets, rows, offsets, self.facets.centres[: self.done].copy(), uncovered)
 
 
-def _room(m: int, n: int, capacity: int = _CAPACITY) -> tuple[Graph, Facets]:
+def _room(m: int, n: int, capacity: int = 1024) -> tuple[Graph, Facets]:
     """An empty graph of active sets among m rows, and facets in n parameters."""
     graph = Graph(
         masks=np.zeros((capacity, max(1, (m + 63) // 64)), dtype=np.uint64), kinds=np.zeros(capacity, dtype=np.int8),
         table=np.full(4 * capacity, -1, dtype=np.int64), queue=np.zeros(capacity, dtype=np.int64),
         counts=np.zeros(4, dtype=np.int64), tied=np.zeros(m, dtype=bool),
     )  # fmt: skip
-    rows = np.empty((_FACETS * capacity, n + 1))
+    rows = np.empty((16 * capacity, n + 1))
     state = np.zeros(len(rows), dtype=np.int8)
     hits = np.empty((len(rows), n))
     return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), rows, np.empty((capacity, n)), hits, state)

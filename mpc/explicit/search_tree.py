@@ -12,13 +12,8 @@ from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, as_seconds
 from mpc.exceptions import InputError
 from mpc.explicit.partition import Ints, Laws, MPQPStatus, Partition
-from mpc.tolerances import CROSSING, SAME_HYPERPLANE_DIGITS
+from mpc.tolerances import CROSSING, LEAF_ENTRIES, POINTS_OF_REGION, SAME_HYPERPLANE_DIGITS, TESTS_AT_ONCE
 
-_SMALL = 2000  # regions up to which leaves are divided until one law is left
-_BUCKET = 8  # regions in a leaf that are not divided further in larger partitions
-_MOST = 200  # entries of leaves for each region of the partition at which the tree stops to grow
-_PORTION = 20_000  # regions tested between two looks at the clock
-_POINTS = 64  # points that represent a region
 METHODS = ("tree", "sequential")
 
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
@@ -225,7 +220,7 @@ def region_points(partition: Partition) -> RegionPoints:
     """Centre of every region and one point on each facet, scaled."""
     from mpc.explicit.kernels.growth import points_of
 
-    sizes = np.minimum(np.diff(partition.offsets) + 1, _POINTS)
+    sizes = np.minimum(np.diff(partition.offsets) + 1, POINTS_OF_REGION)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     points = np.zeros((int(starts[-1]), partition.scaled_rows.shape[1] - 1))
     points_of(partition.scaled_rows, partition.offsets, points, starts)
@@ -249,16 +244,16 @@ def _grow(
     growth.last[0] = count
     growth.pool[:count] = np.arange(count)
     growth.inside[:count] = [(1 << int(size)) - 1 for size in np.diff(points.starts)]
-    bucket = 1 if count <= _SMALL else _BUCKET
+    bucket = 1 if count <= 2000 else 8
     status = TreeStatus.COMPLETE
-    while (code := grow(regions, growth, bucket, _PORTION)) != FINISHED:
+    while (code := grow(regions, growth, bucket, TESTS_AT_ONCE)) != FINISHED:
         if code == GROW:
             growth = _roomier(growth)
         if time.perf_counter() > deadline:
             status = TreeStatus.TIME_LIMIT
             break
         waiting = growth.counts[POOL] - growth.first[growth.counts[NEXT]]
-        if growth.counts[LEAF] + waiting > _MOST * count + 10_000:
+        if growth.counts[LEAF] + waiting > LEAF_ENTRIES * count + 10_000:
             status = TreeStatus.SIZE_LIMIT
             break
     nodes = growth.nodes[: growth.counts[NODES]].copy()

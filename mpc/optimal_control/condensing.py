@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 
-TINY = 1e-12  # of the diagonal of a matrix to be divided by: gains need not be exact, only stabilise
+from mpc.tolerances import GAIN_REGULARISATION
 
 
 @cache
@@ -127,10 +127,10 @@ def _divided(M, right):
     L = np.zeros((n, n))
     for i in range(n):
         for j in range(i + 1):
-            left = M[i, j] * scale[i] * scale[j] + (TINY if i == j else 0.0)
+            left = M[i, j] * scale[i] * scale[j] + (GAIN_REGULARISATION if i == j else 0.0)
             for k in range(j):
                 left -= L[i, k] * L[j, k]
-            L[i, j] = np.sqrt(max(left, TINY)) if i == j else left / L[j, j]
+            L[i, j] = np.sqrt(max(left, GAIN_REGULARISATION)) if i == j else left / L[j, j]
     found = np.zeros(right.shape)
     for c in range(right.shape[1]):
         for i in range(n):

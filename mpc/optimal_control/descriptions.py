@@ -10,11 +10,7 @@ from mpc.checks import Array
 from mpc.optimal_control.interval import coordinates
 from mpc.optimal_control.pieces import Numbers
 from mpc.optimal_control.program import NonlinearProgram, Rows
-
-HOLDS = 0.01  # multiplier, beside the largest, of a limit that stands in the way
-NEARLY = 1e-6  # of an unknown's size: what two bounds that count as one differ by
-SHOWN = 5  # violated constraints that are named, and others that stand in the way
-BOUNDS = 10  # that are named
+from mpc.tolerances import IN_THE_WAY, NAMED_ROWS, SAME_BOUND
 
 
 def rows_of(program: NonlinearProgram, row: int) -> Rows:
@@ -78,7 +74,7 @@ def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: f
     worst = {name: int(rows[np.argmax(violations[rows])]) for name, rows in groups.items()}
     order = sorted(groups, key=lambda name: -violations[worst[name]])
     found = []
-    for name in order[:SHOWN]:
+    for name in order[:NAMED_ROWS]:
         row = worst[name]
         more = len(groups[name]) - 1
         points = f" (and at {more} more point{'s' * (more > 1)})" if more else ""
@@ -93,14 +89,14 @@ def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds
     First the constraints that are violated, then those and the bounds whose multipliers hold against them.
     """
     pushing = np.abs(on_rows * program.row_scale)
-    strong = HOLDS * pushing.max(initial=0.0)
+    strong = IN_THE_WAY * pushing.max(initial=0.0)
     others = [
         int(rows[pushing[rows].argmax()])
         for rows in _limits(program, without=("dynamics",)).values()
         if pushing[rows].max() > strong and not (violations[rows] > feasible).any()
     ]
     others.sort(key=lambda i: -pushing[i])
-    named = [describe_row(program, i, v) for i in others[:SHOWN]]
+    named = [describe_row(program, i, v) for i in others[:NAMED_ROWS]]
     return (
         *violated(program, v, violations, feasible), *_shortened(named, len(others), "constraint"),
         *_bounds_in_the_way(program, v, on_bounds),
@@ -126,9 +122,9 @@ def _bounds_in_the_way(program: NonlinearProgram, v: Array, on_bounds: Array) ->
     for i, text in _texts(program, v, weights):
         groups[text] = groups.get(text, 0.0) + abs(weights[i])
     largest = max(groups.values(), default=0.0)
-    held = [text for text, weight in groups.items() if weight > HOLDS * largest]
+    held = [text for text, weight in groups.items() if weight > IN_THE_WAY * largest]
     held.sort(key=lambda text: -round(np.log10(groups[text])))
-    return _shortened(held[:BOUNDS], len(held), "bound")
+    return _shortened(held[:10], len(held), "bound")
 
 
 def _shortened(named: list[str], count: int, what: str) -> tuple[str, ...]:
@@ -162,9 +158,9 @@ def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tupl
 def _side(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
     """Which bound of an unknown a multiplier is of, and the bound; where one is held besides, its value."""
     low, high = program.lower[i], program.upper[i]
-    if high - low <= NEARLY * program.scale[i]:
+    if high - low <= SAME_BOUND * program.scale[i]:
         return f"= {high:.6g}"
     bound = high if weight > 0 else low
-    if abs(bound - value) > HOLDS * program.scale[i]:
+    if abs(bound - value) > IN_THE_WAY * program.scale[i]:
         return f"= {value:.6g}"
     return f"{'≤' if weight > 0 else '≥'} {bound:.6g}"

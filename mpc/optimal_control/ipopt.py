@@ -13,11 +13,8 @@ from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.plan import Residuals
+from mpc.tolerances import DIVERGED, FEASIBLE
 
-FEASIBLE = 1e-6  # violation, in scaled rows, of what passes for feasible
-ENDLESS = 1e13  # of a scaled unknown
-NEARLY_FULL = 6  # QAMD, for rows that are nearly full: parameters and durations reach every interval of every scenario
-QUIET = {"print_level": 0, "sb": "yes"}
 ENDED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
@@ -97,7 +94,9 @@ def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIte
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
     if np.isfinite(settings.seconds):
         limits["max_wall_time"] = settings.seconds
-    ipopt = QUIET | {"diverging_iterates_tol": ENDLESS, "mumps_pivot_order": NEARLY_FULL} | limits | settings.options
+    # QAMD, number 6, is for rows that are nearly full: parameters and durations reach every interval of every scenario
+    given = {"print_level": 0, "sb": "yes", "diverging_iterates_tol": DIVERGED, "mumps_pivot_order": 6}
+    ipopt = given | limits | settings.options
     made = program.derivatives.solvers
     key = repr((sorted(ipopt.items()), settings.keep_best))
     if key in made:

@@ -13,12 +13,7 @@ from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-
-QUADRATURE = 8  # Gauss points an interval at which the dynamics are compared
-TIGHTER = 0.01  # tolerance of CVODES that its result is compared with, beside its own
-STILL = 1e-6  # extent of a state, beside what its rate would make of it over the phase, that is rounding
-LOOKS = 16  # places an interval, and again about the largest excess
-LEAST_SIZE = 0.01  # of a limit, beside its size in the program
+from mpc.tolerances import LEAST_LIMIT_SIZE, LIMIT_CHECKS, RESTING_STATE
 
 
 class Missed(NamedTuple):
@@ -46,7 +41,7 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
         return Missed(np.zeros(N), np.zeros(N))
     moved = np.abs(phase.stages.rates).max(axis=(0, 1)) * phase.duration
     largest = np.maximum(np.abs(phase.states).max(axis=0), np.abs(phase.stages.states).max(axis=(0, 1)))
-    size = np.maximum(largest, STILL * moved)
+    size = np.maximum(largest, RESTING_STATE * moved)
     found = _by_residual(phase, scheme, p) if isinstance(scheme, Collocation) else _by_finer_steps(phase, scheme, p)
     relative = found.dynamics / np.where(size > 0, size, 1.0)
     worst, cost = relative.max(axis=1), np.abs(found.cost)
@@ -56,7 +51,7 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
 def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
     """∫ |dx/dt − f| over every interval, (N, nx), and what is missed of the cost."""
     part, N = phase.part, phase.part.intervals
-    tau, weights = np.polynomial.legendre.leggauss(max(QUADRATURE, 2 * scheme.stages))
+    tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))
     tau, weights = 0.5 * (tau + 1), 0.5 * weights
     h, basis = np.diff(phase.times), scheme.basis(tau)
     k, at = np.repeat(np.arange(N), len(tau)), np.tile(tau, N)
@@ -76,7 +71,7 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
 
 def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> Missed:
     """The difference (N, nx) that half the steps, or a tighter tolerance, make at the end of every interval."""
-    finer = replace(scheme, substeps=2 * scheme.substeps, tolerance=TIGHTER * scheme.tolerance)
+    finer = replace(scheme, substeps=2 * scheme.substeps, tolerance=0.01 * scheme.tolerance)
     (ends, fine), (_, coarse) = (_shot(phase, one, p) for one in (finer, scheme))
     of_cost = phase.weight * (fine[:, 0] - coarse[:, 0]) + np.einsum("kji,ki->k", phase.stages.costates, ends)
     return Missed(np.abs(ends), of_cost)
@@ -145,15 +140,15 @@ def _excess(phase: PhaseSolution, p: Array, sizes: Array) -> Excess:
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
     if not m or phase.part.phase.discrete:
         return Excess(np.zeros(m), np.full(m, phase.times[0]), np.zeros(m), np.zeros(N), names)
-    tau = (np.arange(LOOKS) + 0.5) / LOOKS
-    beyond = _beyond(phase, p, np.repeat(np.arange(N), LOOKS), np.tile(tau, N)).reshape(m, N, LOOKS)
+    tau = (np.arange(LIMIT_CHECKS) + 0.5) / LIMIT_CHECKS
+    beyond = _beyond(phase, p, np.repeat(np.arange(N), LIMIT_CHECKS), np.tile(tau, N)).reshape(m, N, LIMIT_CHECKS)
     relative = beyond.max(axis=2) / sizes
     worst = relative.argmax(axis=1)
     rows = np.arange(m)
     first = tau[beyond[rows, worst].argmax(axis=1)]
-    near = np.clip(first[:, None] + np.linspace(-1, 1, LOOKS + 1) / LOOKS, 0, 1)
-    k = np.repeat(worst, LOOKS + 1)
-    closer = _beyond(phase, p, k, near.ravel()).reshape(m, m, LOOKS + 1)[rows, rows]
+    near = np.clip(first[:, None] + np.linspace(-1, 1, LIMIT_CHECKS + 1) / LIMIT_CHECKS, 0, 1)
+    k = np.repeat(worst, LIMIT_CHECKS + 1)
+    closer = _beyond(phase, p, k, near.ravel()).reshape(m, m, LIMIT_CHECKS + 1)[rows, rows]
     at = closer.argmax(axis=1)
     value = np.maximum(closer[rows, at], 0.0)
     relative[rows, worst] = value / sizes[rows, worst]
@@ -204,7 +199,7 @@ def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...
         extents[part.first : part.last] = of_all[numbers.astype(int)]
         own = _bounded(phase)
         scale = np.array([program.scale[part.first : part.last][numbers == i].max() for i in own])
-        size = np.maximum(of_all[own], LEAST_SIZE * scale)
+        size = np.maximum(of_all[own], LEAST_LIMIT_SIZE * scale)
         found.append(np.tile(size.reshape(-1, 1), (1, part.intervals)))
         paths.append(0 if part.functions.path is None or part.phase.discrete else part.functions.path.numel_out(0))
     if not any(paths):
@@ -215,5 +210,5 @@ def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...
             continue
         count = part.intervals * part.interval.numel_out(2)
         local, scale = (value[part.path][:count].reshape(part.intervals, -1, m) for value in (steep, program.row_scale))
-        found[k] = np.vstack([np.maximum(local.min(axis=1), LEAST_SIZE * scale.min(axis=1)).T, found[k]])
+        found[k] = np.vstack([np.maximum(local.min(axis=1), LEAST_LIMIT_SIZE * scale.min(axis=1)).T, found[k]])
     return found

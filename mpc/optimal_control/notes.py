@@ -15,6 +15,7 @@ from mpc.optimal_control.descriptions import describe_row, of_phase
 from mpc.optimal_control.interval import times_of
 from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
+from mpc.tolerances import SHORTEST_DURATION
 
 AWAY = "Give a `guess` away from there, with which the function is finite."
 JUMPS = {
@@ -22,7 +23,6 @@ JUMPS = {
     ca.OP_NE: "!=", ca.OP_IF_ELSE_ZERO: "if_else", ca.OP_FMOD: "fmod",
 }  # fmt: skip
 KINKS = {ca.OP_FABS: "fabs", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
-AT_BOUND = 1e-4  # of a duration, of its lower bound
 
 
 def check_at_guess(program: NonlinearProgram) -> None:
@@ -119,7 +119,7 @@ def _shortest(program: NonlinearProgram, v: Array) -> Iterator[str]:
         if part.duration < 0:
             continue
         least, found = part.phase.duration[0], v[part.duration]
-        if found <= least * (1 + AT_BOUND):
+        if found <= least * (1 + SHORTEST_DURATION):
             yield (
                 f"The duration of phase {k + 1} came down to its lower bound {least:g}: without that bound it might "
                 "run to zero."

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from mpc.checks import Array
 from mpc.optimal_control.interval import Layout
 from mpc.optimal_control.phase import PhaseFunctions
+from mpc.tolerances import SPREAD_FLOOR, SPREAD_ROUNDING
 
-ROUND = 1e-12  # of the squares: where all scenarios cost the same, their spread has a slope all the same
-TINY = 1e-300
 Numbers = NDArray[np.int64]
 
 
@@ -130,7 +129,7 @@ def mean_and_spread(weights: Array, spread: float) -> ca.Function:
     def value(z: Any, data: Any) -> list[Any]:
         mean = ca.dot(parts, z)
         variance = ca.dot(parts, (z - mean) ** 2)
-        return [mean + spread * ca.sqrt(variance + ROUND * ca.dot(parts, z**2) + TINY)]
+        return [mean + spread * ca.sqrt(variance + SPREAD_ROUNDING * ca.dot(parts, z**2) + SPREAD_FLOOR)]
 
     return piece_function(value, True, {"z": len(weights)}, 0)
 

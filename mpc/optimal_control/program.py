@@ -15,9 +15,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-
-VANISHING = 1e-6  # size of an unknown, beside the one it was given, that is what a solver leaves of 0
-SHAKEN = 0.3  # part of the sizes of unknowns by which a second start is moved
+from mpc.tolerances import SHAKEN, VANISHING
 
 
 @dataclass(frozen=True)

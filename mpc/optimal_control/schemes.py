@@ -11,8 +11,7 @@ from scipy.special import roots_jacobi
 
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-
-HIGHEST = 50  # degree: matrices of that many points still have twelve digits
+from mpc.tolerances import HIGHEST_DEGREE
 
 
 @dataclass(frozen=True)
@@ -85,9 +84,9 @@ def HermiteSimpson() -> Collocation:
 def Radau(degree: int = 3) -> Collocation:
     """Legendre–Gauss–Radau points, the end of the interval among them: order 2·degree − 1."""
     d = as_count("degree", degree)
-    if d > HIGHEST:
+    if d > HIGHEST_DEGREE:
         cure = "Take more intervals instead."
-        raise InputError("degree", degree, f"an integer from 1 to {HIGHEST}", cure)
+        raise InputError("degree", degree, f"an integer from 1 to {HIGHEST_DEGREE}", cure)
     inner = roots_jacobi(d - 1, 1, 0)[0] if d > 1 else np.zeros(0)
     return Collocation((*(0.5 * (inner + 1)).tolist(), 1.0), f"Radau of degree {d}", 2 * d - 1)
 

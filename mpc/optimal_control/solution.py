@@ -18,11 +18,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.solution_sensitivity import SolutionSensitivity, solution_sensitivity
 from mpc.plan import Residuals
-
-PASSED = 1e-5  # relative excess of a limit between the points that a solution may have
-COARSE = 0.05  # relative error of the dynamics over an interval that a solution may have
-DEARER = 0.003  # estimated error of the cost, beside it, that a solution may have: the true one is up to three times it
-ROUNDED = 1e-6  # of the cost's size, or of its slope's: an error of the cost that is rounding
+from mpc.tolerances import COARSE_MESH, COST_ERROR, COST_ROUNDING, LIMIT_PASSED
 
 
 class OptimalControlStatus(Outcome):
@@ -158,9 +154,9 @@ class Solution:
     def looked_between(self) -> Solution:
         """With the status that it deserves between the points."""
         status = OptimalControlStatus.SOLVED
-        if not self.excess <= PASSED:
+        if not self.excess <= LIMIT_PASSED:
             status = OptimalControlStatus.LIMITS_PASSED
-        elif not (self.mesh_error <= COARSE and self._cost_is_fine):
+        elif not (self.mesh_error <= COARSE_MESH and self._cost_is_fine):
             status = OptimalControlStatus.COARSE
         return replace(self, status=status) if self.solved_on_mesh else self
 
@@ -168,7 +164,7 @@ class Solution:
     def _cost_is_fine(self) -> bool:
         """Whether the mesh hardly changes the cost."""
         size = max(self.cost_size, self.program.cost_scale)
-        return self.cost_error <= max(DEARER * abs(self.cost), ROUNDED * size)
+        return self.cost_error <= max(COST_ERROR * abs(self.cost), COST_ROUNDING * size)
 
     def _missed(self) -> list[str]:
         """Limits that are exceeded between the points by more than rounding, and what a coarse mesh misses."""
@@ -177,9 +173,9 @@ class Solution:
             f"t = {time:.6g}: cut the intervals there, or keep a margin."
             for k, excess in enumerate(self.path_excess)
             for name, value, time, relative in zip(excess.names, excess.value, excess.time, excess.relative)
-            if not relative <= PASSED
+            if not relative <= LIMIT_PASSED
         ]
-        if self.mesh_error > COARSE:
+        if self.mesh_error > COARSE_MESH:
             said.append(f"The dynamics are missed by {self.mesh_error:.1e} of the extent of a state.")
         if not self._cost_is_fine:
             said.append(f"The cost may be off by about {self.cost_error:.2g}.")

@@ -14,10 +14,7 @@ from mpc.optimal_control.condensing import compile_kernels, costates_along, gain
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, relative_violations
-
-TINY = float(np.finfo(float).tiny)
-SETTLED = 1e-6  # gradients, beside those of references themselves, below which their difference is rounding
-DEFINITE = 1e-6  # least eigenvalue of a Hessian with curvature, relative to one without
+from mpc.tolerances import LEAST_CURVED, REFERENCE_ROUNDING, TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,8 +175,9 @@ class Sequential:
         if "x_ref" in given or "u_ref" in given:
             x_ref, u_ref = states - error, inputs - effort
             of_states, of_inputs = self._slopes(x_ref, u_ref)
-            lost = SETTLED * (np.abs(of_states).ravel() @ np.abs(flat) + np.abs(of_inputs).ravel() @ np.abs(acting))
-            lost_cost = SETTLED**2 * cost_of(problem, u_ref, x_ref, {})
+            terms = np.abs(of_states).ravel() @ np.abs(flat) + np.abs(of_inputs).ravel() @ np.abs(acting)
+            lost = REFERENCE_ROUNDING * terms
+            lost_cost = REFERENCE_ROUNDING**2 * cost_of(problem, u_ref, x_ref, {})
         rows, bounds = self._limits(states, inputs, G, F, given)
         return _Program(H, by_state.ravel() @ flat, by_input.ravel() @ acting, lost, lost_cost, rows, bounds)
 
@@ -296,8 +294,8 @@ def _bent(program: _Program, answers: Array, curvature: Array, lead: Array) -> _
     H = (H + H.T) / 2
     unit = 1 / np.sqrt(np.diag(program.H))
     values, vectors = np.linalg.eigh(H * unit * unit[:, None])
-    if values[0] < DEFINITE:  # bent the other way along these directions
-        H = (vectors * np.maximum(np.abs(values), DEFINITE)) @ vectors.T / unit / unit[:, None]
+    if values[0] < LEAST_CURVED:  # bent the other way along these directions
+        H = (vectors * np.maximum(np.abs(values), LEAST_CURVED)) @ vectors.T / unit / unit[:, None]
     return replace(program, H=H, by_state=program.by_state + lead.ravel() @ weighted)
 
 

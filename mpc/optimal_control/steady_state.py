@@ -11,14 +11,8 @@ from mpc.checks import Array
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import symbols_of
-from mpc.tolerances import TARGET_COST
+from mpc.tolerances import STEADY_SOLVER, TARGET_COST
 from mpc.tracking import sizes_of
-
-EXACT = 1e-11  # residuals at which it stops, in sizes of the states
-QUIET: dict[str, Any] = {
-    "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": EXACT, "ipopt.max_iter": 200,
-    "ipopt.bound_relax_factor": 0.0, "show_eval_warnings": False,
-}  # fmt: skip
 
 
 class SteadyStates:
@@ -52,7 +46,10 @@ class SteadyStates:
             "x": z, "p": ca.vertcat(ca.vec(squares), slope, w, p), "g": ca.vertcat(drift, rows),
             "f": ca.bilin(squares, x) - 2 * ca.dot(slope, x) + TARGET_COST * cost / most,
         }  # fmt: skip
-        self._solver = ca.nlpsol("steady_state", "ipopt", program, QUIET)
+        self._solver = ca.nlpsol("steady_state", "ipopt", program, {
+            "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": STEADY_SOLVER,
+            "ipopt.max_iter": 200, "ipopt.bound_relax_factor": 0.0, "show_eval_warnings": False,
+        })  # fmt: skip
 
     def nearest(self, C: Array, r: Array, w: Array, p: Array) -> Array | None:
         """State and input (nx + nu,) with outputs Cx nearest to r, sought from rest; None where it finds none."""

@@ -17,8 +17,6 @@ from mpc.sensitivities.linearised import Linearised
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
 from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
 
-STEPS = 8  # of Newton's method at most
-
 
 def sensitivity_of(
     problem: MPCProblem, model: PlanModel, changes: Changes, plan: Plan, given: Given
@@ -31,7 +29,7 @@ def sensitivity_of(
         point = Point.of(problem, plan)
         point = Linearised(conditions, point).with_multipliers(point)
         last = NEAR_OPTIMUM
-        for _ in range(STEPS):
+        for _ in range(8):
             step = NewtonStep.of(Linearised(conditions, point), point)
             if step is None:
                 return conditions.none(plan, SensitivityStatus.SINGULAR)

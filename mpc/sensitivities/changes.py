@@ -13,8 +13,7 @@ from mpc.exceptions import InputError
 from mpc.halfspaces import Limits
 from mpc.problem import MPCProblem
 from mpc.sensitivities.regulator import as_derivatives, lqr_sensitivity
-
-UNIT_STEP = 1e-5  # of differences of units, relative to what they are made of
+from mpc.tolerances import UNIT_STEP
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 KNOWN, QUEUED, DONE, ROWS = 0, 1, 2, 3  # positions in `Graph.counts`
 FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: its region is empty or of lower dimension
+FINISHED, GROW, PAUSED = 0, 1, 2  # why a kernel returned: done, memory has to grow, budget spent
 INFEASIBLE = 4  # a parameter without any active set
 BORDER = 0  # a facet on the border of the parameter set, or beyond which infeasibility is proven
 OPEN = 1  # one that led nowhere

@@ -9,11 +9,9 @@ from numba import njit
 
 from mpc.checks import Array
 from mpc.explicit.kernels.growth import side_of
-from mpc.tolerances import CROSSING, FAR_AWAY, INSIDE
+from mpc.tolerances import CROSSING, CUT_OFF, FAR_AWAY, INSIDE
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
-_SHORT_BORDER = 32  # rows up to which the border is looked at before the tree
-_LARGEST = 1e30  # scaled parameters beyond this are cut off
 
 
 class Locator(NamedTuple):
@@ -155,10 +153,10 @@ def search(where, points, laws, found):
     room = border[:, n].copy()
     for j in range(n):
         room -= border[:, j] * inner[j]
-    border_first = len(border) <= _SHORT_BORDER
+    border_first = len(border) <= 32  # a short border is looked at before the tree
     for q in range(len(points)):
         for j in range(n):
-            t[j] = min(max((points[q, j] - centre[j]) / half[j], -_LARGEST), _LARGEST)
+            t[j] = min(max((points[q, j] - centre[j]) / half[j], -CUT_OFF), CUT_OFF)
         beyond = border_first and is_beyond(columns, height, t)
         if beyond:
             pull_back(columns, room, inner, t)
