@@ -64,7 +64,7 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Where each parameter stands in ξ = (θ, z); z holds one input for each block."""
+    """Places of the parameters in ξ = (θ, z); z holds one input for each block."""
 
     problem: MPCProblem
     sizes: dict[str, int]
@@ -166,7 +166,7 @@ def constraints_of(
 
 
 def row_units(problem: MPCProblem, labels: list[Constraint] | tuple[Constraint, ...]) -> Array:
-    """Unit of each row, in which violations of different rows are compared; 1 for a slack."""
+    """Unit of each row for comparing violations of different rows; 1 for a slack."""
     units = problem.row_units
     return np.array([units[label.kind][label.row] if label.kind in units else 1.0 for label in labels])
 

@@ -92,7 +92,7 @@ class DenseQP:
         return QPResult(z * self._d * size, multipliers, residuals, infeasible or self._unreached(b), solver)
 
     def _size_of(self, q: Array, bs: Array) -> float:
-        """The size that becomes one: that of the bounds, or of what cost and violated rows ask for where that is less.
+        """Unit of the variables: the size of the bounds, or of what cost and violated rows ask for where that is less.
 
         It is larger where the origin violates some rows by far more: their size is that of the answer.
         """

@@ -35,7 +35,7 @@ def stabilising_weights(problem: MPCProblem) -> Weights:
 
 
 def feedback_along(problem: MPCProblem, A: Array, B: Array) -> Array | None:
-    """The same for a model whose A (N, nx, nx) and B (N, nx, nu) change from step to step, as they do along a plan."""
+    """Gains as of `stabilising_feedback` for A (N, nx, nx) and B (N, nx, nu) that change along a plan."""
     sx, _ = cost_units(problem.A, problem.B, problem.Q, problem.R)
     growth = _growth(problem, A, B, None, sx)
     if growth <= GROWTH:
@@ -45,7 +45,7 @@ def feedback_along(problem: MPCProblem, A: Array, B: Array) -> Array | None:
 
 
 class _Chosen(NamedTuple):
-    """Gains over the horizon, by how much the loop that they close grows, and the weights that they are of."""
+    """Gains over the horizon, the growth of the loop that they close, and the weights behind them."""
 
     gains: Array
     growth: float

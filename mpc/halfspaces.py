@@ -123,7 +123,7 @@ class Limits:
         return units
 
     def own(self) -> dict[str, NDArray[np.bool_]]:
-        """Which rows of each set are priced in units of their own bounds (bool)."""
+        """Rows of each set that are priced in units of their own bounds (bool)."""
         reaches = self.reaches()
         return {kind: np.asarray(np.abs(h) > SMALL_BOUND * reaches[kind]) for kind, (_, h) in self._sets.items()}
 

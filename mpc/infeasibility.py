@@ -1,4 +1,4 @@
-"""Why an MPC problem is infeasible: what has to give, by how much, and which constraints contradict each other."""
+"""Explanations of infeasible MPC problems: what has to give, by how much, and which rows contradict each other."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Rows = list[int]
 
 @dataclass(frozen=True)
 class Violation:
-    """A constraint that has to give.
+    """Constraint that has to give.
 
     constraint : where it comes from; meaning : it in words; amount : by how much, in its own units; row : of the QP.
     """
@@ -32,7 +32,7 @@ class Violation:
 
 @dataclass(frozen=True, repr=False)
 class Explanation:
-    """Why there is no admissible input sequence; prints as one sentence.
+    """Explanation why there is no admissible input sequence; prints as one sentence.
 
     Attributes
     ----------
@@ -234,7 +234,7 @@ def describe(problem: MPCProblem, label: Constraint) -> str:
 
 
 def _sentence(problem: MPCProblem, violations: tuple[Violation, ...], conflict: tuple[Constraint, ...]) -> str:
-    """What has to give and what contradicts what, in words."""
+    """Sentence that says what has to give and what contradicts what."""
     gives = ", ".join(f"{v.meaning} by {v.amount:.3g} at step {v.constraint.step}" for v in violations)
     steps: dict[str, list[int]] = {}
     for label in conflict:

@@ -102,7 +102,7 @@ class LinearMPC(MPCProblem):
 
     @property
     def needs(self) -> frozenset[str]:
-        """What a closed loop hands over at every step besides the state.
+        """Names of the signals that a closed loop hands over at every step besides the state.
 
         "last_input" (keyword `u_prev`, (n, nu)) with a rate limit; "reference" (`x_ref`, and `u_ref` where there is
         one) and "preview" (`w`, (N, nw) or (n, N, nw) for the next N = `horizon` steps) where `uses` names them.
@@ -176,7 +176,7 @@ class LinearMPC(MPCProblem):
         return np.array(self.solve(x, **signals).inputs[0])
 
     def explain(self, x: ArrayLike, **signals: ArrayLike) -> Explanation:
-        """Why the problem is infeasible from x: what has to give, by how much, and what contradicts what.
+        """Explanation of infeasibility from x: what has to give, by how much, and what contradicts what.
 
         Parameters
         ----------
@@ -240,7 +240,7 @@ class LinearMPC(MPCProblem):
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,
         time_limit: float | None = None, method: str = "tree", tree_time_limit: float | None = 10.0,
     ) -> ExplicitMPC:  # fmt: skip
-        """The same law as a function of the state, computed for every state in advance.
+        """Explicit law: the controller as a function of the state, computed for every state in advance.
 
         Parameters
         ----------

@@ -106,7 +106,7 @@ def cost_units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Regulation:
-    """A, B, Q, R and S of a regulator."""
+    """Matrices A, B, Q, R and S of a regulator."""
 
     A: Array
     B: Array
@@ -187,7 +187,7 @@ class _Regulation:
         return cost > ROUNDED_COST * float(np.abs(mode) @ np.abs(self.Q) @ np.abs(mode))
 
     def _missed(self, K: Array, P: Array) -> Array:
-        """What P misses of the Riccati equation."""
+        """Residual of P in the Riccati equation."""
         return self.A.T @ P @ (self.A - self.B @ K) + self.Q - self.S @ K - P
 
     def _margin(self, K: Array) -> float:

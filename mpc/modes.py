@@ -1,4 +1,4 @@
-"""Which modes of a pair (A, B), or of the dual one (A', C'), are reached, in whichever units say it best."""
+"""Modes of a pair (A, B), or of the dual one (A', C'), that are reached, in whichever units say it best."""
 
 from __future__ import annotations
 

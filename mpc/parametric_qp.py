@@ -14,7 +14,7 @@ from mpc.exceptions import InputError
 
 
 class Constraint(NamedTuple):
-    """Where a row of the QP comes from.
+    """Origin of a row of the QP.
 
     kind : "state", "input", "rate", "terminal" or "slack"; step : k; row : row of the user's set.
     """

@@ -1,4 +1,4 @@
-"""What an MPC solve returns."""
+"""The result of an MPC solve."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a controller answers when its problem has no solution: relaxed state constraints first, the regulator last."""
+"""The answer of a controller whose problem has no solution: relaxed state constraints first, the regulator last."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ class CondensedSolver:
         return first if away or first.status is status else self._in_another_form(first, x, given, q)
 
     def _candidate(self, result: QPResult, status: Status, x: Array, theta: Array, given: Given) -> Candidate:
-        """What the QP's minimiser means for the plant; INACCURATE where it fails a check."""
+        """Candidate of the QP's minimiser; INACCURATE where it fails a check."""
         accurate = result.residuals.worst <= KKT_REPORTED
         if self.feedback is not None and np.isfinite(result.z).all():
             deviations = result.z[: self.feedback.shape[0] * self.problem.nu].reshape(-1, self.problem.nu)

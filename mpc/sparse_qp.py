@@ -74,7 +74,7 @@ class SparseSolver:
 
     @cached_property
     def _condensed(self) -> CondensedSolver:
-        """The same problem in the inputs alone."""
+        """Solver of the problem in the inputs alone."""
         return CondensedSolver(self.problem, self._parameters)
 
     def _solve(self, x: Array, given: Given) -> Candidate:
@@ -153,7 +153,7 @@ class SparseSolver:
         )
 
     def _candidate(self, v: Array, residuals: Residuals, x: Array, given: Given, solver: str) -> Candidate:
-        """What the minimiser means for the plant; INACCURATE where it fails a check."""
+        """Candidate of the minimiser; INACCURATE where it fails a check."""
         name = {"osqp": "OSQP", "clarabel": "Clarabel"}[solver]
         if not np.isfinite(v).all():
             inputs, states = regulated(self.problem, x, pushes(self.problem, given))
@@ -231,7 +231,7 @@ class PlanCheck:
         self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
 
     def doubt(self, v: Array, y: Array, q: Array, high: Array, states: Array, own_cost: float | None = None) -> float:
-        """The largest of them for variables v and multipliers y, with `states` (N + 1, nx) in place of those in v.
+        """Largest relative error of variables v and multipliers y, with `states` (N + 1, nx) in place of those in v.
 
         `own_cost` is the cost of the plan in the units of H, where it is to be compared with.
         """

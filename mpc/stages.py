@@ -51,7 +51,7 @@ class QPStage:
 
 
 class StagewiseQP:
-    """The stages of a problem, and the way between its units and theirs.
+    """The stages of a problem, and the conversion between its units and theirs.
 
     Parameters
     ----------

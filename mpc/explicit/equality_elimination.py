@@ -102,7 +102,7 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
 
 
 def _unsettled(deadline: float) -> ImpliedEqualities:
-    """What a program that did not end leaves: the time limit, or nothing that can be said."""
+    """Outcome of a program that did not end: the time limit, or nothing that can be said."""
     late = time.perf_counter() > deadline
     return ImpliedEqualities(MPQPStatus.TIME_LIMIT if late else MPQPStatus.INACCURATE)
 

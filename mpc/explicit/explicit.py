@@ -68,7 +68,7 @@ class ExplicitMPC:
         object.__setattr__(self, "input_rows", (_read_only(H), _read_only(h)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields; what is computed from them is computed anew."""
+        """Fields alone; what is computed from them is computed anew."""
         return {name: value for name, value in self.__dict__.items() if name != "regions"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -19,7 +19,7 @@ _LIMITED = (MPQPStatus.REGION_LIMIT, MPQPStatus.TIME_LIMIT)
 
 
 class Limits(NamedTuple):
-    """When to stop: number of regions, and `time.perf_counter()` [s]."""
+    """Limits of an exploration: number of regions, and `time.perf_counter()` [s]."""
 
     max_regions: int
     deadline: float
@@ -95,7 +95,7 @@ class Search:
         return np.vstack(found)
 
     def nothing_found(self, deadline: float) -> MPQPStatus:
-        """What it means that no region was found to begin with."""
+        """Status of an exploration that found no region to begin with."""
         if self.holes.uncovered:
             return MPQPStatus.INACCURATE
         return MPQPStatus.TIME_LIMIT if time.perf_counter() > deadline else MPQPStatus.INFEASIBLE
@@ -118,7 +118,7 @@ class Search:
         return not self.thinned and (pays or (self.done == self.queued and self.regions.tied))
 
     def thinned_out(self, deadline: float) -> Search:
-        """The search to go on with, without rows that the others imply: a new one where such a row is active.
+        """The search without rows that the others imply: a new one where such a row is active.
 
         For speed alone a share of the time left is spent on it: what is found by then is left out.
         """

@@ -25,7 +25,7 @@ from mpc.tolerances import (
 
 
 class Holes:
-    """Looks for parameters that are feasible and in no region; what it finds there joins the graph of regions.
+    """Search for parameters that are feasible and in no region; what it finds joins the graph of regions.
 
     feasible : (k, nt) parameters that were feasible, with room, and in no region when they were met;
     pending : (k, nt) parameters in no region when they were met, about which the QP was not asked yet.
@@ -88,7 +88,7 @@ class Holes:
         return self._ask(deadline)
 
     def between_facets(self, count: int) -> Array:
-        """So many random points between two facets."""
+        """Random points between two facets, `count` of them."""
         from mpc.explicit.kernels.places import between_facets
 
         regions = self.regions
@@ -97,7 +97,7 @@ class Holes:
         return points
 
     def behind_facets(self, most: int) -> Array:
-        """So many random points behind facets that led to a region: half of them just behind, the others farther."""
+        """Random points behind facets that led to a region, `most` of them: half just behind, the others farther."""
         from mpc.explicit.kernels.places import behind_facets
 
         regions = self.regions
@@ -114,7 +114,7 @@ class Holes:
         return np.searchsorted(offsets, facets, side="right") - 1
 
     def _some(self, numbers: Ints, most: int) -> Ints:
-        """So many of the numbers, at random and in order, or all of them."""
+        """A number `most` of the numbers, at random and in order, or all of them."""
         return numbers if len(numbers) <= most else np.sort(self.rng.choice(numbers, most, replace=False))
 
     def _look_at(self, points: Array, feasible: bool, deadline: float) -> bool:

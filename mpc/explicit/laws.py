@@ -1,4 +1,4 @@
-"""Minimiser laws of active sets, whether they hold where they are used, and the law that they make together."""
+"""Minimiser laws of active sets, checks that they hold where they are used, and the law that they make together."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> Scale
         force = (pull @ where[which, :, None])[:, :, 0]  # minus the multipliers
         holds[which] = missed <= accepted
         holds[which] &= force.max(axis=1) <= LAW_ERROR * np.maximum(1.0, np.abs(force).max(axis=1))
-    return ScaledLaws(law, holds & (_excess(qp, law, where) <= accepted))
+    return ScaledLaws(law, holds & (_violation(qp, law, where) <= accepted))
 
 
 def _padded(qp: ScaledQP, active_sets: ActiveSets) -> tuple[Array, Array, Array]:
@@ -76,7 +76,7 @@ def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:
 
 
 def _law_by_directions(rows: Array, right: Array) -> tuple[Array, Array]:
-    """The same of one active set by orthogonal directions: a Gram matrix squares what is lost by nearly equal rows."""
+    """Law of one active set by orthogonal directions: a Gram matrix squares what is lost by nearly equal rows."""
     real = rows.any(axis=1)
     Q, R = np.linalg.qr(rows[real].T)
     along = solve_triangular(R, right[real], trans="T")
@@ -85,7 +85,7 @@ def _law_by_directions(rows: Array, right: Array) -> tuple[Array, Array]:
     return Q @ along, pull
 
 
-def _excess(qp: ScaledQP, law: Array, where: Array) -> Array:
+def _violation(qp: ScaledQP, law: Array, where: Array) -> Array:
     """Largest relative violation of any row by each law at its point [t; 1]."""
     parts = [np.zeros(0)]
     for first in range(0, len(law) if len(qp.M) else 0, LAWS_AT_ONCE):

@@ -134,9 +134,7 @@ def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
 
 
 def _thinnest(qp: ScaledQP) -> float:
-    """How far two opposite bounds are apart along the parameters, where they are furthest: laws between them may be
-    too thin to be seen.
-    """
+    """Least of the largest distances of opposite bounds along the parameters: laws may be too thin to be seen."""
     first, second = np.nonzero(qp.gram < DUPLICATE - 1)
     slope = np.linalg.norm(qp.D[first, :-1], axis=1)
     apart = qp.D[first] + qp.D[second]

@@ -17,7 +17,7 @@ Candidates = list[tuple[int, ...]]
 
 
 class Opening(NamedTuple):
-    """What the QP finds at a parameter: active sets with independent rows, and whether it is feasible with room."""
+    """Result of the QP at a parameter: active sets with independent rows, and whether it is feasible with room."""
 
     candidates: Candidates
     feasible: bool
@@ -59,7 +59,7 @@ class OnlineQP:
         self.solver = DenseQP(np.eye(len(self.free)), qp.M)
 
     def at(self, t: Array, deadline: float = np.inf) -> Opening:
-        """What the QP finds at the parameter t; past the deadline a feasible one may be taken for one without room."""
+        """Opening at the parameter t; past the deadline a feasible one may be taken for one without room."""
         bounds = self.qp.D @ np.append(t, 1.0)
         result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
         y = result.multipliers
@@ -85,7 +85,7 @@ class OnlineQP:
         return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room, deadline)
 
     def _linear_program_finds_room(self, bounds: Array, room: Array, deadline: float) -> bool:
-        """The same asked of HiGHS, for v that are not too large: of nearly opposite rows a QP solver finds no point.
+        """Whether HiGHS finds room, for v not too large: of nearly opposite rows a QP solver finds no point.
 
         Where HiGHS does not end, nobody can tell, and the parameter counts.
         """

@@ -42,7 +42,7 @@ class RegionGraph:
         self.graph, self.facets = _room(len(qp.M), self.parameters)
 
     def _take(self, qp: ScaledQP) -> None:
-        """Take a problem."""
+        """Store a problem."""
         self.qp = qp
         self.parameters = qp.D.shape[1] - 1
         self.data = QPData(qp.M, qp.D, qp.tie, qp.gram, qp.TA, qp.Tb)
@@ -64,11 +64,11 @@ class RegionGraph:
 
     @property
     def facet_states(self) -> np.ndarray[Any, np.dtype[np.int8]]:
-        """What became of the facets."""
+        """States of the facets."""
         return self.facets.state[: self.graph.counts[ROWS]]
 
     def explore(self, regions: int) -> None:
-        """Find the facets of so many more regions, and their neighbours; of fewer where memory has to grow first."""
+        """Find the facets of so many more regions, and their neighbours, or of fewer where memory has to grow first."""
         from mpc.explicit.kernels.exploration import GROW, explore
 
         if explore(self.data, self.graph, self.facets, regions) == GROW:
@@ -92,14 +92,14 @@ class RegionGraph:
         return found[: int(seed(self.data, self.graph, *self.qp.joint, targets, found))]
 
     def look_at(self, points: Array) -> Bools:
-        """Queue the active sets at points; which of these lie in the parameter set and are feasible."""
+        """Queue the active sets at points; return which points lie in the parameter set and are feasible."""
         from mpc.explicit.kernels.places import look_at
 
         self.make_room(4 * len(points))
         return np.asarray(look_at(self.data, self.graph, points))
 
     def covered(self, points: Array, distance: float = INSIDE) -> Bools:
-        """Which points lie in a region that is done, or not farther outside one than a distance."""
+        """Points that lie in a region that is done, or not farther outside one than a distance (bool)."""
         from mpc.explicit.kernels.places import covered
 
         return np.asarray(covered(self.facets, self.graph.counts, points, distance))
@@ -131,7 +131,7 @@ class RegionGraph:
             self._grow_sets()
 
     def _grow(self) -> None:
-        """Twice the room for facets if that is scarce, else for active sets."""
+        """Double the room for facets if that is scarce, else for active sets."""
         facets = self.facets
         if self.graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
             longer = {name: _longer(getattr(facets, name)) for name in ("rows", "hits", "state")}
@@ -140,7 +140,7 @@ class RegionGraph:
             self._grow_sets()
 
     def _grow_sets(self) -> None:
-        """Twice the room for active sets."""
+        """Double the room for active sets."""
         graph = self.graph
         facets = self.facets
         self.facets = facets._replace(offsets=_longer(facets.offsets), centres=_longer(facets.centres))

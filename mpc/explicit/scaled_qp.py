@@ -220,7 +220,7 @@ def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
 
 
 def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Which rows restrict the parameter only: moving v by its own size changes them by rounding."""
+    """Rows (bool) that restrict the parameter only: moving v by its own size changes them by rounding."""
     moved = length > 0
     reach = _typical(right[moved] / length[moved, None])  # what the bounds ask of v, where its optimum is zero
     typical = max(float(np.abs(shift).sum(axis=1).max(initial=0.0)), reach)

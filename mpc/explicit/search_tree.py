@@ -20,7 +20,7 @@ Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class TreeStatus(Outcome):
-    """How the growth of a search tree ended; the value is the advice."""
+    """Outcome of the growth of a search tree; the value is the advice."""
 
     COMPLETE = "Complete: every leaf holds regions of one law, or few."
     TIME_LIMIT = "Stopped at `tree_time_limit`: some leaves hold many regions and are scanned. The law is the same."
@@ -178,7 +178,7 @@ def _no_leaf(n: int) -> tuple[Array, Ints, Ints]:
 
 
 def _locator(partition: Partition, tree: tuple[Array, Ints, Ints], border: Array, inner: Array) -> Any:
-    """Planes, nodes and leaf regions, the facets of the regions, and the border, for the compiled search."""
+    """Locator for the compiled search: planes, nodes and leaf regions, the facets of the regions, and the border."""
     from mpc.explicit.kernels.search import Locator
 
     regions = (partition.scaled_rows, partition.offsets)
@@ -186,7 +186,7 @@ def _locator(partition: Partition, tree: tuple[Array, Ints, Ints], border: Array
 
 
 def _searched(tree: SearchTree, partition: Partition, scan: bool) -> Any:
-    """The same for a search tree, or for a scan of all regions within its border."""
+    """Locator of a search tree, or of a scan of all regions within its border."""
     parts = _no_leaf(len(partition.centre)) if scan else (tree.planes, tree.nodes, tree.leaf_regions)
     return _locator(partition, parts, tree.border, tree.centre)
 
@@ -284,7 +284,7 @@ def _largest_first(nodes: Ints, leaf: Ints, points: RegionPoints) -> Ints:
 
 
 def _roomier(growth: Any) -> Any:
-    """The same growth with more room; regions of nodes already looked at are let go."""
+    """The growth with more room; regions of nodes already looked at are let go."""
     from mpc.explicit.kernels.growth import NEXT, POOL
 
     node = growth.counts[NEXT]

@@ -1,4 +1,4 @@
-"""What constraints and unknowns of a program are called, and which are violated or stand in the way, in words."""
+"""Names of a program's constraints and unknowns, and of those that are violated or stand in the way."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ def rows_of(program: NonlinearProgram, row: int) -> Rows:
 
 
 def of_phase(program: NonlinearProgram, phase: int) -> str:
-    """" of phase 2", where there are several."""
+    """Words such as " of phase 2", where there are several phases."""
     return f" of phase {phase + 1}" if len(program.parts) > 1 and phase >= 0 else ""
 
 
 def of_linked_phase(program: NonlinearProgram, phase: int) -> str:
-    """The same where phases follow one another; scenarios side by side have their limits in common."""
+    """Words such as " of phase 2" where phases follow one another; scenarios side by side share their limits."""
     return of_phase(program, phase) if program.problem.linked else ""
 
 
 def limit_of_row(program: NonlinearProgram, row: int) -> str:
-    """What limit a constraint belongs to, at whatever time, and in whatever scenario: "path 2"."""
+    """Name of the limit that a constraint belongs to, at any time and in any scenario: "path 2"."""
     rows = rows_of(program, row)
     return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_linked_phase(program, rows.phase)}"
 
 
 def name_of_row(program: NonlinearProgram, row: int) -> str:
-    """What a constraint is, at whatever time: "path 2 of phase 3"."""
+    """Name of a constraint, at any time: "path 2 of phase 3"."""
     rows = rows_of(program, row)
     return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_phase(program, rows.phase)}"
 
 
 def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
-    """What a constraint is, and when: "path 2 at t = 0.31"."""
+    """Name and time of a constraint: "path 2 at t = 0.31"."""
     rows = rows_of(program, row)
     if rows.phase < 0:
         return name_of_row(program, row)
@@ -50,7 +50,7 @@ def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
 
 
 def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
-    """What an unknown is, and when: "bound of u1 at t = 0.31"."""
+    """Name and time of an unknown: "bound of u1 at t = 0.31"."""
     for k, (part, (start, length)) in enumerate(zip(program.parts, program.times(v))):
         if index == part.duration:
             return f"bound of the duration{of_phase(program, k)}"
@@ -84,7 +84,7 @@ def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: f
 
 def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds: Array, violations: Array,
                   feasible: float) -> tuple[str, ...]:  # fmt: skip
-    """What cannot hold together, of the unknowns with the least violations and the multipliers there.
+    """Names of what cannot hold together, from the unknowns with least violations and the multipliers there.
 
     First the constraints that are violated, then those and the bounds whose multipliers hold against them.
     """
@@ -104,7 +104,7 @@ def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds
 
 
 def _limits(program: NonlinearProgram, without: tuple[str, ...] = ()) -> dict[str, Numbers]:
-    """The rows of every limit, at all times and in all scenarios, by its name."""
+    """Rows of every limit, at all times and in all scenarios, by its name."""
     found: dict[str, list[Numbers]] = {}
     for rows in program.rows:
         if rows.name in without:
@@ -134,7 +134,7 @@ def _shortened(named: list[str], count: int, what: str) -> tuple[str, ...]:
 
 
 def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tuple[int, str]]:
-    """What the bound of each unknown with a multiplier is called."""
+    """Names of the bounds of unknowns with a multiplier."""
     for k, part in enumerate(program.parts):
         phase = of_linked_phase(program, k)
         numbers, _ = coordinates(part.layout, part.mesh)
@@ -156,7 +156,7 @@ def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tupl
 
 
 def _side(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
-    """Which bound of an unknown a multiplier is of, and the bound; where one is held besides, its value."""
+    """Side and value of the bound of an unknown that a multiplier belongs to; where one is held besides, its value."""
     low, high = program.lower[i], program.upper[i]
     if high - low <= SAME_BOUND * program.scale[i]:
         return f"= {high:.6g}"

@@ -1,4 +1,4 @@
-"""One call of Ipopt, and what its answer is worth by the program's own derivatives."""
+"""One call of Ipopt, and a check of its answer by the program's own derivatives."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ENDED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 @dataclass(frozen=True)
 class Settings:
-    """Of one call.
+    """Settings of one call.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Found:
-    """What one call of the solver gave, in the units of the problem."""
+    """Result of one call of the solver, in the units of the problem."""
 
     v: Array
     multipliers: dict[str, Array]
@@ -118,7 +118,7 @@ def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIte
 
 
 class BestIterate(ca.Callback):  # type: ignore[misc]
-    """Keeps the cheapest of the feasible iterates; the least infeasible where none is."""
+    """Callback that keeps the cheapest of the feasible iterates; the least infeasible where none is."""
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
@@ -134,19 +134,19 @@ class BestIterate(ca.Callback):  # type: ignore[misc]
         self._sides = given["lbg"], given["ubg"]
 
     def get_n_in(self) -> int:
-        """As CasADi asks for it."""
+        """Number of arguments, for CasADi."""
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
-        """As CasADi asks for it."""
+        """Number of results, for CasADi."""
         return 1
 
     def get_name_in(self, i: int) -> str:
-        """As CasADi asks for it."""
+        """Name of an argument, for CasADi."""
         return str(ca.nlpsol_out(i))
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """As CasADi asks for it."""
+        """Sparsity of an argument, for CasADi."""
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)])
 
     def eval(self, arg: Any) -> list[int]:

@@ -1,4 +1,4 @@
-"""How much a solution misses the dynamics, the cost and the limits between the points of its mesh."""
+"""Errors of a solution in the dynamics, the cost and the limits between the points of its mesh."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from mpc.tolerances import LEAST_LIMIT_SIZE, LIMIT_CHECKS, RESTING_STATE
 
 
 class Missed(NamedTuple):
-    """What is missed over each interval, (N,) each: the dynamics, relative, and of the cost about."""
+    """Errors over each interval, (N,) each: of the dynamics, relative, and of the cost, about."""
 
     dynamics: Array
     cost: Array
 
 
 def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
-    """What a phase misses of the dynamics over each interval, relative to the extent of each state, and of its cost.
+    """Errors of a phase's dynamics over each interval, relative to the extent of each state, and of its cost.
 
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
@@ -49,7 +49,7 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
 
 
 def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
-    """∫ |dx/dt − f| over every interval, (N, nx), and what is missed of the cost."""
+    """Integrals ∫ |dx/dt − f| over every interval, (N, nx), and errors of the cost."""
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))
     tau, weights = 0.5 * (tau + 1), 0.5 * weights
@@ -78,7 +78,7 @@ def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, p: Array) ->
 
 
 def _shot(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> tuple[Array, Array]:
-    """What the ends (N, nx) of intervals miss by a scheme, and their costs (N, 1)."""
+    """Errors of the ends (N, nx) of intervals by a scheme, and their costs (N, 1)."""
     part, N = phase.part, phase.part.intervals
     layout = layout_of(part.phase, part.layout.nw, scheme)
     interval = interval_function(part.phase, part.functions, scheme, layout, len(p))
@@ -102,7 +102,7 @@ def evaluated(function: Any, phase: PhaseSolution, x: Array, u: Array, t: Array,
 
 
 class Excess(NamedTuple):
-    """The largest excess of each limit of a phase between the points: of its path, then of its bounded states.
+    """Largest violation of each limit of a phase between the points: of its path, then of its bounded states.
 
     What passes a limit by the polynomial of an input alone, as where an input jumps, counts by the part of the time
     that it lasts at most: what inputs do is felt by its integral.
@@ -126,7 +126,7 @@ class Excess(NamedTuple):
 
 
 def path_excess(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...], p: Array) -> tuple[Excess, ...]:
-    """By how much limits are exceeded between the points of the mesh, and when, of the unknowns (n,) of a program.
+    """Violations of limits between the points of the mesh, and their times, at the unknowns (n,) of a program.
 
     Zero where they never are; of discrete dynamics there is nothing between.
     """
@@ -134,7 +134,7 @@ def path_excess(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution
 
 
 def _excess(phase: PhaseSolution, p: Array, sizes: Array) -> Excess:
-    """That of a phase whose limits have sizes (m, N)."""
+    """Violations in a phase whose limits have sizes (m, N)."""
     m, N = sizes.shape
     bounded = _bounded(phase)
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
@@ -163,7 +163,7 @@ def _bounded(phase: PhaseSolution) -> Any:
 
 
 def _beyond(phase: PhaseSolution, p: Array, k: Any, tau: Array) -> Array:
-    """How far each limit is exceeded at fractions (n,) of intervals k (n,), (m, n)."""
+    """Violation (m, n) of each limit at fractions (n,) of intervals k (n,)."""
     part, scheme = phase.part, phase.part.scheme
     x, u = phase.states_within(k, tau), np.clip(phase.inputs_within(k, tau), *part.phase.u_bounds)
     own = _bounded(phase)

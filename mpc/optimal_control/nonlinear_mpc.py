@@ -153,7 +153,7 @@ class NonlinearMPC:
 
     @cached_property
     def _planner(self) -> Planner:
-        """Plans for these parameters."""
+        """Planner for these parameters."""
         budget = SolveBudget(self.iterations, self.most_iterations, as_seconds("time_limit", self.time_limit))
         return Planner(self.linear, self.model, self.p, budget)
 
@@ -163,7 +163,7 @@ class NonlinearMPC:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What a closed loop hands over at every step besides the state, see `LinearMPC.needs`."""
+        """Names of the signals that a closed loop hands over besides the state, see `LinearMPC.needs`."""
         return self.linear.needs
 
     @property
@@ -172,7 +172,7 @@ class NonlinearMPC:
         return tuple(self._last)
 
     def with_parameters(self, p: ArrayLike) -> NonlinearMPC:
-        """The same controller for other parameters p (np,), without building the model anew."""
+        """Controller for other parameters p (np,), without building the model anew."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
         for name in ("linear", "_planner", "steady_states"):
@@ -186,7 +186,7 @@ class NonlinearMPC:
         self._last.clear()
 
     def __copy__(self) -> NonlinearMPC:
-        """The same controller without plans of a last sample: copies control runs of their own."""
+        """Copy without plans of a last sample: copies control runs of their own."""
         other = object.__new__(type(self))
         other.__dict__.update(self.__dict__)
         other.__dict__["_last"] = []

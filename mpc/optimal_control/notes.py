@@ -1,4 +1,4 @@
-"""What a problem's statement may have to do with how a solve ended."""
+"""Notes on what a problem's statement may have to do with how a solve ended."""
 
 from __future__ import annotations
 

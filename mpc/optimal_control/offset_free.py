@@ -117,7 +117,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
 
 
 def _with_additive(mpc: NonlinearMPC) -> NonlinearMPC:
-    """The same controller of a model with a disturbance added to every next state."""
+    """Controller of the model with a disturbance added to every next state."""
     step = mpc.model.step
     x, u, none, p = symbols_of(step).values()
     w = type(x).sym("w", mpc.states)

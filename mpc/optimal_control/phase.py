@@ -180,7 +180,7 @@ class PhaseFunctions:
 
 
 def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[str, int], int | None]]:
-    """What each function of a phase is a function of, with lengths, and the length of its value, where that is set."""
+    """Columns that each function of a phase depends on, with lengths, and the length of its value, where set."""
     running = {"x": phase.states, "u": phase.inputs, "w": width, "p": parameters, "t": 1}
     at_end = {"x": phase.states, "p": parameters, "t": 1}
     ends = {"x0": phase.states, "x": phase.states, "t0": 1, "t": 1, "p": parameters}
@@ -200,7 +200,7 @@ def _with_limits(phase: Phase, name: str, function: ca.Function | None) -> tuple
 
 
 def _width(phase: Phase) -> int:
-    """Entries of the given signal."""
+    """Number of entries of the given signal."""
     if phase.signal is None:
         return 0
     if not callable(phase.signal):

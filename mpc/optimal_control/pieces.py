@@ -21,7 +21,7 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """When a phase begins and how long it is, of given numbers and free durations."""
+    """Start and length of a phase, from given numbers and free durations."""
 
     start: float  # its start, less the free durations before it
     length: float  # its duration, where it is given
@@ -94,7 +94,7 @@ def path_piece(functions: PhaseFunctions, clock: Clock, layout: Layout, paramete
 
 
 def link_piece(link: ca.Function | None, clock: Clock, before: int, after: int, parameters: int) -> ca.Function:
-    """What the state that a phase begins with differs by from that of the phase before; `clock` is the phase's own."""
+    """Gap between the state a phase begins with and that of the phase before; `clock` is the phase's own."""
 
     def values(end: Any, begin: Any, p: Any, free: Any, data: Any) -> list[Any]:
         return [(end if link is None else link(end, p, clock.times(free)[0])) - begin]
@@ -146,12 +146,12 @@ class Piece:
 
     @property
     def places(self) -> int:
-        """M."""
+        """Number M of places."""
         return int(self.unknowns.shape[1])
 
     @property
     def of_cost(self) -> NDArray[np.bool_]:
-        """Which values (k,) are added to the cost."""
+        """Values (k,) that are added to the cost (bool)."""
         return np.asarray(self.rows[:, 0] == 0)
 
     @cached_property
@@ -179,5 +179,5 @@ class Piece:
 
 
 def listed(chosen: NDArray[np.bool_]) -> list[int]:
-    """The numbers of what is chosen."""
+    """Numbers of the chosen entries."""
     return [int(i) for i in np.flatnonzero(chosen)]

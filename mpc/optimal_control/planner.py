@@ -31,7 +31,7 @@ LINEAR_LAW, SHIFTED, REAL_TIME, CONVERGING = "linear law", "shifted plan", "real
 
 @dataclass(frozen=True, eq=False)
 class SolveBudget:
-    """How much is done a sample: quadratic programs (None: to the optimum), most of them, and wall time [s]."""
+    """Budget of a sample: quadratic programs (None: to the optimum), most of them, and wall time [s]."""
 
     iterations: int | None
     most: int
@@ -48,7 +48,7 @@ class _Path:
     name: str
 
     def moved(self, step: Step, part: float = 1.0) -> _Path:
-        """The same after a part of a step."""
+        """Path after a part of a step."""
         return replace(
             self, states=self.states + part * step.states, inputs=self.inputs + part * step.inputs, gains=step.gains
         )
@@ -114,7 +114,7 @@ class Planner:
     def _iterated(
         self, x: Array, first: _Path, w: Array, given: Given, began: float, *, follow: bool
     ) -> tuple[_Path, Step | None, Status]:
-        """Where quadratic programs lead from a path, the last of them, and what that is."""
+        """Path that quadratic programs lead to, the last of them, and its status."""
         real_time = follow and self.budget.iterations is not None
         at = replace(first, name=CONVERGING if self.budget.iterations is None else REAL_TIME)
         dear = VIOLATION_PRICE * max(cost_of(self.law, at.inputs, at.states, given), TINY) if self._hard else 0.0
@@ -175,7 +175,7 @@ class Planner:
         return None
 
     def _linear_law(self, x: Array, w: Array, given: Given) -> _Path:
-        """What the linear law does to the model."""
+        """Path of the model under the linear law."""
         states, inputs = np.zeros((self.law.horizon + 1, self.law.nx)), np.zeros((self.law.horizon, self.law.nu))
         error, effort = self.programs.deviations(states, inputs, given)
         return self._followed(x, _Path(-error, -effort, self._gains, LINEAR_LAW), w, given)

@@ -45,7 +45,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class PhasePart:
-    """Where the unknowns of a phase stand in the vector of all."""
+    """Places of a phase's unknowns in the vector of all."""
 
     phase: Phase
     functions: PhaseFunctions
@@ -63,11 +63,11 @@ class PhasePart:
 
     @property
     def intervals(self) -> int:
-        """N."""
+        """Number N of intervals."""
         return len(self.mesh) - 1
 
     def unknowns(self, v: Array) -> tuple[Array, Array, list[Array], list[Array]]:
-        """Of the vector of all: unknowns of nodes (node, N + 1) and intervals (own, N), states and inputs at points."""
+        """Unknowns of nodes (node, N + 1) and intervals (own, N), states and inputs at points, of the vector of all."""
         nx, node, cut = self.layout.nx, self.layout.node, self.first + self.layout.column * self.intervals
         columns = v[self.first : cut].reshape(self.intervals, self.layout.column).T
         nodes, own = np.column_stack([columns[:node], v[cut : self.last]]), columns[node:]
@@ -188,7 +188,7 @@ def with_costs_of_scenarios(program: NonlinearProgram) -> NonlinearProgram:
 
 
 def costs_of_scenarios(program: NonlinearProgram, v: Array) -> Array:
-    """What the unknown costs of scenarios are at unknowns (n,): the largest cost, or each of them."""
+    """Values of the unknown costs of scenarios at unknowns (n,): the largest cost, or each of them."""
     count = len(program.parts)
     g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()
     each: Array = g[:count] + v[program.costs]
@@ -223,14 +223,14 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
 
 
 def starts(program: NonlinearProgram, stopped: Array, lower: Array, upper: Array) -> Iterator[Array]:
-    """Where the least violation is looked for: where the solver stopped, the guess, and the guess shaken."""
+    """Starts of a search for the least violation: where the solver stopped, the guess, and the guess shaken."""
     yield stopped
     yield np.clip(program.guess, lower, upper)
     yield shaken(program, lower, upper)
 
 
 def shaken(program: NonlinearProgram, lower: Array, upper: Array, seed: int = 0) -> Array:
-    """The guess, each state and input of it moved along a line of its own, by a part of its size."""
+    """The guess with each state and input moved along a line of its own, by a part of its size."""
     random = np.random.default_rng(seed)
     move = random.uniform(-SHAKEN, SHAKEN, len(lower))
     for part in program.parts:

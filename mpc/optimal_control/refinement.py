@@ -134,11 +134,11 @@ class _Rounds:
         return best, "" if self.missed(best) <= 1 else "intervals are as short as they may be"
 
     def missed(self, solution: Solution) -> float:
-        """By how many times its tolerance a mesh misses the dynamics or a limit, whichever is more."""
+        """Error of a mesh in the dynamics or a limit, whichever is more, in tolerances [-]."""
         return max(solution.mesh_error / self.tolerance, solution.excess / LIMIT_PASSED)
 
     def _over(self, still: int) -> str:
-        """Why there is no further round, if there is none."""
+        """Reason why there is no further round; empty if there is one."""
         if time.perf_counter() >= self.end:
             return NO_TIME
         if not self.left:
@@ -159,7 +159,7 @@ class _Rounds:
         return None if reason else sharp
 
     def solved(self, program: NonlinearProgram, start: Solution | None) -> Solution:
-        """From the solution of another mesh, or the user's start; if that fails, from the guess."""
+        """Solution from that of another mesh, or the user's start; if that fails, from the guess."""
         found = self._once(program, self.options if start is None else self.options | {"start": start})
         if not found.solved_on_mesh and start is not None and time.perf_counter() < self.end:
             fresh = self._once(program, {name: value for name, value in self.options.items() if name != "start"})

@@ -59,7 +59,7 @@ class Collocation:
         return np.stack([np.prod(away[..., own], axis=-1) for own in others], axis=-1) / over
 
     def integrals(self, tau: Any) -> Array:
-        """Their integrals (n, stages) from 0 to fractions (n,) of the interval, by a quadrature that is exact."""
+        """Integrals (n, stages) of the polynomials from 0 to fractions (n,) of the interval, by an exact quadrature."""
         at, weights = np.polynomial.legendre.leggauss(self.stages // 2 + 1)
         given = np.asarray(tau, dtype=float)[..., None]
         values = self.basis(given * (at + 1) / 2)

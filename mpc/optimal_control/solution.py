@@ -118,27 +118,27 @@ class Solution:
 
     @property
     def advice(self) -> str:
-        """What to do about the outcome: that of the status, the notes, and what is missed between the points."""
+        """Advice on the outcome: that of the status, the notes, and what is missed between the points."""
         return " ".join([self.status.advice, *self.notes, *(self._missed() if self.solved_on_mesh else ())])
 
     @cached_property
     def path_excess(self) -> tuple[Excess, ...]:
-        """By how much limits are exceeded between the points of the mesh, and when, one a phase: see `Excess`."""
+        """Violations of limits between the points of the mesh, and their times, one a phase: see `Excess`."""
         return path_excess(self.program, self.unknowns, self.phases, self.p)
 
     @property
     def excess(self) -> float:
-        """The largest relative excess of a limit between the points."""
+        """Largest relative violation of a limit between the points."""
         return max(float(excess.relative.max(initial=0.0)) for excess in self.path_excess)
 
     @cached_property
     def missed(self) -> tuple[Missed, ...]:
-        """What dynamics and cost miss between the points, one a phase: see `mesh_errors`."""
+        """Errors of dynamics and cost between the points, one a phase: see `mesh_errors`."""
         return tuple(mesh_errors(phase, self.p) for phase in self.phases)
 
     @property
     def errors(self) -> tuple[Array, ...]:
-        """What the dynamics miss between the points, relative to the extents of states, (N,) a phase."""
+        """Errors of the dynamics between the points, relative to the extents of states, (N,) a phase."""
         return tuple(one.dynamics for one in self.missed)
 
     @property
@@ -148,11 +148,11 @@ class Solution:
 
     @property
     def cost_error(self) -> float:
-        """What the mesh makes the cost miss, about: to first order, by the costates and the cost's quadrature."""
+        """Error of the cost by the mesh, about: to first order, by the costates and the cost's quadrature."""
         return float(sum(one.cost.sum() for one in self.missed))
 
     def looked_between(self) -> Solution:
-        """With the status that it deserves between the points."""
+        """Solution with the status that it deserves between the points."""
         status = OptimalControlStatus.SOLVED
         if not self.excess <= LIMIT_PASSED:
             status = OptimalControlStatus.LIMITS_PASSED
@@ -188,18 +188,18 @@ class Solution:
 
     @property
     def duration(self) -> float:
-        """Of all phases, or of the longest scenario [s]."""
+        """Duration of all phases, or of the longest scenario [s]."""
         if not self.program.problem.linked:
             return max(phase.duration for phase in self.phases)
         return float(self.phases[-1].times[-1] - self.phases[0].times[0])
 
     @property
     def p_gradient(self) -> Array:
-        """How the optimal cost changes with parameters that are held or stand at a bound, (np,); 0 of others."""
+        """Derivatives (np,) of the optimal cost by parameters that are held or stand at a bound; 0 of others."""
         return -self.multipliers["bounds"][self.program.parameters]
 
     def sensitivity(self) -> SolutionSensitivity:
-        """How optimal cost and trajectory change with the parameters, held where they are, and with a given start.
+        """Derivatives of optimal cost and trajectory by the parameters, held where they are, and by a given start.
 
         The conditions of an optimum of the program, on its mesh, are differentiated at the active constraints. Solve
         to a small tolerance for derivatives of as many digits: `solve(…, tolerance=1e-10)`.

@@ -1,4 +1,4 @@
-"""How a solution changes with parameters that are held and with a given start: its KKT system, solved."""
+"""Derivatives of a solution by parameters that are held and by a given start: its KKT system, solved."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _derivatives(program: NonlinearProgram, v: Array, multipliers: Array) -> tup
 def _acting(
     low: Array, high: Array, multiplier: Array, softness: Array
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """What holds with equality (n,), and where an interior point cannot tell.
+    """Bounds (n,) that hold with equality, and those of which an interior point cannot tell.
 
     Of bounds relative to the value, multipliers, and how far a unit force moves the value, about; all scaled.
     """
@@ -204,7 +204,7 @@ def _along(part: PhasePart, moves: Array) -> tuple[Array, Array]:
 def _none(
     program: NonlinearProgram, held: NDArray[np.int64], status: SensitivityStatus, weak: tuple[str, ...]
 ) -> SolutionSensitivity:
-    """What there is to say where there are no derivatives."""
+    """Sensitivity without derivatives: NaN in place of each."""
     moves = np.full((len(program.lower), len(held)), np.nan)
     return _packed(
         program, held, status, np.full(len(held), np.nan), np.full((len(held), len(held)), np.nan), moves, weak

@@ -77,7 +77,7 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
 
 
 def _settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Settings:
-    """What a call is given, checked."""
+    """Settings of a call, checked."""
     number = as_floats("tolerance", tolerance)
     if number.ndim or not 0 < number < 1:
         raise InputError("tolerance", brief(repr(tolerance)), "a number between 0 and 1")
@@ -133,7 +133,7 @@ class _Run:
         return found
 
     def elsewhere(self, found: Found) -> Found:
-        """What is found from a guess that is moved, where the guess itself was stationary: it may be a maximum."""
+        """Result from a guess that is moved, where the guess itself was stationary: it may be a maximum."""
         program = self.program
         # begun with a small barrier, which at full height would pull inputs back between their bounds
         other = self.solved(shaken(program, self.lower, self.upper), None, warm=True)
@@ -145,7 +145,7 @@ class _Run:
         return found
 
     def judged(self, found: Found) -> Solution:
-        """The solution that the solver's answer stands for, its verdict confirmed."""
+        """The solution that the solver's answer stands for, with its status confirmed."""
         status = _status(found)
         if status not in (OptimalControlStatus.SOLVED, OptimalControlStatus.UNDEFINED) and self._falls(found):
             status = OptimalControlStatus.UNBOUNDED
@@ -227,7 +227,7 @@ def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -
 
 
 def _status(found: Found) -> OptimalControlStatus:
-    """What a solver's word and the residuals come to."""
+    """Status that a solver's word and the residuals come to."""
     said, residuals = found.said, found.residuals
     if residuals.worst <= OPTIMAL and residuals.primal <= FEASIBLE:
         return OptimalControlStatus.SOLVED

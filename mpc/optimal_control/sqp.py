@@ -19,7 +19,7 @@ from mpc.tolerances import LEAST_CURVED, REFERENCE_ROUNDING, TINY
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What one quadratic program says of a plan.
+    """Result of one quadratic program for a plan.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ class Sequential:
         )  # fmt: skip
 
     def prices(self, step: Step, states: Array, inputs: Array, given: Given) -> tuple[float, float, Array]:
-        """What a merit must charge for a gap of one size and for a limit violated by one unit; costates (N + 1, nx)."""
+        """Prices of a merit for a gap of one size and a limit violated by one unit; costates (N + 1, nx)."""
         forces = self._forces(states + step.states, inputs + step.inputs, step.multipliers, given)
         found = costates_along(*step.slopes, step.gains, *forces)
         own = step.multipliers[len(step.multipliers) - len(self._prices) :] * self._prices
@@ -192,7 +192,7 @@ class Sequential:
         return by_state, by_input
 
     def deviations(self, states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
-        """States and inputs from their references, where there are some."""
+        """Deviations of states and inputs from their references, where there are some."""
         error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
         return error, inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
 
@@ -244,7 +244,7 @@ class Sequential:
     def _priced(
         self, program: _Program, linear: float, quadratic: float, relaxed: bool
     ) -> tuple[Array, Array, bool, bool]:
-        """As `_solve`, where the largest violation of every step has a price."""
+        """Solution as of `_solve`, with a price on the largest violation of every step."""
         N, n, m = self.problem.horizon, self.n, len(program.rows)
         columns = np.zeros((m, N))
         columns[m - len(self._prices) + np.arange(len(self._prices)), self._step_of] = -self._prices

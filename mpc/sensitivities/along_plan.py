@@ -95,7 +95,7 @@ class IdleRows:
 
     @classmethod
     def of(cls, linear: Linearised, point: Point, rates: Array) -> IdleRows:
-        """Those at an optimum whose free variables move by rates (n, nt)."""
+        """Idle rows at an optimum whose free variables move by rates (n, nt)."""
         met = linear.on_bound & linear.own & ~point.acting
         acting = linear.rows[point.acting][:, linear.free] * linear.scale
         basis = np.linalg.qr(acting.T)[0] if len(acting) else np.zeros((len(linear.scale), 0))
@@ -121,7 +121,7 @@ class IdleRows:
         return cls(met & ~alone, dependent, together)
 
     def margin(self, linear: Linearised, point: Point) -> float:
-        """How far the nearest row is from beginning or ceasing to act, in its unit [-]."""
+        """Distance of the nearest row from beginning or ceasing to act, in its unit [-]."""
         idle = self.weak | self.dependent
         worth = linear.worth(linear.multipliers)
         pushing = worth > WEAKLY_ACTIVE
@@ -166,7 +166,7 @@ class NewtonStep:
 
     @classmethod
     def of(cls, linear: Linearised, point: Point) -> NewtonStep | None:
-        """The step at a point; None at a saddle, or where acting rows depend on each other."""
+        """Newton step at a point; None at a saddle, or where acting rows depend on each other."""
         at, nt = linear.conditions.columns, linear.conditions.nt
         acting = np.flatnonzero(point.acting)
         d = linear.scale
@@ -195,7 +195,7 @@ class NewtonStep:
 
     @property
     def size(self) -> float:
-        """How far it goes, in sizes of inputs and states, and in the units of the slacks [-]."""
+        """Length of the step, in sizes of inputs and states, and in the units of the slacks [-]."""
         linear = self.linear
         problem = linear.conditions.problem
         inputs, states = self._of_plan
@@ -220,7 +220,7 @@ class NewtonStep:
         return self.moves[at["z"].stop - at["z"].start :, -1]
 
     def after(self) -> Point:
-        """The point after it; rows that it would pass act from then on, those that would pull do not."""
+        """Point after the step; rows that it would pass act from then on, those that would pull do not."""
         linear, point = self.linear, self.point
         inputs, states = self._of_plan
         multipliers = np.zeros(len(linear.rows))

@@ -1,4 +1,4 @@
-"""How an optimal plan and its cost change: what `sensitivity` returns."""
+"""Derivatives of an optimal plan and its cost: what `sensitivity` returns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mpc.tolerances import KKT_REPORTED
 
 
 class SensitivityStatus(Outcome):
-    """How far derivatives can be believed; the value is the advice."""
+    """Validity of derivatives; the value is the advice."""
 
     SMOOTH = "The active set is the same nearby: the derivatives hold on every side, as far as `margin`."
     ONE_SIDED = (

@@ -26,7 +26,7 @@ _LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
 
 @dataclass(frozen=True)
 class CodeReport:
-    """What was written and what it costs.
+    """Report of the written code and its costs.
 
     files : header and source; method : "tree" or "sequential"; flash_bytes : size of the constant tables [B];
     operations : multiply-adds in the worst case; comparisons : comparisons in the worst case.

@@ -1,4 +1,4 @@
-"""What the compiled exploration works on, with names: numba takes named tuples of arrays."""
+"""Data of the compiled exploration, with names: numba takes named tuples of arrays."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def side_of(rows, i, points, q):
 
 @njit(cache=True)
 def score(regions, members, inside, row):
-    """How well a hyperplane divides the members of a node, by their points: the fewer on the fuller side the better."""
+    """Score of a hyperplane that divides a node's members by their points: the fewer on the fuller side the better."""
     low = 0
     high = 0
     stride = 1 + len(members) // 400  # so many judge a hyperplane

@@ -43,7 +43,7 @@ def seed(qp, graph, J, h, targets, found):
 
 @njit(cache=True)
 def look_at(qp, graph, targets):
-    """Queue the active sets at the targets; which of these lie in the parameter set and are feasible."""
+    """Queue the active sets at the targets; return which targets lie in the parameter set and are feasible."""
     mask = np.empty(graph.masks.shape[1], np.uint64)
     feasible = np.zeros(len(targets), np.bool_)
     for t in range(len(targets)):
@@ -106,7 +106,7 @@ def behind_facets(facets, chosen, owners, draws, nearest, farthest, points):
 
 @njit(cache=True)
 def covered(facets, counts, points, distance):
-    """Which points lie in a region that is done, or not farther outside one than a distance."""
+    """Points that lie in a region that is done, or not farther outside one than a distance (bool)."""
     n = points.shape[1]
     inside = np.zeros(len(points), np.bool_)
     for p in range(len(points)):

@@ -113,7 +113,7 @@ def variable_size(qp, act, k, law):
 
 @njit(cache=True)
 def row_levers(L, k):
-    """How much each multiplier can be for a unit v: lengths of the rows of the pseudo-inverse, sqrt of diag (LL')⁻¹."""
+    """Largest multipliers for a unit v: lengths of the rows of the pseudo-inverse, sqrt of diag (LL')⁻¹."""
     inverse = np.zeros((k, k))
     lever = np.zeros(k)
     for a in range(k):

@@ -58,7 +58,7 @@ def leaf_of(planes, nodes, t):
 
 
 @njit(cache=True)
-def excess(facets, t, most):
+def violation(facets, t, most):
     """Largest distance of t above the facets of a region; not searched further once it exceeds `most`."""
     rows, first, end = facets
     worst = -np.inf
@@ -73,7 +73,7 @@ def excess(facets, t, most):
 def holder(rows, offsets, members, t):
     """First of the member regions that holds t, to the tolerance INSIDE; -1 where none does."""
     for r in members:
-        if excess((rows, offsets[r], offsets[r + 1]), t, INSIDE) <= INSIDE:
+        if violation((rows, offsets[r], offsets[r + 1]), t, INSIDE) <= INSIDE:
             return r
     return -1
 
@@ -92,7 +92,7 @@ def nearest(rows, offsets, t):
     """First of all regions that holds t, and 0; where none does, the one it lies least far outside of, and how far."""
     region, distance = -1, np.inf
     for r in range(len(offsets) - 1):
-        worst = excess((rows, offsets[r], offsets[r + 1]), t, distance)
+        worst = violation((rows, offsets[r], offsets[r + 1]), t, distance)
         if worst <= INSIDE:
             return r, 0.0
         if worst < distance:
