@@ -267,7 +267,7 @@ def _meets(rows: _LocalRows, v: Array, room: Array) -> bool:
 
 
 def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
-    """Return the point of U nearest to `wanted` with slope·v <= room, None if DAQP finds none."""
+    """Return the point of U nearest to `wanted` with slope·v <= room. None if DAQP finds none."""
     if not len(wanted):
         return wanted
     reach = np.abs(wanted).max()

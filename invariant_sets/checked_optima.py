@@ -72,7 +72,7 @@ def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
 
 
 def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return the optimum that DAQP finds if it is exact as it is; None if not."""
+    """Return the optimum that DAQP finds if it is exact as it is. None if not."""
     columns = np.abs(A).max(axis=0)
     if 0 < columns.min() < UNEVEN:
         return None
@@ -82,7 +82,7 @@ def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
 
 
 def checked_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return a checked optimum, proposed by DAQP or else by HiGHS, or an exact one; None if there is none."""
+    """Return a checked optimum, proposed by DAQP or else by HiGHS, or an exact one. None if there is none."""
     columns = np.abs(A).max(axis=0)
     if columns.min() >= UNEVEN or columns.min() == 0:
         return _best(c, A, b) or _exact(c, A, b)
@@ -94,7 +94,7 @@ def checked_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
 
 
 def _exact(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return the optimum in rational arithmetic; rows that miss each other by rounding are allowed to. None if none."""
+    """Return the optimum in rational arithmetic. Rows that miss each other by rounding are allowed to. None if none."""
     for rounding in (0.0, LP_ROUNDING, LP_SOLVER):
         answer = exact_optimum(c, A, b + rounding * (np.abs(b) + 1.0))
         if answer is not None:
@@ -145,7 +145,7 @@ def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
 
 
 def _at_active_rows(c: Array, A: Array, b: Array, x: Array, active: Array) -> Optimum | None:
-    """Return point and multipliers with which the `active` rows hold with equality, None if they are dependent."""
+    """Return point and multipliers with which the `active` rows hold with equality. None if they are dependent."""
     rows = A[active]
     if len(active) == len(c):
         try:

@@ -52,7 +52,7 @@ def exact_optimum(c: Array, A: Array, b: Array) -> tuple[float, Array, Array] | 
 
 
 def _first_bounds(c: Array, A: Array) -> list[int] | None:
-    """Return a bound on each single variable with a multiplier >= 0 at the cost c, None if one is missing."""
+    """Return a bound on each single variable with a multiplier >= 0 at the cost c. None if one is missing."""
     single = np.count_nonzero(A, axis=1) == 1
     active = []
     for j, cost in enumerate(c):

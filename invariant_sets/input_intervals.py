@@ -56,7 +56,7 @@ class Intervals:
         return (self.slope * v[:, None] - self.room).max(axis=1, initial=-np.inf)
 
     def _at_level(self, level: Array) -> tuple[Array, Array]:
-        """Return the ends of {v : slope v <= room + level}; the lower is above the upper where it is empty."""
+        """Return the ends of {v : slope v <= room + level}. The lower is above the upper where it is empty."""
         room = self.room + level[:, None]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             bound = room / self.slope

@@ -64,7 +64,7 @@ class Body:
                       self.sizes + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms).unit
 
     def less(self, Q: Body, V: Array | None = None) -> Body | None:
-        """Return {x : x + q in the set for every q in Q}, not `settled`; None if the hull or an end excludes all of it.
+        """Return {x : x + q in the set for every q in Q}, not `settled`. None if the hull or an end excludes all of it.
 
         Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
         V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `SAME`.
@@ -86,7 +86,7 @@ class Body:
         return bool((self.g > SETTLED * whole.g).all())
 
     def settled(self) -> Body | None:
-        """Return the set, whose g may have changed, about a point of its own and by its own extents; None if empty."""
+        """Return the set, whose g may have changed, about a point of its own and by its own extents. None if empty."""
         if not len(self.free):
             return self
         none = np.zeros((0, len(self.free)))
@@ -210,7 +210,7 @@ def _interval(A: Array, b: Array, terms: Array, hull: AffineHull, cancelled: flo
 
 
 def _box(A: Array, b: Array, terms: Array) -> Body | None:
-    """Return the `Body` of rows that hold one coordinate each, None if empty."""
+    """Return the `Body` of rows that hold one coordinate each. None if empty."""
     n = A.shape[1]
     column = np.abs(A).argmax(axis=1)
     slope = A[np.arange(len(b)), column]
@@ -243,7 +243,7 @@ def _box(A: Array, b: Array, terms: Array) -> Body | None:
 
 
 def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array, Array]:
-    """Return the least bound (n,) of each column and its doubt; one within its own doubt of another says less."""
+    """Return the least bound (n,) of each column and its doubt. One within its own doubt of another says less."""
     most = np.full(n, np.inf)
     np.minimum.at(most, column, bound + doubt)
     felt = bound + doubt <= most[column]
@@ -270,7 +270,7 @@ def _body(box: LocalBox, hull: AffineHull, widths: Array) -> Body:
 
 
 def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
-    """Return the `Body` of {A x <= b} with the vertices V (k, n); None if it is flat or V are not its vertices."""
+    """Return the `Body` of {A x <= b} with the vertices V (k, n). None if it is flat or V are not its vertices."""
     lower = V.min(axis=0)
     upper = V.max(axis=0)
     centre = (lower + upper) / 2

@@ -136,7 +136,7 @@ def largest_ball(A: Array, b: Array, cap: float, box: float | None = None) -> Ba
 
 
 def ray_along(d: Array, F: Array) -> Array | None:
-    """Return a direction r with F r <= 0 and dᵀr > 0, |r| <= 1; None if there is none but for rounding."""
+    """Return a direction r with F r <= 0 and dᵀr > 0, |r| <= 1. None if there is none but for rounding."""
     optimum = checked_optimum(-d, *_with_box(F, np.zeros(len(F)), 1.0, F.shape[1]))
     if optimum is None or -optimum.value <= STEEP_RAY * np.abs(d).max():
         return None

@@ -96,7 +96,7 @@ class LocalBox:
 
 def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array, *,
                   cancelled: float) -> LocalBox | None:
-    """Return the box in which the extents of the set are one; None if the set is empty.
+    """Return the box in which the extents of the set are one. None if the set is empty.
 
     The view ends where the set is solid and has the right size, or is flat: then `ball.radius` <= `FLAT`, and no
     closer look would change that.
@@ -143,7 +143,7 @@ def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array,
 
 def _local_box(A: Array, b: Array, terms: Array, centre: Array, basis: Array, unbounded: Array,
                cancelled: float) -> LocalBox | None:
-    """Return the box in the coordinates given; None if a row parallel to the hull excludes all of it."""
+    """Return the box in the coordinates given. None if a row parallel to the hull excludes all of it."""
     F = A @ basis
     g = b - A @ centre
     slope = np.abs(A)

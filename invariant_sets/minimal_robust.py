@@ -145,7 +145,7 @@ def _moving_subspace(A: Array, W: Array) -> Array:
 
 
 def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
-    """Return the scaled partial sum for vertices W of a full-dimensional set with 0 inside; None if no term shrinks."""
+    """Return the scaled partial sum for vertices W of a full-dimensional set with 0 inside. None if no term shrinks."""
     hull = Polytope.from_vertices(W)
     target = max(limits.tol / (1 + limits.tol), LEAST_ALPHA)
     partial = hull
@@ -181,7 +181,7 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
 
 
 def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
-    """Iterate R ← A R ⊕ W from the largest robust set in a box around the answer; every iterate is robust."""
+    """Iterate R ← A R ⊕ W from the largest robust set in a box around the answer. Every iterate is robust."""
     eye = np.eye(len(A))
     upper = _sum_of_supports(eye, A, W, MOST_SUM_TERMS)
     lower = -_sum_of_supports(-eye, A, W, MOST_SUM_TERMS)

@@ -196,7 +196,7 @@ class SetOperations(Polyhedron):
             raise TimeLimitError("affine_map", time_limit, str(limit), outer) from None
 
     def preimage(self, M: Any, c: Any = None) -> Self:
-        """Return {x : M x + c in P}. M may be singular; the result is then unbounded.
+        """Return {x : M x + c in P}. M may be singular. The result is then unbounded.
 
         Parameters
         ----------
@@ -301,7 +301,7 @@ def _generators_of(P: Polyhedron, deadline: Deadline) -> Generators:
 
 
 def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
-    """Return the rows of the image of a body under M, None if M is not injective on its hull."""
+    """Return the rows of the image of a body under M. None if M is not injective on its hull."""
     G = M @ body.basis
     terms = np.abs(M) @ np.abs(body.basis)
     G = np.where(np.abs(G) > CANCELLED * terms, G, 0.0)

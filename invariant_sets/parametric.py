@@ -251,7 +251,7 @@ class ParametricSet:
         return (self._slow[k][1], distance) if distance <= 0.02 else None
 
     def _warm(self, p: Array, neighbour: SetResult, distance: float) -> SetResult | None:
-        """Return the result from an inflated neighbour, None if the neighbour's rows are felt."""
+        """Return the result from an inflated neighbour. None if the neighbour's rows are felt."""
         around = neighbour.outer
         if around.affine_dim < around.dim or not around.is_bounded:
             return None

@@ -29,7 +29,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Polyhedron:
-    """{x : A x <= b, A_eq x = b_eq}. It is never changed; vertices and the like are computed once, on demand.
+    """{x : A x <= b, A_eq x = b_eq}. It is never changed. Vertices and the like are computed once, on demand.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Polyhedron:
 
     @classmethod
     def _of(cls, rows: Stated, V: Array | None = None, body: Body | None = None, settled: bool = True) -> Self:
-        """Return the set of these rows, with its vertices V (k, n) and its body where known; nothing is copied.
+        """Return the set of these rows, with its vertices V (k, n) and its body where known. Nothing is copied.
 
         A body that is not settled says where the set lies; its own extents are found when something asks for them.
         """
@@ -120,7 +120,7 @@ class Polyhedron:
 
     @classmethod
     def from_bounds(cls, lower: Any, upper: Any) -> Self:
-        """Return the box lower <= x <= upper; an infinite bound is no bound.
+        """Return the box lower <= x <= upper. An infinite bound is no bound.
 
         Parameters
         ----------
@@ -326,7 +326,7 @@ class Polyhedron:
 
     @cached_property
     def _reach(self) -> Array | None:
-        """A size |x| (n,) that no point of the set exceeds, with room for rounding; None if unbounded or empty."""
+        """A size |x| (n,) that no point of the set exceeds, with room for rounding. None if unbounded or empty."""
         if self._solid_vertices is not None:
             return 1.01 * np.abs(self._solid_vertices).max(axis=0)
         if self._body is None or not self._body.bounded:

@@ -67,7 +67,7 @@ def project_rows(R: Array, r: Array, keep: int, *, reach: Array | None = None,
 
 
 def unit(R: Array, r: Array) -> tuple[Array, Array]:
-    """Return the rows with unit norm; rows of norm zero stay as they are."""
+    """Return the rows with unit norm. Rows of norm zero stay as they are."""
     norms = row_norms(R)
     norms[norms == 0.0] = 1.0
     return R / norms[:, None], r / norms

@@ -92,7 +92,7 @@ class SetResult:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether the set fits into a box; an unbounded one has directions that the constraints never see."""
+        """Whether the set fits into a box. An unbounded one has directions that the constraints never see."""
         return self.set.is_bounded
 
     def __repr__(self) -> str:

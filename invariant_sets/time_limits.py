@@ -19,7 +19,7 @@ from invariant_sets.tolerances import MOST_HULL_FACETS, SECONDS_PER_FACET
 
 
 class LimitReached(InvariantSetsError):
-    """A computation met a cap before its end; caught inside the package and turned into a status."""
+    """A computation met a cap before its end. Caught inside the package and turned into a status."""
 
 
 class TimeLimitReached(LimitReached):
@@ -85,7 +85,7 @@ def hull_facets(points: int, dim: int) -> float:
 
 
 def check_time_limit(value: Any) -> float | None:
-    """Return `time_limit` as seconds, None for no limit; raise `InputError` unless it is a number above 0."""
+    """Return `time_limit` as seconds, None for no limit. Raise `InputError` unless it is a number above 0."""
     if value is None:
         return None
     try:

@@ -38,7 +38,7 @@ def as_sizes(value: Any, name: str) -> tuple[int, ...]:
 
 
 def as_lengths(value: Any, name: str, total: int) -> list[int]:
-    """Return the lengths of contiguous stretches that make up `total` samples; one stretch where nothing is given."""
+    """Return the lengths of contiguous stretches that make up `total` samples. One stretch where nothing is given."""
     if value is None:
         return [total]
     if not isinstance(value, (list, tuple, np.ndarray)):
@@ -55,7 +55,7 @@ def check_instance(value: Any, name: str, kind: type) -> Any:
 
 
 def as_bounds(value: Any, name: str, size: int) -> tuple[Array, Array]:
-    """Return (lower, upper), each (size,); that they are finite and ordered is checked where they are used."""
+    """Return (lower, upper), each (size,). That they are finite and ordered is checked where they are used."""
     bounds = tuple(value) if isinstance(value, (tuple, list, np.ndarray)) else ()
     if len(bounds) != 2:
         raise InputError(name, repr(value)[:60], f"(lower, upper), each ({size},)")

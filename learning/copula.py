@@ -83,7 +83,7 @@ class InnovationCopula(nn.Module):
 
     @classmethod
     def independent(cls, network: QuantileNetwork) -> InnovationCopula:
-        """Copula of independent outputs and steps; margins are linear between a network's levels and beyond."""
+        """Copula of independent outputs and steps. Margins are linear between a network's levels and beyond."""
         levels = np.array(network.levels)
         edges = np.r_[0.0, levels, 1.0]
         positions = np.asarray(np.interp(edges, levels, np.arange(len(levels))))
@@ -96,7 +96,7 @@ class InnovationCopula(nn.Module):
         return copula
 
     def draw(self, quantiles: Tensor, inputs: Tensor, uniform: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Draws (n, m) and the memory (n, `memory`) for the next ones; differentiable in all but the noise.
+        """Draws (n, m) and the memory (n, `memory`) for the next ones. Differentiable in all but the noise.
 
         Parameters
         ----------

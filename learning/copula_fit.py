@@ -116,7 +116,7 @@ def _nearness(widths: Array, centres: Array) -> list[Array]:
 
 
 def _weighted_quantiles(samples: Array, weight: Array, shares: Array) -> Array:
-    """Return the quantiles of weighted samples; each sample stands in the middle of its own share."""
+    """Return the quantiles of weighted samples. Each sample stands in the middle of its own share."""
     order = np.argsort(samples, kind="stable")
     total = np.cumsum(weight[order])
     at = (total - weight[order] / 2) / total[-1]

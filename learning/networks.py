@@ -58,7 +58,7 @@ class ActionLimits(Protocol):
         ...
 
     def bounds(self, p: Any) -> tuple[Any, Any]:
-        """Lower and upper bounds (..., nu) at entries (..., n), tensors or arrays; differentiable in tensors."""
+        """Lower and upper bounds (..., nu) at entries (..., n), tensors or arrays. Differentiable in tensors."""
         ...
 
     def as_dict(self) -> dict[str, Any]:

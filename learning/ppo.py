@@ -261,7 +261,7 @@ def train(
     callback: Callable[[int, UpdateStatistics], None] | None = None,
     progress: bool = False,
 ) -> ActorCritic:
-    """PPO alone: `iterations` rollouts of `steps` steps, an update after each; trains `agent` in place.
+    """PPO alone: `iterations` rollouts of `steps` steps, an update after each. Trains `agent` in place.
 
     The rates fall linearly to a tenth, the exploration geometrically to `config.final_std`.
     """

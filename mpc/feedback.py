@@ -69,7 +69,7 @@ def _least_growing(problem: MPCProblem, A: Array, B: Array) -> _Chosen:
 
 
 def block_lengths(problem: MPCProblem) -> tuple[int, ...]:
-    """Lengths of the blocks over which inputs are held; all one without move blocking."""
+    """Lengths of the blocks over which inputs are held. All one without move blocking."""
     return problem.blocks if problem.blocks is not None else (1,) * problem.horizon
 
 
@@ -103,7 +103,7 @@ def _riccati_gains(problem: MPCProblem, A: Array, B: Array, weights: Weights) ->
 
 
 def _solve_scaled(M: Array, right: Array) -> Array:
-    """M⁻¹ right for a symmetric M ⪰ 0, scaled to a unit diagonal; least squares where it is singular."""
+    """M⁻¹ right for a symmetric M ⪰ 0, scaled to a unit diagonal. Least squares where it is singular."""
     d = np.sqrt(np.abs(np.diag(M)))
     d[d == 0] = 1.0
     return np.asarray(np.linalg.lstsq(M / d / d[:, None], right / d[:, None], rcond=None)[0] / d[:, None])

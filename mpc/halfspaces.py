@@ -56,7 +56,7 @@ def is_empty(H: Array, h: Array) -> bool:
 
 
 def nearest_points(V: Array, H: Array, h: Array) -> Array:
-    """Points (n, nu) of {v : Hv <= h} nearest to the rows of V; exact for a box, else see `nearest_point`."""
+    """Points (n, nu) of {v : Hv <= h} nearest to the rows of V. Exact for a box, else see `nearest_point`."""
     box = box_of(H, h)
     if box is not None:
         return np.asarray(np.clip(V, *box), dtype=np.float64)

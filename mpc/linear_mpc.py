@@ -166,7 +166,7 @@ class LinearMPC(MPCProblem):
         ]
 
     def __call__(self, x: ArrayLike, **signals: ArrayLike) -> Array:
-        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu); finite for every finite x."""
+        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu). Finite for every finite x."""
         x = as_floats("x", x)
         if x.ndim == 2:
             return np.array([plan.inputs[0] for plan in self.solve_many(x, **signals)]).reshape(len(x), self.nu)
@@ -291,7 +291,7 @@ Solver = TypeVar("Solver", CondensedSolver, SparseSolver)
 
 
 class _Built(dict[tuple[str, ...], Solver]):
-    """The solver for each combination of signals, built when first asked for; copies build theirs anew."""
+    """The solver for each combination of signals, built when first asked for. Copies build theirs anew."""
 
     def __init__(self, build: Callable[[tuple[str, ...]], Solver]):
         super().__init__()

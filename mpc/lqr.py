@@ -115,7 +115,7 @@ class _Regulation:
     S: Array
 
     def solution(self, user_unit: Array) -> tuple[Array, Array] | None:
-        """Gain and cost matrix, checked; None where there is no solution, or none without an absurd gain."""
+        """Gain and cost matrix, checked. None where there is no solution, or none without an absurd gain."""
         for first in (self._by_scipy, self._stabilising):
             found = self._refined(first())
             if found is not None:
@@ -153,7 +153,7 @@ class _Regulation:
         return self._root_of(K)
 
     def _refined(self, root: Array) -> tuple[Array, Array] | None:
-        """Gain and cost matrix L'L by Newton's steps from a root L; None where they do not settle.
+        """Gain and cost matrix L'L by Newton's steps from a root L. None where they do not settle.
 
         They settle where a step neither changes P, in units in which its diagonal is one, nor how far the closed loop
         is from the unit circle: that halves with every step where Q does not see a mode there.
@@ -191,7 +191,7 @@ class _Regulation:
         return self.A.T @ P @ (self.A - self.B @ K) + self.Q - self.S @ K - P
 
     def _margin(self, K: Array) -> float:
-        """Distance of the closed loop from the unit circle; NaN of a gain that is not finite."""
+        """Distance of the closed loop from the unit circle. NaN of a gain that is not finite."""
         return 1 - _radius(self.A - self.B @ K) if np.isfinite(K).all() else np.nan
 
     def gain(self, root: Array) -> Array:

@@ -173,7 +173,7 @@ class ParametricQP:
 
 
 def _vector(name: str, value: ArrayLike, n: int) -> Array:
-    """The value as a float array (n,), checked; an array that is one already is not copied."""
+    """The value as a float array (n,), checked. An array that is one already is not copied."""
     if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (n,):
         return value
     return as_array(name, value, (n,))

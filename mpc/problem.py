@@ -159,7 +159,7 @@ class MPCProblem:
 
     @cached_property
     def _moved_states(self) -> Array:
-        """Distance (nx,) that the inputs move each state over the horizon; infinite where no limit says it."""
+        """Distance (nx,) that the inputs move each state over the horizon. Infinite where no limit says it."""
         farthest = along_axes(*self.input_rows, farthest=True)
         if self.rate_limit is not None:
             farthest = np.minimum(np.where(farthest > 0, farthest, np.inf), self.horizon * self.rate_limit)

@@ -29,7 +29,7 @@ class Relaxed:
 
 
 def relax(problem: MPCProblem, qp: ParametricQP, solver: DenseQP, q: Array, b: Array) -> Relaxed | None:
-    """Solution with state constraints relaxed by the least amount; None when the others conflict among themselves.
+    """Solution with state constraints relaxed by the least amount. None when the others conflict among themselves.
 
     Whether the problem is infeasible is decided here, by the violation that is left when it is made least: what the QP
     solver said before is only the reason to ask.
@@ -141,7 +141,7 @@ def saturated_regulator(problem: MPCProblem, x: Array, start: float) -> Plan:
 
 
 def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]:
-    """Inputs and states under the regulator, saturated to U; zero inputs where there is no regulator."""
+    """Inputs and states under the regulator, saturated to U. Zero inputs where there is no regulator."""
     try:
         gain = problem.gain
     except NotStabilisableError:

@@ -127,7 +127,7 @@ def finite(v: Array) -> Array:
 
 
 def spread_signals(problem: MPCProblem, signals: dict[str, ArrayLike | None]) -> dict[str, Array]:
-    """Each given signal as one flat array; a single row is held over the horizon.
+    """Each given signal as one flat array. A single row is held over the horizon.
 
     Raises
     ------

@@ -50,7 +50,7 @@ class Candidate:
 def stagewise_candidate(
     problem: MPCProblem, x: Array, given: Given, inputs: Array, typical_cost: float
 ) -> Candidate | None:
-    """The plan of `solve_stagewise` from a first guess of the inputs; None if the iteration did not converge.
+    """The plan of `solve_stagewise` from a first guess of the inputs. None if the iteration did not converge.
 
     Hard state constraints become squared violations, weighed against the typical cost; where all of them hold, the
     problem was feasible.
@@ -73,7 +73,7 @@ def stagewise_candidate(
 
 
 class CondensedSolver:
-    """Solves one MPC problem from many states, with the signals in `parameters`; safe to use from many threads."""
+    """Solves one MPC problem from many states, with the signals in `parameters`. Safe to use from many threads."""
 
     def __init__(self, problem: MPCProblem, parameters: tuple[str, ...]):
         self.problem = problem
@@ -89,7 +89,7 @@ class CondensedSolver:
         return np.concatenate([x if name == "x" else given[name] for name, _ in self.qp.parameters])
 
     def runaway(self, x: Array, given: Given) -> Array | None:
-        """States of the relaxed plan if they leave the sets by more than `tolerances.GROWTH` times; otherwise None."""
+        """States of the relaxed plan if they leave the sets by more than `tolerances.GROWTH` times. Otherwise None."""
         if self.feedback is None:
             return None
         plan = self.plan(x, given, time.perf_counter())
@@ -153,7 +153,7 @@ class CondensedSolver:
         return bool((feedback / extent).max() > RUNAWAY)
 
     def _in_another_form(self, first: Candidate, x: Array, given: Given, q: Array) -> Candidate:
-        """The plan found stage by stage, for an unstable plant and where that converges; otherwise the first one."""
+        """The plan found stage by stage, for an unstable plant and where that converges. Otherwise the first one."""
         second = self._stage_by_stage(first.inputs, x, given, q) if self.unstable else None
         return first if second is None else second
 

@@ -24,7 +24,7 @@ from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERF
 
 
 class SparseSolver:
-    """Solves one MPC problem in states and inputs from many states; safe to use from many threads.
+    """Solves one MPC problem in states and inputs from many states. Safe to use from many threads.
 
     The solver is OSQP, an operator-splitting method (Stellato et al., Math. Prog. Comp. 12, 2020), or Clarabel. OSQP's
     answer is checked against the optimality conditions, and Clarabel asked where they do not hold. What neither solves
@@ -261,7 +261,7 @@ class PlanCheck:
 
 
 def _columns(stagewise: StagewiseQP) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where inputs, in order, and states (N + 1, n) stand among the variables; the slacks are neither."""
+    """Where inputs, in order, and states (N + 1, n) stand among the variables. The slacks are neither."""
     widths = np.array([len(stage.gx) + len(stage.gv) for stage in stagewise.stages])
     states = (np.cumsum(widths) - widths)[:, None] + np.arange(stagewise.n)
     inputs = [first[-1] + 1 + np.arange(stage.nu) for first, stage in zip(states, stagewise.stages)]

@@ -154,7 +154,7 @@ class StagewiseQP:
         return QPStage(A, B, c, Hx, gx, Hv, gv, *self._rows(k, free, priced), free, Hc)
 
     def _cross(self, k: int, S: Array, Hx: Array, gx: Array, gv: Array, free: int) -> Array | None:
-        """Hc of step k; the other terms of the cross weight S are written into the rest of the cost."""
+        """Hc of step k. The other terms of the cross weight S are written into the rest of the cost."""
         nx = self.problem.nx
         gx[:nx] -= S @ self.u_ref[k]
         if not free:  # the input is one of the states

@@ -164,7 +164,7 @@ class _Iteration:
         return total / max(rows, 1)
 
     def move(self, direction: _Direction, length: float) -> None:
-        """Take a step; states follow forwards with feedback, so that rounding does not grow with the plant."""
+        """Take a step. States follow forwards with feedback, so that rounding does not grow with the plant."""
         states = [self.states[0]]
         for k, (st, K, f) in enumerate(zip(self.stages, self.gains, direction.forward)):
             self.variables[k] = self.variables[k] + length * f + K @ (states[k] - self.states[k])

@@ -239,7 +239,7 @@ class Target:
 
 
 def nearest_target(problem: MPCProblem, A: Array, B: Array, push: Array, C: Array, r: Array) -> Target:
-    """The target of x⁺ = Ax + Bu + push whose outputs Cx are nearest to r; where nothing is steady, what drifts least.
+    """The target of x⁺ = Ax + Bu + push whose outputs Cx are nearest to r. Where nothing is steady, what drifts least.
 
     Weights and sets are those of the problem.
     """

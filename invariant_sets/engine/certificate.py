@@ -166,7 +166,7 @@ def precise_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
 
 
 def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
-    """Return the violation of each witness (k, nu), moved into U towards its centre 0; inf if it is far outside."""
+    """Return the violation of each witness (k, nu), moved into U towards its centre 0. Inf if it is far outside."""
     with np.errstate(invalid="ignore"):
         excess = (v @ inputs[0].T / inputs[1]).max(axis=1, initial=0.0)
         inside = v / np.maximum(excess, 1.0)[:, None]

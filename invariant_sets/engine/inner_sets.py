@@ -76,7 +76,7 @@ def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadlin
 
 
 def candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits: Limits) -> Iterator[Candidate]:
-    """Yield inner regions, the best first; those that would exceed a limit are left out."""
+    """Yield inner regions, the best first. Those that would exceed a limit are left out."""
     scales = problem.dynamics.disturbances is None and problem.at_equilibrium
     if outcome.converged:
         if scales:
@@ -163,7 +163,7 @@ def feedback_sets(problem: LocalProblem, region: Region, limits: Limits) -> Iter
 
 
 def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Limits) -> Candidate | None:
-    """Return the largest set in the region that v = K y keeps, None if the recursion does not end."""
+    """Return the largest set in the region that v = K y keeps. None if the recursion does not end."""
     k = len(problem.dynamics.A)
     closed = problem.dynamics.A + problem.dynamics.B @ K
     noise = problem.dynamics.disturbances
@@ -188,7 +188,7 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
 
 
 def _feedback(problem: LocalProblem, weight: float) -> Array | None:
-    """Return a stabilising feedback K (q, k) of the local problem, None if none was found."""
+    """Return a stabilising feedback K (q, k) of the local problem. None if none was found."""
     from scipy.linalg import solve_discrete_are
 
     A = problem.dynamics.A

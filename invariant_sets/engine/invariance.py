@@ -205,7 +205,7 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
 
 @dataclass(frozen=True)
 class _Reserve:
-    """Set of a linear feedback in reserve for a time limit, None if none was found; the recursion's last deadline."""
+    """Set of a linear feedback, None if none was found, in reserve for a time limit; the recursion's last deadline."""
 
     inner: _Inner | None
     deadline: Deadline
@@ -229,7 +229,7 @@ def _feedback_set(task: Task, problem: LocalProblem, start: Region, deadline: De
 
 
 def _fallback(task: Task, reserve: _Reserve | None, outer: Polytope, status: Status, steps: int) -> SetResult:
-    """Return the reserve where it helps, with its gap to the outer set; no set otherwise."""
+    """Return the reserve where it helps, with its gap to the outer set. No set otherwise."""
     inner = None if reserve is None else reserve.inner
     if inner is None or outer.is_empty or status not in (Status.TIME_LIMIT, Status.FACET_LIMIT):
         return no_set(task.X.dim, steps, outer, status)
@@ -273,7 +273,7 @@ class _Inner:
 
 def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Candidate,
                deadline: Deadline) -> _Inner | None:
-    """Return the candidate as a set if it is invariant, inside X, and the check ends in time; None otherwise."""
+    """Return the candidate as a set if it is invariant, inside X, and the check ends in time. None otherwise."""
     found = candidate.region
     C = problem.frame.polytope(found.F, found.g, found.V)
     try:

@@ -56,7 +56,7 @@ class Frame:
         return left_inverse(self.basis)
 
     def rows_of(self, P: Polytope) -> Rows:
-        """Return the inequalities of P as unit rows on y; those that do not depend on y are left out."""
+        """Return the inequalities of P as unit rows on y. Those that do not depend on y are left out."""
         F = P.A @ self.basis
         g = P.b - P.A @ self.centre
         norms = row_norms(F)
@@ -75,7 +75,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """y⁺ = A y + B v + drift + w, with w in the hull of the rows of `disturbances`; drift is 0 at an equilibrium."""
+    """y⁺ = A y + B v + drift + w, with w in the hull of the rows of `disturbances`. Drift is 0 at an equilibrium."""
 
     A: Array
     B: Array
@@ -161,14 +161,14 @@ def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
 
 
 def _input_corners(U: Polytope, inputs: Body) -> Array | None:
-    """Return the vertices (m, q) of the local input set, None if it is unbounded."""
+    """Return the vertices (m, q) of the local input set. None if it is unbounded."""
     if inputs.basis.shape[1] == 0:
         return np.zeros((1, 0))
     return (U.vertices - inputs.centre) @ left_inverse(inputs.basis).T if inputs.bounded else None
 
 
 def _joint_input_corners(problem: LocalProblem) -> Array | None:
-    """Return the corners (m, q) of a box that holds every input that some state allows; None if there is none."""
+    """Return the corners (m, q) of a box that holds every input that some state allows. None if there is none."""
     k = problem.frame.basis.shape[1]
     q = problem.joint[0].shape[1] - k
     if q == 0:
@@ -185,7 +185,7 @@ def _joint_input_corners(problem: LocalProblem) -> Array | None:
 
 
 def _lifted(problem: LocalProblem) -> Rows:
-    """Return all rows on (y, v), of unit norm; those that say nothing are left out."""
+    """Return all rows on (y, v), of unit norm. Those that say nothing are left out."""
     F, g = problem.states
     H, h = problem.joint
     rows = np.vstack([np.hstack([F, np.zeros((len(F), H.shape[1] - F.shape[1]))]), H])
@@ -194,7 +194,7 @@ def _lifted(problem: LocalProblem) -> Rows:
 
 
 def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: LinearSystem) -> LocalProblem | None:
-    """Return the problem about an equilibrium inside both sets; None if a bounded one has none.
+    """Return the problem about an equilibrium inside both sets. None if a bounded one has none.
 
     A nonempty compact convex control invariant set holds an equilibrium (Kakutani's theorem on x ↦ successors).
     """
@@ -236,7 +236,7 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
 
 
 def _inner_equilibrium(problem: LocalProblem) -> Array | None:
-    """Return an equilibrium (y, v) deep inside all rows; None if there is none."""
+    """Return an equilibrium (y, v) deep inside all rows. None if there is none."""
     dynamics = problem.dynamics
     matrix = np.hstack([np.eye(len(dynamics.A)) - dynamics.A, -dynamics.B])
     size = row_norms(matrix.T)

@@ -21,7 +21,7 @@ Array = np.ndarray
 
 
 def observed_directions(A: Array, X: Polytope) -> Array | None:
-    """Return rows Q (k, n) such that X and the motion depend on Q x alone; None if nothing can be left out."""
+    """Return rows Q (k, n) such that X and the motion depend on Q x alone. None if nothing can be left out."""
     F = np.vstack([X.A, X.A_eq])
     if not len(F) or not np.abs(F).max() > 0.0:
         return None

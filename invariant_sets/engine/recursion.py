@@ -58,7 +58,7 @@ class Region:
         return np.concatenate(parts)
 
     def cut(self, R: Array, r: Array, deadline: Deadline = NO_DEADLINE) -> Region:
-        """Return the region intersected with {R y <= r} (unit rows); raise `LimitReached` if that takes too long."""
+        """Return the region intersected with {R y <= r} (unit rows). Raise `LimitReached` if that takes too long."""
         F = np.vstack([self.F, R])
         g = np.append(self.g, r)
         middle = np.zeros(F.shape[1])

@@ -91,7 +91,7 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
 
 def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
                       deadline: Deadline) -> Step | None:
-    """Return the step without the ends so far away that a set with a width seems flat; None if it is flat.
+    """Return the step without the ends so far away that a set with a width seems flat. None if it is flat.
 
     In units of what moves the target by `LOOSE` times its width, at most of the width of the sets: `1 / FLAT` of them
     away doubles do not tell where the rows are.
@@ -143,7 +143,7 @@ def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
 
 def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
             deadline: Deadline) -> Polytope | None:
-    """Return {x : A x in S ⊕ (−B U)} ∩ X through the hull of sums of vertices; None where a set is unbounded."""
+    """Return {x : A x in S ⊕ (−B U)} ∩ X through the hull of sums of vertices. None where a set is unbounded."""
     n = len(system.A)
     lower, upper = lifted.bounding_box()
     slack = USEFUL_INPUTS * np.maximum(upper - lower, 0.0)[n:]

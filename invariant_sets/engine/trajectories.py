@@ -48,7 +48,7 @@ class Trajectories:
 
 
 def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polytope | None:
-    """Return the hull of extreme states at time `at` (0 or N), as many as the deadline allows; None if there is none.
+    """Return the hull of extreme states at time `at` (0 or N), as many as the deadline allows. None if there is none.
 
     None, too, where the linear program over all steps would be too large.
 

@@ -217,7 +217,7 @@ class ExplicitMPC:
 
     @classmethod
     def load(cls, path: str | Path) -> ExplicitMPC:
-        """Read what `save` wrote; nothing is executed, and damaged or mixed files are refused."""
+        """Read what `save` wrote. Nothing is executed, and damaged or mixed files are refused."""
         from mpc.explicit.storage import load_parts
 
         return cls(*load_parts(as_path("path", path)))
@@ -315,7 +315,7 @@ def _read_only(array: Any) -> Any:
 
 
 def _law_numbers(law: Array, partition: Partition, centres: Array) -> Ints:
-    """Equal numbers for equal laws; the laws of each input are compared in units of the values this input takes."""
+    """Equal numbers for equal laws. The laws of each input are compared in units of the values this input takes."""
     scaled = law.copy()
     scaled[:, :, :-1] *= partition.half
     scaled[:, :, -1] += law[:, :, :-1] @ partition.centre

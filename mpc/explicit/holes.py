@@ -25,7 +25,7 @@ from mpc.tolerances import (
 
 
 class Holes:
-    """Search for parameters that are feasible and in no region; what it finds joins the graph of regions.
+    """Search for parameters that are feasible and in no region. What it finds joins the graph of regions.
 
     feasible : (k, nt) parameters that were feasible, with room, and in no region when they were met;
     pending : (k, nt) parameters in no region when they were met, about which the QP was not asked yet.
@@ -118,7 +118,7 @@ class Holes:
         return numbers if len(numbers) <= most else np.sort(self.rng.choice(numbers, most, replace=False))
 
     def _look_at(self, points: Array, feasible: bool, deadline: float) -> bool:
-        """Queue the active sets at points in no region; the feasible ones are pending. False when time is up.
+        """Queue the active sets at points in no region. The feasible ones are pending. False when time is up.
 
         feasible : whether they are known to be, whatever the compiled solver says.
         """
@@ -154,7 +154,7 @@ class Holes:
         return regions.queued > regions.done
 
     def ask_at(self, points: Array, deadline: float) -> None:
-        """Solve the QP at points in no region, as far as time allows; queue its active sets, note the feasible ones."""
+        """Solve the QP at points in no region, as far as time allows. Queue its active sets, note the feasible ones."""
         if self.online is None or self.online.qp is not self.regions.qp:
             self.online = OnlineQP(self.regions.qp)
         for point in points[~self.regions.covered(points)]:

@@ -165,13 +165,13 @@ def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:
 
 
 def _is_thin(found: Found, r: int) -> bool:
-    """Whether the ball in a region is smaller than THIN; a centre that lies outside says nothing."""
+    """Whether the ball in a region is smaller than THIN. A centre that lies outside says nothing."""
     rows = found.rows[found.offsets[r] : found.offsets[r + 1]]
     return bool(0.0 <= (rows[:, -1] - rows[:, :-1] @ found.centres[r]).min() < THIN)
 
 
 def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) -> ScaledQP | None:
-    """The problem with these equalities eliminated; None where they are met nowhere, or at a flat set of parameters."""
+    """The problem with these equalities eliminated. None where they are met nowhere, or at a flat set of parameters."""
     if implied.status is not MPQPStatus.COMPLETE or implied.of_parameters:
         return None
     if not len(implied.rows):

@@ -59,7 +59,7 @@ class OnlineQP:
         self.solver = DenseQP(np.eye(len(self.free)), qp.M)
 
     def at(self, t: Array, deadline: float = np.inf) -> Opening:
-        """Opening at the parameter t; past the deadline a feasible one may be taken for one without room."""
+        """Opening at the parameter t. Past the deadline a feasible one may be taken for one without room."""
         bounds = self.qp.D @ np.append(t, 1.0)
         result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
         y = result.multipliers

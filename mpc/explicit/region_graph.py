@@ -84,7 +84,7 @@ class RegionGraph:
         consider(self.data, self.graph, _masks(members, self.graph.masks.shape[1])[0])
 
     def seed(self, targets: Array) -> Array:
-        """Queue the active sets at feasible parameters near the targets; returns those parameters."""
+        """Queue the active sets at feasible parameters near the targets. Returns those parameters."""
         from mpc.explicit.kernels.places import seed
 
         self.make_room(4 * len(targets))
@@ -92,7 +92,7 @@ class RegionGraph:
         return found[: int(seed(self.data, self.graph, *self.qp.joint, targets, found))]
 
     def look_at(self, points: Array) -> Bools:
-        """Queue the active sets at points; return which points lie in the parameter set and are feasible."""
+        """Queue the active sets at points. Return which points lie in the parameter set and are feasible."""
         from mpc.explicit.kernels.places import look_at
 
         self.make_room(4 * len(points))
@@ -110,7 +110,7 @@ class RegionGraph:
         return np.unpackbits(masks, axis=1, bitorder="little")[:, : len(self.qp.M)]
 
     def keep_rows(self, kept: Ints) -> None:
-        """Keep these rows of the problem, among them all active ones; forget the sets without region."""
+        """Keep these rows of the problem, among them all active ones. Forget the sets without region."""
         members = self.active_bits(self.queued)[:, kept]
         count = len(members)
         old = self.graph

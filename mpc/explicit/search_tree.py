@@ -20,7 +20,7 @@ Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class TreeStatus(Outcome):
-    """Outcome of the growth of a search tree; the value is the advice."""
+    """Outcome of the growth of a search tree. The value is the advice."""
 
     COMPLETE = "Complete: every leaf holds regions of one law, or few."
     TIME_LIMIT = "Stopped at `tree_time_limit`: some leaves hold many regions and are scanned. The law is the same."
@@ -140,7 +140,7 @@ def find(tree: SearchTree, partition: Partition, theta: Array, *, scan: bool = F
 def evaluate(
     tree: SearchTree, partition: Partition, theta: Array, laws: Laws, *, scan: bool = False
 ) -> tuple[Array, Flags]:
-    """Input law[region] [θ; 1] of every parameter (n, nt), and whether it lies outside; regions as `find` gives them.
+    """Input law[region] [θ; 1] of every parameter (n, nt), and whether it lies outside. Regions as `find` gives them.
 
     Outside a complete partition the law is taken at the border; outside any, it is kept within the rows of limits.
     """
@@ -149,7 +149,7 @@ def evaluate(
 
 
 def scan_regions(partition: Partition, theta: Array) -> Ints:
-    """Region of every parameter (n, nt) by a scan of all regions, -1 outside; no tree is needed."""
+    """Region of every parameter (n, nt) by a scan of all regions, -1 outside. No tree is needed."""
     n = theta.shape[1]
     region, outside = _located(_locator(partition, _no_leaf(n), np.zeros((0, n + 1)), np.zeros(n)), theta)
     return np.where(outside, -1, region)
@@ -284,7 +284,7 @@ def _largest_first(nodes: Ints, leaf: Ints, points: RegionPoints) -> Ints:
 
 
 def _roomier(growth: Any) -> Any:
-    """The growth with more room; regions of nodes already looked at are let go."""
+    """The growth with more room. Regions of nodes already looked at are let go."""
     from mpc.explicit.kernels.growth import NEXT, POOL
 
     node = growth.counts[NEXT]
@@ -303,7 +303,7 @@ def _roomier(growth: Any) -> Any:
 
 
 def _border(partition: Partition, tree: tuple[Array, Ints, Ints], points: RegionPoints) -> Array:
-    """Facets with every region on one side and none just across; a complete partition is convex, so these bound it."""
+    """Facets with every region on one side and none just across. A complete partition is convex, so these bound it."""
     from mpc.explicit.kernels.search import supporting
 
     rows = partition.scaled_rows

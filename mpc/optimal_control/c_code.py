@@ -57,7 +57,7 @@ def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
 
 
 def write_c(law: LinearMPC, model: DiscreteModel, folder: Any) -> Path:
-    """Write `nonlinear_mpc.c` and its header: `iteration`, `step` and `derivatives`; returns the path of the former."""
+    """Write `nonlinear_mpc.c` and its header: `iteration`, `step` and `derivatives`. Returns the path of the former."""
     iteration = real_time_iteration(law, model)
     try:
         where = Path(folder)

@@ -12,7 +12,7 @@ from mpc.tolerances import GAIN_REGULARISATION
 
 @cache
 def compile_kernels() -> None:
-    """Compile them before a clock runs: seconds after an installation, once; numba keeps them on disk."""
+    """Compile them before a clock runs: seconds after an installation, once. Numba keeps them on disk."""
     one, column = np.ones((1, 1, 1)), np.ones((1, 1))
     gains, _ = gains_along(one, one, column, column, column, column)
     responses(one, one, gains, column, np.ones(1))

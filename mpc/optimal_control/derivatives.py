@@ -113,7 +113,7 @@ class Derivatives:
 
     @staticmethod
     def _assembled(parts: list[Any], places: list[Any], shape: tuple[int, int], first: int) -> Any:
-        """Sparse matrix of nonzeros and their places, those of one place added; rows are counted from `first`."""
+        """Sparse matrix of nonzeros and their places, those of one place added. Rows are counted from `first`."""
         rows, columns = (_joined([place[i] for place in places]) for i in range(2))
         order = columns * shape[0] + rows - first  # by columns, as CasADi keeps them
         cells, where = np.unique(order, return_inverse=True)

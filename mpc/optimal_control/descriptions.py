@@ -24,7 +24,7 @@ def of_phase(program: NonlinearProgram, phase: int) -> str:
 
 
 def of_linked_phase(program: NonlinearProgram, phase: int) -> str:
-    """Words such as " of phase 2" where phases follow one another; scenarios side by side share their limits."""
+    """Words such as " of phase 2" where phases follow one another. Scenarios side by side share their limits."""
     return of_phase(program, phase) if program.problem.linked else ""
 
 
@@ -65,7 +65,7 @@ def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
 
 
 def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: float) -> tuple[str, ...]:
-    """Constraints that are violated (m,), in sizes, by more than what passes for feasible; the worst first.
+    """Constraints that are violated (m,), in sizes, by more than what passes for feasible. The worst first.
 
     Each is named once for all times and scenarios, where it is violated most, with the amount in its own unit.
     """
@@ -156,7 +156,7 @@ def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tupl
 
 
 def _side(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
-    """Side and value of the bound of an unknown that a multiplier belongs to; where one is held besides, its value."""
+    """Side and value of the bound of an unknown that a multiplier belongs to. Where one is held besides, its value."""
     low, high = program.lower[i], program.upper[i]
     if high - low <= SAME_BOUND * program.scale[i]:
         return f"= {high:.6g}"

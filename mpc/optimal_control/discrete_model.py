@@ -16,7 +16,7 @@ from mpc.optimal_control.functions import symbols_of
 
 
 class Buffered:
-    """A CasADi function of arrays, each with one row for every column of the function's; every thread has buffers.
+    """A CasADi function of arrays, each with one row for every column of the function's. Every thread has buffers.
 
     Parameters
     ----------

@@ -90,7 +90,7 @@ def once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] 
 
 
 def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
-    """Ipopt on scaled unknowns and rows; made once for each choice of options, whatever the sizes."""
+    """Ipopt on scaled unknowns and rows. Made once for each choice of options, whatever the sizes."""
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
     if np.isfinite(settings.seconds):
         limits["max_wall_time"] = settings.seconds
@@ -118,7 +118,7 @@ def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIte
 
 
 class BestIterate(ca.Callback):  # type: ignore[misc]
-    """Callback that keeps the cheapest of the feasible iterates; the least infeasible where none is."""
+    """Callback that keeps the cheapest of the feasible iterates. The least infeasible where none is."""
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
@@ -163,7 +163,7 @@ class BestIterate(ca.Callback):  # type: ignore[misc]
 
 
 def _rank(violation: float, f: float) -> tuple[float, float]:
-    """The violation that counts, then the cost; whatever is not finite comes last."""
+    """The violation that counts, then the cost. Whatever is not finite comes last."""
     if not (np.isfinite(violation) and np.isfinite(f)):
         return np.inf, np.inf
     return (0.0, f) if violation <= FEASIBLE else (violation, f)

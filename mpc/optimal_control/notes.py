@@ -80,7 +80,7 @@ def _at_ends(part: PhasePart, v: Array, clock: tuple[float, float]) -> dict[str,
 
 
 def _first(function: ca.Function | None, entries: Sequence[str], columns: dict[str, Array], phase: str) -> str:
-    """The first time at which a function is not finite, in words; nothing where it is."""
+    """The first time at which a function is not finite, in words. Nothing where it is."""
     if function is None:
         return ""
     n = max((value.shape[1] for value in columns.values() if value.ndim == 2), default=1)

@@ -70,7 +70,7 @@ class PhaseSolution:
         return self.stages.times.ravel()
 
     def x(self, t: ArrayLike) -> Array:
-        """States (..., nx) at times (...), by the polynomials of the scheme; held beyond both ends."""
+        """States (..., nx) at times (...), by the polynomials of the scheme. Held beyond both ends."""
         k, tau, shape = self._located(t)
         return self.states_within(k, tau).reshape(*shape, -1)
 

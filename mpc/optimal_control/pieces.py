@@ -46,7 +46,7 @@ def piece_function(function: Callable[..., Any], scalar: bool, sizes: dict[str, 
 
 
 def interval_piece(interval: ca.Function, layout: Layout, clock: Clock, parameters: int, discrete: bool) -> ca.Function:
-    """Cost, defects and path values of an interval; data are its begin and length, as fractions, and the signal."""
+    """Cost, defects and path values of an interval. Data are its begin and length, as fractions, and the signal."""
     sizes = {
         "x": layout.nx, "v": layout.node_inputs, "own": layout.own, "x_next": layout.nx, "v_next": layout.node_inputs,
         "p": parameters, "free": len(clock.free),
@@ -80,7 +80,7 @@ def end_piece(functions: PhaseFunctions, clock: Clock, nx: int, parameters: int)
 
 def path_piece(functions: PhaseFunctions, clock: Clock, layout: Layout, parameters: int, fraction: float,
                kept: Numbers) -> ca.Function:  # fmt: skip
-    """Path values that are kept at one end of a phase; data are the signal there."""
+    """Path values that are kept at one end of a phase. Data are the signal there."""
 
     def values(x: Any, u: Any, p: Any, free: Any, data: Any) -> list[Any]:
         start, length = clock.times(free)
@@ -136,7 +136,7 @@ def mean_and_spread(weights: Array, spread: float) -> ca.Function:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One function of a few unknowns, at M places; each of its values is added to one row of [f; g]."""
+    """One function of a few unknowns, at M places. Each of its values is added to one row of [f; g]."""
 
     function: ca.Function  # (z (n,), data (d,)) → values (k,)
     unknowns: Numbers  # (n, M): which of all they are

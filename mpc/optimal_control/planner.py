@@ -155,7 +155,7 @@ class Planner:
 
     def _after(self, step: Step, x: Array, at: _Path, w: Array, given: Given, gap_price: float,
                charged: tuple[float, float]) -> _Path | None:  # fmt: skip
-        """The path after a part of a step that brings the merit down, as planned or on the model; None if none does."""
+        """The path after a part of a step that brings the merit down, as planned or on the model. None if none does."""
 
         def merit(path: _Path) -> float:
             return self.programs.merit(x, path.states, path.inputs, w, self.p, given, gap_price, charged)

@@ -153,7 +153,7 @@ class OptimalControlProblem:
 
     @cached_property
     def link_functions(self) -> tuple[ca.Function | None, ...]:
-        """Functions (x, p, t) → the first state of each phase but the first; None for that of the phase before."""
+        """Functions (x, p, t) → the first state of each phase but the first. None for that of the phase before."""
         pairs = zip(self.link, self.phases, self.phases[1:])
         return tuple(
             None if link is None else compiled("link", link, {"x": a.states, "p": self.parameters, "t": 1}, b.states)

@@ -159,7 +159,7 @@ class _Rounds:
         return None if reason else sharp
 
     def solved(self, program: NonlinearProgram, start: Solution | None) -> Solution:
-        """Solution from that of another mesh, or the user's start; if that fails, from the guess."""
+        """Solution from that of another mesh, or the user's start. If that fails, from the guess."""
         found = self._once(program, self.options if start is None else self.options | {"start": start})
         if not found.solved_on_mesh and start is not None and time.perf_counter() < self.end:
             fresh = self._once(program, {name: value for name, value in self.options.items() if name != "start"})

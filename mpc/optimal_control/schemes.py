@@ -93,7 +93,7 @@ def Radau(degree: int = 3) -> Collocation:
 
 @dataclass(frozen=True)
 class MultipleShooting:
-    """Inputs constant over every interval; states at its ends, joined by an integrator.
+    """Inputs constant over every interval. States at its ends, joined by an integrator.
 
     Attributes
     ----------

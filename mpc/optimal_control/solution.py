@@ -229,7 +229,7 @@ class Solution:
         return self._of_phases("costate", t)
 
     def plot(self, *, costates: bool = False, mesh: bool = True, figure: Any = None) -> Any:
-        """Draw states, inputs with their bounds, and the mesh; phases or scenarios side by side.
+        """Draw states, inputs with their bounds, and the mesh. Phases or scenarios side by side.
 
         Parameters
         ----------

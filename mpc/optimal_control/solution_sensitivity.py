@@ -72,7 +72,7 @@ class SolutionSensitivity:
 def solution_sensitivity(
     program: NonlinearProgram, v: Array, multipliers: dict[str, Array], solved: bool
 ) -> SolutionSensitivity:
-    """Derivatives at unknowns v (n,) with multipliers of "rows" and "bounds"; see `Solution.sensitivity`."""
+    """Derivatives at unknowns v (n,) with multipliers of "rows" and "bounds". See `Solution.sensitivity`."""
     held = _held(program)
     if not solved:
         return _none(program, held, SensitivityStatus.UNSOLVED, ())

@@ -166,7 +166,7 @@ class Sequential:
         return np.asarray((H + H.T) / 2)
 
     def _program(self, states: Array, inputs: Array, G: Array, F: Array, H: Array, given: Given) -> _Program:
-        """The program in v, of a plan that v = 0 leads to; states answer by G, inputs by F."""
+        """The program in v, of a plan that v = 0 leads to. States answer by G, inputs by F."""
         problem, n = self.problem, self.n
         error, effort = self.deviations(states, inputs, given)
         flat, acting = G.reshape(-1, n), F.reshape(-1, n)

@@ -134,7 +134,7 @@ class IdleRows:
 
 
 def _vanishing_sum(unit: Array, weak: Mask) -> dict[int, float] | None:
-    """A sum with positive parts of weak rows that leaves nothing beside the acting ones; None where there is none.
+    """A sum with positive parts of weak rows that leaves nothing beside the acting ones. None where there is none.
 
     Where there is one the multipliers are not unique (Kyparisis, Mathematical Programming 32, 1985).
     """
@@ -166,7 +166,7 @@ class NewtonStep:
 
     @classmethod
     def of(cls, linear: Linearised, point: Point) -> NewtonStep | None:
-        """Newton step at a point; None at a saddle, or where acting rows depend on each other."""
+        """Newton step at a point. None at a saddle, or where acting rows depend on each other."""
         at, nt = linear.conditions.columns, linear.conditions.nt
         acting = np.flatnonzero(point.acting)
         d = linear.scale
@@ -220,7 +220,7 @@ class NewtonStep:
         return self.moves[at["z"].stop - at["z"].start :, -1]
 
     def after(self) -> Point:
-        """Point after the step; rows that it would pass act from then on, those that would pull do not."""
+        """Point after the step. Rows that it would pass act from then on, those that would pull do not."""
         linear, point = self.linear, self.point
         inputs, states = self._of_plan
         multipliers = np.zeros(len(linear.rows))

@@ -41,7 +41,7 @@ class _LinearModel:
         return after, np.broadcast_to(A, (N, *A.shape)), np.broadcast_to(B, (N, *B.shape)), by_parameters
 
     def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
-        """Mixed derivatives by costates and changes of A and B; there is no curvature."""
+        """Mixed derivatives by costates and changes of A and B. There is no curvature."""
         size = states.shape[1] + inputs.shape[1]
         mixed = [np.einsum("kx,xyp->kyp", costates, self._changes[name]) for name in ("dA", "dB")]
         return np.zeros((len(inputs), size, size)), np.concatenate(mixed, axis=1)

@@ -146,7 +146,7 @@ class Linearised:
         return Point(point.inputs, point.states, point.slacks, multipliers, self.acting(multipliers))
 
     def worth(self, multipliers: Array) -> Array:
-        """Violation (m,) of each row if it alone did not act, in its unit [-]; exact for linear models."""
+        """Violation (m,) of each row if it alone did not act, in its unit [-]. Exact for linear models."""
         pushing = np.flatnonzero(multipliers > 0)
         d = self.scale
         G = self.rows[pushing][:, self.free] * d

@@ -58,7 +58,7 @@ class LocalProgram:
     states: Array  # (N + 1, nx, nt + n)
 
     def rate(self, theta: Array) -> Array | None:
-        """Rate (n,) of z as θ (nt,) moves that way; None where the program has no solution."""
+        """Rate (n,) of z as θ (nt,) moves that way. None where the program has no solution."""
         nt = len(theta)
         held, at = self.held[:, nt:], self.held[:, :nt] @ theta
         d = 1 / np.sqrt(np.abs(np.diag(self.H)))

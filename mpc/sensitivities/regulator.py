@@ -166,7 +166,7 @@ def as_derivatives(
     symmetric: tuple[str, ...] = (),
     count: int | None = None,
 ) -> dict[str, Array]:
-    """Arrays (*shape, np) of derivatives by name, checked; zeros for what is None.
+    """Arrays (*shape, np) of derivatives by name, checked. Zeros for what is None.
 
     Parameters
     ----------

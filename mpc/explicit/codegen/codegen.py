@@ -267,7 +267,7 @@ def _scan(law: PiecewiseLaw, scalar: str) -> Search:
 
 
 def _unscaled(law: PiecewiseLaw, planes: Array) -> Array:
-    """Hyperplanes [a, b] in the units of θ; the residual a'θ - b keeps its size."""
+    """Hyperplanes [a, b] in the units of θ. The residual a'θ - b keeps its size."""
     p = law.partition
     a = planes[:, :-1] / p.half
     return np.hstack([a, (planes[:, -1] + a @ p.centre)[:, None]])

@@ -21,7 +21,7 @@ ASKED = 3  # one that led nowhere, and the QP was solved beyond it
 
 
 class QPData(NamedTuple):
-    """Minimise ½|v|² subject to Mv <= D [t; 1] for t in {TA t <= Tb}; rows of M and TA have unit length.
+    """Minimise ½|v|² subject to Mv <= D [t; 1] for t in {TA t <= Tb}. Rows of M and TA have unit length.
 
     M : (m, nz); D : (m, nt + 1); tie : (m,) shift of the bounds that decides between active sets which are optimal
     together; gram : (m, m), MM'; TA, Tb : the parameter set.

@@ -71,7 +71,7 @@ def explore(qp, graph, facets, budget):
 
 @njit(cache=True)
 def store(facets, counts, region):
-    """Append the facets and the centre of the next region done; there is room for them."""
+    """Append the facets and the centre of the next region done. There is room for them."""
     n = region.A.shape[1]
     for number, facet in enumerate(region.facets):
         for j in range(n):
@@ -145,7 +145,7 @@ def behind(qp, graph, A, b, mask, facet, work):
 
 @njit(cache=True)
 def exchange(qp, graph, act, k, entering, mask, theta):
-    """Consider sets in which the entering row replaces another; one with a positive coefficient has to leave.
+    """Consider sets in which the entering row replaces another. One with a positive coefficient has to leave.
 
     Returns FULL when one of them that has a region is optimal at θ, a point behind the facet, INFEASIBLE when θ is,
     because none can leave, and FLAT otherwise; of any other point the answer means nothing.

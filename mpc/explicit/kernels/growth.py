@@ -121,7 +121,7 @@ def same_plane(rows, i, j):
 
 @njit(cache=True)
 def best_rows(regions, members, inside, node, best):
-    """Write the facet rows that divide the members best into `best`, the best first; returns their number."""
+    """Write the facet rows that divide the members best into `best`, the best first. Returns their number."""
     scores = np.empty(len(best))
     found = 0
     thorough = len(best) == TRIES  # else rows of one score count as one hyperplane
@@ -196,7 +196,7 @@ def reaches(regions, r, inside, row, sign, A, b, depth):
 
 @njit(cache=True)
 def cell_of(regions, growth, node, A, b):
-    """Write the half-spaces on the path to a node into A, b, drawn in by SIDE; returns their number."""
+    """Write the half-spaces on the path to a node into A, b, drawn in by SIDE. Returns their number."""
     n = A.shape[1]
     depth = 0
     child = node
@@ -223,7 +223,7 @@ def depth_of(growth, node):
 
 @njit(cache=True)
 def divide(regions, growth, members, inside, row, A, b, depth, start):
-    """Write the members below and then above a hyperplane into the pool from `start`; returns the two numbers."""
+    """Write the members below and then above a hyperplane into the pool from `start`. Returns the two numbers."""
     filled = start
     for bit in range(2):
         sign = 1.0 if bit == 0 else -1.0

@@ -237,7 +237,7 @@ def optimal_at(qp, act, k, theta):
 
 @njit(cache=True)
 def optimal_set(qp, theta, shift, act):
-    """Active set with positive multipliers of the QP at θ, bounds moved by shift * tie; negative when infeasible."""
+    """Active set with positive multipliers of the QP at θ, bounds moved by shift * tie. Negative when infeasible."""
     m, nz = qp.M.shape
     n = len(theta)
     d = np.empty(m)

@@ -15,7 +15,7 @@ Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class Locator(NamedTuple):
-    """Tree, regions and border in scaled parameters t = (θ - centre) / half; see `SearchTree` and `Partition`.
+    """Tree, regions and border in scaled parameters t = (θ - centre) / half. See `SearchTree` and `Partition`.
 
     inner : point within the border towards which points beyond it are pulled.
     """
@@ -32,7 +32,7 @@ class Locator(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Region of every point, whether the point lies outside, and its input; all to be filled in."""
+    """Region of every point, whether the point lies outside, and its input. All to be filled in."""
 
     region: Ints
     outside: np.ndarray[Any, np.dtype[np.bool_]]
@@ -59,7 +59,7 @@ def leaf_of(planes, nodes, t):
 
 @njit(cache=True)
 def violation(facets, t, most):
-    """Largest distance of t above the facets of a region; not searched further once it exceeds `most`."""
+    """Largest distance of t above the facets of a region. Not searched further once it exceeds `most`."""
     rows, first, end = facets
     worst = -np.inf
     for i in range(first, end):
@@ -89,7 +89,7 @@ def of_one_law(number, members):
 
 @njit(cache=True)
 def nearest(rows, offsets, t):
-    """First of all regions that holds t, and 0; where none does, the one it lies least far outside of, and how far."""
+    """First of all regions that holds t, and 0. Where none does, the one it lies least far outside of, and how far."""
     region, distance = -1, np.inf
     for r in range(len(offsets) - 1):
         worst = violation((rows, offsets[r], offsets[r + 1]), t, distance)
@@ -102,7 +102,7 @@ def nearest(rows, offsets, t):
 
 @njit(cache=True)
 def is_beyond(columns, height, t):
-    """Whether t lies beyond the border, given by its columns; all rows at once is faster than one after another."""
+    """Whether t lies beyond the border, given by its columns. All rows at once is faster than one after another."""
     for i in range(len(height)):
         height[i] = -columns[len(t), i]
     for j in range(len(t)):
