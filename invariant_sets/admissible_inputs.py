@@ -167,7 +167,7 @@ class AdmissibleInputFamily:
         return f"AdmissibleInputFamily({len(self.filters)} filters, nx={self._after.shape[2]})"
 
     def project(self, x: Any, u_proposed: Any) -> tuple[Array, Array]:
-        """Return, for each filter, the admissible input nearest to a proposed one, and whether there is any.
+        """Return each filter's admissible input nearest to a proposed one, and whether there is any.
 
         Parameters
         ----------
@@ -229,7 +229,7 @@ class _LocalRows:
 
 
 def _local_rows(system: CheckedSystem) -> _LocalRows:
-    """Return the rows of the target set and of U in coordinates in which U has extents of one."""
+    """Return the rows of S and U in coordinates in which U has extents of one."""
     body = system.U._body
     assert body is not None
     F, g = tightened_rows(system.states, system.motion.disturbances)
@@ -249,7 +249,7 @@ def _proposals(value: Any, nu: int, count: int) -> Array:
 
 
 def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, Array]:
-    """Return the nearest admissible v (k, q), by one QP a state, and whether it is admissible."""
+    """Return the nearest admissible v (k, q), and whether it is admissible. One QP is solved a state."""
     v = np.zeros(wanted.shape)
     admissible = np.zeros(len(rooms), bool)
     for k, room in enumerate(rooms):

@@ -62,7 +62,7 @@ def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) ->
 
 
 def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
-    """Move those of the points X (k, n) whose active rows meet in a corner to it, in place."""
+    """Move points X (k, n) whose active rows meet in a corner to it, in place."""
     n = X.shape[1]
     active = dual > 0.0
     corners = np.count_nonzero(active, axis=1) == n
@@ -133,7 +133,7 @@ def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optim
 
 
 def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
-    """Return the better of the optimum proposed and those in which its active rows hold with equality."""
+    """Return the better of the proposed optimum and those at which its active rows hold with equality."""
     best = None
     for least in (0.0, ACTIVE * dual.max(initial=0.0)):
         exact = _at_active_rows(c, A, b, x, np.flatnonzero(dual > least))

@@ -33,7 +33,7 @@ class Stated(NamedTuple):
 
     @classmethod
     def given(cls, A: Array, b: Array, A_eq: Array, b_eq: Array) -> Stated:
-        """Return rows as a caller states them: their right-hand sides may be wrong by the rounding of themselves."""
+        """Return rows as a caller states them. Their right-hand sides may be wrong by the rounding of themselves."""
         return cls(A, b, A_eq, b_eq, np.abs(b), np.abs(b_eq))
 
     @property

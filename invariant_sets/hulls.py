@@ -233,7 +233,7 @@ def strongly_irredundant_rows(F: Array, g: Array) -> Array:
 
 
 def hull_rows(points: Array) -> tuple[Array, Array, Array]:
-    """Return facets (F, g) with unit rows of the hull of full-dimensional points (k, n), and its vertices' indices."""
+    """Return facets (F, g), unit rows, of the hull of full-dimensional points (k, n), and its vertices' indices."""
     if points.shape[1] == 0:
         return np.zeros((0, 0)), np.zeros(0), np.arange(1)
     if points.shape[1] == 1:

@@ -82,7 +82,7 @@ class Body:
         return replace(self, g=self.g - reach, sizes=sizes, centre=self.centre - Q.centre, terms=self.terms + Q.terms)
 
     def holds_part_of(self, whole: Body) -> bool:
-        """Return whether the tightened set holds a copy of the `whole`, `SETTLED` of its size: it is as little flat."""
+        """Return whether the tightened set holds a copy of the `whole`, `SETTLED` of its size. It is as little flat."""
         return bool((self.g > SETTLED * whole.g).all())
 
     def settled(self) -> Body | None:
@@ -255,7 +255,7 @@ def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array,
 
 
 def _body(box: LocalBox, hull: AffineHull, widths: Array) -> Body:
-    """Return the box as a `Body` about the centre of its ball, without rows that cannot touch the set."""
+    """Return the box as a `Body` about its ball's centre, without rows that cannot touch the set."""
     y = box.ball.centre
     bounded = not box.unbounded.any()
     touching = np.arange(len(box.g))
@@ -331,7 +331,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
 
 
 def _pivots(rows: Array) -> Array:
-    """Return columns (r,) in which independent rows (r, n) are steep and far from dependent, in order."""
+    """Return columns (r,), in order, in which independent rows (r, n) are steep and far from dependent."""
     from scipy.linalg import qr
 
     return np.sort(qr(rows, mode="r", pivoting=True)[1][:len(rows)])

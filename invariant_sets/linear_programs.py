@@ -22,7 +22,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Ball:
-    """A largest ball in {A x <= b}, with the multipliers that prove that there is no larger one."""
+    """A largest ball in {A x <= b}, with the multipliers that prove it largest."""
 
     radius: float  # negative: the least violation that every point must accept
     centre: Array  # (n,)

@@ -1,4 +1,4 @@
-"""Which points satisfy which rows, up to a slack and to the rounding of the row's own data at the point."""
+"""Points that satisfy rows, up to a slack and to the rounding of the row's own data at the point."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ class _Approximation:
 
 
 def _approximated(A: Array, W: Array, limits: Limits) -> _Approximation:
-    """Return the scaled partial sum where W is full-dimensional and begins to shrink, else the set from outside."""
+    """Return the scaled partial sum if W is full-dimensional and begins to shrink. Else the set from outside."""
     if Polytope.from_vertices(W).affine_dim == len(A):
         found = _scaled_sum(A, W, limits)
         if found is not None:
@@ -131,7 +131,7 @@ def _extent(A: Array, W: Array) -> Array:
 
 
 def _moving_subspace(A: Array, W: Array) -> Array:
-    """Return an orthonormal basis (n, k) of what W, A W, A² W, … span: the minimal set is flat elsewhere."""
+    """Return an orthonormal basis (n, k) of what W, A W, A² W, … span. The minimal set is flat elsewhere."""
     scale = np.abs(W).max(initial=0.0)
     if scale == 0.0:
         return np.zeros((len(A), 0))
@@ -228,7 +228,7 @@ def _excess(R: Polytope, partial: Polytope) -> float:
 
 
 def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
-    """Return Σ_i max_w dᵀAⁱw for every row d of D, from below: the terms after the last are left out."""
+    """Return Σ_i max_w dᵀAⁱw for every row d of D, from below. The terms after the last are left out."""
     total = np.zeros(len(D))
     directions = np.array(D)
     largest = np.abs(W).max(axis=0)

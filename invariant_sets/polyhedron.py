@@ -318,7 +318,7 @@ class Polyhedron:
 
     @cached_property
     def _missed(self) -> Array:
-        """Violation of each one-sided row by the centre of the set, doubled: a set holds its own points."""
+        """Violation of each one-sided row by the centre of the set, doubled. A set holds its own points."""
         A, b = self._one_sided
         if self._solid_vertices is not None or self._body is None:
             return np.zeros(len(b))
@@ -354,7 +354,7 @@ class Polyhedron:
 
     @cached_property
     def _solid_vertices(self) -> Array | None:
-        """The vertices where they are known and have a width in every coordinate: they tell the bounding box."""
+        """The vertices where they are known and have a width in every coordinate. They tell the bounding box."""
         V = self._vertices
         if V is None or len(self.b_eq):
             return None
@@ -386,7 +386,7 @@ class Polyhedron:
 
     @cached_property
     def _box(self) -> tuple[Array, Array]:
-        """The bounding box of a set with a point: linear programs in more than four dimensions, so solved once."""
+        """The bounding box of a set with a point, found once: above four dimensions by linear programs."""
         eye = np.eye(self.dim)
         return frozen(0.0 - self._supports(-eye)), frozen(self._supports(eye) + 0.0)  # no negative zeros
 

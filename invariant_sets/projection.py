@@ -95,7 +95,7 @@ def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Arra
 
 
 def _combined(high: Array, above: Array, low: Array, below: Array) -> Array:
-    """Return every row of `high` with every row of `low`, weighted so that their last coefficients cancel."""
+    """Return every row of `high` with every row of `low`, their last coefficients cancelling."""
     if len(high) * len(low) > MOST_ROWS:
         raise SizeLimitReached(f"an elimination with {len(high)} times {len(low)} rows")
     larger = np.maximum(above[:, None], below[None, :])

@@ -290,7 +290,7 @@ def _interrupted(inner: Polytope | None, outer: Polytope, progress: _Progress) -
 
 
 def _with_inputs(A: Any, B: Any, U: Any) -> tuple[Any, Any, Any]:
-    """Return A, B and U, with a single input that is always zero where both B and U are None."""
+    """Return A, B and U. Where B and U are None, a single input is always zero."""
     if B is not None or U is not None:
         return A, B, U
     A = checked_state_matrix(A)

@@ -1,4 +1,4 @@
-"""What a set computation returns: the set, how it ended, and a certificate that can be checked."""
+"""The result of a set computation: the set, how it ended, and a certificate that can be checked."""
 
 from __future__ import annotations
 

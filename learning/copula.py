@@ -78,7 +78,7 @@ class InnovationCopula(nn.Module):
 
     @property
     def memory(self) -> int:
-        """Number of columns of a run's memory: the number of known scores, and the last `order` of them."""
+        """Number of columns of a memory: the count of known scores, and the last `order` of them."""
         return 1 + self.order * self.outputs if self.order else 0
 
     @classmethod
@@ -140,7 +140,7 @@ class InnovationCopula(nn.Module):
         return sum((m.item() * self.at(quantiles, torch.full_like(like, s)) for m, s in zip(mass, shares)), 0 * like)
 
     def _scores(self, shocks: Tensor, memory: Tensor) -> Tensor:
-        """Correlated scores (n, m) from independent shocks, by as many past scores as are known."""
+        """Correlated scores (n, m) from independent shocks and as many past scores as are known."""
         known = memory[..., 0].round().long() if self.order else torch.zeros(shocks.shape[:-1], dtype=torch.long)
         scores = torch.zeros_like(shocks)
         for j in range(self.order + 1):

@@ -109,7 +109,7 @@ def _margins(quantiles: Array, targets: Array, inputs: int) -> InnovationCopula:
 
 
 def _nearness(widths: Array, centres: Array) -> list[Array]:
-    """Return the weight (n,) of every sample at each centre: linear between neighbours, and all where they coincide."""
+    """Return the weight (n,) of every sample at each centre. Linear between neighbours, all where they coincide."""
     distinct, index = np.unique(centres, return_inverse=True)
     hats = [np.interp(widths, distinct, np.eye(len(distinct))[b]) for b in range(len(distinct))]
     return [hats[b] for b in index]

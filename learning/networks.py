@@ -45,7 +45,7 @@ class NetworkConfig:
 
 
 class ActionLimits(Protocol):
-    """Action bounds that depend on the last entries of an observation, such as the parameters of the plant."""
+    """Action bounds that depend on the last entries of an observation, such as plant parameters."""
 
     @property
     def entries(self) -> int:
@@ -106,7 +106,7 @@ class FeedForward(nn.Module):
         self.skip = nn.Linear(n_in, n_out, bias=False) if skip else None
 
     def at(self, p: Tensor, offset: Tensor, scale: Tensor) -> Layers:
-        """The network as a function of the first entries of raw observations, whose last entries are `p`.
+        """The network in the first entries of raw observations, whose last entries are `p`.
 
         What does not change with the first entries is computed once: the part of the first layer that belongs to `p`
         (np,) or (n, np), and the normalisation by `offset` and `scale` (n_in,); in the precision of `p`.

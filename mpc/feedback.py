@@ -53,7 +53,7 @@ class _Chosen(NamedTuple):
 
 
 def _least_growing(problem: MPCProblem, A: Array, B: Array) -> _Chosen:
-    """Gains of the problem's weights, or of those in units of the sets where the closed loop grows less with them."""
+    """Gains of the problem's weights, or of those in set units where the loop grows less."""
     sx, su = cost_units(problem.A, problem.B, problem.Q, problem.R)
     none = np.zeros((problem.nx, problem.nu))
     weights = (problem.Q, problem.R, none if problem.S is None else problem.S, problem.P)

@@ -137,12 +137,12 @@ def _least_maximum(G: Array, b: Array, rows: Rows) -> tuple[float, Array]:
 
 
 def _impossible(G: Array, b: Array, rows: Rows) -> bool:
-    """Whether no z satisfies the rows, by a linear program and, before it is reported, by a quadratic one."""
+    """Whether no z satisfies the rows, by a linear program. A quadratic one confirms it before it is reported."""
     return _least_maximum(G, b, rows)[0] > FEASIBLE and _least_by_qp(G, b, rows) > FEASIBLE / 2
 
 
 def _least_by_qp(G: Array, b: Array, rows: Rows) -> float:
-    """Least t >= 0 with Gz <= b + t on the rows, by a quadratic program in which z costs next to nothing."""
+    """Least t >= 0 with Gz <= b + t on the rows. A quadratic program finds it in which z costs next to nothing."""
     if not rows:
         return 0.0
     n = G.shape[1]

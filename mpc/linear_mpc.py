@@ -110,7 +110,7 @@ class LinearMPC(MPCProblem):
         return frozenset(self.uses) | ({"last_input"} if self.rate_limit is not None else set())
 
     def build(self, *parameters: str) -> ParametricQP:
-        """The QP with the state and the named quantities left open, to inspect or to hand to another solver.
+        """The QP with state and named quantities left open, to inspect or hand to another solver.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class LinearMPC(MPCProblem):
         return self._solver_for(tuple(sorted(given))).plan(x, given, start)
 
     def solve_many(self, X: ArrayLike, **signals: ArrayLike) -> list[Plan]:
-        """One plan per row of X (n, nx), in order, each warm-started from the one before it.
+        """One plan per row of X (n, nx), in order, each warm-started from the one before.
 
         The signals are those of `solve`, the same for all rows; or one for each: `u_prev` as (n, nu), the others with
         a first axis of length n, for example `w` as (n, N, nw).

@@ -195,7 +195,7 @@ class _Regulation:
         return 1 - _radius(self.A - self.B @ K) if np.isfinite(K).all() else np.nan
 
     def gain(self, root: Array) -> Array:
-        """Gain that belongs to a root of a cost matrix, by least squares: B'PB would square what cancels in it."""
+        """Gain that belongs to a root of a cost matrix, by least squares. B'PB would square what cancels in it."""
         n = len(self.A)
         M = np.vstack([self._cost_root[:, n:], root @ self.B])
         right = np.vstack([self._cost_root[:, :n], root @ self.A])
@@ -240,7 +240,7 @@ def _lyapunov_root(A: Array, root: Array) -> Array:
 
 
 def _explained(scaled: _Regulation, user_unit: Array) -> NotStabilisableError:
-    """The error that names the mode in the way: one that the input does not reach, or that Q does not see."""
+    """Error that names the mode in the way. Either the input does not reach it, or Q does not see it."""
     A, B, Q, R, S = scaled.A, scaled.B, scaled.Q, scaled.R, scaled.S
     none = np.ones(len(A))
     eigenvalues = np.linalg.eigvals(A)

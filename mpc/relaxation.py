@@ -51,7 +51,7 @@ def relax(problem: MPCProblem, qp: ParametricQP, solver: DenseQP, q: Array, b: A
 
 
 def inputs_conflict(problem: MPCProblem, last_input: Array | None) -> bool:
-    """Whether no input lies in U within the rate limit of the last one: the only way hard constraints can conflict.
+    """Whether no input in U keeps the rate limit of the last one. Hard constraints cannot conflict otherwise.
 
     U is convex and not empty, so an input that is in U may stay where it is.
     """

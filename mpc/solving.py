@@ -144,7 +144,7 @@ class CondensedSolver:
         return Candidate(inputs, states, status if accurate else Status.INACCURATE, result.residuals, result.solver)
 
     def _runs_away(self, states: Array) -> bool:
-        """Whether the states grow so far that the difference v - Kx keeps too few digits of the inputs."""
+        """Whether states grow so far that v - Kx keeps too few digits of the inputs."""
         if self.feedback is None:
             return False
         starts = np.cumsum([0, *block_lengths(self.problem)])[:-1]

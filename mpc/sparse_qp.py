@@ -261,7 +261,7 @@ class PlanCheck:
 
 
 def _columns(stagewise: StagewiseQP) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where inputs, in order, and states (N + 1, n) stand among the variables. The slacks are neither."""
+    """Places of inputs, in order, and states (N + 1, n) among the variables. The slacks are neither."""
     widths = np.array([len(stage.gx) + len(stage.gv) for stage in stagewise.stages])
     states = (np.cumsum(widths) - widths)[:, None] + np.arange(stagewise.n)
     inputs = [first[-1] + 1 + np.arange(stage.nu) for first, stage in zip(states, stagewise.stages)]

@@ -102,7 +102,7 @@ class StagewiseQP:
         ]
 
     def _towards(self, inputs: Array) -> Array:
-        """Inputs that follow the given ones, drawn towards the middle and by less than the rate limit in each step."""
+        """Inputs that follow the given ones, drawn towards the middle and by less than the rate limit a step."""
         followed = FIRST_GUESS_SHARE * np.asarray(inputs)
         if self.problem.rate_limit is None:
             return followed

@@ -85,7 +85,7 @@ class _Iteration:
         self._factorise()
 
     def noise(self, k: int) -> Array:
-        """Rounding of the variables of stage k that the state causes through feedback: no digits lie below."""
+        """Rounding of the variables of stage k by the state through feedback. No digits lie below."""
         return FEEDBACK_ROUNDING * np.abs(self.gains[k]) @ np.abs(self.states[k])
 
     def largest_step(self, direction: _Direction) -> float:

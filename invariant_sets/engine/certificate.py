@@ -55,7 +55,7 @@ class Feedback:
 
 def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target: Polytope | None = None,
                       deadline: Deadline = NO_DEADLINE) -> Check:
-    """Return the violation of `target` (C itself) by the worst vertex of C under the best input in U.
+    """Return the violation of `target` (C itself) by C's worst vertex under its best input.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target:
 
 
 def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline) -> float:
-    """Return the largest over k of min over v in the inputs of max (slope v − room_k), from the minimisers found."""
+    """Return the largest over k of min over v of max (slope v − room_k), from the minimisers found."""
     H, h = inputs
     nu = H.shape[1]
     if nu > 1:  # nearly parallel inputs: their difference becomes an input of its own
@@ -175,7 +175,7 @@ def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
 
 def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feedback,
                        deadline: Deadline = NO_DEADLINE) -> Check:
-    """Return the violation of C, or of U, by C under a feedback: one linear program a row."""
+    """Return the violation of C, or of U, by C under a feedback. One linear program is solved a row."""
     closed = system.A + system.B @ law.gain
     shift = system.B @ (law.centre - law.gain @ law.equilibrium)
     F, g = tightened_rows(C, system.disturbances)
@@ -190,7 +190,7 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feed
 
 
 def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
-    """Return the violation of X by C, relative to the range of the row of X over the bounding box of C.
+    """Return the violation of X by C, relative to each row's range over C's bounding box.
 
     Without `by_vertices`, by linear programs: for a set in so many dimensions that vertices take too long.
     """
@@ -209,7 +209,7 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
 
 
 def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadline: Deadline = NO_DEADLINE) -> float:
-    """Return the enlargement of C by one more backward step, relative to the range of each row of C.
+    """Return the enlargement of C by another backward step, relative to each row's range.
 
     For every row f of C one linear program: max fᵀx over x in X and u in U with A x + B u + w in C for all w. A set
     that has collapsed, or was cut too far, shows here.
@@ -272,7 +272,7 @@ def tightened_rows(C: Polytope, disturbances: Array | None) -> Rows:
 
 
 def _violation_at_facets(system: LinearSystem, C: Polytope, U: Polytope, target: Rows, deadline: Deadline) -> Check:
-    """Return the violation of the predecessor set of the target rows by C, by one linear program a facet."""
+    """Return the violation of the target rows' predecessor set by C. One linear program is solved a facet."""
     body = U._body
     assert body is not None
     F, g = target

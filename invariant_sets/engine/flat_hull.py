@@ -56,7 +56,7 @@ class OnHull:
 
 
 def stay_on_hull(motion: Motion, basis: Array, spread: Array | None, size: Array) -> OnHull:
-    """Return the conditions for successors to stay on the hull that the columns of `basis` span.
+    """Return the conditions for successors to stay on the hull that `basis` spans.
 
     `spread` (k, n) are the vertices of the disturbance about its mean, `size` (n,) what counts as one in each
     coordinate of x. A disturbance that leaves the hull leaves nothing.

@@ -50,7 +50,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A region that should be invariant, the steps it took, and the local feedback that keeps it so where known."""
+    """A region that should be invariant, its steps, and the local feedback that keeps it so where known."""
 
     region: Region
     steps: int = 0
@@ -63,7 +63,7 @@ def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadlin
     limit = Deadline() if deadline is None else deadline
 
     def rows(target: Rows, fresh: Array | None = None) -> Rows:
-        """Return the predecessor rows of the target, of its fresh rows only where they are named."""
+        """Return the predecessor rows of the target, or of its fresh rows where they are named."""
         F, g = target
         g = factor * g
         if dynamics.drift.any():
@@ -104,7 +104,7 @@ def shrunk(region: Region, part: float) -> Region:
 
 
 def _contracted(problem: LocalProblem, region: Region, delta: float, limits: Limits) -> Iterator[Candidate]:
-    """Yield the largest set that contracts by 1 − delta in each step, where the recursion ends."""
+    """Yield the largest set that contracts by 1 − delta per step, where the recursion ends."""
     again = iterate(region, predecessor_of(problem, 1 - delta, limits.deadline),
                     limits.caps(1 / (1 - delta) - 1, max(limits.iterations // 4, 20)))
     if again.converged and again.region.shape is Shape.SOLID:
@@ -176,7 +176,7 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
         return None
 
     def backwards(target: Rows, fresh: Array | None) -> Rows:
-        """Return the rows of the states that the feedback takes into the target in one step."""
+        """Return the rows of the states that the feedback takes into the target."""
         F, g = target if fresh is None else (target[0][fresh], target[1][fresh])
         reach = 0.0 if noise is None else (F @ noise.T).max(axis=1)
         return F @ closed, g * (1 - CLOSED_LOOP_MARGIN) - reach

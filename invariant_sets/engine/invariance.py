@@ -46,7 +46,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Task:
-    """Task of finding the largest set in X that inputs in U can keep the state in, within limits."""
+    """Task of finding the largest set in X that inputs can keep the state in, within limits."""
 
     system: LinearSystem
     X: Polytope
@@ -76,7 +76,7 @@ def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResul
 
 
 def _quotient_of(task: Task, Q: Array) -> dict[str, Any]:
-    """Return the system and the state set of the task in the coordinates z = Q x."""
+    """Return the system and state set of the task in coordinates z = Q x."""
     system, X = quotient(task.system, task.X, Q)
     return {"system": system, "X": X}
 
@@ -165,7 +165,7 @@ def _extent(X: Polytope) -> Array:
 
 
 def _flattened(X: Polytope, widest: Array) -> Polytope:
-    """Return X with the coordinates fixed in which almost nothing is left of the first set."""
+    """Return X with coordinates fixed in which the first set has almost nothing left."""
     lower, upper = X.bounding_box()
     gone = upper - lower <= FLAT * widest
     if not gone.any():
@@ -212,7 +212,7 @@ class _Reserve:
 
 
 def _reserve(task: Task, problem: LocalProblem, start: Region) -> _Reserve:
-    """Return the set of a linear feedback, if a part of the time left is enough to find one."""
+    """Return the set of a linear feedback, if part of the time left suffices for it."""
     inner = None
     if problem.bounded and problem.at_equilibrium and start.shape is Shape.SOLID:
         inner = _feedback_set(task, problem, replace(start, V=None), task.limits.deadline.part(0.7))
@@ -220,7 +220,7 @@ def _reserve(task: Task, problem: LocalProblem, start: Region) -> _Reserve:
 
 
 def _feedback_set(task: Task, problem: LocalProblem, start: Region, deadline: Deadline) -> _Inner | None:
-    """Return the first set of a linear feedback in `start` that passes the certificate in time."""
+    """Return the first linear feedback's set in `start` that passes the certificate in time."""
     for candidate in feedback_sets(problem, start, replace(task.limits, deadline=deadline)):
         inner = _certified(task, problem, start, candidate, deadline)
         if inner is not None:
@@ -262,7 +262,7 @@ def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Reser
 
 @dataclass(frozen=True)
 class _Inner:
-    """An inner set that has passed the check of invariance, its gap, and the equilibrium in it."""
+    """An inner set certified as invariant, its gap, and the equilibrium in it."""
 
     C: Polytope
     check: certificate.Check
@@ -273,7 +273,7 @@ class _Inner:
 
 def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Candidate,
                deadline: Deadline) -> _Inner | None:
-    """Return the candidate as a set if it is invariant, inside X, and the check ends in time. None otherwise."""
+    """Return the candidate as a set if it is invariant, inside X, and checked in time. None otherwise."""
     found = candidate.region
     C = problem.frame.polytope(found.F, found.g, found.V)
     try:
@@ -296,7 +296,7 @@ def _law(problem: LocalProblem, gain: Array) -> certificate.Feedback:
 
 
 def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
-    """Return the result with the status that its gap and the check for missing states deserve."""
+    """Return the result with the status that its gap and missing states deserve."""
     small = inner.gap <= task.limits.tol * (1 + GAP_ROUNDING) + INVARIANT
     absent = np.inf
     if small:
@@ -313,7 +313,7 @@ def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, ste
 
 
 def _nothing(task: Task, iterations: int) -> SetResult:
-    """Return the empty result, after a second look: an equilibrium would be an invariant set by itself."""
+    """Return the empty result, after a second look. An equilibrium would be an invariant set by itself."""
     nx = task.X.dim
     nu = task.U.dim
     if task.system.disturbances is None and not task.X.is_empty and not task.U.is_empty:

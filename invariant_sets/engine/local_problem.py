@@ -34,7 +34,7 @@ class LinearSystem:
 
 
 def left_inverse(basis: Array) -> Array:
-    """Return L (k, n) with L basis = 1, for columns and coordinates in units that differ by any factor."""
+    """Return L (k, n) with L basis = 1, whatever the units of columns and coordinates."""
     if basis.shape[0] == basis.shape[1]:
         return np.linalg.inv(basis)
     rows = np.abs(basis).max(axis=1, initial=0.0)
@@ -100,14 +100,14 @@ class LocalProblem:
 
 @dataclass(frozen=True)
 class Localised:
-    """The problem in local coordinates, or a flatter X to try instead, or neither: then no state can stay in X."""
+    """The problem in local coordinates, or a flatter X to try instead. With neither no state can stay in X."""
 
     problem: LocalProblem | None = None
     flatter: Polytope | None = None
 
 
 def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Localised:
-    """Return the problem in local coordinates; `units` (nx,) is the extent of the first state set."""
+    """Return the problem in local coordinates. The extent of the first state set is `units` (nx,)."""
     state = X._body
     inputs = U._body
     if state is None or inputs is None:
@@ -145,7 +145,7 @@ def _with_equalities(X: Polytope, frame: Frame, rows: Array, values: Array | Non
 
 
 def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
-    """Return coordinates in which X has extents of one, also where it is a slanted needle, and its rows in them."""
+    """Return coordinates in which X has extents of one, and its rows in them. X may be a slanted needle."""
     frame = Frame(state.centre, state.basis)
     rows = (state.F, state.g)
     k = state.basis.shape[1]
@@ -168,7 +168,7 @@ def _input_corners(U: Polytope, inputs: Body) -> Array | None:
 
 
 def _joint_input_corners(problem: LocalProblem) -> Array | None:
-    """Return the corners (m, q) of a box that holds every input that some state allows. None if there is none."""
+    """Return corners (m, q) of a box with every input that some state allows. None if there is none."""
     k = problem.frame.basis.shape[1]
     q = problem.joint[0].shape[1] - k
     if q == 0:
@@ -218,7 +218,7 @@ def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: Linea
 
 
 def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
-    """Return x = 0, u = 0 in local coordinates if it is an equilibrium well inside both sets."""
+    """Return x = 0, u = 0 in local coordinates. None unless it is an equilibrium well inside both sets."""
     if system.disturbances is not None and np.abs(system.disturbances.mean(axis=0)).max() > 0:
         return None
     y = -np.linalg.solve(problem.frame.basis, problem.frame.centre)

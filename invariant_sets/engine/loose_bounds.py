@@ -37,7 +37,7 @@ def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
 
 def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
                   target: Polytope | None) -> tuple[LinearSystem, Polytope, Polytope]:
-    """Return the problem with what is felt in one step to a target, or in nx steps in X without one."""
+    """Return the problem with what is felt in one step to a target, or else in nx steps in X."""
     states = X._body
     inputs = U._body
     goal = states if target is None else target._body
@@ -118,7 +118,7 @@ def _trajectories(moves: list[Array], drift: list[Array], X: Polytope, U: Polyto
 
 
 def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array]) -> Polytope:
-    """Return X without the rows that no trajectory comes near: without them there are no others, X is convex.
+    """Return X without the rows that no trajectory comes near. Without them there are no others, X is convex.
 
     Of a coordinate in which the trajectories have no width nothing is left that could be far away.
     """

@@ -72,7 +72,7 @@ def _product(F: Array, back: Array) -> Array:
 
 
 def _right_inverse(Q: Array) -> Array:
-    """Return R (n, k) with Q R = 1, for columns in units that differ by any factor."""
+    """Return R (n, k) with Q R = 1, whatever the units of the columns."""
     columns = np.abs(Q).max(axis=0)
     columns[columns == 0.0] = 1.0
     return np.linalg.pinv(Q / columns) / columns[:, None]

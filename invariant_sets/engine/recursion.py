@@ -178,7 +178,7 @@ def _new_rows(region: Region, previous: Region) -> Array:
 
 
 def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: Deadline) -> Region:
-    """Return the region cut by all rows, the deepest first: they make most of the others redundant."""
+    """Return the region cut by all rows, the deepest first. They make most of the others redundant."""
     while len(r) and region.shape is Shape.SOLID:
         first = np.argsort(-depth)[:200]
         region = region.cut(R[first], r[first], deadline)

@@ -124,13 +124,13 @@ def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytop
 
 
 def _without_rows_beyond(P: Polytope, point: Array, reach: Array) -> Polytope:
-    """Return P without the inequalities that a box about a point of it, with these half widths (n,), does not meet."""
+    """Return P without inequalities that a box about a point of it, of these half widths (n,), does not meet."""
     near = P.b - P.A @ point <= np.abs(P.A) @ reach
     return Polytope(P.A[near], P.b[near], P.A_eq, P.b_eq)
 
 
 def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
-    """Return the projection of the lifted set on x, by Fourier–Motzkin in coordinates of extent one."""
+    """Return the lifted set's projection on x, by Fourier–Motzkin in coordinates of extent one."""
     body = lifted._body
     assert body is not None
     if body.basis.shape[1] < lifted.dim:

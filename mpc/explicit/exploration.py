@@ -101,7 +101,7 @@ class Search:
         return MPQPStatus.TIME_LIMIT if time.perf_counter() > deadline else MPQPStatus.INFEASIBLE
 
     def advance(self, most: int) -> None:
-        """Find the facets of some more regions, and their neighbours, until it is time to look at the clock."""
+        """Find the facets of some more regions, and their neighbours, until the next look at the clock."""
         before = self.done
         start = time.perf_counter()
         # not where the clock says: the regions keep their order
@@ -113,12 +113,12 @@ class Search:
 
     @property
     def should_be_thinned(self) -> bool:
-        """Whether rows that others imply are in the way: they cost time, or several active sets are optimal at once."""
+        """Whether rows that others imply are in the way. They cost time, or several active sets are optimal."""
         pays = self.done >= REGIONS_TO_THIN and not self.thinned_for_speed
         return not self.thinned and (pays or (self.done == self.queued and self.regions.tied))
 
     def thinned_out(self, deadline: float) -> Search:
-        """The search without rows that the others imply: a new one where such a row is active.
+        """The search without rows that the others imply. It is a new one where such a row is active.
 
         For speed alone a share of the time left is spent on it: what is found by then is left out.
         """
@@ -150,7 +150,7 @@ class Search:
 
 
 class NeededRows(NamedTuple):
-    """Rows of M that the others are not known to imply, and whether all rows were looked at."""
+    """Rows of M that others are not known to imply, and whether all were looked at."""
 
     rows: Ints
     finished: bool

@@ -134,7 +134,7 @@ class Holes:
         return True
 
     def portions(self, points: Array, rows: int = 20_000) -> Iterator[Array]:
-        """The points, few at a time where there are many rows: a QP with thousands takes hundredths of a second."""
+        """The points, few at a time where there are many rows. A QP with thousands takes hundredths of a second."""
         size = max(1, rows // max(1, len(self.regions.qp.M)))
         return (points[first : first + size] for first in range(0, len(points), size))
 

@@ -25,7 +25,7 @@ class ScaledLaws(NamedTuple):
 
 
 def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> ScaledLaws:
-    """The law of each active set, checked for every parameter in its own rows and at the region's centre in all others.
+    """The law of each active set, checked in its own rows everywhere and in all others at the region's centre.
 
     A law holds where its active rows hold with equality, no row is violated and no multiplier negative, to `LAW_ERROR`
     in units of the bounds and of the variables.
@@ -76,7 +76,7 @@ def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:
 
 
 def _law_by_directions(rows: Array, right: Array) -> tuple[Array, Array]:
-    """Law of one active set by orthogonal directions: a Gram matrix squares what is lost by nearly equal rows."""
+    """Law of one active set by orthogonal directions. A Gram matrix squares what nearly equal rows lose."""
     real = rows.any(axis=1)
     Q, R = np.linalg.qr(rows[real].T)
     along = solve_triangular(R, right[real], trans="T")

@@ -126,7 +126,7 @@ def partitioned(
 
 
 def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
-    """Whether every law keeps the rows left out on the whole box of parameters: then it is optimal with them too."""
+    """Whether every law keeps the rows left out on the whole box of parameters. Then it is optimal with them too."""
     left = np.isinf(answer.problem.w)
     gain = problem.S[left] - problem.G[left] @ answer.law[:, :, :-1]
     room = problem.w[left] - answer.law[:, :, -1] @ problem.G[left].T
@@ -134,7 +134,7 @@ def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
 
 
 def _thinnest(qp: ScaledQP) -> float:
-    """Least of the largest distances of opposite bounds along the parameters: laws may be too thin to be seen."""
+    """Least of the largest distances of opposite bounds along the parameters. Laws may be too thin to be seen."""
     first, second = np.nonzero(qp.gram < DUPLICATE - 1)
     slope = np.linalg.norm(qp.D[first, :-1], axis=1)
     apart = qp.D[first] + qp.D[second]

@@ -24,7 +24,7 @@ class Opening(NamedTuple):
 
 
 def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
-    """Points of the parameter set just beyond one facet [a, b] of a region and a share of its size beyond it.
+    """Points of the parameter set just beyond a region's facet [a, b], and a share of its size beyond it.
 
     They lie above a point in the middle of the facet; none where the facet is too small for one.
     """
@@ -71,7 +71,7 @@ class OnlineQP:
         return Opening([taken, self._independent(result.z, bounds)], self._has_room(bounds, deadline))
 
     def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:
-        """Rows active at v that carry it, as few as can: their multipliers are positive, so they are independent."""
+        """Rows active at v that carry it, as few as can. Their multipliers are positive, so they are independent."""
         near = np.flatnonzero(bounds - self.qp.M @ v <= LAW_ERROR * (1.0 + np.abs(bounds)))
         if not len(near):
             return ()
@@ -79,13 +79,13 @@ class OnlineQP:
         return tuple(int(i) for i in near[share > 0])
 
     def _has_room(self, bounds: Array, deadline: float) -> bool:
-        """Whether a point holds every row, found with bounds a little tighter: no tolerance makes it feasible."""
+        """Whether a point holds every row, found with bounds a little tighter. No tolerance makes it feasible."""
         room = TIE * (1.0 + np.abs(bounds))
         found = self.solver.solve(self.free, bounds - room, confirm_infeasible=True).z
         return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room, deadline)
 
     def _linear_program_finds_room(self, bounds: Array, room: Array, deadline: float) -> bool:
-        """Whether HiGHS finds room, for v not too large: of nearly opposite rows a QP solver finds no point.
+        """Whether HiGHS finds room, for v not too large. Of nearly opposite rows a QP solver finds no point.
 
         Where HiGHS does not end, nobody can tell, and the parameter counts.
         """

@@ -68,7 +68,7 @@ class RegionGraph:
         return self.facets.state[: self.graph.counts[ROWS]]
 
     def explore(self, regions: int) -> None:
-        """Find the facets of so many more regions, and their neighbours, or of fewer where memory has to grow first."""
+        """Find the facets of so many more regions, and their neighbours. Fewer where memory has to grow first."""
         from mpc.explicit.kernels.exploration import GROW, explore
 
         if explore(self.data, self.graph, self.facets, regions) == GROW:

@@ -72,7 +72,7 @@ def write_c(law: LinearMPC, model: DiscreteModel, folder: Any) -> Path:
 
 
 def _of_columns(function: ca.Function) -> ca.Function:
-    """A function of (x, u, w, p) as one of those that have entries: generated C knows no empty arguments."""
+    """A function of (x, u, w, p) as one of those that have entries. Generated C knows no empty arguments."""
     columns = symbols_of(function)
     kept = {name: column for name, column in columns.items() if not column.is_empty()}
     results = function.call(list(columns.values()))
@@ -82,7 +82,7 @@ def _of_columns(function: ca.Function) -> ca.Function:
 
 
 def _held(law: LinearMPC, wanted: Any, last: Any) -> Any:
-    """An input within U, where that is a box, and within the rate limit of the last one."""
+    """An input within U, where that is a box, and within the last one's rate limit."""
     low, high = _box(law)
     held = ca.fmin(ca.fmax(wanted, low), high)
     if law.rate_limit is None:

@@ -12,7 +12,7 @@ from mpc.tolerances import GAIN_REGULARISATION
 
 @cache
 def compile_kernels() -> None:
-    """Compile them before a clock runs: seconds after an installation, once. Numba keeps them on disk."""
+    """Compile the kernels before a clock runs: seconds after an installation, once. Numba keeps them on disk."""
     one, column = np.ones((1, 1, 1)), np.ones((1, 1))
     gains, _ = gains_along(one, one, column, column, column, column)
     responses(one, one, gains, column, np.ones(1))
@@ -47,7 +47,7 @@ def gains_along(A, B, Q, R, S, P):
 
 @njit(cache=True)
 def responses(A, B, gains, gaps, first):
-    """How states (N + 1, nx, N nu) and inputs (N, nu, N nu) answer to v, where du = v - K dx; and where v = 0 leads.
+    """Responses of states (N + 1, nx, N nu) and inputs (N, nu, N nu) to v of du = v - K dx, and where v = 0 leads.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ def _step(functions: PhaseFunctions, s: dict[str, Any], w: Any) -> tuple[Any, An
 
 
 def _shoot(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any], w: Any) -> tuple[Any, Any, Any]:
-    """The equations of one interval of shooting: the state and its cost are integrated with the input held."""
+    """The equations of one interval of shooting. The state and its cost are integrated with the input held."""
     u, p, t, h = s["own"], s["p"], s["t"], s["h"]
 
     def rate(z: Any, time: Any, signal: Any) -> Any:

@@ -70,7 +70,7 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
 
 
 def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> Missed:
-    """The difference (N, nx) that half the steps, or a tighter tolerance, make at the end of every interval."""
+    """Difference (N, nx) by half the steps, or a tighter tolerance, at the end of every interval."""
     finer = replace(scheme, substeps=2 * scheme.substeps, tolerance=0.01 * scheme.tolerance)
     (ends, fine), (_, coarse) = (_shot(phase, one, p) for one in (finer, scheme))
     of_cost = phase.weight * (fine[:, 0] - coarse[:, 0]) + np.einsum("kji,ki->k", phase.stages.costates, ends)
@@ -190,7 +190,7 @@ def _beyond(phase: PhaseSolution, p: Array, k: Any, tau: Array) -> Array:
 
 
 def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...]) -> list[Array]:
-    """Sizes (m, N) of the limits of every phase: how much they change with the extents of states and inputs."""
+    """Sizes (m, N) of the limits of every phase, by how they change with the extents of states and inputs."""
     extents = np.zeros(len(v))
     found, paths = [], []
     for part, phase in zip(program.parts, phases):

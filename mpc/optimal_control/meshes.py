@@ -36,7 +36,7 @@ def finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: fl
 
 
 def _jumps(phase: PhaseSolution) -> Array:
-    """Intervals (N,) within which an input crosses most of its range: the jump's own place is known no better.
+    """Intervals (N,) within which an input crosses most of its range. The jump's own place is known no better.
 
     Not where it crosses back and forth in neighbours, as inputs do along a singular arc: there is no jump to find.
     """

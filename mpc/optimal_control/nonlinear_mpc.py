@@ -168,7 +168,7 @@ class NonlinearMPC:
 
     @property
     def last_plans(self) -> tuple[Plan, ...]:
-        """The plans of the last call, one for each row: their statuses say which of them stand in for an optimum."""
+        """The plans of the last call, one for each row. Their statuses say which of them stand in for an optimum."""
         return tuple(self._last)
 
     def with_parameters(self, p: ArrayLike) -> NonlinearMPC:

@@ -26,7 +26,7 @@ KINKS = {ca.OP_FABS: "fabs", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
 
 
 def check_at_guess(program: NonlinearProgram) -> None:
-    """Raise an `InputError` unless cost and constraints are finite at the guess: it says which, when and where."""
+    """Raise an `InputError` unless cost and constraints are finite at the guess. It says which, when and where."""
     expected = "finite values where the solution starts from"
     try:
         f, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(program.guess))
@@ -146,7 +146,7 @@ def _rough(program: NonlinearProgram, of_kinks: bool) -> Iterator[str]:
 
 
 def operations(function: ca.Function | None) -> set[int]:
-    """The operations of a function that is made of scalar instructions, or of calls of such functions."""
+    """Operations of a function made of scalar instructions, or of calls of such functions."""
     if function is None:
         return set()
     if not function.is_a("SXFunction"):

@@ -127,7 +127,7 @@ class Phase:
         self._try_functions()
 
     def _try_functions(self) -> None:
-        """Raise an `InputError` for functions that cannot be meant, as far as their arguments are known by now."""
+        """Raise an `InputError` for functions that cannot be meant, as far as arguments are known."""
         width = 0 if self.signal is None or callable(self.signal) else int(np.shape(self.signal)[1])
         for name, (sizes, rows) in _columns(self, width, 0).items():
             given = getattr(self, name)
@@ -139,7 +139,7 @@ class Phase:
                 _with_limits(self, name, compiled(name, given, sizes, rows))
 
     def _check_nothing_limits(self, name: str) -> None:
-        """Raise an `InputError` for bounds or names of the values of a function that is not there."""
+        """Raise an `InputError` for bounds or names of the values of a missing function."""
         if name not in LIMITED:
             return
         usual = repr(type(self).__dataclass_fields__[f"{name}_bounds"].default)

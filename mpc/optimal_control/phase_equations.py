@@ -89,7 +89,7 @@ def phase_equations(into: Assembly, own: PhaseToCome) -> PhasePart:
 
 
 def _path_at_an_end(into: Assembly, own: PhaseToCome, w: Array) -> None:
-    """Append what is kept along a phase at that of its ends which its intervals leave out."""
+    """Append what is kept along a phase at the end that its intervals leave out."""
     functions, layout, first, fraction = own.functions, own.layout, own.first, 1.0 if own.held else 0.0
     assert functions.path is not None
     low, high = functions.path_bounds
@@ -134,7 +134,7 @@ def _ends(into: Assembly, own: PhaseToCome, last: int) -> None:
 
 
 def _depends_on_input(path: ca.Function) -> Array:
-    """Values (bool) of a path function that depend on the input: points that leave out 0 have none at the start."""
+    """Values (bool) of a path function that depend on the input. Points that leave out 0 have none at the start."""
     pattern = path.jac_sparsity(0, 1)
     depends = np.zeros(path.numel_out(0), dtype=bool)
     depends[list(pattern.row())] = True

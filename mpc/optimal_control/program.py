@@ -196,7 +196,7 @@ def costs_of_scenarios(program: NonlinearProgram, v: Array) -> Array:
 
 
 def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
-    """The program whose every constraint may be violated, and whose cost is the sum of the violations, in sizes."""
+    """The program whose every constraint may be violated, with the sum of violations, in sizes, as cost."""
     n, m = len(program.lower), len(program.row_lower)
     pieces = [
         replace(piece, factors=np.where(piece.of_cost, 0.0, piece.factors)) for piece in program.derivatives.pieces

@@ -114,7 +114,7 @@ class _Rounds:
         return rounds
 
     def refined(self, solution: Solution) -> tuple[Solution, str]:
-        """The best solution, and why it is not the one that was asked for, if it is not."""
+        """The best solution, and why it is not the one asked for, if so."""
         best, still = solution, 0
         while solution.solved_on_mesh and (meshes := self._meshes(solution)) is not None:
             if reason := self._over(still):

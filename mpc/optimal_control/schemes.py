@@ -1,4 +1,4 @@
-"""How a trajectory is cut into numbers: the points, unknowns and equations of one interval of the mesh."""
+"""Discretisation of a trajectory: the points, unknowns and equations of one interval of the mesh."""
 
 from __future__ import annotations
 

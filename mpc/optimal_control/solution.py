@@ -1,4 +1,4 @@
-"""What a solve returns: trajectories as functions of time, multipliers, and how far it can be believed."""
+"""The result of a solve: trajectories as functions of time, multipliers, and how far it can be believed."""
 
 from __future__ import annotations
 
@@ -108,12 +108,12 @@ class Solution:
 
     @property
     def solved(self) -> bool:
-        """Whether it is an optimum that keeps limits and dynamics between the points of its mesh, too."""
+        """Whether the solution is an optimum that keeps limits and dynamics between the points, too."""
         return self.status is OptimalControlStatus.SOLVED
 
     @property
     def solved_on_mesh(self) -> bool:
-        """Whether it is an optimum of the program, whatever happens between the points."""
+        """Whether the solution is an optimum of the program, whatever happens between the points."""
         return self.status in ON_MESH
 
     @property
@@ -167,7 +167,7 @@ class Solution:
         return self.cost_error <= max(COST_ERROR * abs(self.cost), COST_ROUNDING * size)
 
     def _missed(self) -> list[str]:
-        """Limits that are exceeded between the points by more than rounding, and what a coarse mesh misses."""
+        """Limits exceeded between the points by more than rounding, and what a coarse mesh misses."""
         said = [
             f"Between the points of the mesh {name}{of_phase(self.program, k)} is exceeded by {value:.3g} at "
             f"t = {time:.6g}: cut the intervals there, or keep a margin."

@@ -149,7 +149,7 @@ def _acting(
 
 
 def _once_each(rows: Any) -> NDArray[np.int64]:
-    """The rows (n,) that are no multiple of one before: a limit that is stated twice is one limit."""
+    """Rows (n,) that are no multiple of one before. A limit that is stated twice is one limit."""
     along = rows @ np.random.default_rng(0).normal(size=(rows.shape[1], 2))
     length = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
     along = along / (np.where(along[:, 0] < 0, -1, 1) * length)[:, None]

@@ -133,7 +133,7 @@ class _Run:
         return found
 
     def elsewhere(self, found: Found) -> Found:
-        """Result from a guess that is moved, where the guess itself was stationary: it may be a maximum."""
+        """Result from a guess that is moved, where the guess itself was stationary. It may be a maximum."""
         program = self.program
         # begun with a small barrier, which at full height would pull inputs back between their bounds
         other = self.solved(shaken(program, self.lower, self.upper), None, warm=True)

@@ -77,7 +77,7 @@ def multipliers(qp, act, k, L):
 
 @njit(cache=True)
 def refine(qp, act, k, L, law):
-    """Take the rounding of a nearly singular Gram matrix out of a multiplier law: what v = M_a' λ misses is solved for.
+    """Take the rounding of a nearly singular Gram matrix out of a multiplier law. What v = M_a' λ misses is solved for.
 
     The error of v falls from that of the Gram matrix magnified by its condition to that magnified by the root of it.
     """
