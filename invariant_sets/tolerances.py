@@ -48,7 +48,7 @@ PRODUCT_ROUNDING = 2.0**-47  # A product of matrices may be wrong by this part o
 ZERO_COEFFICIENT = 1e-12  # In a unit row a smaller coefficient of the variable to be eliminated is rounding.
 ZERO_ROW = 1e-13  # A combination of two unit rows with a smaller norm is nothing but rounding.
 NEEDLESS = 1e-12  # A row that cuts off less than this part of the extent is left out between two eliminations.
-NEEDLE_RADIUS = 1e-7  # Rows are not judged from an inner point if the radius is below this part of the extent.
+NEEDLE_RADIUS = 1e-7  # No inner point decides which rows are needed if the radius is below this part of the extent.
 BEYOND = 1e-9  # A row further outside than this part of the box of a set cannot touch it.
 
 # --- the problem in local coordinates --------------------------------------------------------------------------------

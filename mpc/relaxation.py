@@ -110,7 +110,7 @@ def least_violation(
     slack = np.maximum(-columns @ result.z[qp.nz :], 0.0)
     room = RELAXATION_MARGIN * np.maximum(units, slack)
     relaxed: Array = np.where(soft, b + np.where(slack > 2 * room, slack, 0.0) + room, b)
-    # what the first stage left violated by rounding is granted too
+    # what the first stage left violated by rounding is tolerated too
     z = result.z[: qp.nz]
     return relaxed + np.where(soft, np.maximum(qp.G @ z - relaxed, 0.0), 0.0), z
 

@@ -43,7 +43,7 @@ class ImpliedEqualities(NamedTuple):
 
 
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
-    """Pairs of opposite rows of M with opposite bounds, judged by the two bounds alone."""
+    """Pairs of opposite rows of M with opposite bounds, decided by the two bounds alone."""
     first, second = np.nonzero(qp.gram < ZERO_ROW - 1)
     if not len(first):
         return []

@@ -16,7 +16,7 @@ from mpc.tolerances import JUMP_PLACE, JUMP_SHARE, LEAST_INTERVAL, MESH_SAFETY, 
 
 
 def finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: float) -> Array:
-    """A mesh whose intervals are cut into as many parts as errors ask for, and the excess of limits, and at jumps.
+    """A mesh whose intervals are cut into as many parts as errors ask for, and violations of limits, and at jumps.
 
     Of an excess (N,) that counts from 1 on; where an input jumps, too.
     """

@@ -26,11 +26,11 @@ def sensitivity_of(
     if plan.status is not Status.SOLVED:
         return conditions.none(plan, SensitivityStatus.UNSOLVED)
     with np.errstate(over="ignore", invalid="ignore"):
-        point = Point.of(problem, plan)
+        point = Point.from_plan(problem, plan)
         point = Linearised(conditions, point).with_multipliers(point)
         last = NEAR_OPTIMUM
         for _ in range(8):
-            step = NewtonStep.of(Linearised(conditions, point), point)
+            step = NewtonStep.at(Linearised(conditions, point), point)
             if step is None:
                 return conditions.none(plan, SensitivityStatus.SINGULAR)
             size = step.size
@@ -54,7 +54,7 @@ def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
     U, X = (form[:, :, :nt] + form[:, :, at["z"]] @ rates[:n] for form in (linear.U, linear.X))
     cost = linear.gradient[:nt] + linear.multipliers @ linear.rows[:, :nt]
     by_parameters = cost[at["p"]] + linear.cost_of_parameters
-    idle = IdleRows.of(linear, point, rates)
+    idle = IdleRows.at(linear, point, rates)
     status = SensitivityStatus.SMOOTH
     if idle.weak.any():
         status = SensitivityStatus.ONE_SIDED
@@ -94,7 +94,7 @@ class IdleRows:
     together: Mask
 
     @classmethod
-    def of(cls, linear: Linearised, point: Point, rates: Array) -> IdleRows:
+    def at(cls, linear: Linearised, point: Point, rates: Array) -> IdleRows:
         """Idle rows at an optimum whose free variables move by rates (n, nt)."""
         met = linear.on_bound & linear.own & ~point.acting
         acting = linear.rows[point.acting][:, linear.free] * linear.scale
@@ -165,7 +165,7 @@ class NewtonStep:
     pushes: Array  # (number of acting rows, nt + 1): of their multipliers
 
     @classmethod
-    def of(cls, linear: Linearised, point: Point) -> NewtonStep | None:
+    def at(cls, linear: Linearised, point: Point) -> NewtonStep | None:
         """Newton step at a point. None at a saddle, or where acting rows depend on each other."""
         at, nt = linear.conditions.columns, linear.conditions.nt
         acting = np.flatnonzero(point.acting)

@@ -46,7 +46,7 @@ class Point:
     acting: Mask
 
     @classmethod
-    def of(cls, problem: MPCProblem, plan: Plan) -> Point:
+    def from_plan(cls, problem: MPCProblem, plan: Plan) -> Point:
         """Point of a plan, whose multipliers are not known."""
         slacks = np.zeros(0)
         if problem.soft is not None:

@@ -96,7 +96,7 @@ def score(regions, members, inside, row):
     """Score of a hyperplane that divides a node's members by their points: the fewer on the fuller side the better."""
     low = 0
     high = 0
-    stride = 1 + len(members) // 400  # so many judge a hyperplane
+    stride = 1 + len(members) // 400  # about 400 members score a hyperplane
     for e in range(0, len(members), stride):
         r = members[e]
         below = False
@@ -128,7 +128,7 @@ def best_rows(regions, members, inside, node, best):
     total = 0
     for r in members:
         total += regions.offsets[r + 1] - regions.offsets[r]
-    few = len(members) <= 24  # every facet is judged
+    few = len(members) <= 24  # every facet is tried
     state = np.uint64(node + 1)
     for c in range(total if few else 64):
         if few:
