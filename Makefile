@@ -40,7 +40,7 @@ docs: $(SITE)          ## the site, in build/docs; warnings are errors
 	$(BIN)/python -m sphinx -W --keep-going -q docs build/docs
 
 pictures: $(SETUP)     ## the pictures of the pages, each by its script
-	for f in docs/pictures/*.py; do $(BIN)/python $$f || exit 1; done
+	for f in docs/pictures/[!_]*.py; do $(BIN)/python $$f || exit 1; done
 
 $(SITE): $(SETUP) requirements/docs.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements/docs.txt

@@ -22,8 +22,8 @@ from scipy import stats
 from scipy.linalg import solve_discrete_are
 
 from ccdtools.controllers.learned import LearnedPolicy
-from ccdtools.disturbances.roads import GeneratedRoad
 from ccdtools.studies import RunFolder
+from ccdtools.vehicles.roads import GeneratedRoad
 
 TOLERANCE = 0.5  # per cent
 LOST = 1e3  # half-widths of X

@@ -21,10 +21,10 @@ from scipy.signal import lfilter
 from ccdtools import DesignSpace, DigitalTwin, Plant, deploy, discretise, free_running_bands
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.controllers.controllers import Controller, LinearFeedback
-from ccdtools.disturbances.roads import GeneratedRoad
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.studies.cases import illustrative, suspension
 from ccdtools.twin.residuals import residuals
+from ccdtools.vehicles.roads import GeneratedRoad
 from mpc import lqr
 
 Array = np.ndarray

@@ -36,7 +36,8 @@ def told(source: str, name: str) -> str:
             at = min([node.lineno, *(d.lineno for d in node.decorator_list)])
             if first is not None and first.lineno > node.lineno:
                 line = min([first.lineno, *(d.lineno for d in getattr(first, "decorator_list", []))])
-                heads[line].append(f'{" " * first.col_offset}_entered_("{name}:{at}")')
+                if not lines[line - 1][: first.col_offset].strip():  # not behind the colon
+                    heads[line].append(f'{" " * first.col_offset}_entered_("{name}:{at}")')
     first = next((p for p in tree.body if not _is_text(p) and getattr(p, "module", "") != "__future__"), None)
     if first is not None:
         line = min([first.lineno, *(d.lineno for d in getattr(first, "decorator_list", []))])

@@ -39,11 +39,6 @@ from ccdtools.co_design.trade_off import TradeOff as TradeOff
 from ccdtools.co_design.trade_off import trade_off as trade_off
 from ccdtools.comparison.comparison import compare as compare
 from ccdtools.comparison.pid_tuning import baselines as baselines
-from ccdtools.comparison.ride import Ride as Ride
-from ccdtools.comparison.ride_comfort import comfort as comfort
-from ccdtools.comparison.ride_comfort import weighted_acceleration as weighted_acceleration
-from ccdtools.comparison.suspension import SuspensionMetrics as SuspensionMetrics
-from ccdtools.comparison.suspension import suspension_metrics as suspension_metrics
 from ccdtools.controllers.controllers import PID as PID
 from ccdtools.controllers.controllers import LinearFeedback as LinearFeedback
 from ccdtools.controllers.controllers import Passive as Passive
@@ -61,12 +56,9 @@ from ccdtools.disturbances.combinations import Sum as Sum
 from ccdtools.disturbances.disturbance import Gaussian as Gaussian
 from ccdtools.disturbances.disturbance import Recorded as Recorded
 from ccdtools.disturbances.disturbance import Uniform as Uniform
-from ccdtools.disturbances.iso_road import ISORoad as ISORoad
 from ccdtools.disturbances.recordings import read_disturbance as read_disturbance
 from ccdtools.disturbances.recordings import read_road as read_road
 from ccdtools.disturbances.recordings import read_speed as read_speed
-from ccdtools.disturbances.roads import GeneratedRoad as GeneratedRoad
-from ccdtools.disturbances.roads import road_disturbance as road_disturbance
 from ccdtools.estimation.extended import ExtendedKalmanFilter as ExtendedKalmanFilter
 from ccdtools.estimation.kalman import KalmanFilter as KalmanFilter
 from ccdtools.estimation.measurement import Measurement as Measurement
@@ -108,6 +100,14 @@ from ccdtools.twin.online import OnlineConfig as OnlineConfig
 from ccdtools.twin.replay import replay_problem as replay_problem
 from ccdtools.twin.replay import updated_problem as updated_problem
 from ccdtools.twin.twin import DigitalTwin as DigitalTwin
+from ccdtools.vehicles.iso_road import ISORoad as ISORoad
+from ccdtools.vehicles.ride import Ride as Ride
+from ccdtools.vehicles.ride_comfort import comfort as comfort
+from ccdtools.vehicles.ride_comfort import weighted_acceleration as weighted_acceleration
+from ccdtools.vehicles.roads import GeneratedRoad as GeneratedRoad
+from ccdtools.vehicles.roads import road_disturbance as road_disturbance
+from ccdtools.vehicles.suspension_metrics import SuspensionMetrics as SuspensionMetrics
+from ccdtools.vehicles.suspension_metrics import suspension_metrics as suspension_metrics
 from invariant_sets.polytope import Polytope as Polytope
 from mpc.linear_mpc import LinearMPC as LinearMPC
 

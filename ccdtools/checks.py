@@ -13,8 +13,6 @@ import numpy as np
 from ccdtools.arrays import Array, frozen
 from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number, shown  # noqa: F401 (handed on)
 from ccdtools_ground.errors import InputError
-from invariant_sets import Polytope
-from invariant_sets.system_checks import as_set
 
 TOLERANCES = ("mpc", "off")  # of the state limits, in words
 
@@ -116,13 +114,6 @@ def as_names(argument: str, value: Any, size: int) -> tuple[str, ...]:
     if len(names) != size or not all(isinstance(name, str) for name in names):
         raise InputError(argument, shown(value), f"{size} name{'' if size == 1 else 's'}")
     return names
-
-
-def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
-    """The set of limits on `size` numbers, from a Polytope or from bounds as the functions of `invariant_sets` take."""
-    if isinstance(value, Polytope) and value.dim != size:
-        raise InputError(argument, f"dimension {value.dim}", f"{size}, {of}")
-    return as_set(value, argument, size)
 
 
 def as_mapping(argument: str, value: Any, expected: str) -> dict[str, Any]:

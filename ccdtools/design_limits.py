@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, Mask, frozen
-from ccdtools.checks import as_limits, as_vector, shown
+from ccdtools.checks import as_vector, shown
 from ccdtools.exceptions import InputError
+from ccdtools.limits import as_limits
 from ccdtools.plants.design_space import FEASIBLE, DesignSpace
 from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.plants.symbols import as_expression, check_known

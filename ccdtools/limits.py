@@ -1,4 +1,4 @@
-"""How far outside X, beside how often."""
+"""Limits of states, and how far and how often they are violated."""
 
 from __future__ import annotations
 
@@ -14,11 +14,19 @@ from ccdtools.checks import as_array, as_floats, as_instance, as_names
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import mean_interval, paired_difference
 from invariant_sets import Polytope
+from invariant_sets.system_checks import as_set
 
 FLAT = 1e-9  # of the range of a row over the box around X: below this, X has no width along the row
 TERMS = 3  # a row of X with more states than this is named by its number
 FURTHER = 0.01  # half-widths of the peak, or fraction of the states: smaller differences do not matter,
 FURTHER_PART = 0.05  # nor does a twentieth of what the other controller does
+
+
+def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
+    """The set of limits on `size` numbers, from a Polytope or from bounds as the functions of `invariant_sets` take."""
+    if isinstance(value, Polytope) and value.dim != size:
+        raise InputError(argument, f"dimension {value.dim}", f"{size}, {of}")
+    return as_set(value, argument, size)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

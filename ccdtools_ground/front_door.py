@@ -6,6 +6,7 @@ import ast
 import sys
 from collections.abc import Callable
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ def front_door(package: str, file: str) -> tuple[list[str], Callable[[str], Any]
     homes = {alias.name: node.module or "" for node in imports for alias in node.names}
 
     def load(name: str) -> Any:
-        """The object of a public name."""
+        """The object of a public name, or a module of the package."""
+        if name not in homes and not name.startswith("_") and find_spec(f"{package}.{name}") is not None:
+            return import_module(f"{package}.{name}")
         if name not in homes:
             said = f"module {package!r} has no attribute {name!r}"
             raise AttributeError(said, name=name, obj=sys.modules[package])  # which Python compares with dir()

@@ -16,12 +16,10 @@ from invariant_sets.input_intervals import Intervals
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.system_checks import CheckedSystem, Set, checked_system
-from invariant_sets.tolerances import ADMISSIBLE, INPUT_SLACK, LP_SOLVER
+from invariant_sets.tolerances import ADMISSIBLE, FAR_PROPOSAL, INPUT_SLACK, LARGEST_ROOM, LP_SOLVER
 from invariant_sets.validation import as_batch, as_vector, frozen
 
 Array = np.ndarray
-_LARGE = 1e150  # beyond this the arithmetic is clipped, so that a diverged state cannot raise
-_FAR_PROPOSAL = 1e6  # half widths of U: a proposal further away is moved to here along its direction
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -156,7 +154,7 @@ class AdmissibleInputFamily:
         most = max(len(one._rows.room) for one in filters)
         slope = np.zeros((len(filters), most))
         after = np.zeros((len(filters), most, next(iter(shapes))[0]))
-        room = np.full((len(filters), most), _LARGE)  # a filter with fewer rows gets rows that never matter
+        room = np.full((len(filters), most), LARGEST_ROOM)  # a filter with fewer rows gets rows that never matter
         for i, one in enumerate(filters):
             count = len(one._rows.room)
             slope[i, :count] = one._rows.slope[:, 0] if one._rows.slope.shape[1] else 0.0
@@ -169,7 +167,7 @@ class AdmissibleInputFamily:
         return f"AdmissibleInputFamily({len(self.filters)} filters, nx={self._after.shape[2]})"
 
     def project(self, x: Any, u_proposed: Any) -> tuple[Array, Array]:
-        """Return, for each filter, the admissible input nearest to a proposed one, and whether there is any.
+        """Return each filter's admissible input nearest to a proposed one, and whether there is any.
 
         Parameters
         ----------
@@ -190,7 +188,7 @@ class AdmissibleInputFamily:
             return np.array([u for u, _ in answers]), np.array([admissible for _, admissible in answers])
         with np.errstate(over="ignore", invalid="ignore"):
             rooms = self._room + np.einsum("kmn,kn->km", self._after, states)
-        rooms = np.clip(np.nan_to_num(rooms, nan=-_LARGE), -_LARGE, _LARGE)
+        rooms = np.clip(np.nan_to_num(rooms, nan=-LARGEST_ROOM), -LARGEST_ROOM, LARGEST_ROOM)
         wanted = np.array([one._rows.local(u[None])[0, 0] for one, u in zip(self.filters, proposed)])
         ends = np.array([one._rows.interval for one in self.filters])
         v, violation = Intervals(self._slope, rooms, ends[:, 0], ends[:, 1]).nearest(wanted)
@@ -222,16 +220,16 @@ class _LocalRows:
         """Return what is left of each row of S before the input acts, (k, m)."""
         with np.errstate(over="ignore", invalid="ignore"):
             rooms = self.room + states @ self.after.T
-        return np.clip(np.nan_to_num(rooms, nan=-_LARGE), -_LARGE, _LARGE)
+        return np.clip(np.nan_to_num(rooms, nan=-LARGEST_ROOM), -LARGEST_ROOM, LARGEST_ROOM)
 
     def local(self, u: Array) -> Array:
         """Return inputs (k, nu) as v (k, q)."""
         with np.errstate(over="ignore"):
-            return np.clip((u - self.middle) @ self.back.T, -_LARGE, _LARGE)
+            return np.clip((u - self.middle) @ self.back.T, -LARGEST_ROOM, LARGEST_ROOM)
 
 
 def _local_rows(system: CheckedSystem) -> _LocalRows:
-    """Return the rows of the target set and of U in coordinates in which U has extents of one."""
+    """Return the rows of S and U in coordinates in which U has extents of one."""
     body = system.U._body
     assert body is not None
     F, g = tightened_rows(system.states, system.motion.disturbances)
@@ -251,7 +249,7 @@ def _proposals(value: Any, nu: int, count: int) -> Array:
 
 
 def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, Array]:
-    """Return the nearest admissible v (k, q), by one QP a state, and whether it is admissible."""
+    """Return the nearest admissible v (k, q), and whether it is admissible. One QP is solved a state."""
     v = np.zeros(wanted.shape)
     admissible = np.zeros(len(rooms), bool)
     for k, room in enumerate(rooms):
@@ -269,11 +267,11 @@ def _meets(rows: _LocalRows, v: Array, room: Array) -> bool:
 
 
 def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
-    """Return the point of U nearest to `wanted` with slope·v <= room, None if DAQP finds none."""
+    """Return the point of U nearest to `wanted` with slope·v <= room. None if DAQP finds none."""
     if not len(wanted):
         return wanted
     reach = np.abs(wanted).max()
-    target = wanted if reach < _FAR_PROPOSAL else wanted / reach * _FAR_PROPOSAL
+    target = wanted if reach < FAR_PROPOSAL else wanted / reach * FAR_PROPOSAL
     program = np.vstack([rows.slope, rows.H])  # a new array: DAQP wants one that it could write to
     v, _, flag, _ = daqp.solve(np.eye(len(target)), -target, program, np.append(room, rows.h), primal_tol=LP_SOLVER)
     return np.array(v) if flag == 1 and (rows.H @ v - rows.h).max(initial=0.0) <= INPUT_SLACK else None
@@ -285,7 +283,7 @@ def _least_violation(rows: _LocalRows, room: Array, wanted: Array) -> Array:
     if nu == 0 or not len(room):
         return wanted
     shift = room.min()
-    spread = max(1.0, float(np.minimum(room - shift, _LARGE).max()))
+    spread = max(1.0, float(np.minimum(room - shift, LARGEST_ROOM).max()))
     matrix = np.block([[rows.slope / spread, -np.ones((len(room), 1))], [rows.H, np.zeros((len(rows.H), 1))]])
     norms = np.linalg.norm(matrix, axis=1)
     right = np.append((room - shift) / spread, rows.h) / norms

@@ -24,7 +24,6 @@ from invariant_sets.exact_programs import exact_optimum
 from invariant_sets.tolerances import ACTIVE, LP_COARSE, LP_PROXIMAL, LP_RESIDUAL, LP_ROUNDING, LP_SOLVER, UNEVEN
 
 Array = np.ndarray
-_ITERATIONS = 100  # of HiGHS, in numbers of rows and columns
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) ->
 
 
 def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
-    """Move those of the points X (k, n) whose active rows meet in a corner to it, in place."""
+    """Move points X (k, n) whose active rows meet in a corner to it, in place."""
     n = X.shape[1]
     active = dual > 0.0
     corners = np.count_nonzero(active, axis=1) == n
@@ -73,7 +72,7 @@ def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
 
 
 def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return the optimum that DAQP finds if it is exact as it is; None if not."""
+    """Return the optimum that DAQP finds if it is exact as it is. None if not."""
     columns = np.abs(A).max(axis=0)
     if 0 < columns.min() < UNEVEN:
         return None
@@ -83,7 +82,7 @@ def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
 
 
 def checked_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return a checked optimum, proposed by DAQP or else by HiGHS, or an exact one; None if there is none."""
+    """Return a checked optimum, proposed by DAQP or else by HiGHS, or an exact one. None if there is none."""
     columns = np.abs(A).max(axis=0)
     if columns.min() >= UNEVEN or columns.min() == 0:
         return _best(c, A, b) or _exact(c, A, b)
@@ -95,7 +94,7 @@ def checked_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
 
 
 def _exact(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return the optimum in rational arithmetic; rows that miss each other by rounding are allowed to. None if none."""
+    """Return the optimum in rational arithmetic. Rows that miss each other by rounding are allowed to. None if none."""
     for rounding in (0.0, LP_ROUNDING, LP_SOLVER):
         answer = exact_optimum(c, A, b + rounding * (np.abs(b) + 1.0))
         if answer is not None:
@@ -127,14 +126,14 @@ def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optim
 
     answer = linprog(c, A_ub=A, b_ub=b, bounds=(None, None), method=method,
                      options={"primal_feasibility_tolerance": LP_SOLVER, "dual_feasibility_tolerance": LP_SOLVER,
-                              "maxiter": _ITERATIONS * sum(A.shape)})  # else interior points may not end
+                              "maxiter": 100 * sum(A.shape)})  # else interior points may not end
     if answer.status != 0:
         return None
     return _recomputed(c, A, b, np.asarray(answer.x), -np.asarray(answer.ineqlin.marginals))
 
 
 def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
-    """Return the better of the optimum proposed and those in which its active rows hold with equality."""
+    """Return the better of the proposed optimum and those at which its active rows hold with equality."""
     best = None
     for least in (0.0, ACTIVE * dual.max(initial=0.0)):
         exact = _at_active_rows(c, A, b, x, np.flatnonzero(dual > least))
@@ -146,7 +145,7 @@ def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
 
 
 def _at_active_rows(c: Array, A: Array, b: Array, x: Array, active: Array) -> Optimum | None:
-    """Return point and multipliers with which the `active` rows hold with equality, None if they are dependent."""
+    """Return point and multipliers with which the `active` rows hold with equality. None if they are dependent."""
     rows = A[active]
     if len(active) == len(c):
         try:

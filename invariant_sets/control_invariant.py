@@ -77,7 +77,7 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Set, U: Set, *, E: Any = No
 
 @dataclass(frozen=True)
 class Options:
-    """The caller's tolerance and caps, as given; checked when a task is made of them."""
+    """The caller's tolerance and caps, as given. Checked when a task is made of them."""
 
     tol: Any = GAP
     max_iterations: Any = 500
@@ -85,7 +85,7 @@ class Options:
     time_limit: Any = None
 
     def limits(self) -> Limits:
-        """Return the limits, the time counted from now; raise `InputError` where one is no proper number."""
+        """Return the limits, the time counted from now. Raise `InputError` where one is no proper number."""
         return Limits(check_tolerance(self.tol), as_count("max_iterations", self.max_iterations),
                       as_count("max_facets", self.max_facets),
                       Deadline.after(check_time_limit(self.time_limit)))

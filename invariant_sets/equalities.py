@@ -33,12 +33,12 @@ class Stated(NamedTuple):
 
     @classmethod
     def given(cls, A: Array, b: Array, A_eq: Array, b_eq: Array) -> Stated:
-        """Return rows as a caller states them: their right-hand sides may be wrong by the rounding of themselves."""
+        """Return rows as a caller states them. Their right-hand sides may be wrong by the rounding of themselves."""
         return cls(A, b, A_eq, b_eq, np.abs(b), np.abs(b_eq))
 
     @property
     def unit(self) -> Stated:
-        """The same set by rows of norm one; rows of norm zero stay as they are."""
+        """The set by rows of norm one. Rows of norm zero stay as they are."""
         size, size_eq = (np.where(norms > 0.0, norms, 1.0) for norms in (row_norms(self.A), row_norms(self.A_eq)))
         return Stated(self.A / size[:, None], self.b / size, self.A_eq / size_eq[:, None], self.b_eq / size_eq,
                       self.terms / size, self.terms_eq / size_eq)
@@ -63,7 +63,7 @@ def row_norms(rows: Array) -> Array:
 
 
 def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) -> AffineHull | None:
-    """Return {x : E x = e}; None if there is no such point.
+    """Return {x : E x = e}. None if there is no such point.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) ->
 
 
 def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) -> None:
-    """Clear column j of all rows but row i, in place; entries of the rows in `rest` become zero where they cancel."""
+    """Clear column j of all rows but row i, in place. Entries of the rows in `rest` become zero where they cancel."""
     terms[i] /= abs(rows[i, j])
     rows[i] /= rows[i, j]
     factors = rows[:, j].copy()

@@ -14,9 +14,6 @@ from fractions import Fraction
 import numpy as np
 
 Array = np.ndarray
-_LARGEST = 20_000  # entries of a program that is still solved in rationals
-_PIVOTS = 300  # at most
-_GREEDY = 60  # pivots on the most violated row, before Bland's rule takes over
 
 
 def exact_optimum(c: Array, A: Array, b: Array) -> tuple[float, Array, Array] | None:
@@ -25,7 +22,7 @@ def exact_optimum(c: Array, A: Array, b: Array) -> tuple[float, Array, Array] | 
     None if it is empty, too large, or has no bound on a single variable where the cost asks for one: these bounds are
     the first active rows of the dual simplex method.
     """
-    active = _first_bounds(c, A) if A.size <= _LARGEST else None
+    active = _first_bounds(c, A) if A.size <= 20_000 else None
     if active is None:
         return None
     rows = [[Fraction(entry) for entry in row] for row in A.tolist()]
@@ -34,7 +31,7 @@ def exact_optimum(c: Array, A: Array, b: Array) -> tuple[float, Array, Array] | 
     for j, i in enumerate(active):
         inverse[j][j] = 1 / rows[i][j]
     cost = [Fraction(entry) for entry in c.tolist()]
-    for pivot in range(_PIVOTS):
+    for pivot in range(300):
         x = [_dot(line, [right[i] for i in active]) for line in inverse]
         excess = [_dot(row, x) - limit for row, limit in zip(rows, right)]
         violated = [i for i, value in enumerate(excess) if value > 0]
@@ -43,7 +40,7 @@ def exact_optimum(c: Array, A: Array, b: Array) -> tuple[float, Array, Array] | 
             multipliers = np.zeros(len(b))
             multipliers[active] = [float(value) for value in dual]
             return float(_dot(cost, x)), np.array([float(value) for value in x]), multipliers
-        entering = max(violated, key=excess.__getitem__) if pivot < _GREEDY else violated[0]
+        entering = max(violated, key=excess.__getitem__) if pivot < 60 else violated[0]  # then Bland's
         weights = [_dot(rows[entering], column) for column in zip(*inverse)]
         ratios = [(dual[k] / weight, active[k], k) for k, weight in enumerate(weights) if weight > 0]
         if not ratios:
@@ -55,7 +52,7 @@ def exact_optimum(c: Array, A: Array, b: Array) -> tuple[float, Array, Array] | 
 
 
 def _first_bounds(c: Array, A: Array) -> list[int] | None:
-    """Return a bound on each single variable with a multiplier >= 0 at the cost c, None if one is missing."""
+    """Return a bound on each single variable with a multiplier >= 0 at the cost c. None if one is missing."""
     single = np.count_nonzero(A, axis=1) == 1
     active = []
     for j, cost in enumerate(c):

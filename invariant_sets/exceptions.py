@@ -50,7 +50,7 @@ class EmptySetError(InvariantSetsError, ValueError):
 
 
 class NumericalError(InvariantSetsError, ArithmeticError):
-    """No solver could finish; the data are too badly conditioned for double precision.
+    """No solver could finish. The data are too badly conditioned for double precision.
 
     Attributes
     ----------

@@ -16,11 +16,19 @@ import numpy as np
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.time_limits import hull_facets
-from invariant_sets.tolerances import CHECKED, EPS, FLAT, NULL_SPACE, REDUNDANT, SAME, TINY, TOUCHING
+from invariant_sets.tolerances import (
+    CHECKED,
+    EPS,
+    FLAT,
+    MOST_SORTING_FACETS,
+    NULL_SPACE,
+    REDUNDANT,
+    SAME,
+    TINY,
+    TOUCHING,
+)
 
 Array = np.ndarray
-MOST_DUAL_FACETS = 100_000  # of a hull that only sorts rows out before their linear programs: three seconds
-_DIRECTIONS = 5  # tried for a volume; the two with the least cancellation are compared
 
 
 def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Array, Array]:
@@ -47,7 +55,7 @@ def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Arra
 
 
 def convex_hull(points: Array) -> Any:
-    """Return Qhull's hull of the points (k, n), n >= 2; raise `NumericalError` where it cannot.
+    """Return Qhull's hull of the points (k, n), n >= 2. Raise `NumericalError` where it cannot.
 
     Symmetric data in five or six dimensions have so many coplanar points that Qhull stops over a wide merge. It is then
     told to go on (Q12), and at last to move the points by a part of 1e-10 or so (QJ). That all points lie in the hull
@@ -68,7 +76,7 @@ def convex_hull(points: Array) -> Any:
 
 
 def hull_volume(points: Array) -> float:
-    """Return the volume of the hull of the points (k, n); joggled by 1e-10 or so where Qhull fails otherwise."""
+    """Return the volume of the hull of the points (k, n). Joggled by 1e-10 or so where Qhull fails otherwise."""
     if points.shape[1] == 1:
         return float(np.ptp(points))
     from scipy.spatial import ConvexHull, QhullError
@@ -83,7 +91,7 @@ def hull_volume(points: Array) -> float:
 
 
 def cone_volume(F: Array, g: Array) -> float | None:
-    """Return the volume of the bounded {F y <= g}, g > 0, as a sum over its vertices; None where digits cancel.
+    """Return the volume of the bounded {F y <= g}, g > 0, as a sum over its vertices. None where digits cancel.
 
     Qhull triangulates the dual, whose facets are simplicial cones of normals, one or more to a vertex v. With c = Aᵀγ
     for the n rows A of a cone, the volume is Σ (cᵀv)ⁿ / (n! |det A| Π γ). It needs no hull of the vertices, of which
@@ -102,7 +110,7 @@ def cone_volume(F: Array, g: Array) -> float | None:
     V = V[solid]
     sizes = np.abs(np.linalg.det(cones)) * math.factorial(n)
     found = []
-    for c in np.random.default_rng(0).standard_normal((_DIRECTIONS, n)):
+    for c in np.random.default_rng(0).standard_normal((5, n)):
         gamma = np.linalg.solve(cones.transpose(0, 2, 1), np.broadcast_to(c[:, None], (len(cones), n, 1)))[..., 0]
         terms = (V @ c) ** n / (sizes * gamma.prod(axis=1))
         found.append((float(np.abs(terms).sum()), math.fsum(terms)))
@@ -178,7 +186,7 @@ def distinct(points: Array, tol: float = SAME) -> Array:
 
 
 def _distinct_by_pairs(points: Array, tol: float) -> Array:
-    """Return what `distinct` does, by comparing all pairs that are close; most copies go by rounding before."""
+    """Return the indices that `distinct` does, from all close pairs. Most copies go by rounding before."""
     from scipy.spatial import cKDTree
 
     _, first = np.unique(np.round(points / tol), axis=0, return_index=True)
@@ -209,13 +217,13 @@ def irredundant_rows(F: Array, g: Array, tol: float = REDUNDANT) -> Array:
 
 
 def strongly_irredundant_rows(F: Array, g: Array) -> Array:
-    """Return the indices of the rows on the hull of the dual points F/g and 0; all rows where Qhull cannot tell.
+    """Return the indices of the rows on the hull of the dual points F/g and 0. All rows where Qhull cannot tell.
 
     It is not asked where the hull may have very many facets, as that of a box in 20 dimensions, which has 2²⁰.
     {F y <= g} with 0 inside may be unbounded: then 0 is a vertex of the dual hull and counts for nothing.
     """
     n = F.shape[1]
-    if n == 1 or len(g) <= n + 1 or g.min() <= FLAT or hull_facets(len(g) + 1, n) > MOST_DUAL_FACETS:
+    if n == 1 or len(g) <= n + 1 or g.min() <= FLAT or hull_facets(len(g) + 1, n) > MOST_SORTING_FACETS:
         return np.arange(len(g))
     try:
         hull = convex_hull(np.vstack([F / g[:, None], np.zeros(n)]))
@@ -225,7 +233,7 @@ def strongly_irredundant_rows(F: Array, g: Array) -> Array:
 
 
 def hull_rows(points: Array) -> tuple[Array, Array, Array]:
-    """Return facets (F, g) with unit rows of the hull of full-dimensional points (k, n), and its vertices' indices."""
+    """Return facets (F, g), unit rows, of the hull of full-dimensional points (k, n), and its vertices' indices."""
     if points.shape[1] == 0:
         return np.zeros((0, 0)), np.zeros(0), np.arange(1)
     if points.shape[1] == 1:
@@ -238,7 +246,7 @@ def hull_rows(points: Array) -> tuple[Array, Array, Array]:
 
 
 def counter_clockwise(V: Array) -> Array:
-    """Return points of the plane in the order of their angle about the mean; others as they are."""
+    """Return points of the plane in the order of their angle about the mean. Others as they are."""
     if V.shape[1] != 2 or len(V) < 3:
         return V
     x = V - V.sum(axis=0) / len(V)

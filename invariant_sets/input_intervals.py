@@ -12,7 +12,6 @@ import numpy as np
 from invariant_sets.tolerances import UNMOVED
 
 Array = np.ndarray
-_HALVINGS = 110  # of the level: from the largest double that is used down to rounding
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Intervals:
     upper: float | Array
 
     def nearest(self, wanted: Array) -> tuple[Array, Array]:
-        """Return the inputs (k,) that are nearest to the wanted ones (k,), and how far each leaves its worst row.
+        """Return the inputs (k,) nearest to the wanted ones (k,), and the violation of the worst row by each.
 
         Where no input meets all rows, the one with the least violation, and nearest to the wanted one among those.
         """
@@ -53,11 +52,11 @@ class Intervals:
         return v, self.violation(v)
 
     def violation(self, v: Array) -> Array:
-        """Return how far each input leaves its worst row; negative inside."""
+        """Return the violation of the worst row by each input; negative inside."""
         return (self.slope * v[:, None] - self.room).max(axis=1, initial=-np.inf)
 
     def _at_level(self, level: Array) -> tuple[Array, Array]:
-        """Return the ends of {v : slope v <= room + level}; the lower is above the upper where it is empty."""
+        """Return the ends of {v : slope v <= room + level}. The lower is above the upper where it is empty."""
         room = self.room + level[:, None]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             bound = room / self.slope
@@ -71,7 +70,7 @@ class Intervals:
         moving = np.where(np.abs(self.slope) > UNMOVED, self.slope * middle - self.room, -np.inf)
         top = np.maximum(moving.max(axis=1, initial=0.0), 0.0)
         bottom = np.zeros(len(top))
-        for _ in range(_HALVINGS):
+        for _ in range(110):  # from the largest double that is used down to rounding
             middle = (bottom + top) / 2
             low, high = self._at_level(middle)
             fits = low <= high

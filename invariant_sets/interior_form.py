@@ -1,6 +1,6 @@
 """`Body`: a set as {centre + basis y : F y <= g}, full-dimensional and well scaled in y; found from any rows.
 
-What is large, small or zero is judged by the set's own extents, which a `Window` finds.
+What is large, small or zero is judged by the set's own extents, which a `LocalBox` finds.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from invariant_sets.equalities import AffineHull, Stated, eliminated, opposite_r
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.hulls import extreme_points, hull_rows
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
-from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, SETTLED, THIN
-from invariant_sets.windows import UNLIKE, Window, half_widths, hidden_equalities, look
+from invariant_sets.local_box import LocalBox, half_widths, hidden_equalities, rescaled_view
+from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, SETTLED, THIN, WRONG_SCALE
 
 Array = np.ndarray
 
@@ -64,7 +64,7 @@ class Body:
                       self.sizes + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms).unit
 
     def less(self, Q: Body, V: Array | None = None) -> Body | None:
-        """Return {x : x + q in the set for every q in Q}, not `settled`; None if the hull or an end excludes all of it.
+        """Return {x : x + q in the set for every q in Q}, not `settled`. None if the hull or an end excludes all of it.
 
         Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
         V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `SAME`.
@@ -82,11 +82,11 @@ class Body:
         return replace(self, g=self.g - reach, sizes=sizes, centre=self.centre - Q.centre, terms=self.terms + Q.terms)
 
     def holds_part_of(self, whole: Body) -> bool:
-        """Return whether the tightened set holds a copy of the `whole`, `SETTLED` of its size: it is as little flat."""
+        """Return whether the tightened set holds a copy of the `whole`, `SETTLED` of its size. It is as little flat."""
         return bool((self.g > SETTLED * whole.g).all())
 
     def settled(self) -> Body | None:
-        """Return the set, whose g may have changed, about a point of its own and by its own extents; None if empty."""
+        """Return the set, whose g may have changed, about a point of its own and by its own extents. None if empty."""
         if not len(self.free):
             return self
         none = np.zeros((0, len(self.free)))
@@ -154,22 +154,22 @@ def _solved(stated: Stated, scale: Array) -> Body | None:
         cancelled = FLAT if hidden else CANCELLED
         if hull.basis.shape[1] == 1:
             return _interval(A, b, terms, hull, cancelled)
-        window = look(A, b, terms, hull.centre, hull.basis, cancelled=cancelled)
-        if window is None:
+        box = rescaled_view(A, b, terms, hull.centre, hull.basis, cancelled=cancelled)
+        if box is None:
             return None
-        widths = half_widths(window)
-        within_rounding = window.is_flat and window.pinch.decided_by_rounding  # such a set tells no scale
-        endless = window.basis[:, window.unbounded].any(axis=1)  # what is seen of it is the window's own width
+        widths = half_widths(box)
+        within_rounding = box.is_flat and box.certificate.decided_by_rounding  # such a set tells no scale
+        endless = box.basis[:, box.unbounded].any(axis=1)  # what is seen of it is the box's own width
         measured = np.where((widths > 0.0) & ~endless & (not within_rounding), widths, scale)
-        if not window.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > UNLIKE:
-            centre = window.centre
+        if not box.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > WRONG_SCALE:
+            centre = box.centre
             scale = measured
             rescaled += 1
-        elif window.basis.shape[1] == 0 or not window.is_flat or hidden > n:
-            return _body(window, hull, widths)
+        elif box.basis.shape[1] == 0 or not box.is_flat or hidden > n:
+            return _body(box, hull, widths)
         else:
-            rows = hidden_equalities(window)
-            centre = window.centre + window.basis @ window.ball.centre
+            rows = hidden_equalities(box)
+            centre = box.centre + box.basis @ box.ball.centre
             E = np.vstack([E, A[rows]])
             e = np.append(e, b[rows] if within_rounding else A[rows] @ centre)
             sizes = np.append(sizes, np.maximum(terms[rows], np.abs(e[-len(rows):])))
@@ -210,7 +210,7 @@ def _interval(A: Array, b: Array, terms: Array, hull: AffineHull, cancelled: flo
 
 
 def _box(A: Array, b: Array, terms: Array) -> Body | None:
-    """Return the `Body` of rows that hold one coordinate each, None if empty."""
+    """Return the `Body` of rows that hold one coordinate each. None if empty."""
     n = A.shape[1]
     column = np.abs(A).argmax(axis=1)
     slope = A[np.arange(len(b)), column]
@@ -243,7 +243,7 @@ def _box(A: Array, b: Array, terms: Array) -> Body | None:
 
 
 def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array, Array]:
-    """Return the least bound (n,) of each column and its doubt; one within its own doubt of another says less."""
+    """Return the least bound (n,) of each column and its doubt. One within its own doubt of another says less."""
     most = np.full(n, np.inf)
     np.minimum.at(most, column, bound + doubt)
     felt = bound + doubt <= most[column]
@@ -254,23 +254,23 @@ def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array,
     return least, room
 
 
-def _body(window: Window, hull: AffineHull, widths: Array) -> Body:
-    """Return the window as a `Body` about the centre of its ball, without rows that cannot touch the set."""
-    y = window.ball.centre
-    bounded = not window.unbounded.any()
-    touching = np.arange(len(window.g))
+def _body(box: LocalBox, hull: AffineHull, widths: Array) -> Body:
+    """Return the box as a `Body` about its ball's centre, without rows that cannot touch the set."""
+    y = box.ball.centre
+    bounded = not box.unbounded.any()
+    touching = np.arange(len(box.g))
     if bounded:
-        touching = np.flatnonzero(window.g <= (1 + THIN) * np.abs(window.F).sum(axis=1))
-    F = window.F[touching]
-    g = window.g[touching]
-    centre = window.centre + window.basis @ y
-    return Body(centre, window.basis, F, np.maximum(g - F @ y, FLAT), window.error[touching] / ROUNDING, bounded,
+        touching = np.flatnonzero(box.g <= (1 + THIN) * np.abs(box.F).sum(axis=1))
+    F = box.F[touching]
+    g = box.g[touching]
+    centre = box.centre + box.basis @ y
+    return Body(centre, box.basis, F, np.maximum(g - F @ y, FLAT), box.error[touching] / ROUNDING, bounded,
                 hull.free, widths,
                 np.maximum(np.abs(centre), hull.terms))
 
 
 def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
-    """Return the `Body` of {A x <= b} with the vertices V (k, n); None if it is flat or V are not its vertices."""
+    """Return the `Body` of {A x <= b} with the vertices V (k, n). None if it is flat or V are not its vertices."""
     lower = V.min(axis=0)
     upper = V.max(axis=0)
     centre = (lower + upper) / 2
@@ -331,7 +331,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
 
 
 def _pivots(rows: Array) -> Array:
-    """Return columns (r,) in which independent rows (r, n) are steep and far from dependent, in order."""
+    """Return columns (r,), in order, in which independent rows (r, n) are steep and far from dependent."""
     from scipy.linalg import qr
 
     return np.sort(qr(rows, mode="r", pivoting=True)[1][:len(rows)])

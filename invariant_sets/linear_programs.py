@@ -15,15 +15,14 @@ import numpy as np
 
 from invariant_sets.checked_optima import checked_optimum, from_daqp, optima_at_once, quick_optimum
 from invariant_sets.exceptions import NumericalError
-from invariant_sets.tolerances import LP_RESIDUAL, RAY, STEEP_RAY, THIN, UNEVEN
+from invariant_sets.tolerances import BOXES, LP_RESIDUAL, RAY, STEEP_RAY, THIN, UNEVEN
 
 Array = np.ndarray
-_BOXES = 10.0 ** np.arange(3, 16, 3)  # half widths tried in turn where a program without a ray has not been solved
 
 
 @dataclass(frozen=True)
 class Ball:
-    """A largest ball in {A x <= b}, with the multipliers that prove that there is no larger one."""
+    """A largest ball in {A x <= b}, with the multipliers that prove it largest."""
 
     radius: float  # negative: the least violation that every point must accept
     centre: Array  # (n,)
@@ -126,7 +125,7 @@ def largest_ball(A: Array, b: Array, cap: float, box: float | None = None) -> Ba
     right[:m] = b
     cost = np.zeros(n + 1)
     cost[n] = -1.0
-    for half in (None, *_BOXES) if box is None else (box,):
+    for half in (None, *BOXES) if box is None else (box,):
         program = (rows, right) if half is None else _with_box(rows, right, half, n)
         optimum = quick_optimum(cost, *program)
         if optimum is None or -optimum.value <= THIN:  # verdicts on flat sets hang on the last digits
@@ -137,7 +136,7 @@ def largest_ball(A: Array, b: Array, cap: float, box: float | None = None) -> Ba
 
 
 def ray_along(d: Array, F: Array) -> Array | None:
-    """Return a direction r with F r <= 0 and dᵀr > 0, |r| <= 1; None if there is none but for rounding."""
+    """Return a direction r with F r <= 0 and dᵀr > 0, |r| <= 1. None if there is none but for rounding."""
     optimum = checked_optimum(-d, *_with_box(F, np.zeros(len(F)), 1.0, F.shape[1]))
     if optimum is None or -optimum.value <= STEEP_RAY * np.abs(d).max():
         return None
@@ -148,7 +147,7 @@ def ray_along(d: Array, F: Array) -> Array | None:
 
 
 def _verdict(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
-    """Return what `minimise` does where no optimum was found: infeasible and unbounded by their certificates."""
+    """Return the answer of `minimise` without an optimum: infeasible or unbounded, by their certificates."""
     ball = largest_ball(A, b, 1.0)
     if ball.radius < -LP_RESIDUAL:  # its multipliers are the Farkas certificate
         return np.inf, None
@@ -157,7 +156,7 @@ def _verdict(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
     if ray_along(-c, A) is not None:
         return -np.inf, None
     room = b - A @ ball.centre + max(-ball.radius, 0.0)
-    for half in _BOXES:  # about the inner point, so that every box holds a point
+    for half in BOXES:  # about the inner point, so that every box holds a point
         optimum = checked_optimum(c, *_with_box(A, room / half, 1.0, A.shape[1]))
         if optimum is not None and np.abs(optimum.x).max() < 1.0:
             x = ball.centre + half * optimum.x

@@ -1,11 +1,10 @@
-"""Which points satisfy which rows, up to a slack and to the rounding of the row's own data at the point."""
+"""Points that satisfy rows, up to a slack and to the rounding of the row's own data at the point."""
 
 from __future__ import annotations
 
 import numpy as np
 
 Array = np.ndarray
-_CHUNK = 1 << 13  # points whose products with all rows stay in the cache
 
 
 def rows_hold(points: Array, A: Array, b: Array, slack: Array, rounding: float, reach: Array | None) -> Array:
@@ -28,8 +27,8 @@ def rows_hold(points: Array, A: Array, b: Array, slack: Array, rounding: float, 
     least = (b + np.maximum(slack, rounding * np.abs(b)))[:, None]  # the limit wherever the point lies
     most = None if reach is None else b + _allowed(A, b, slack, rounding, reach)
     settled = most is not None and bool((most <= least[:, 0]).all())
-    for start in range(0, len(points), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, len(points), 8192):
+        part = slice(start, start + 8192)  # its products with all rows stay in the cache
         if settled:
             np.less_equal(A @ points[part].T, least).all(axis=0, out=inside[part])
         else:
@@ -58,6 +57,6 @@ def _largest(points: Array) -> Array:
 
 
 def _allowed(A: Array, b: Array, slack: Array, rounding: float, size: Array) -> Array:
-    """Return by how much rows may be violated at points of the size |x| (n,) or (k, n): (m,) or (k, m)."""
+    """Return the allowed violation of rows at points of the size |x| (n,) or (k, n): (m,) or (k, m)."""
     terms = np.abs(b) + size @ np.abs(A).T
     return np.maximum(slack, rounding * np.where(np.isfinite(terms), terms, 0.0))

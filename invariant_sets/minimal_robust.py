@@ -24,12 +24,10 @@ from invariant_sets.positive_invariant import NO_INPUT
 from invariant_sets.results import Certificate, SetResult, Status, no_set
 from invariant_sets.system_checks import Set, checked_disturbance, checked_state_matrix, disturbance_vertices
 from invariant_sets.time_limits import LimitReached, TimeLimitReached
-from invariant_sets.tolerances import DRIVEN, GAP, LEAST_ALPHA, SUM_END
+from invariant_sets.tolerances import DRIVEN, GAP, LEAST_ALPHA, MOST_SUM_TERMS, SUM_END
 from invariant_sets.validation import check_tolerance
 
 Array = np.ndarray
-_SERIES = 5000  # terms of a sum of supports at most
-_SUM_SHARE = 0.6  # of the time limit for the partial sums; the rest is for a set from outside and the certificate
 
 
 def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, eps: float = 1e-2,
@@ -117,7 +115,7 @@ class _Approximation:
 
 
 def _approximated(A: Array, W: Array, limits: Limits) -> _Approximation:
-    """Return the scaled partial sum where W is full-dimensional and begins to shrink, else the set from outside."""
+    """Return the scaled partial sum if W is full-dimensional and begins to shrink. Else the set from outside."""
     if Polytope.from_vertices(W).affine_dim == len(A):
         found = _scaled_sum(A, W, limits)
         if found is not None:
@@ -128,12 +126,12 @@ def _approximated(A: Array, W: Array, limits: Limits) -> _Approximation:
 def _extent(A: Array, W: Array) -> Array:
     """Return the half width (n,) of the smallest robust set in every coordinate, 1 where it has none."""
     eye = np.eye(len(A))
-    size = np.maximum(_sum_of_supports(eye, A, W, _SERIES), _sum_of_supports(-eye, A, W, _SERIES))
+    size = np.maximum(_sum_of_supports(eye, A, W, MOST_SUM_TERMS), _sum_of_supports(-eye, A, W, MOST_SUM_TERMS))
     return np.where(size > 0.0, size, 1.0)
 
 
 def _moving_subspace(A: Array, W: Array) -> Array:
-    """Return an orthonormal basis (n, k) of what W, A W, A² W, … span: the minimal set is flat elsewhere."""
+    """Return an orthonormal basis (n, k) of what W, A W, A² W, … span. The minimal set is flat elsewhere."""
     scale = np.abs(W).max(initial=0.0)
     if scale == 0.0:
         return np.zeros((len(A), 0))
@@ -147,7 +145,7 @@ def _moving_subspace(A: Array, W: Array) -> Array:
 
 
 def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
-    """Return the scaled partial sum for vertices W of a full-dimensional set with 0 inside; None if no term shrinks."""
+    """Return the scaled partial sum for vertices W of a full-dimensional set with 0 inside. None if no term shrinks."""
     hull = Polytope.from_vertices(W)
     target = max(limits.tol / (1 + limits.tol), LEAST_ALPHA)
     partial = hull
@@ -156,7 +154,7 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
     alpha = np.inf
     best = hull
     terms = 0
-    deadline = limits.deadline.part(_SUM_SHARE)
+    deadline = limits.deadline.part(0.6)  # the rest is for a set from outside and the certificate
     for s in range(1, limits.iterations + 1):
         image = image @ A.T
         shrunk = float(((hull.A @ image.T).max(axis=1) / hull.b).max())
@@ -183,10 +181,10 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
 
 
 def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
-    """Iterate R ← A R ⊕ W from the largest robust set in a box around the answer; every iterate is robust."""
+    """Iterate R ← A R ⊕ W from the largest robust set in a box around the answer. Every iterate is robust."""
     eye = np.eye(len(A))
-    upper = _sum_of_supports(eye, A, W, _SERIES)
-    lower = -_sum_of_supports(-eye, A, W, _SERIES)
+    upper = _sum_of_supports(eye, A, W, MOST_SUM_TERMS)
+    lower = -_sum_of_supports(-eye, A, W, MOST_SUM_TERMS)
     margin = 0.25 * (upper - lower) + 0.01 * (upper - lower).max()
     noise = Polytope.from_vertices(W)
     box = Polytope.from_bounds(lower - margin, upper + margin)
@@ -230,7 +228,7 @@ def _excess(R: Polytope, partial: Polytope) -> float:
 
 
 def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
-    """Return Σ_i max_w dᵀAⁱw for every row d of D, from below: the terms after the last are left out."""
+    """Return Σ_i max_w dᵀAⁱw for every row d of D, from below. The terms after the last are left out."""
     total = np.zeros(len(D))
     directions = np.array(D)
     largest = np.abs(W).max(axis=0)

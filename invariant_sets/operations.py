@@ -18,7 +18,7 @@ from invariant_sets.hulls import irredundant_rows
 from invariant_sets.interior_form import Body, body_of, support
 from invariant_sets.polyhedron import Polyhedron
 from invariant_sets.time_limits import Deadline, LimitReached, check_time_limit
-from invariant_sets.tolerances import CANCELLED, FLAT, GIVEN
+from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FLAT, GIVEN, PRODUCT_ROUNDING
 from invariant_sets.validation import as_floats, as_matrix, as_vector, check_finite, shown
 
 Array = np.ndarray
@@ -177,7 +177,7 @@ class SetOperations(Polyhedron):
         body = self._body
         if body is None:
             return type(self).empty(len(M))
-        flat = body.bounded and self.affine_dim < self.dim and self.affine_dim <= _FEW
+        flat = body.bounded and self.affine_dim < self.dim and self.affine_dim <= CHEAP_HULL_DIM
         rows = None if flat else _mapped_rows(body, M, c)
         if rows is not None:
             return type(self)._of(rows)
@@ -196,7 +196,7 @@ class SetOperations(Polyhedron):
             raise TimeLimitError("affine_map", time_limit, str(limit), outer) from None
 
     def preimage(self, M: Any, c: Any = None) -> Self:
-        """Return {x : M x + c in P}. M may be singular; the result is then unbounded.
+        """Return {x : M x + c in P}. M may be singular. The result is then unbounded.
 
         Parameters
         ----------
@@ -301,7 +301,7 @@ def _generators_of(P: Polyhedron, deadline: Deadline) -> Generators:
 
 
 def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
-    """Return the rows of the image of a body under M, None if M is not injective on its hull."""
+    """Return the rows of the image of a body under M. None if M is not injective on its hull."""
     G = M @ body.basis
     terms = np.abs(M) @ np.abs(body.basis)
     G = np.where(np.abs(G) > CANCELLED * terms, G, 0.0)
@@ -325,9 +325,7 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
 def _pulled_back(A: Array, b: Array, terms: Array, M: Array, c: Array) -> tuple[Array, Array, Array]:
     """Return the rows A (M x + c) <= b on x, with the sizes of the terms of their right-hand sides."""
     rows = A @ M
-    rows = np.where(np.abs(rows) > _EPS * (np.abs(A) @ np.abs(M)), rows, 0.0)
+    rows = np.where(np.abs(rows) > PRODUCT_ROUNDING * (np.abs(A) @ np.abs(M)), rows, 0.0)
     return rows, b - A @ c, terms + np.abs(A) @ np.abs(c)
 
 
-_FEW = 4  # dimensions up to which the vertices of a set are cheap
-_EPS = 32 * np.finfo(float).eps  # of the sum of absolute terms: what a sum may be wrong by

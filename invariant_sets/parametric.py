@@ -28,7 +28,6 @@ from invariant_sets.validation import (
 
 Array = np.ndarray
 SetOfDesign = Callable[[Array], Set]
-_SLOW = 20  # steps: a neighbour that took more is worth starting from; below, a cold start is quicker
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,7 +103,8 @@ class ParametricSet:
         key = p.tobytes()
         if key not in self._results:
             self._results[key] = result = self._compute(p)
-            if result.iterations > _SLOW and result.status is Status.CONVERGED:
+            # below so many steps a cold start is quicker than one from a neighbour
+            if result.iterations > 20 and result.status is Status.CONVERGED:
                 self._slow.append((p, result))
         return self._results[key]
 
@@ -251,7 +251,7 @@ class ParametricSet:
         return (self._slow[k][1], distance) if distance <= 0.02 else None
 
     def _warm(self, p: Array, neighbour: SetResult, distance: float) -> SetResult | None:
-        """Return the result from an inflated neighbour, None if the neighbour's rows are felt."""
+        """Return the result from an inflated neighbour. None if the neighbour's rows are felt."""
         around = neighbour.outer
         if around.affine_dim < around.dim or not around.is_bounded:
             return None

@@ -99,7 +99,7 @@ def _listed(values: Any, name: str) -> list[Any]:
 
 
 def _family_colours(numbers: Array) -> Array:
-    """Return one colour a number, (k, 3); the palest end of the map is left out, since it vanishes on white."""
+    """Return one colour a number, (k, 3). The palest end of the map is left out, since it vanishes on white."""
     from matplotlib import colormaps
 
     spread = np.ptp(numbers) or 1.0

@@ -21,16 +21,15 @@ from invariant_sets.hulls import (
 from invariant_sets.interior_form import Body, body_of, body_of_vertices, hull_about, support
 from invariant_sets.membership import rows_hold
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, check_time_limit
-from invariant_sets.tolerances import INVARIANT, MEMBERSHIP, PLACE, ROUNDING
+from invariant_sets.tolerances import CHEAP_HULL_DIM, INVARIANT, MEMBERSHIP, PLACE, ROUNDING
 from invariant_sets.validation import as_batch, as_bounds, as_count, as_matrix, as_vector, check_tolerance, frozen
 
 Array = np.ndarray
-_MANY_VERTICES = 5  # dimensions from which the hull of the vertices takes much longer than that of the rows
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Polyhedron:
-    """{x : A x <= b, A_eq x = b_eq}. It is never changed; vertices and the like are computed once, on demand.
+    """{x : A x <= b, A_eq x = b_eq}. It is never changed. Vertices and the like are computed once, on demand.
 
     Parameters
     ----------
@@ -88,7 +87,7 @@ class Polyhedron:
 
     @classmethod
     def _of(cls, rows: Stated, V: Array | None = None, body: Body | None = None, settled: bool = True) -> Self:
-        """Return the set of these rows, with its vertices V (k, n) and its body where known; nothing is copied.
+        """Return the set of these rows, with its vertices V (k, n) and its body where known. Nothing is copied.
 
         A body that is not settled says where the set lies; its own extents are found when something asks for them.
         """
@@ -121,7 +120,7 @@ class Polyhedron:
 
     @classmethod
     def from_bounds(cls, lower: Any, upper: Any) -> Self:
-        """Return the box lower <= x <= upper; an infinite bound is no bound.
+        """Return the box lower <= x <= upper. An infinite bound is no bound.
 
         Parameters
         ----------
@@ -255,7 +254,7 @@ class Polyhedron:
             unit = float(np.abs(np.diag(body.basis)).prod())  # the basis of a solid set is diagonal
         if not 0.0 < unit < np.inf:
             raise NumericalError("The volume", self.A.shape, "it is too large or too small for doubles")
-        if self.dim >= _MANY_VERTICES:
+        if self.dim > CHEAP_HULL_DIM:
             self.vertices  # noqa: B018  # the limits on the size of the hull
             found = cone_volume(body.F, body.g)
             if found is not None:
@@ -319,7 +318,7 @@ class Polyhedron:
 
     @cached_property
     def _missed(self) -> Array:
-        """By how much the centre of the set misses each one-sided row, doubled: a set holds its own points."""
+        """Violation of each one-sided row by the centre of the set, doubled. A set holds its own points."""
         A, b = self._one_sided
         if self._solid_vertices is not None or self._body is None:
             return np.zeros(len(b))
@@ -327,7 +326,7 @@ class Polyhedron:
 
     @cached_property
     def _reach(self) -> Array | None:
-        """A size |x| (n,) that no point of the set exceeds, with room for rounding; None if unbounded or empty."""
+        """A size |x| (n,) that no point of the set exceeds, with room for rounding. None if unbounded or empty."""
         if self._solid_vertices is not None:
             return 1.01 * np.abs(self._solid_vertices).max(axis=0)
         if self._body is None or not self._body.bounded:
@@ -355,7 +354,7 @@ class Polyhedron:
 
     @cached_property
     def _solid_vertices(self) -> Array | None:
-        """The vertices where they are known and have a width in every coordinate: they tell the bounding box."""
+        """The vertices where they are known and have a width in every coordinate. They tell the bounding box."""
         V = self._vertices
         if V is None or len(self.b_eq):
             return None
@@ -387,7 +386,7 @@ class Polyhedron:
 
     @cached_property
     def _box(self) -> tuple[Array, Array]:
-        """The bounding box of a set with a point: linear programs in more than four dimensions, so solved once."""
+        """The bounding box of a set with a point, found once: above four dimensions by linear programs."""
         eye = np.eye(self.dim)
         return frozen(0.0 - self._supports(-eye)), frozen(self._supports(eye) + 0.0)  # no negative zeros
 

@@ -41,7 +41,7 @@ class Polytope(SetOperations):
         return other._covers(self, tol)
 
     def equals(self, other: Polyhedron, tol: float = MEMBERSHIP) -> bool:
-        """Return whether P and Q are the same set of points, to `tol` of their width; rows may differ."""
+        """Return whether P and Q are the same set of points, to `tol` of their width. Rows may differ."""
         return self.is_subset(other, tol) and Polytope.is_subset(other, self, tol)  # type: ignore[arg-type]
 
     def chebyshev_ball(self) -> tuple[Array, float]:

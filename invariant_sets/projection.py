@@ -16,13 +16,19 @@ import numpy as np
 from invariant_sets.equalities import row_norms
 from invariant_sets.hulls import strongly_irredundant_rows
 from invariant_sets.linear_programs import inscribed_ball, minimise
-from invariant_sets.time_limits import MOST_ROWS, NO_DEADLINE, Deadline, SizeLimitReached
-from invariant_sets.tolerances import BEYOND, NEEDLE_RADIUS, NEEDLESS, ZERO_COEFFICIENT, ZERO_ROW
+from invariant_sets.time_limits import NO_DEADLINE, Deadline, SizeLimitReached
+from invariant_sets.tolerances import (
+    BEYOND,
+    CHEAP_HULL_DIM,
+    FEW_ROWS,
+    MOST_ROWS,
+    NEEDLE_RADIUS,
+    NEEDLESS,
+    ZERO_COEFFICIENT,
+    ZERO_ROW,
+)
 
 Array = np.ndarray
-_FEW = 40  # below so many rows, removing redundancy costs more than it saves
-_SEEDING = 20_000_000  # rows times rays at the start of a search for the needed rows
-_QHULL_DIM = 4  # up to here Qhull finds the needed rows quicker than linear programs
 
 
 def project_rows(R: Array, r: Array, keep: int, *, reach: Array | None = None,
@@ -61,7 +67,7 @@ def project_rows(R: Array, r: Array, keep: int, *, reach: Array | None = None,
 
 
 def unit(R: Array, r: Array) -> tuple[Array, Array]:
-    """Return the rows with unit norm; rows of norm zero stay as they are."""
+    """Return the rows with unit norm. Rows of norm zero stay as they are."""
     norms = row_norms(R)
     norms[norms == 0.0] = 1.0
     return R / norms[:, None], r / norms
@@ -89,7 +95,7 @@ def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Arra
 
 
 def _combined(high: Array, above: Array, low: Array, below: Array) -> Array:
-    """Return every row of `high` with every row of `low`, weighted so that their last coefficients cancel."""
+    """Return every row of `high` with every row of `low`, their last coefficients cancelling."""
     if len(high) * len(low) > MOST_ROWS:
         raise SizeLimitReached(f"an elimination with {len(high)} times {len(low)} rows")
     larger = np.maximum(above[:, None], below[None, :])
@@ -127,8 +133,8 @@ def without_far_rows(R: Array, r: Array, reach: Array) -> tuple[Array, Array]:
 
 
 def _needed(R: Array, r: Array, deadline: Deadline) -> tuple[Array, Array]:
-    """Return the rows that matter, judged from an inner point; all of them where the set is thin or the rows few."""
-    if len(r) <= _FEW:
+    """Return the rows that matter, found from an inner point; all of them where the set is thin or the rows few."""
+    if len(r) <= FEW_ROWS:
         return R, r
     radius, middle = inscribed_ball(R, r, cap=1.0)
     if radius <= NEEDLE_RADIUS:
@@ -139,10 +145,10 @@ def _needed(R: Array, r: Array, deadline: Deadline) -> tuple[Array, Array]:
 
 def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
     """Return the indices of the rows that {F y <= g} needs (unit rows, g > 0), weakly redundant ones perhaps too."""
-    if F.shape[1] <= _QHULL_DIM:
+    if F.shape[1] <= CHEAP_HULL_DIM:
         return strongly_irredundant_rows(F, g)
     needed = np.zeros(len(g), bool)
-    rays = max(_FEW, _SEEDING // len(g))  # every row's own normal, if there are not too many
+    rays = max(FEW_ROWS, 20_000_000 // len(g))  # every row's own normal, if there are not too many
     needed[_hit_by_rays(F, g, F[::max(1, len(g) // rays)])] = True
     open_rows = ~needed
     for i in np.argsort(g, kind="stable"):

@@ -22,12 +22,10 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set
 from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached, check_time_limit
-from invariant_sets.tolerances import LOOSE
+from invariant_sets.tolerances import EXACT_SHARE, LOOSE
 from invariant_sets.validation import as_count
 
 Array = np.ndarray
-_EXACT_SHARE = 0.8  # of the time limit for the exact recursion; the rest is for an inner set
-_GRACE = 0.3  # seconds after the limit in which an inner set may still be found
 
 
 def predecessor_set(A: Any, B: Any, S: Set, U: Set | None, *, X: Set | None = None, E: Any = None,
@@ -115,7 +113,7 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
         """Return one step backwards from S, checked."""
         return backward_step(system, S, within, checked.U, deadline)
 
-    progress = _repeat(step_back, goal, steps, deadline.part(_EXACT_SHARE))
+    progress = _repeat(step_back, goal, steps, deadline.part(EXACT_SHARE))
     if isinstance(progress, _Progress):
         states = Trajectories(system.A, system.B, within, within, goal, checked.U, steps)
         inner = None if W is not None else inner_hull(states, 0, _last_part(deadline))
@@ -183,7 +181,7 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
             moves = moves.minkowski_sum(Polytope.from_vertices(system.disturbances))
         return _within(forward_step(system, R, moves, deadline), within)
 
-    progress = _repeat(step_ahead, first, steps, deadline.part(_EXACT_SHARE))
+    progress = _repeat(step_ahead, first, steps, deadline.part(EXACT_SHARE))
     if isinstance(progress, _Progress):
         states = Trajectories(system.A, system.B, first, within, within, checked.U, steps)
         progress = _interrupted(inner_hull(states, steps, _last_part(deadline)), within, progress)
@@ -233,7 +231,7 @@ def _in_given_units(result: SetResult, size: Array) -> SetResult:
 
 @dataclass(frozen=True)
 class _Progress:
-    """Where a recursion was stopped by a limit."""
+    """Progress of a recursion that a limit stopped."""
 
     steps: int
     status: Status
@@ -280,19 +278,19 @@ def _exact(S: Polytope, steps: int, certificate: Certificate) -> SetResult:
 
 
 def _last_part(deadline: Deadline) -> Deadline:
-    """Return the deadline for the inner set: what is left, and a little more."""
-    return Deadline.after(_GRACE + max(deadline.left, 0.0)) if np.isfinite(deadline.end) else Deadline.after(1.0)
+    """Return the deadline for the inner set: the time left and 0.3 s more, or 1 s without a limit."""
+    return Deadline.after(0.3 + max(deadline.left, 0.0)) if np.isfinite(deadline.end) else Deadline.after(1.0)
 
 
 def _interrupted(inner: Polytope | None, outer: Polytope, progress: _Progress) -> SetResult:
-    """Return what there is at a limit: the hull of states of whole trajectories, or no set."""
+    """Return the result at a limit: the hull of states of whole trajectories, or no set."""
     if inner is None:
         return no_set(outer.dim, progress.steps, outer, progress.status)
     return SetResult(inner, outer, progress.status, progress.steps, Certificate(0.0, np.inf, len(inner.vertices)))
 
 
 def _with_inputs(A: Any, B: Any, U: Any) -> tuple[Any, Any, Any]:
-    """Return A, B and U, with a single input that is always zero where both B and U are None."""
+    """Return A, B and U. Where B and U are None, a single input is always zero."""
     if B is not None or U is not None:
         return A, B, U
     A = checked_state_matrix(A)

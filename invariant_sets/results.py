@@ -1,4 +1,4 @@
-"""What a set computation returns: the set, how it ended, and a certificate that can be checked."""
+"""The result of a set computation: the set, how it ended, and a certificate that can be checked."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from invariant_sets.tolerances import INVARIANT
 
 
 class Status(Outcome):
-    """How a computation ended; the value is advice."""
+    """Outcome of a computation; the value is advice."""
 
     CONVERGED = "The set is what was asked for, to the stated tolerance."
     EMPTY = "No state has the property: enlarge X or U, or shrink W."
@@ -92,7 +92,7 @@ class SetResult:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether the set fits into a box; an unbounded one has directions that the constraints never see."""
+        """Whether the set fits into a box. An unbounded one has directions that the constraints never see."""
         return self.set.is_bounded
 
     def __repr__(self) -> str:

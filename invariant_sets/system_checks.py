@@ -54,7 +54,7 @@ def checked_input_matrix(B: Any, nx: int) -> Array:
 
 
 def checked_disturbance(E: Any, W: Any, nx: int) -> tuple[Array, Polytope] | tuple[None, None]:
-    """Return E (nx, nw), the identity if only W is given, and W; None and None if neither is; or raise `InputError`."""
+    """Return E (nx, nw), the identity if only W is given, and W, both None if neither is; or raise `InputError`."""
     if W is None:
         if E is not None:
             raise InputError("E", "a matrix without W", "both or neither", "Give the disturbance set W too.")
@@ -106,7 +106,7 @@ def as_set_or_numbers(value: Any, name: str) -> Set:
 
 
 def _box(value: Any, name: str, dim: int | None) -> Polytope:
-    """Return the box of two bounds; errors name the set and the side."""
+    """Return the box of two bounds. Errors name the set and the side."""
     sides = [as_floats(f"{name}[{i}]", side) for i, side in enumerate(value)]
     n = max(side.size for side in sides) if dim is None else dim
     for i, side in enumerate(sides):

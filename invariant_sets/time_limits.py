@@ -15,15 +15,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from invariant_sets.exceptions import InputError, InvariantSetsError
-
-_FACETS_PER_POINT = (1.0, 1.0, 1.0, 2.0, 7.0, 30.0, 170.0, 1000.0, 6000.0)  # by dimension, of points on a sphere
-_SECONDS_PER_FACET = 3e-5  # Qhull on a slow core, degenerate points included
-MOST_HULL_FACETS = 1_000_000  # about 1 GB in Qhull: more is refused whatever the time
-MOST_ROWS = 400_000  # of one elimination, about 50 MB
+from invariant_sets.tolerances import MOST_HULL_FACETS, SECONDS_PER_FACET
 
 
 class LimitReached(InvariantSetsError):
-    """A cap came before the end of a computation; caught inside the package and turned into a status."""
+    """A computation met a cap before its end. Caught inside the package and turned into a status."""
 
 
 class TimeLimitReached(LimitReached):
@@ -61,7 +57,7 @@ class Deadline:
         return self if left == float("inf") else Deadline(self.end - (1.0 - share) * max(left, 0.0))
 
     def check(self) -> None:
-        """Raise `TimeLimitReached` if it has passed."""
+        """Raise `TimeLimitReached` if the deadline has passed."""
         if self.passed:
             raise TimeLimitReached("the time limit has passed")
 
@@ -70,7 +66,7 @@ class Deadline:
         facets = hull_facets(points, dim)
         if facets > MOST_HULL_FACETS:
             raise SizeLimitReached(f"a hull of {points} points in {dim} dimensions has about {facets:.0e} facets")
-        if facets * _SECONDS_PER_FACET > self.left:
+        if facets * SECONDS_PER_FACET > self.left:
             raise TimeLimitReached(f"a hull of {points} points in {dim} dimensions takes longer than is left")
 
 
@@ -78,17 +74,18 @@ NO_DEADLINE = Deadline()
 
 
 def hull_facets(points: int, dim: int) -> float:
-    """Return how many facets the hull of so many points is expected to have; never more than it can have (McMullen)."""
+    """Return the expected number of facets of the hull of so many points, at most what it can have (McMullen)."""
     if points <= dim or dim < 2:
         return float(points)
     half = dim // 2
     most = math.comb(points - dim + half, half) + math.comb(points - half - 1, dim - half - 1)
-    beyond = max(0, dim - len(_FACETS_PER_POINT) + 1)
-    return min(float(most), points * _FACETS_PER_POINT[dim - beyond] * 7.0**beyond)
+    per_point = (1.0, 1.0, 1.0, 2.0, 7.0, 30.0, 170.0, 1000.0, 6000.0)  # by dimension, of points on a sphere
+    beyond = max(0, dim - len(per_point) + 1)
+    return min(float(most), points * per_point[dim - beyond] * 7.0**beyond)
 
 
 def check_time_limit(value: Any) -> float | None:
-    """Return `time_limit` as seconds, None for no limit; raise `InputError` unless it is a number above 0."""
+    """Return `time_limit` as seconds, None for no limit. Raise `InputError` unless it is a number above 0."""
     if value is None:
         return None
     try:

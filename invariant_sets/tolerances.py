@@ -1,99 +1,119 @@
-"""Every tolerance of `invariant_sets`, with its meaning. All of them are relative, so none depends on units.
+"""Every tolerance of `invariant_sets`, with its meaning; those that count nothing are relative [-], without units.
 
 "Of the extent" means: in coordinates in which the bounding box of the set at hand has half widths of one.
 """
 
 # --- what a set is ---------------------------------------------------------------------------------------------------
-FLAT = 1e-9  # of the extent: a set thinner than this is flat, one that misses feasibility by more is empty
-SAME = 1e-9  # of the extent: vertices and rows closer than this are one
-ROUNDING = 1e-12  # of |bᵢ| + |Aᵢ||x|: what the data of a row may be wrong by after a computation in doubles
-PLACE = 4e-15  # of the sum of absolute terms that a point was solved from: what its coordinates may be wrong by
-GIVEN = 1e-15  # of its own size: what a coordinate of a point that the caller states may be wrong by
-CANCELLED = 1e-13  # of the sum of absolute terms: a sum smaller than this is zero, its terms have cancelled
-DEPENDENT = 1e-11  # of the sum of absolute terms: an equality row smaller than this depends on the others
-MEMBERSHIP = 1e-9  # of the row's range over the bounding box: default tolerance of `contains` and `is_subset`
+FLAT = 1e-9  # A set thinner than this part of the extent is flat; one that misses feasibility by more is empty.
+SAME = 1e-9  # Vertices and rows closer than this part of the extent are one.
+ROUNDING = 1e-12  # The data of a row may be wrong by this part of |bᵢ| + |Aᵢ||x| after a computation in doubles.
+PLACE = 4e-15  # Coordinates of a point may be wrong by this part of the sum of absolute terms that it was solved from.
+GIVEN = 1e-15  # A coordinate of a point that the caller states may be wrong by this part of its own size.
+CANCELLED = 1e-13  # A sum smaller than this part of the sum of its absolute terms is zero, its terms have cancelled.
+DEPENDENT = 1e-11  # An equality row smaller than this part of the sum of absolute terms depends on the others.
+MEMBERSHIP = 1e-9  # `contains` and `is_subset` by default tolerate this part of a row's range over the bounding box.
 
 # --- linear programs -------------------------------------------------------------------------------------------------
-LP_RESIDUAL = 1e-9  # rows of unit norm: largest primal, dual and complementarity residual of an accepted answer
-LP_COARSE = 1e-7  # the same, where no solver does better: rows that are almost parallel leave no more digits
-LP_ROUNDING = 1e-12  # of |bᵢ| + |Aᵢ||x|: added to it where the data are large
-LP_SOLVER = 1e-10  # feasibility tolerance handed to the solvers
-LP_PROXIMAL = 1e-9  # of a unit row: DAQP solves a linear program by proximal steps, until one moves by less
-ACTIVE = 1e-7  # of the largest multiplier: rows with more are taken for active when an answer is recomputed
-UNEVEN = 1e-3  # of the largest entry of its row: columns with smaller entries only are scaled before solving
-RAY = 1e-13  # of |Fᵢ||d|: a direction d may rise by this along a row and still counts as a ray
-STEEP_RAY = 1e-7  # of the largest entry of d: a ray has to move at least this far in the coordinate asked for
+LP_RESIDUAL = 1e-9  # An accepted answer has no larger primal, dual or complementarity residual, for rows of unit norm.
+LP_COARSE = 1e-7  # Where no solver does better, this residual is accepted: rows almost parallel leave no more digits.
+LP_ROUNDING = 1e-12  # The accepted residual grows by this part of |bᵢ| + |Aᵢ||x|, for large data.
+LP_SOLVER = 1e-10  # The solvers are handed this feasibility tolerance.
+LP_PROXIMAL = 1e-9  # DAQP's proximal steps on a linear program end when one moves by less than this part of a unit row.
+BOXES = (1e3, 1e6, 1e9, 1e12, 1e15)  # These half widths [-] are tried in turn if a program without a ray is unsolved.
+ACTIVE = 1e-7  # Rows with more than this part of the largest multiplier are active when an answer is recomputed.
+UNEVEN = 1e-3  # A column is scaled if none of its entries reaches this part of the largest entry of its row.
+RAY = 1e-13  # A direction d may rise by this part of |Fᵢ||d| along a row and still counts as a ray.
+STEEP_RAY = 1e-7  # A ray moves by at least this part of its largest entry in the coordinate asked for.
 
-# --- the window around a set -----------------------------------------------------------------------------------------
-THIN = 1e-7  # of the window: a set that misses feasibility by less may still be there; look closer
-CLOSER = 1e-8  # of the window: factor of the largest step closer
-SETTLED = 1e-4  # of the window: extents larger than this are known to 1e-6 of themselves
-LOST = 1e-3  # of its slope: a row of which less is left on the affine hull of a flat set is as wrong as its rounding
-CLOSED = 1e-10  # of the sum of absolute terms: multipliers whose rows sum to less are a Farkas certificate
+# --- the local box around a set ---------------------------------------------------------------------------------------
+THIN = 1e-7  # A set that misses feasibility by less than this part of the local box may still be there: look closer.
+CLOSER = 1e-8  # One step closer shrinks the local box by this factor at most.
+SETTLED = 1e-4  # Extents larger than this part of the local box are known to 1e-6 of themselves.
+HALF_BOX = 4.0  # The local box has this half width, where the set should have half widths of one.
+WIDER = 1e3  # One step away widens the local box by this factor.
+ENDLESS = 1e300  # A set that has not ended at this size [units of x] has no end that doubles can tell.
+WRONG_SCALE = 3.0  # A scale that is wrong by more decades than this is replaced.
+LOST = 1e-3  # A row that keeps less than this part of its slope on a flat hull is as wrong as its rounding.
+CLOSED = 1e-10  # Multipliers whose rows sum to less than this part of the absolute terms are a Farkas certificate.
 
 # --- minimal descriptions --------------------------------------------------------------------------------------------
-REDUNDANT = 1e-11  # of the extent: a row that cuts less off than this is redundant
-CHECKED = 1e-7  # of the extent: vertices and linear programs must agree to this in five and more dimensions
-EPS = 4e-16  # of a unit row: entries of this size are rounding
-TOUCHING = 1e-7  # of the extent: a vertex this close to a row lies on its face
-NULL_SPACE = 1e-8  # of the largest singular value, in coordinates of order one: directions below are in the null space
+REDUNDANT = 1e-11  # A row that cuts off less than this part of the extent is redundant.
+CHECKED = 1e-7  # Vertices and linear programs must agree to this part of the extent in five and more dimensions.
+EPS = 4e-16  # Entries below this part of a unit row are rounding.
+TOUCHING = 1e-7  # A vertex closer to a row than this part of the extent lies on its face.
+NULL_SPACE = 1e-8  # Singular values below this part of the largest one, for rows of order one, span the null space.
+PRODUCT_ROUNDING = 2.0**-47  # A product of matrices may be wrong by this part of the sum of its absolute terms.
 
 # --- projections and redundant rows ----------------------------------------------------------------------------------
-ZERO_COEFFICIENT = 1e-12  # of a unit row: a smaller coefficient of the variable to be eliminated is rounding
-ZERO_ROW = 1e-13  # norm of a combination of two unit rows that is nothing but rounding
-NEEDLESS = 1e-12  # of the extent: a row that cuts less off than this is left out between two eliminations
-NEEDLE_RADIUS = 1e-7  # of the extent: radius below which rows are not judged from an inner point
-BEYOND = 1e-9  # of the box of a set: a row further away than this cannot touch it
+ZERO_COEFFICIENT = 1e-12  # In a unit row a smaller coefficient of the variable to be eliminated is rounding.
+ZERO_ROW = 1e-13  # A combination of two unit rows with a smaller norm is nothing but rounding.
+NEEDLESS = 1e-12  # A row that cuts off less than this part of the extent is left out between two eliminations.
+NEEDLE_RADIUS = 1e-7  # No inner point decides which rows are needed if the radius is below this part of the extent.
+BEYOND = 1e-9  # A row further outside than this part of the box of a set cannot touch it.
 
 # --- the problem in local coordinates --------------------------------------------------------------------------------
-NEGLIGIBLE = 1e-8  # of the largest term: a coefficient or residual of an equality smaller than this is rounding
-SILENT_ROW = 1e-12  # norm, beside rows of norm one, of a row that says nothing about a variable
-DEPENDENT_COLUMNS = 1e-12  # of the largest singular value: smaller ones are zero in a least-squares solution
-AT_REST = 1e-13  # of the extent: the origin is an equilibrium if it moves by less
-NEEDLE = 0.03  # smallest width as a part of the largest, below which the coordinates are made round
-THINNEST = 1e-12  # smallest width as a part of the largest that the round coordinates allow for
-UNSEEN = 1e-11  # of |A|, balanced: directions that move the outputs by less are not seen by the constraints
+NEGLIGIBLE = 1e-8  # A coefficient or residual of an equality below this part of its largest term is rounding.
+SILENT_ROW = 1e-12  # A row with a smaller norm, beside rows of norm one, says nothing about a variable.
+DEPENDENT_COLUMNS = 1e-12  # Singular values below this part of the largest one are zero in a least-squares solution.
+AT_REST = 1e-13  # The origin is an equilibrium if it moves by less than this part of the extent.
+NEEDLE = 0.03  # Coordinates are made round if the smallest width is below this part of the largest one.
+THINNEST = 1e-12  # Round coordinates allow for a smallest width of this part of the largest one.
+UNSEEN = 1e-11  # Constraints do not see directions that move the outputs by less than this part of |A|, balanced.
 
 # --- the recursion ---------------------------------------------------------------------------------------------------
-GAP = 1e-7  # relative: default of `tol`, the largest gap between an invariant set and its outer set
-LOOSE = 1e3  # of the extent of X: a step may move a coordinate by this before the bounds of the others are loose
-STOP = 1e-11  # of the right-hand side: the outer recursion has converged if no row cuts more
-CUT = 1e-12  # of the extent: a row that cuts less off is rounding
-LEAST_RIGHT = 1e-3  # of the extent: least right-hand side that a cut is compared with
-UNRESOLVED = 1e-6  # of the extent: radius below which a set that Qhull cannot resolve counts as flat
-SMALL = 0.1  # width below which a set that began with width two is rescaled
-CENTRAL = 1e-9  # of the extent: rows this close to the equilibrium pass through it
-CLOSED_LOOP_MARGIN = 1e-9  # relative contraction per step asked of a closed loop, against rounding
-SHRUNK = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # parts taken off an outer set that has not converged, in turn
-CONTRACTIONS = (1e-3, 1e-2, 0.1)  # per step, tried in turn where the outer set has not converged
-GAP_ROUNDING = 1e-6  # of `tol`: by how much a gap may exceed it
-UNSTABLE = 1e-6  # an eigenvalue counts as unstable if its modulus exceeds one by more
-REAL_EIGENVALUE = 1e-12  # of the modulus: an eigenvalue with a smaller imaginary part is real
-DOUBLE_EIGENVALUE = 1e-6  # of the modulus: eigenvalues closer than this are treated as one Jordan block
-SERIES_END = 1e-17  # norm of Λ⁻ʲ at which a series over the unstable modes is cut off and its tail bounded
-EDGE = 1e-9  # of the longest: shorter edges of the sum over the unstable modes give no facet
-DRIVEN = 1e-9  # of the largest: directions in which a disturbance moves the state less are not moved at all
-SUM_END = 1e-13  # of the sum: terms smaller than this end a sum of supports
-LEAST_ALPHA = 1e-12  # a partial sum is scaled up by at least this, against rounding
-USEFUL_INPUTS = 1e-6  # of its width: by how much the box of the useful inputs is enlarged
-NEIGHBOUR_MARGIN = 1e-9  # least inflation of a neighbour's set, as a part of its room
-FELT = 1e-7  # of the room of a row: closer to it than this, a set is taken to touch it
+WELL_INSIDE = 0.02  # The origin stays the equilibrium if it is further than this part of X from every row.
+GAP = 1e-7  # `tol`, the largest relative gap between an invariant set and its outer set, has this default.
+LOOSE = 1e3  # A step that moves a coordinate by more extents of X than this makes the other bounds loose.
+BOX_ROOM = 0.1  # A box is enlarged by this part of its width; a row is far beyond its inverse times the width.
+STOP = 1e-11  # The outer recursion has converged if no row cuts more than this part of the right-hand side.
+CUT = 1e-12  # A row that cuts off less than this part of the extent is rounding.
+LEAST_RIGHT = 1e-3  # A cut is compared with a right-hand side of at least this part of the extent.
+UNRESOLVED = 1e-6  # A set that Qhull cannot resolve is flat if its radius is below this part of the extent.
+SMALL = 0.1  # A set that began with width two is rescaled below this width.
+CENTRAL = 1e-9  # Rows closer to the equilibrium than this part of the extent pass through it.
+CLOSED_LOOP_MARGIN = 1e-9  # A closed loop is asked to contract by this part per step, against rounding.
+SHRUNK = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # These parts in turn are taken off an outer set that has not converged.
+CONTRACTIONS = (1e-3, 1e-2, 0.1)  # These contractions per step are tried in turn where the outer set has not converged.
+GAP_ROUNDING = 1e-6  # A gap may exceed `tol` by this part of it.
+UNSTABLE = 1e-6  # An eigenvalue is unstable if its modulus exceeds one by more.
+REAL_EIGENVALUE = 1e-12  # An eigenvalue is real if its imaginary part is below this part of its modulus.
+DOUBLE_EIGENVALUE = 1e-6  # Eigenvalues closer than this part of their modulus are treated as one Jordan block.
+SERIES_END = 1e-17  # A series over the unstable modes ends, with a bound on its tail, where Λ⁻ʲ has a smaller norm.
+EDGE = 1e-9  # Edges of the sum over the unstable modes below this part of the longest one give no facet.
+DRIVEN = 1e-9  # A disturbance does not move directions that it moves by less than this part of the largest move.
+SUM_END = 1e-13  # A sum of supports ends at terms smaller than this part of it.
+LEAST_ALPHA = 1e-12  # A partial sum is scaled up by at least this part, against rounding.
+USEFUL_INPUTS = 1e-6  # The box of the useful inputs is enlarged by this part of its width.
+NEIGHBOUR_MARGIN = 1e-9  # A neighbour's set is inflated by at least this part of its room.
+FELT = 1e-7  # A set closer to a row than this part of the row's room is taken to touch it.
 
 # --- certificates ----------------------------------------------------------------------------------------------------
-INVARIANT = 1e-9  # of the extent: a successor may leave by this, and the set still counts as invariant
-MISSING = 1e-8  # of the extent: enlargement by a backward step that rounding may cause
-DOUBTFUL = 1e-12  # of the extent: a violation above this is asked for a second time
-WITNESS = 1e-6  # of U: an input proposed by a solver may leave U by this, and is then moved back into it
-WITNESS_SOLVER = 1e-11  # primal tolerance of the solver that proposes the inputs
-DUAL_RESIDUAL = 1e-11  # of a unit cost: multipliers that miss stationarity by less bound the optimum
-FLAT_WIDTH = 1e-9  # of the largest width: width given to a coordinate in which a set is flat
+INVARIANT = 1e-9  # A set counts as invariant although a successor leaves it by this part of the extent.
+MISSING = 1e-8  # A backward step may by rounding enlarge a set by this part of the extent.
+DOUBTFUL = 1e-12  # A violation above this part of the extent is checked a second time.
+WITNESS = 1e-6  # An input that a solver proposes may leave U by this part, and is then moved back into it.
+WITNESS_SOLVER = 1e-11  # The solver that proposes the inputs has this primal tolerance.
+DUAL_RESIDUAL = 1e-11  # Multipliers that miss stationarity, for a unit cost, by less than this bound the optimum.
+FLAT_WIDTH = 1e-9  # A coordinate in which a set is flat is given this part of the largest width.
 
 # --- filters ---------------------------------------------------------------------------------------------------------
-ADMISSIBLE = 1e-9  # of the extent of S: a successor may leave by this, and the input counts as admissible
-INPUT_SLACK = 1e-8  # of the half widths of U: by how much a solver's answer may leave U
-UNMOVED = 1e-14  # of the extent of S a half width of U: an input that moves a row by less does not move it
+ADMISSIBLE = 1e-9  # An input counts as admissible although a successor leaves S by this part of its extent.
+INPUT_SLACK = 1e-8  # A solver's answer may leave U by this part of its half widths.
+FAR_PROPOSAL = 1e6  # A proposal that is more half widths of U away is moved to here along its direction.
+UNMOVED = 1e-14  # An input does not move a row if its half width in U moves it by less than this part of S's extent.
 
-TINY = 1e-300  # a divisor that stands for zero without dividing by it
+# --- sizes that doubles, memory and time allow -----------------------------------------------------------------------
+TINY = 1e-300  # A divisor that stands for zero has this size, without dividing by zero.
+LARGEST_ROOM = 1e150  # Rooms and inputs are clipped at this size [-], so that a diverged state cannot raise an error.
+CHEAP_HULL_DIM = 4  # Up to so many dimensions vertices and Qhull are quicker than linear programs.
+FEW_ROWS = 40  # Removing redundancy from at most so many rows costs more than it saves.
+MOST_ROWS = 400_000  # One elimination may have so many rows, about 50 MB.
+MOST_HULL_FACETS = 1_000_000  # A hull of more facets, about 1 GB in Qhull, is refused whatever the time.
+MOST_SORTING_FACETS = 100_000  # A hull that only sorts out rows before linear programs has at most so many facets, 3 s.
+MOST_SUM_TERMS = 5000  # A sum of supports has at most so many terms.
+PROGRAMS_PER_CHECK = 50  # So many linear programs are solved between two looks at the clock.
+SECONDS_PER_FACET = 3e-5  # Qhull takes so long for a facet [s] on a slow core, degenerate points included.
+EXACT_SHARE = 0.8  # The exact recursion has this share of the time limit; the rest is for an inner set.
 
-# --- samples ---------------------------------------------------------------------------------------------------
-JITTER = 1e-18  # of a variance of order one: keeps the covariance of a sample positive definite
+# --- samples ---------------------------------------------------------------------------------------------------------
+JITTER = 1e-18  # This keeps the covariance of a sample, with variances of order one, positive definite.

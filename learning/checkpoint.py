@@ -23,7 +23,7 @@ _KINDS: dict[str, Any] = {kind.__name__: kind for kind in (ActorCritic, Quantile
 
 
 def save(path: str | Path, network: Network, extra: dict[str, Any] | None = None) -> None:
-    """Write a network and JSON-able `extra` values to one safetensors file; missing folders are made.
+    """Write a network and JSON-able `extra` values to one safetensors file. Missing folders are made.
 
     Raises
     ------

@@ -11,7 +11,6 @@ from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance,
 from learning.exceptions import InputError
 
 Array = np.ndarray
-ROUNDING = 1e-9  # a column whose spread is below this part of its size is constant; networks work in single precision
 
 
 def check_number(value: Any, name: str, low: float = 0.0, high: float = np.inf, *, closed: bool = False) -> float:
@@ -20,7 +19,7 @@ def check_number(value: Any, name: str, low: float = 0.0, high: float = np.inf, 
 
 
 def _interval(low: float, high: float, *, closed: bool) -> str:
-    """Return an interval in words."""
+    """Return the words for an interval."""
     relation = "at least" if closed else "above"
     if np.isinf(high):
         return f"a finite number {relation} {low:g}"
@@ -39,7 +38,7 @@ def as_sizes(value: Any, name: str) -> tuple[int, ...]:
 
 
 def as_lengths(value: Any, name: str, total: int) -> list[int]:
-    """Return the lengths of contiguous stretches that make up `total` samples; one stretch where nothing is given."""
+    """Return the lengths of contiguous stretches that make up `total` samples. One stretch where nothing is given."""
     if value is None:
         return [total]
     if not isinstance(value, (list, tuple, np.ndarray)):
@@ -56,7 +55,7 @@ def check_instance(value: Any, name: str, kind: type) -> Any:
 
 
 def as_bounds(value: Any, name: str, size: int) -> tuple[Array, Array]:
-    """Return (lower, upper), each (size,); that they are finite and ordered is checked where they are used."""
+    """Return (lower, upper), each (size,). That they are finite and ordered is checked where they are used."""
     bounds = tuple(value) if isinstance(value, (tuple, list, np.ndarray)) else ()
     if len(bounds) != 2:
         raise InputError(name, repr(value)[:60], f"(lower, upper), each ({size},)")

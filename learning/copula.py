@@ -26,16 +26,14 @@ from scipy.special import ndtri
 from torch import Tensor, nn
 
 from learning.quantile import QuantileNetwork
+from learning.tolerances import UNIFORM_MARGIN
 
 Array = NDArray[np.float64]
 
-BISECTIONS = 30  # of the share, when a margin is inverted
-NODES = 64  # of the quadrature for the mean of the draws
-EDGE = 1e-7  # of the uniform draws: single precision has no number closer to 1
 
 
 class InnovationCopula(nn.Module):
-    """What turns independent uniform draws into joint draws around conditional quantiles.
+    """Transformation of independent uniform draws into joint draws around conditional quantiles.
 
     Buffers
     -------
@@ -80,12 +78,12 @@ class InnovationCopula(nn.Module):
 
     @property
     def memory(self) -> int:
-        """Columns of what a run remembers: how many scores are known, and the last `order` of them."""
+        """Number of columns of a memory: the count of known scores, and the last `order` of them."""
         return 1 + self.order * self.outputs if self.order else 0
 
     @classmethod
     def independent(cls, network: QuantileNetwork) -> InnovationCopula:
-        """Outputs and steps independent of each other, margins linear between the levels of a network and beyond."""
+        """Copula of independent outputs and steps. Margins are linear between a network's levels and beyond."""
         levels = np.array(network.levels)
         edges = np.r_[0.0, levels, 1.0]
         positions = np.asarray(np.interp(edges, levels, np.arange(len(levels))))
@@ -98,7 +96,7 @@ class InnovationCopula(nn.Module):
         return copula
 
     def draw(self, quantiles: Tensor, inputs: Tensor, uniform: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Draws (n, m) and what to remember (n, `memory`) for the next ones; differentiable in all but the noise.
+        """Draws (n, m) and the memory (n, `memory`) for the next ones. Differentiable in all but the noise.
 
         Parameters
         ----------
@@ -111,7 +109,7 @@ class InnovationCopula(nn.Module):
         memory : (n, `memory`) tensor
             Zeros for a run without a past.
         """
-        scores = self._scores(torch.special.ndtri(uniform.clamp(EDGE, 1 - EDGE)), memory)
+        scores = self._scores(torch.special.ndtri(uniform.clamp(UNIFORM_MARGIN, 1 - UNIFORM_MARGIN)), memory)
         drawn = self.at(self.shifted(quantiles, inputs), torch.special.ndtr(scores))
         return self._within(drawn), self.remember(scores, memory)
 
@@ -135,14 +133,14 @@ class InnovationCopula(nn.Module):
     def mean(self, quantiles: Tensor) -> Tensor:
         """Means (n, m) of the draws, by quadrature in the normal score."""
         furthest = torch.special.ndtri(self.probabilities[-1].double()).item()
-        edges = torch.special.ndtr(torch.linspace(-furthest, furthest, NODES + 1, dtype=torch.float64))
+        edges = torch.special.ndtr(torch.linspace(-furthest, furthest, 65, dtype=torch.float64))
         mass = torch.diff(edges) / (edges[-1] - edges[0])
         shares = ((edges[1:] + edges[:-1]) / 2).to(quantiles.dtype)
         like = quantiles[..., 0, :]
         return sum((m.item() * self.at(quantiles, torch.full_like(like, s)) for m, s in zip(mass, shares)), 0 * like)
 
     def _scores(self, shocks: Tensor, memory: Tensor) -> Tensor:
-        """Correlated scores (n, m) from independent shocks, by as many past scores as are known."""
+        """Correlated scores (n, m) from independent shocks and as many past scores as are known."""
         known = memory[..., 0].round().long() if self.order else torch.zeros(shocks.shape[:-1], dtype=torch.long)
         scores = torch.zeros_like(shocks)
         for j in range(self.order + 1):
@@ -154,7 +152,7 @@ class InnovationCopula(nn.Module):
         return scores
 
     def _positions(self, share: Tensor, width: Tensor) -> Tensor:
-        """The margins at shares and log widths (n, m): linear between the knots and the widths, constant beyond."""
+        """Margins at shares and log widths (n, m), linear between knots and widths, constant beyond."""
         knots = self.probabilities.to(share.dtype)
         k = torch.searchsorted(knots, share.contiguous()).clamp(1, len(knots) - 1)
         weight = ((share - knots[k - 1]) / (knots[k] - knots[k - 1])).clamp(0, 1)
@@ -165,7 +163,7 @@ class InnovationCopula(nn.Module):
         return low + part * (high - low)
 
     def _between(self, width: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The kept widths next to log widths (n, m), by number, and how far the way to the upper one they are."""
+        """Numbers of the kept widths next to log widths (n, m), and the share of the way to the upper one."""
         centres = self.widths.to(width.dtype)
         above = (width.unsqueeze(-2) > centres).sum(-2).clamp(max=len(centres) - 1)
         below = (above - 1).clamp(min=0)
@@ -202,7 +200,7 @@ class InnovationCopula(nn.Module):
         knots = self.probabilities.double()
         low = torch.zeros_like(at)
         high = torch.ones_like(at)
-        for _ in range(BISECTIONS):
+        for _ in range(30):
             middle = (low + high) / 2
             beyond = self._positions(middle, width) < at
             low = torch.where(beyond, middle, low)
@@ -211,18 +209,18 @@ class InnovationCopula(nn.Module):
         return ndtri(np.clip(((low + high) / 2).numpy(), *edge))
 
     def shape(self) -> dict:
-        """All that `from_shape` needs to build one of the same sizes again."""
+        """Sizes from which `from_shape` builds a copula again."""
         widths, knots, outputs = self.positions.shape
         return {"inputs": self.inputs, "outputs": outputs, "knots": knots, "widths": widths, "order": self.order}
 
     @classmethod
     def from_shape(cls, shape: dict) -> InnovationCopula:
-        """One of a given `shape()`, not yet fitted."""
+        """Copula of a given `shape()`, not yet fitted."""
         return cls(**shape)
 
 
 def positions(quantiles: Array, targets: Array) -> Array:
-    """Where targets (n, m) lie among their quantiles (n, levels, m): k at level k, linear between and beyond."""
+    """Positions of targets (n, m) among quantiles (n, levels, m): k at level k, linear between and beyond."""
     last = quantiles.shape[1] - 2
     k = np.clip((targets[:, None] >= quantiles).sum(axis=1) - 1, 0, last)[:, None]
     low, high = (np.take_along_axis(quantiles, i, axis=1)[:, 0] for i in (k, k + 1))

@@ -14,21 +14,14 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from learning.checks import ROUNDING, as_count, as_lengths, as_samples, check_instance
+from learning.checks import as_count, as_lengths, as_samples, check_instance
 from learning.copula import InnovationCopula, log_width, positions
 from learning.exceptions import InputError
 from learning.quantile import QuantileNetwork
+from learning.tolerances import COLLINEAR, FEWEST_HELD_OUT, NARROW, ROUNDING, SIGNIFICANT
 
 Array = NDArray[np.float64]
 
-KNOTS = 257  # of the margins, evenly spaced in the normal score
-WIDTHS = 24  # at most, for which margins are kept
-PER_WIDTH = 500  # samples that each of them needs
-COLLINEAR = 0.01  # smallest singular value of standardised inputs, relative to the largest, that the shift follows
-NARROW = 0.05  # of the largest variance of standardised outputs: directions that follow the samples' own variance
-JUDGED = 0.2  # last part of every stretch, on which the order is chosen
-FEWEST = 100  # judged samples below which no correlation in time is looked for
-SIGNIFICANT = 0.01  # of the total variance of the scores: components below it are taken as independent in time
 
 
 def fit_copula(
@@ -102,11 +95,11 @@ def _margins(quantiles: Array, targets: Array, inputs: int) -> InnovationCopula:
     samples = positions(quantiles, targets)
     widths = log_width(torch.tensor(quantiles)).numpy()
     n, outputs = samples.shape
-    count = int(np.clip(n // PER_WIDTH, 1, WIDTHS))
+    count = int(np.clip(n // 500, 1, 24))  # widths with margins of their own: one for 500 samples
     furthest = -ndtri(0.5 / n)
-    shares = ndtr(np.linspace(-furthest, furthest, KNOTS))
+    shares = ndtr(np.linspace(-furthest, furthest, 257))
     centres = np.quantile(widths, (np.arange(count) + 0.5) / count, axis=0)
-    copula = InnovationCopula(inputs, outputs, knots=KNOTS, widths=count, order=0)
+    copula = InnovationCopula(inputs, outputs, knots=len(shares), widths=count, order=0)
     copula.probabilities.copy_(torch.tensor(shares))
     copula.widths.copy_(torch.tensor(centres))
     for i in range(outputs):
@@ -116,14 +109,14 @@ def _margins(quantiles: Array, targets: Array, inputs: int) -> InnovationCopula:
 
 
 def _nearness(widths: Array, centres: Array) -> list[Array]:
-    """Return the weight (n,) of every sample at each centre: linear between neighbours, and all where they coincide."""
+    """Return the weight (n,) of every sample at each centre. Linear between neighbours, all where they coincide."""
     distinct, index = np.unique(centres, return_inverse=True)
     hats = [np.interp(widths, distinct, np.eye(len(distinct))[b]) for b in range(len(distinct))]
     return [hats[b] for b in index]
 
 
 def _weighted_quantiles(samples: Array, weight: Array, shares: Array) -> Array:
-    """Return the quantiles of weighted samples; each sample stands in the middle of its own share."""
+    """Return the quantiles of weighted samples. Each sample stands in the middle of its own share."""
     order = np.argsort(samples, kind="stable")
     total = np.cumsum(weight[order])
     at = (total - weight[order] / 2) / total[-1]
@@ -183,7 +176,7 @@ def _autocovariance(parts: Sequence[Array], lag: int) -> Array:
 
 
 def _autoregression(lagged: Sequence[Array], order: int) -> tuple[list[Array], Array]:
-    """Return the gains (m, m) on the last `order` scores, and the covariance (m, m) of what they leave.
+    """Return the gains (m, m) on the last `order` scores, and the covariance (m, m) of the residuals.
 
     The Yule–Walker equations in the leading components of the scores: outputs that follow one signal have a covariance
     that is singular but for rounding, and gains on its noise would mean nothing.
@@ -212,8 +205,8 @@ def _root(covariance: Array) -> Array:
 
 def _order(parts: Sequence[Array], orders: int) -> int:
     """Return the smallest order whose error on unseen scores is within two standard errors of the best."""
-    cuts = [max(orders, len(part) - round(JUDGED * len(part))) for part in parts]
-    if orders == 0 or sum(max(0, len(part) - cut) for part, cut in zip(parts, cuts)) < FEWEST:
+    cuts = [max(orders, len(part) - round(0.2 * len(part))) for part in parts]  # the last fifth chooses
+    if orders == 0 or sum(max(0, len(part) - cut) for part, cut in zip(parts, cuts)) < FEWEST_HELD_OUT:
         return 0
     lagged = [_autocovariance([part[:cut] for part, cut in zip(parts, cuts)], i) for i in range(orders + 1)]
     errors = np.stack([_errors(parts, cuts, _autoregression(lagged, order)[0]) for order in range(orders + 1)])

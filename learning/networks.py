@@ -14,9 +14,7 @@ from torch import Tensor, nn
 
 from learning.checks import as_floats, as_sizes, check_instance, check_number
 from learning.exceptions import InputError
-
-LOG_STD = (-7.0, 1.0)  # range of the logarithm of the exploration that a network of its own gives
-LEAK = 0.01  # slope of the clip outside its range while cloning, so that a saturated output can still come back
+from learning.tolerances import LOG_STD
 
 
 @dataclass(frozen=True)
@@ -47,11 +45,11 @@ class NetworkConfig:
 
 
 class ActionLimits(Protocol):
-    """Action bounds that depend on the last entries of an observation, such as the parameters of the plant."""
+    """Action bounds that depend on the last entries of an observation, such as plant parameters."""
 
     @property
     def entries(self) -> int:
-        """How many entries."""
+        """Number of the last entries of an observation that the bounds depend on."""
         ...
 
     @property
@@ -60,11 +58,11 @@ class ActionLimits(Protocol):
         ...
 
     def bounds(self, p: Any) -> tuple[Any, Any]:
-        """Lower and upper bounds (..., nu) at entries (..., n), tensors or arrays; differentiable in tensors."""
+        """Lower and upper bounds (..., nu) at entries (..., n), tensors or arrays. Differentiable in tensors."""
         ...
 
     def as_dict(self) -> dict[str, Any]:
-        """Values that JSON can hold."""
+        """The limits as values that JSON can hold."""
         ...
 
 
@@ -79,7 +77,7 @@ class Layers:
     skip: tuple[Any, Any] | None
 
     def of(self, convert: Callable[[Any], Any]) -> Layers:
-        """The same network of numbers of another kind."""
+        """The network with its numbers converted to another kind."""
         skip = None if self.skip is None else (convert(self.skip[0]), convert(self.skip[1]))
         return Layers(tuple((convert(W), convert(b)) for W, b in self.maps), skip)
 
@@ -108,7 +106,7 @@ class FeedForward(nn.Module):
         self.skip = nn.Linear(n_in, n_out, bias=False) if skip else None
 
     def at(self, p: Tensor, offset: Tensor, scale: Tensor) -> Layers:
-        """The network of normalised observations as one of the first entries of raw ones, whose last ones are `p`.
+        """The network in the first entries of raw observations, whose last entries are `p`.
 
         What does not change with the first entries is computed once: the part of the first layer that belongs to `p`
         (np,) or (n, np), and the normalisation by `offset` and `scale` (n_in,); in the precision of `p`.
@@ -119,7 +117,7 @@ class FeedForward(nn.Module):
         shift = offset[:n] / scale[:n]
 
         def entry(weight: Tensor) -> tuple[Tensor, Tensor]:
-            """The map from raw entries, (n, m), and what offset and `p` add to it, (m,) or (·, m)."""
+            """Map (n, m) from raw entries, and the term (m,) or (·, m) that offset and `p` add."""
             own, of_given = weight.to(p.dtype).split([n, weight.shape[1] - n], dim=1)
             return (own / scale[:n]).T, given @ of_given.T - own @ shift
 
@@ -255,7 +253,7 @@ class ActorCritic(nn.Module):
         return f"ActorCritic({sizes}, hidden layers {self.config.hidden})"
 
     def shape(self) -> dict:
-        """All that `from_shape` needs to build the same network again; action limits as plain values."""
+        """Sizes and plain values of action limits, from which `from_shape` builds the network again."""
         ranges = ((self.observation_offset, self.observation_scale), (self.action_offset, self.action_scale))
         bounds = [(middle + sign * half).tolist() for middle, half in ranges for sign in (-1, 1)]
         limits = {} if self.action_limits is None else {"action_limits": self.action_limits.as_dict()}

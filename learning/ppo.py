@@ -95,7 +95,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class UpdateStatistics:
-    """What one update did: last KL divergence, explained variance of the critic, passes made."""
+    """Statistics of an update: last KL divergence, explained variance of the critic, passes made."""
 
     kl: float
     explained_variance: float
@@ -144,7 +144,7 @@ def gae(
 
 
 def _check_experience(rewards: Tensor, **others: Tensor) -> None:
-    """Raise an `InputError` unless all are tensors of one shape, time first, those of flags Boolean."""
+    """Raise an `InputError` unless all are tensors of one shape, time first, and flags are Boolean."""
     check_instance(rewards, "rewards", Tensor)
     if rewards.ndim == 0 or rewards.numel() == 0:
         raise InputError("rewards", f"shape {tuple(rewards.shape)}", "(T, n), neither of them 0")
@@ -261,7 +261,7 @@ def train(
     callback: Callable[[int, UpdateStatistics], None] | None = None,
     progress: bool = False,
 ) -> ActorCritic:
-    """PPO alone: `iterations` rollouts of `steps` steps, an update after each; trains `agent` in place.
+    """PPO alone: `iterations` rollouts of `steps` steps, an update after each. Trains `agent` in place.
 
     The rates fall linearly to a tenth, the exploration geometrically to `config.final_std`.
     """

@@ -18,7 +18,6 @@ from torch import Tensor, nn
 from tqdm import trange
 
 from learning.checks import (
-    ROUNDING,
     as_count,
     as_floats,
     as_generator,
@@ -30,6 +29,7 @@ from learning.checks import (
 )  # fmt: skip
 from learning.exceptions import InputError
 from learning.networks import FeedForward
+from learning.tolerances import ROUNDING
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ class QuantileConfig:
 
 
 class QuantileNetwork(nn.Module):
-    """Quantiles (..., levels, m) of m outputs given inputs (..., d); increasing in the level by construction.
+    """Quantiles (..., levels, m) of m outputs given inputs (..., d). Increasing in the level by construction.
 
     The median is one head, the gaps between neighbouring levels are positive. Inputs are clipped to the range
     of the training data: outside it the discrepancy is constant, not extrapolated.
@@ -144,7 +144,7 @@ class QuantileNetwork(nn.Module):
             return self(torch.tensor(x, dtype=torch.float32)).double().numpy()
 
     def shape(self) -> dict:
-        """All that `from_shape` needs to build the same network again."""
+        """Sizes from which `from_shape` builds the network again."""
         return {
             "inputs": len(self.input_offset), "outputs": self.outputs,
             "levels": list(self.levels), "hidden": list(self.hidden),
@@ -157,7 +157,7 @@ class QuantileNetwork(nn.Module):
 
 
 def pinball(targets, quantiles, levels: Sequence[float]):
-    """Mean pinball loss per output (m,) of quantiles (n, levels, m) against targets (n, m); arrays or tensors."""
+    """Mean pinball loss per output (m,) of quantiles (n, levels, m) against targets (n, m). Arrays or tensors."""
     error = targets[:, None, :] - quantiles
     q = np.asarray(levels, dtype=float)[None, :, None]
     if isinstance(error, Tensor):
@@ -233,7 +233,7 @@ def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:
 
 
 def _descend(network, train, validation, config: QuantileConfig, rng: np.random.Generator, progress: bool) -> None:
-    """Adam on the pinball loss; the network ends with the weights of the best validation loss."""
+    """Adam on the pinball loss. The network ends with the weights of the best validation loss."""
     (X, Y), (Xv, Yv) = ([torch.tensor(a, dtype=torch.float32) for a in pair] for pair in (train, validation))
     optimiser = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)

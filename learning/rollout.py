@@ -24,7 +24,7 @@ class VectorEnv(Protocol):
         ...
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """(observation to act on next, successor before any restart, reward, terminated, truncated)."""
+        """Results of a step: (next observation, successor before any restart, reward, terminated, truncated)."""
         ...
 
 
@@ -44,7 +44,7 @@ class Rollout:
 
 @torch.no_grad()
 def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.Generator) -> Rollout:
-    """`steps` steps of the sampled policy in every environment, starting from a reset.
+    """Rollout of `steps` steps of the sampled policy in every environment, starting from a reset.
 
     Raises
     ------

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
 from learning.checks import (
-    ROUNDING,
     as_bounds,
     as_count,
     as_floats,
@@ -20,14 +19,15 @@ from learning.checks import (
     check_number,
 )  # fmt: skip
 from learning.exceptions import InputError
-from learning.networks import LEAK, ActionLimits, ActorCritic, NetworkConfig, scaled
+from learning.networks import ActionLimits, ActorCritic, NetworkConfig, scaled
+from learning.tolerances import LEAK, ROUNDING
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class CloningConfig:
-    """How long and how fast to clone.
+    """Duration and rates of cloning.
 
     Attributes
     ----------

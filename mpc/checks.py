@@ -20,7 +20,7 @@ _OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD an
 
 
 def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a read-only, C-contiguous float64 copy of `value`; None in `shape` matches any length."""
+    """Return a read-only, C-contiguous float64 copy of `value`. None in `shape` matches any length."""
     array = as_floats(name, value)
     if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
         expected = (
@@ -32,7 +32,7 @@ def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Arra
 
 
 def as_weight(name: str, value: ArrayLike, n: int) -> Array:
-    """Return a symmetric positive semidefinite (n, n) weight, read-only; a number or a vector is its diagonal."""
+    """Return a symmetric positive semidefinite (n, n) weight, read-only. A number or a vector is its diagonal."""
     raw = as_floats(name, value)
     full = raw * np.eye(n) if raw.ndim == 0 else np.diag(raw) if raw.ndim == 1 else raw
     weight = as_array(name, full, (n, n))
@@ -55,7 +55,7 @@ def as_weight(name: str, value: ArrayLike, n: int) -> Array:
 
 
 def as_cross_weight(value: ArrayLike | None, Q: Array, R: Array) -> Array | None:
-    """Return the weight S (nx, nu) of 2 x'Su, read-only, for which [Q S; S' R] is positive semidefinite; None for None.
+    """Return the weight S (nx, nu) of 2 x'Su, read-only, for which [Q S; S' R] is positive semidefinite. None for None.
 
     Q and R are weights that `as_weight` has checked.
     """
@@ -82,7 +82,7 @@ def as_cross_weight(value: ArrayLike | None, Q: Array, R: Array) -> Array | None
 
 
 def as_seconds(name: str, value: Any) -> float:
-    """Return a wall time > 0 [s]; None and inf are no limit."""
+    """Return a wall time > 0 [s]. None and inf are no limit."""
     if value is None:
         return np.inf
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real) or not value > 0.0:  # type: ignore[operator]
@@ -123,7 +123,7 @@ def as_blocks(value: Any, horizon: int) -> tuple[int, ...]:
 
 
 def as_set(name: str, value: Any, n: int) -> Any:
-    """Return None or an object with `.A` and `.b`; bounds (lower, upper) become a Polytope."""
+    """Return None or an object with `.A` and `.b`. Bounds (lower, upper) become a Polytope."""
     if value is None or (hasattr(value, "A") and hasattr(value, "b")):
         return value
     if not isinstance(value, (tuple, list)) or len(value) != 2:
@@ -142,7 +142,7 @@ def as_set(name: str, value: Any, n: int) -> Any:
 
 
 def as_halfspaces(name: str, value: Any, n: int) -> tuple[Array, Array]:
-    """Return (H, h) of {v : Hv <= h}, a `Polytope` or anything with `.A` and `.b`; None is the whole space."""
+    """Return (H, h) of {v : Hv <= h}, a `Polytope` or anything with `.A` and `.b`. None is the whole space."""
     value = as_set(name, value, n)
     if value is None:
         return np.zeros((0, n)), np.zeros(0)

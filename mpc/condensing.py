@@ -12,9 +12,7 @@ from mpc.exceptions import InputError, NotConvexError
 from mpc.feedback import block_lengths, stabilising_feedback
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.problem import MPCProblem
-from mpc.tolerances import DEFINITE
-
-_MOST_NUMBERS = 2e8  # entries of the prediction and cost matrices above which building the QP is refused (1.6 GB)
+from mpc.tolerances import DEFINITE, MOST_MATRIX_ENTRIES
 
 
 def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> ParametricQP:
@@ -37,9 +35,9 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
         The condensed Hessian is not positive definite.
     """
     layout = _Layout(problem, _sizes(problem, parameters))
-    if problem.horizon * problem.nx * layout.nv + layout.nv**2 > _MOST_NUMBERS:
+    if problem.horizon * problem.nx * layout.nv + layout.nv**2 > MOST_MATRIX_ENTRIES:
         raise InputError(
-            "horizon", problem.horizon, f"matrices of at most {_MOST_NUMBERS:.0e} numbers",
+            "horizon", problem.horizon, f"matrices of at most {MOST_MATRIX_ENTRIES:.0e} numbers",
             'Shorten it, block moves, or keep the states with solver="osqp".',
         )  # fmt: skip
     nt = layout.nt
@@ -66,7 +64,7 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Where each parameter stands in ξ = (θ, z); z holds one input for each block."""
+    """Places of the parameters in ξ = (θ, z); z holds one input for each block."""
 
     problem: MPCProblem
     sizes: dict[str, int]
@@ -168,7 +166,7 @@ def constraints_of(
 
 
 def row_units(problem: MPCProblem, labels: list[Constraint] | tuple[Constraint, ...]) -> Array:
-    """Unit of each row, in which violations of different rows are compared; 1 for a slack."""
+    """Unit of each row for comparing violations of different rows; 1 for a slack."""
     units = problem.row_units
     return np.array([units[label.kind][label.row] if label.kind in units else 1.0 for label in labels])
 

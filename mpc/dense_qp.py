@@ -11,10 +11,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.plan import Residuals
-from mpc.tolerances import FAR_BOUND, INTERIOR_POINT, KKT, NEGLIGIBLE, PRIMAL, UNREACHED
-
-_NO_BOUND = 1e30
-_SETTINGS = {"primal_tol": PRIMAL, "iter_limit": 10_000, "fval_bound": 1e300}  # DAQP would give up beyond 1e30
+from mpc.tolerances import DAQP_ITERATIONS, FAR_BOUND, INTERIOR_POINT, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL, UNREACHED
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +70,7 @@ class DenseQP:
         bs = b[self._rows] * self._r
         size = self._size_of(q * self._d, bs)
         qs = np.ascontiguousarray(q * self._d / size)
-        bs = np.ascontiguousarray(np.minimum(bs / size, _NO_BOUND))
+        bs = np.ascontiguousarray(np.minimum(bs / size, NO_BOUND))
         z, y, flag = self._daqp(qs, bs)
         residuals = self._residuals(z, y, qs, bs)
         solver = "DAQP"
@@ -95,7 +92,7 @@ class DenseQP:
         return QPResult(z * self._d * size, multipliers, residuals, infeasible or self._unreached(b), solver)
 
     def _size_of(self, q: Array, bs: Array) -> float:
-        """The size that becomes one: that of the bounds, or of what cost and violated rows ask for where that is less.
+        """Unit of the variables: the size of the bounds, or of what cost and violated rows ask for where that is less.
 
         It is larger where the origin violates some rows by far more: their size is that of the answer.
         """
@@ -118,8 +115,9 @@ class DenseQP:
         model = getattr(self._workspace, "model", None)
         if model is None:
             model = daqp.Model()
-            model.settings = _SETTINGS
-            lower = np.full(len(b), -_NO_BOUND)
+            # DAQP would give up at a cost beyond 1e30
+            model.settings = {"primal_tol": PRIMAL, "iter_limit": DAQP_ITERATIONS, "fval_bound": 1e300}
+            lower = np.full(len(b), -NO_BOUND)
             if model.setup(self._H, q, self._G, b, lower, np.zeros(len(b), dtype=np.int32))[0] < 0:
                 return np.full(len(q), np.nan), np.zeros(len(b)), 0
             self._workspace.model = model

@@ -7,8 +7,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from mpc.checks import Array
-from mpc.lqr import cost_units
 from mpc.problem import MPCProblem
+from mpc.riccati import cost_units
 from mpc.tolerances import GROWTH
 
 Weights: TypeAlias = tuple[Array, Array, Array, Array]
@@ -35,7 +35,7 @@ def stabilising_weights(problem: MPCProblem) -> Weights:
 
 
 def feedback_along(problem: MPCProblem, A: Array, B: Array) -> Array | None:
-    """The same for a model whose A (N, nx, nx) and B (N, nx, nu) change from step to step, as they do along a plan."""
+    """Gains as of `stabilising_feedback` for A (N, nx, nx) and B (N, nx, nu) that change along a plan."""
     sx, _ = cost_units(problem.A, problem.B, problem.Q, problem.R)
     growth = _growth(problem, A, B, None, sx)
     if growth <= GROWTH:
@@ -45,7 +45,7 @@ def feedback_along(problem: MPCProblem, A: Array, B: Array) -> Array | None:
 
 
 class _Chosen(NamedTuple):
-    """Gains over the horizon, by how much the loop that they close grows, and the weights that they are of."""
+    """Gains over the horizon, the growth of the loop that they close, and the weights behind them."""
 
     gains: Array
     growth: float
@@ -53,7 +53,7 @@ class _Chosen(NamedTuple):
 
 
 def _least_growing(problem: MPCProblem, A: Array, B: Array) -> _Chosen:
-    """Gains of the problem's weights, or of those in units of the sets where the closed loop grows less with them."""
+    """Gains of the problem's weights, or of those in set units where the loop grows less."""
     sx, su = cost_units(problem.A, problem.B, problem.Q, problem.R)
     none = np.zeros((problem.nx, problem.nu))
     weights = (problem.Q, problem.R, none if problem.S is None else problem.S, problem.P)
@@ -69,7 +69,7 @@ def _least_growing(problem: MPCProblem, A: Array, B: Array) -> _Chosen:
 
 
 def block_lengths(problem: MPCProblem) -> tuple[int, ...]:
-    """Lengths of the blocks over which inputs are held; all one without move blocking."""
+    """Lengths of the blocks over which inputs are held. All one without move blocking."""
     return problem.blocks if problem.blocks is not None else (1,) * problem.horizon
 
 
@@ -103,7 +103,7 @@ def _riccati_gains(problem: MPCProblem, A: Array, B: Array, weights: Weights) ->
 
 
 def _solve_scaled(M: Array, right: Array) -> Array:
-    """M⁻¹ right for a symmetric M ⪰ 0, scaled to a unit diagonal; least squares where it is singular."""
+    """M⁻¹ right for a symmetric M ⪰ 0, scaled to a unit diagonal. Least squares where it is singular."""
     d = np.sqrt(np.abs(np.diag(M)))
     d[d == 0] = 1.0
     return np.asarray(np.linalg.lstsq(M / d / d[:, None], right / d[:, None], rcond=None)[0] / d[:, None])

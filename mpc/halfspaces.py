@@ -56,7 +56,7 @@ def is_empty(H: Array, h: Array) -> bool:
 
 
 def nearest_points(V: Array, H: Array, h: Array) -> Array:
-    """Points (n, nu) of {v : Hv <= h} nearest to the rows of V; exact for a box, else see `nearest_point`."""
+    """Points (n, nu) of {v : Hv <= h} nearest to the rows of V. Exact for a box, else see `nearest_point`."""
     box = box_of(H, h)
     if box is not None:
         return np.asarray(np.clip(V, *box), dtype=np.float64)
@@ -123,7 +123,7 @@ class Limits:
         return units
 
     def own(self) -> dict[str, NDArray[np.bool_]]:
-        """Which rows of each set are priced in units of their own bounds (bool)."""
+        """Rows of each set that are priced in units of their own bounds (bool)."""
         reaches = self.reaches()
         return {kind: np.asarray(np.abs(h) > SMALL_BOUND * reaches[kind]) for kind, (_, h) in self._sets.items()}
 

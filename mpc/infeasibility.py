@@ -1,4 +1,4 @@
-"""Why an MPC problem is infeasible: what has to give, by how much, and which constraints contradict each other."""
+"""Explanations of infeasible MPC problems: what has to give, by how much, and which rows contradict each other."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.problem import MPCProblem
-from mpc.tolerances import CERTIFICATE, FARTHEST, FEASIBLE, KKT_REPORTED, LP_FEASIBLE, LP_SUPPORT, OVERFLOW
+from mpc.tolerances import CERTIFICATE, FARTHEST, FEASIBLE, KKT_REPORTED, LP_OPTIONS, LP_SUPPORT, OVERFLOW
 
 Rows = list[int]
-_OPTIONS = {"primal_feasibility_tolerance": LP_FEASIBLE, "dual_feasibility_tolerance": LP_FEASIBLE}
 
 
 @dataclass(frozen=True)
 class Violation:
-    """A constraint that has to give.
+    """Constraint that has to give.
 
     constraint : where it comes from; meaning : it in words; amount : by how much, in its own units; row : of the QP.
     """
@@ -33,7 +32,7 @@ class Violation:
 
 @dataclass(frozen=True, repr=False)
 class Explanation:
-    """Why there is no admissible input sequence; prints as one sentence.
+    """Explanation why there is no admissible input sequence; prints as one sentence.
 
     Attributes
     ----------
@@ -130,7 +129,7 @@ def _least_maximum(G: Array, b: Array, rows: Rows) -> tuple[float, Array]:
     n = G.shape[1]
     matrix = np.hstack([G[rows], -np.ones((len(rows), 1))])
     result = linprog(
-        np.eye(n + 1)[n], A_ub=matrix, b_ub=b[rows], bounds=[(None, None)] * n + [(0, None)], options=_OPTIONS
+        np.eye(n + 1)[n], A_ub=matrix, b_ub=b[rows], bounds=[(None, None)] * n + [(0, None)], options=LP_OPTIONS
     )
     if result.status != 0:  # the other solver decides
         return _least_by_qp(G, b, rows), np.ones(len(rows))
@@ -138,12 +137,12 @@ def _least_maximum(G: Array, b: Array, rows: Rows) -> tuple[float, Array]:
 
 
 def _impossible(G: Array, b: Array, rows: Rows) -> bool:
-    """Whether no z satisfies the rows, by a linear program and, before it is reported, by a quadratic one."""
+    """Whether no z satisfies the rows, by a linear program. A quadratic one confirms it before it is reported."""
     return _least_maximum(G, b, rows)[0] > FEASIBLE and _least_by_qp(G, b, rows) > FEASIBLE / 2
 
 
 def _least_by_qp(G: Array, b: Array, rows: Rows) -> float:
-    """Least t >= 0 with Gz <= b + t on the rows, by a quadratic program in which z costs next to nothing."""
+    """Least t >= 0 with Gz <= b + t on the rows. A quadratic program finds it in which z costs next to nothing."""
     if not rows:
         return 0.0
     n = G.shape[1]
@@ -199,7 +198,7 @@ def _least_sum(G: Array, b: Array, givable: Rows) -> dict[int, float]:
     cost = np.concatenate([np.zeros(n), np.ones(len(givable))])
     bounds = [(None, None)] * n + [(0, None)] * len(givable)
     for method in ("highs", "highs-ds", "highs-ipm"):  # unstable plants over long horizons defeat one or the other
-        result = linprog(cost, A_ub=np.hstack([G, relax]), b_ub=b, bounds=bounds, method=method, options=_OPTIONS)
+        result = linprog(cost, A_ub=np.hstack([G, relax]), b_ub=b, bounds=bounds, method=method, options=LP_OPTIONS)
         if result.status == 0:
             return {i: float(s) for i, s in zip(givable, result.x[n:]) if s > LP_SUPPORT}
     return {i: np.inf for i in givable}
@@ -235,7 +234,7 @@ def describe(problem: MPCProblem, label: Constraint) -> str:
 
 
 def _sentence(problem: MPCProblem, violations: tuple[Violation, ...], conflict: tuple[Constraint, ...]) -> str:
-    """What has to give and what contradicts what, in words."""
+    """Sentence that says what has to give and what contradicts what."""
     gives = ", ".join(f"{v.meaning} by {v.amount:.3g} at step {v.constraint.step}" for v in violations)
     steps: dict[str, list[int]] = {}
     for label in conflict:

@@ -102,7 +102,7 @@ class LinearMPC(MPCProblem):
 
     @property
     def needs(self) -> frozenset[str]:
-        """What a closed loop hands over at every step besides the state.
+        """Names of the signals that a closed loop hands over at every step besides the state.
 
         "last_input" (keyword `u_prev`, (n, nu)) with a rate limit; "reference" (`x_ref`, and `u_ref` where there is
         one) and "preview" (`w`, (N, nw) or (n, N, nw) for the next N = `horizon` steps) where `uses` names them.
@@ -110,7 +110,7 @@ class LinearMPC(MPCProblem):
         return frozenset(self.uses) | ({"last_input"} if self.rate_limit is not None else set())
 
     def build(self, *parameters: str) -> ParametricQP:
-        """The QP with the state and the named quantities left open, to inspect or to hand to another solver.
+        """The QP with state and named quantities left open, to inspect or hand to another solver.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class LinearMPC(MPCProblem):
         return self._solver_for(tuple(sorted(given))).plan(x, given, start)
 
     def solve_many(self, X: ArrayLike, **signals: ArrayLike) -> list[Plan]:
-        """One plan per row of X (n, nx), in order, each warm-started from the one before it.
+        """One plan per row of X (n, nx), in order, each warm-started from the one before.
 
         The signals are those of `solve`, the same for all rows; or one for each: `u_prev` as (n, nu), the others with
         a first axis of length n, for example `w` as (n, N, nw).
@@ -166,7 +166,7 @@ class LinearMPC(MPCProblem):
         ]
 
     def __call__(self, x: ArrayLike, **signals: ArrayLike) -> Array:
-        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu); finite for every finite x."""
+        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu). Finite for every finite x."""
         x = as_floats("x", x)
         if x.ndim == 2:
             return np.array([plan.inputs[0] for plan in self.solve_many(x, **signals)]).reshape(len(x), self.nu)
@@ -176,7 +176,7 @@ class LinearMPC(MPCProblem):
         return np.array(self.solve(x, **signals).inputs[0])
 
     def explain(self, x: ArrayLike, **signals: ArrayLike) -> Explanation:
-        """Why the problem is infeasible from x: what has to give, by how much, and what contradicts what.
+        """Explanation of infeasibility from x: what has to give, by how much, and what contradicts what.
 
         Parameters
         ----------
@@ -240,7 +240,7 @@ class LinearMPC(MPCProblem):
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,
         time_limit: float | None = None, method: str = "tree", tree_time_limit: float | None = 10.0,
     ) -> ExplicitMPC:  # fmt: skip
-        """The same law as a function of the state, computed for every state in advance.
+        """Explicit law: the controller as a function of the state, computed for every state in advance.
 
         Parameters
         ----------
@@ -291,7 +291,7 @@ Solver = TypeVar("Solver", CondensedSolver, SparseSolver)
 
 
 class _Built(dict[tuple[str, ...], Solver]):
-    """The solver for each combination of signals, built when first asked for; copies build theirs anew."""
+    """The solver for each combination of signals, built when first asked for. Copies build theirs anew."""
 
     def __init__(self, build: Callable[[tuple[str, ...]], Solver]):
         super().__init__()

@@ -1,4 +1,4 @@
-"""Which modes of a pair (A, B), or of the dual one (A', C'), are reached, in whichever units say it best."""
+"""Modes of a pair (A, B), or of the dual one (A', C'), that are reached, in whichever units say it best."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Mode(NamedTuple):
 
 
 def least_reached(A: Array, B: Array, eigenvalues: Iterable[complex], *units: Array) -> Mode:
-    """The mode that the columns of B reach least of those at some eigenvalues; infinitely strong where there are none.
+    """The mode that the columns of B reach least of those at some eigenvalues. Infinitely strong where there are none.
 
     How strongly is σ_min [A - λI, B] relative to A, for columns of B as large as A: how strong an actuator is, is a
     matter of its cost. It depends on the units of the states: of given ones, and of those that balance A, those count

@@ -14,7 +14,7 @@ from mpc.exceptions import InputError
 
 
 class Constraint(NamedTuple):
-    """Where a row of the QP comes from.
+    """Origin of a row of the QP.
 
     kind : "state", "input", "rate", "terminal" or "slack"; step : k; row : row of the user's set.
     """
@@ -173,7 +173,7 @@ class ParametricQP:
 
 
 def _vector(name: str, value: ArrayLike, n: int) -> Array:
-    """The value as a float array (n,), checked; an array that is one already is not copied."""
+    """The value as a float array (n,), checked. An array that is one already is not copied."""
     if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (n,):
         return value
     return as_array(name, value, (n,))

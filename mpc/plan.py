@@ -1,4 +1,4 @@
-"""What an MPC solve returns."""
+"""The result of an MPC solve."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Plan:
 
     @property
     def feasible(self) -> bool:
-        """True when the problem was solved as posed; soft constraints may give, see `violation`."""
+        """True when the problem was solved as posed. Soft constraints may give, see `violation`."""
         return self.status is Status.SOLVED
 
     def __repr__(self) -> str:

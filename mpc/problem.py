@@ -25,7 +25,7 @@ from mpc.checks import (
 )
 from mpc.exceptions import InputError
 from mpc.halfspaces import Limits, along_axes, first_positive, is_empty
-from mpc.lqr import lqr
+from mpc.riccati import lqr
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,12 +154,12 @@ class MPCProblem:
 
     @cached_property
     def state_size(self) -> Array:
-        """As `state_extent`, or what the inputs move over the horizon where that is less: the size states come to."""
+        """Size (nx,) that states come to: `state_extent`, or what inputs move over the horizon where that is less."""
         return np.where(self._moved_states > 0, np.minimum(self.state_extent, self._moved_states), self.state_extent)
 
     @cached_property
     def _moved_states(self) -> Array:
-        """How far (nx,) the inputs move each state over the horizon; infinite where no limit says it."""
+        """Distance (nx,) that the inputs move each state over the horizon. Infinite where no limit says it."""
         farthest = along_axes(*self.input_rows, farthest=True)
         if self.rate_limit is not None:
             farthest = np.minimum(np.where(farthest > 0, farthest, np.inf), self.horizon * self.rate_limit)
@@ -224,7 +224,7 @@ class MPCProblem:
     def with_model(
         self, A: Any, B: ArrayLike | None = None, E: ArrayLike | None = None, *, P: ArrayLike | None = None
     ) -> Self:
-        """The same problem for another design of the plant.
+        """The problem for another design of the plant.
 
         Parameters
         ----------

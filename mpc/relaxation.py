@@ -1,4 +1,4 @@
-"""What a controller answers when its problem has no solution: relaxed state constraints first, the regulator last."""
+"""The answer of a controller whose problem has no solution: relaxed state constraints first, the regulator last."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Relaxed:
 
 
 def relax(problem: MPCProblem, qp: ParametricQP, solver: DenseQP, q: Array, b: Array) -> Relaxed | None:
-    """Solution with state constraints relaxed by the least amount; None when the others conflict among themselves.
+    """Solution with state constraints relaxed by the least amount. None when the others conflict among themselves.
 
     Whether the problem is infeasible is decided here, by the violation that is left when it is made least: what the QP
     solver said before is only the reason to ask.
@@ -51,7 +51,7 @@ def relax(problem: MPCProblem, qp: ParametricQP, solver: DenseQP, q: Array, b: A
 
 
 def inputs_conflict(problem: MPCProblem, last_input: Array | None) -> bool:
-    """Whether no input lies in U within the rate limit of the last one: the only way hard constraints can conflict.
+    """Whether no input in U keeps the rate limit of the last one. Hard constraints cannot conflict otherwise.
 
     U is convex and not empty, so an input that is in U may stay where it is.
     """
@@ -110,7 +110,7 @@ def least_violation(
     slack = np.maximum(-columns @ result.z[qp.nz :], 0.0)
     room = RELAXATION_MARGIN * np.maximum(units, slack)
     relaxed: Array = np.where(soft, b + np.where(slack > 2 * room, slack, 0.0) + room, b)
-    # what the first stage left violated by rounding is granted too
+    # what the first stage left violated by rounding is tolerated too
     z = result.z[: qp.nz]
     return relaxed + np.where(soft, np.maximum(qp.G @ z - relaxed, 0.0), 0.0), z
 
@@ -141,7 +141,7 @@ def saturated_regulator(problem: MPCProblem, x: Array, start: float) -> Plan:
 
 
 def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]:
-    """Inputs and states under the regulator, saturated to U; zero inputs where there is no regulator."""
+    """Inputs and states under the regulator, saturated to U. Zero inputs where there is no regulator."""
     try:
         gain = problem.gain
     except NotStabilisableError:

@@ -1,4 +1,4 @@
-"""What inputs do to the model: states, cost and violation, computed step by step from what is returned."""
+"""Effects of inputs on the model: states, cost and violation, computed step by step from what is returned."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def rollout(problem: MPCProblem, x: Array, inputs: Array, given: Given) -> Array
 def rollout_with_feedback(
     problem: MPCProblem, x: Array, deviations: Array, feedback: Array, given: Given
 ) -> tuple[Array, Array, float]:
-    """Inputs u = v - Kx held in U, the states they lead to, and how far v - Kx missed the limits, relative to them.
+    """Inputs u = v - Kx held in U, their states, and how far v - Kx missed the limits, relative to them.
 
     Computed forwards, each input from the state before it, so that rounding does not grow with the plant.
     """
@@ -47,7 +47,7 @@ def rollout_with_feedback(
         missed = max(missed, float(np.abs((inputs[start] - wanted) / extent).max()))
         for k in range(start, end):
             states[k + 1] = finite(problem.A @ states[k] + problem.B @ inputs[k] + push[k])
-    return inputs, states, max(missed, rate_excess(problem, inputs, given))
+    return inputs, states, max(missed, rate_violation(problem, inputs, given))
 
 
 def admissible(problem: MPCProblem, inputs: Array, given: Given) -> Array:
@@ -62,7 +62,7 @@ def admissible(problem: MPCProblem, inputs: Array, given: Given) -> Array:
     return followed
 
 
-def rate_excess(problem: MPCProblem, inputs: Array, given: Given) -> float:
+def rate_violation(problem: MPCProblem, inputs: Array, given: Given) -> float:
     """Largest change of an input beyond the rate limit, relative to it [-]."""
     if problem.rate_limit is None:
         return 0.0
@@ -71,7 +71,7 @@ def rate_excess(problem: MPCProblem, inputs: Array, given: Given) -> float:
 
 
 def pushes(problem: MPCProblem, given: Given) -> Array:
-    """What the previewed disturbance adds to each next state, (N, nx)."""
+    """Move (N, nx) of each next state by the previewed disturbance."""
     if "w" not in given:
         return np.zeros((problem.horizon, problem.nx))
     return np.asarray(given["w"].reshape(problem.horizon, -1) @ problem.E.T)
@@ -119,7 +119,7 @@ def relative_violations(problem: MPCProblem, states: Array, units: dict[str, Arr
 
 
 def finite(v: Array) -> Array:
-    """The same numbers, those that overflowed replaced by the largest."""
+    """Numbers with those that overflowed replaced by the largest."""
     if np.isfinite(v).all():
         return v
     largest = float(np.finfo(float).max) / 4
@@ -127,7 +127,7 @@ def finite(v: Array) -> Array:
 
 
 def spread_signals(problem: MPCProblem, signals: dict[str, ArrayLike | None]) -> dict[str, Array]:
-    """Each given signal as one flat array; a single row is held over the horizon.
+    """Each given signal as one flat array. A single row is held over the horizon.
 
     Raises
     ------

@@ -24,7 +24,7 @@ from mpc.rollout import (
     rollout_with_feedback,
     violation_of,
 )
-from mpc.stages import Staging
+from mpc.stages import StagewiseQP
 from mpc.stagewise import solve_stagewise
 from mpc.tolerances import FEASIBLE, GROWTH, KKT_REPORTED, OVERFLOW, RELAXATION_SHARES, RUNAWAY, UNIT_CIRCLE
 
@@ -50,7 +50,7 @@ class Candidate:
 def stagewise_candidate(
     problem: MPCProblem, x: Array, given: Given, inputs: Array, typical_cost: float
 ) -> Candidate | None:
-    """The plan of `solve_stagewise` from a first guess of the inputs; None if the iteration did not converge.
+    """The plan of `solve_stagewise` from a first guess of the inputs. None if the iteration did not converge.
 
     Hard state constraints become squared violations, weighed against the typical cost; where all of them hold, the
     problem was feasible.
@@ -58,13 +58,13 @@ def stagewise_candidate(
     hard = problem.soft is None and len(problem.state_rows[1]) + len(problem.terminal_rows[1]) > 0
     shares = (RELAXATION_SHARES[0], RELAXATION_SHARES[-1]) if hard else (1.0,)
     for share in shares:  # a weight too stiff to solve is followed by a lower one
-        staging = Staging(problem, x, given, (0.0, typical_cost / share) if hard else problem.soft)
-        found = solve_stagewise(staging.stages, staging.start, staging.first_guess(inputs))
+        stagewise = StagewiseQP(problem, x, given, (0.0, typical_cost / share) if hard else problem.soft)
+        found = solve_stagewise(stagewise.stages, stagewise.start, stagewise.first_guess(inputs))
         if found.converged:
             break
     else:
         return None
-    inputs, states = staging.plan(found.states, found.variables, x)
+    inputs, states = stagewise.plan(found.states, found.variables, x)
     inputs = admissible(problem, inputs, given)  # changes what rounding has left undetermined
     violated = problem.soft is None and relative_violations(problem, states).max() > FEASIBLE
     status = Status.SOFTENED if violated else Status.SOLVED
@@ -73,7 +73,7 @@ def stagewise_candidate(
 
 
 class CondensedSolver:
-    """Solves one MPC problem from many states, with the signals in `parameters`; safe to use from many threads."""
+    """Solves one MPC problem from many states, with the signals in `parameters`. Safe to use from many threads."""
 
     def __init__(self, problem: MPCProblem, parameters: tuple[str, ...]):
         self.problem = problem
@@ -89,7 +89,7 @@ class CondensedSolver:
         return np.concatenate([x if name == "x" else given[name] for name, _ in self.qp.parameters])
 
     def runaway(self, x: Array, given: Given) -> Array | None:
-        """States of the relaxed plan if they leave the sets by more than `tolerances.GROWTH` times; otherwise None."""
+        """States of the relaxed plan if they leave the sets by more than `tolerances.GROWTH` times. Otherwise None."""
         if self.feedback is None:
             return None
         plan = self.plan(x, given, time.perf_counter())
@@ -127,7 +127,7 @@ class CondensedSolver:
         return first if away or first.status is status else self._in_another_form(first, x, given, q)
 
     def _candidate(self, result: QPResult, status: Status, x: Array, theta: Array, given: Given) -> Candidate:
-        """What the QP's minimiser means for the plant; INACCURATE where it fails a check."""
+        """Candidate of the QP's minimiser; INACCURATE where it fails a check."""
         accurate = result.residuals.worst <= KKT_REPORTED
         if self.feedback is not None and np.isfinite(result.z).all():
             deviations = result.z[: self.feedback.shape[0] * self.problem.nu].reshape(-1, self.problem.nu)
@@ -144,7 +144,7 @@ class CondensedSolver:
         return Candidate(inputs, states, status if accurate else Status.INACCURATE, result.residuals, result.solver)
 
     def _runs_away(self, states: Array) -> bool:
-        """Whether the states grow so far that the difference v - Kx keeps too few digits of the inputs."""
+        """Whether states grow so far that v - Kx keeps too few digits of the inputs."""
         if self.feedback is None:
             return False
         starts = np.cumsum([0, *block_lengths(self.problem)])[:-1]
@@ -153,7 +153,7 @@ class CondensedSolver:
         return bool((feedback / extent).max() > RUNAWAY)
 
     def _in_another_form(self, first: Candidate, x: Array, given: Given, q: Array) -> Candidate:
-        """The plan found stage by stage, for an unstable plant and where that converges; otherwise the first one."""
+        """The plan found stage by stage, for an unstable plant and where that converges. Otherwise the first one."""
         second = self._stage_by_stage(first.inputs, x, given, q) if self.unstable else None
         return first if second is None else second
 

@@ -19,15 +19,12 @@ from mpc.problem import MPCProblem
 from mpc.relaxation import inputs_conflict, regulated, saturated_regulator
 from mpc.rollout import Given, admissible, cost_of, pushes, relative_violations, rollout, rollout_with_feedback
 from mpc.solving import Candidate, CondensedSolver, stagewise_candidate
-from mpc.stages import Staging
+from mpc.stages import StagewiseQP
 from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERFLOW, REMEMBERED
-
-_MOST_ITERATIONS = 20_000
-_MOST_CONDENSED = 100  # variables of a condensed QP that is relaxed as fast as stage by stage
 
 
 class SparseSolver:
-    """Solves one MPC problem in states and inputs from many states; safe to use from many threads.
+    """Solves one MPC problem in states and inputs from many states. Safe to use from many threads.
 
     The solver is OSQP, an operator-splitting method (Stellato et al., Math. Prog. Comp. 12, 2020), or Clarabel. OSQP's
     answer is checked against the optimality conditions, and Clarabel asked where they do not hold. What neither solves
@@ -48,11 +45,11 @@ class SparseSolver:
         self.solvers = tuple(dict.fromkeys((solver, "clarabel")))
         self.feedback = stabilising_feedback(problem)
         zeros = {name: np.zeros(rows * n) for name, (rows, n) in problem.signal_shapes.items() if name in parameters}
-        self._staging = Staging(problem, problem.state_size, zeros, problem.soft)
-        self._H, self._K = _matrices(self._staging)
+        self._stagewise = StagewiseQP(problem, problem.state_size, zeros, problem.soft)
+        self._H, self._K = _matrices(self._stagewise)
         self._whole_H = (self._H + sparse.triu(self._H, 1).T).tocsr()
         self._K_T = self._K.T.tocsr()
-        self._check = PlanCheck(self._staging, self._whole_H, self._K)
+        self._check = PlanCheck(self._stagewise, self._whole_H, self._K)
         self._parameters = parameters
         self._workspace = threading.local()
 
@@ -64,12 +61,12 @@ class SparseSolver:
                 return saturated_regulator(self.problem, x, start)
             found = self._solve(x, given)
             if found.status is not Status.SOLVED:
-                if self.problem.horizon * self.problem.nu <= _MOST_CONDENSED:
+                if self.problem.horizon * self.problem.nu <= 100:  # as fast as stage by stage
                     plan = self._condensed.plan(x, given, start)
                     if plan.status is not Status.INACCURATE:
                         return plan
                 inputs, _ = regulated(self.problem, x, pushes(self.problem, given))
-                typical = np.asarray(self.problem.R) * self._staging.input_size * self._staging.input_size[:, None]
+                typical = np.asarray(self.problem.R) * self._stagewise.input_size * self._stagewise.input_size[:, None]
                 cost = float(np.trace(typical)) * self.problem.horizon
                 second = stagewise_candidate(self.problem, x, given, inputs, cost or 1.0)
                 found = found if second is None else second
@@ -77,7 +74,7 @@ class SparseSolver:
 
     @cached_property
     def _condensed(self) -> CondensedSolver:
-        """The same problem in the inputs alone."""
+        """Solver of the problem in the inputs alone."""
         return CondensedSolver(self.problem, self._parameters)
 
     def _solve(self, x: Array, given: Given) -> Candidate:
@@ -88,7 +85,7 @@ class SparseSolver:
             found = self._candidate(v, self._residuals(v, y, q, low, high), x, given, solver)
             if found.status is Status.SOLVED:
                 cost = None if self.problem.S is None else (
-                    cost_of(self.problem, found.inputs, found.states, given) / self._staging.cost)  # fmt: skip
+                    cost_of(self.problem, found.inputs, found.states, given) / self._stagewise.cost)  # fmt: skip
                 if self._check.doubt(v, y, q, high, found.states, cost) <= KKT_REPORTED:
                     break
                 found = replace(found, status=Status.INACCURATE)
@@ -96,14 +93,14 @@ class SparseSolver:
 
     def _vectors(self, x: Array, given: Given) -> tuple[Array, Array, Array]:
         """Linear cost and the two sides of all rows."""
-        staging = self._staging
+        stagewise = self._stagewise
         if set(given) - {"u_prev"}:  # references and disturbances change more than the first state
-            staging = Staging(self.problem, self.problem.state_size, given, self.problem.soft, self._staging.input_size)
-        last = given.get("u_prev", np.zeros(self.problem.nu)) / staging.input_size
-        first = np.concatenate([x / staging.state_size, last[: staging.memory]])
-        q = np.concatenate([part for stage in staging.stages for part in (stage.gx, stage.gv)])
-        equal = np.concatenate([first, *(stage.c for stage in staging.stages[:-1])])
-        upper = np.concatenate([stage.d for stage in staging.stages])
+            stagewise = StagewiseQP(self.problem, stagewise.state_size, given, stagewise.price, stagewise.input_size)
+        last = given.get("u_prev", np.zeros(self.problem.nu)) / stagewise.input_size
+        first = np.concatenate([x / stagewise.state_size, last[: stagewise.memory]])
+        q = np.concatenate([part for stage in stagewise.stages for part in (stage.gx, stage.gv)])
+        equal = np.concatenate([first, *(stage.c for stage in stagewise.stages[:-1])])
+        upper = np.concatenate([stage.d for stage in stagewise.stages])
         return q, np.concatenate([equal, np.full(len(upper), -np.inf)]), np.concatenate([equal, upper])
 
     def _osqp(self, q: Array, low: Array, high: Array) -> tuple[Array, Array]:
@@ -115,7 +112,7 @@ class SparseSolver:
             model = osqp.OSQP()
             model.setup(
                 self._H, q, self._K, low, high, eps_abs=OSQP, eps_rel=OSQP, polishing=True, verbose=False,
-                max_iter=_MOST_ITERATIONS, check_dualgap=False,
+                max_iter=20_000, check_dualgap=False,
             )  # fmt: skip
             self._workspace.model = model
         else:
@@ -156,7 +153,7 @@ class SparseSolver:
         )
 
     def _candidate(self, v: Array, residuals: Residuals, x: Array, given: Given, solver: str) -> Candidate:
-        """What the minimiser means for the plant; INACCURATE where it fails a check."""
+        """Candidate of the minimiser; INACCURATE where it fails a check."""
         name = {"osqp": "OSQP", "clarabel": "Clarabel"}[solver]
         if not np.isfinite(v).all():
             inputs, states = regulated(self.problem, x, pushes(self.problem, given))
@@ -171,24 +168,24 @@ class SparseSolver:
         states = []
         variables = []
         column = 0
-        for stage in self._staging.stages:
+        for stage in self._stagewise.stages:
             states.append(v[column : column + len(stage.gx)])
             variables.append(v[column + len(stage.gx) : column + len(stage.gx) + len(stage.gv)])
             column += len(stage.gx) + len(stage.gv)
-        inputs, predicted = self._staging.plan(states, variables, x)
+        inputs, predicted = self._stagewise.plan(states, variables, x)
         if self.feedback is not None:
-            starts = np.flatnonzero(~self._staging.held)
+            starts = np.flatnonzero(~self._stagewise.held)
             deviations = inputs[starts] + np.einsum("bij,bj->bi", self.feedback, predicted[starts])
             return rollout_with_feedback(self.problem, x, deviations, self.feedback, given)
         within = admissible(self.problem, inputs, given)
-        missed = float(np.abs((within - inputs) / self._staging.input_size).max())
+        missed = float(np.abs((within - inputs) / self._stagewise.input_size).max())
         return within, rollout(self.problem, x, within, given), missed
 
 
-def _matrices(staging: Staging) -> tuple[Any, Any]:
+def _matrices(stagewise: StagewiseQP) -> tuple[Any, Any]:
     """Upper triangle of the Hessian, and the rows: first state, dynamics, constraints."""
-    stages = staging.stages
-    n = staging.n
+    stages = stagewise.stages
+    n = stagewise.n
     H = sparse.triu(sparse.block_diag([block for stage in stages for block in stage.hessians])).tocsc()
     widths = [len(stage.gx) + len(stage.gv) for stage in stages]
     starts = np.cumsum([0, *widths])
@@ -210,7 +207,7 @@ class PlanCheck:
 
     Parameters
     ----------
-    staging : Staging
+    stagewise : StagewiseQP
         Gives the order and the sizes of the variables.
     H : (n, n) sparse matrix
         Hessian, both triangles.
@@ -218,10 +215,10 @@ class PlanCheck:
         Rows: first state and dynamics, then limits.
     """
 
-    def __init__(self, staging: Staging, H: Any, K: Any):
-        problem = staging.problem
-        self._size = staging.state_size
-        self._inputs, self._states = _columns(staging)
+    def __init__(self, stagewise: StagewiseQP, H: Any, K: Any):
+        problem = stagewise.problem
+        self._size = stagewise.state_size
+        self._inputs, self._states = _columns(stagewise)
         self._H = H
         self._equal = self._states.size
         dynamics, self._limits = K[: self._equal], K[self._equal :].tocsr()
@@ -234,7 +231,7 @@ class PlanCheck:
         self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
 
     def doubt(self, v: Array, y: Array, q: Array, high: Array, states: Array, own_cost: float | None = None) -> float:
-        """The largest of them for variables v and multipliers y, with `states` (N + 1, nx) in place of those in v.
+        """Largest relative error of variables v and multipliers y, with `states` (N + 1, nx) in place of those in v.
 
         `own_cost` is the cost of the plan in the units of H, where it is to be compared with.
         """
@@ -263,9 +260,9 @@ class PlanCheck:
         return left, max(NEGLIGIBLE * self._weight * unit, *(float(np.linalg.norm(part)) for part in parts))
 
 
-def _columns(staging: Staging) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where inputs, in order, and states (N + 1, n) stand among the variables; the slacks are neither."""
-    widths = np.array([len(stage.gx) + len(stage.gv) for stage in staging.stages])
-    states = (np.cumsum(widths) - widths)[:, None] + np.arange(staging.n)
-    inputs = [first[-1] + 1 + np.arange(stage.nu) for first, stage in zip(states, staging.stages)]
+def _columns(stagewise: StagewiseQP) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Places of inputs, in order, and states (N + 1, n) among the variables. The slacks are neither."""
+    widths = np.array([len(stage.gx) + len(stage.gv) for stage in stagewise.stages])
+    states = (np.cumsum(widths) - widths)[:, None] + np.arange(stagewise.n)
+    inputs = [first[-1] + 1 + np.arange(stage.nu) for first, stage in zip(states, stagewise.stages)]
     return np.concatenate(inputs), states

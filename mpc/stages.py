@@ -10,13 +10,11 @@ from mpc.checks import Array
 from mpc.feedback import block_lengths
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, pushes
-from mpc.tolerances import SMALL_STATE
-
-_INSIDE = 0.9  # share of the limits that the first guess uses
+from mpc.tolerances import FIRST_GUESS_SHARE, SMALL_STATE
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class QPStage:
     """One step: ξ⁺ = Aξ + Bν + c, cost ½ξ'Hxξ + gx'ξ + ½ν'Hvν + gv'ν + ξ'Hcν, rows Cν + Dξ <= d; without Hc, None.
 
     ξ is (x, last input) where the last input matters, ν is (u, t) with t >= 0 the largest violation of the step where
@@ -52,8 +50,8 @@ class Stage:
         return by_state + self.Hc @ variables, by_variables + self.Hc.T @ state
 
 
-class Staging:
-    """The stages of a problem, and the way between its units and theirs.
+class StagewiseQP:
+    """The stages of a problem, and the conversion between its units and theirs.
 
     Parameters
     ----------
@@ -104,14 +102,14 @@ class Staging:
         ]
 
     def _towards(self, inputs: Array) -> Array:
-        """Inputs that follow the given ones, drawn towards the middle and by less than the rate limit in each step."""
-        followed = _INSIDE * np.asarray(inputs)
+        """Inputs that follow the given ones, drawn towards the middle and by less than the rate limit a step."""
+        followed = FIRST_GUESS_SHARE * np.asarray(inputs)
         if self.problem.rate_limit is None:
             return followed
         last = self.start[self.problem.nx :] * self.input_size
         for k, wanted in enumerate(followed):
             move = 0.0 if self.held[k] else wanted - last
-            share = np.max(np.abs(move) / (_INSIDE * self.problem.rate_limit), initial=1.0)
+            share = np.max(np.abs(move) / (FIRST_GUESS_SHARE * self.problem.rate_limit), initial=1.0)
             last = followed[k] = last + move / share  # between two inputs of U, so in U
         return followed
 
@@ -124,7 +122,7 @@ class Staging:
         unscaled[0] = x
         return inputs * self.input_size, unscaled
 
-    def _stage(self, k: int) -> Stage:
+    def _stage(self, k: int) -> QPStage:
         """The stage of step k."""
         nx = self.problem.nx
         nu = self.problem.nu
@@ -153,10 +151,10 @@ class Staging:
         if self.S is not None and k < last:
             Hc = self._cross(k, 2 * self.S / self.cost, Hx, gx, gv, free)
         A, B, c = self._dynamics(k, free, priced)
-        return Stage(A, B, c, Hx, gx, Hv, gv, *self._rows(k, free, priced), free, Hc)
+        return QPStage(A, B, c, Hx, gx, Hv, gv, *self._rows(k, free, priced), free, Hc)
 
     def _cross(self, k: int, S: Array, Hx: Array, gx: Array, gv: Array, free: int) -> Array | None:
-        """Hc of step k; the other terms of the cross weight S are written into the rest of the cost."""
+        """Hc of step k. The other terms of the cross weight S are written into the rest of the cost."""
         nx = self.problem.nx
         gx[:nx] -= S @ self.u_ref[k]
         if not free:  # the input is one of the states

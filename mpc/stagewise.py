@@ -15,12 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mpc.checks import Array
-from mpc.stages import Stage
+from mpc.stages import QPStage
 from mpc.tolerances import BARRIER_STOP, FEEDBACK_ROUNDING, ROUNDING, SLACK_FLOOR, STAGEWISE
 
-_MOST_STEPS = 100
-_PATIENCE = 2  # steps without gain after which a plan that is good enough is taken
-_TO_BOUNDARY = 0.995  # share of the longest step that keeps slacks and multipliers positive
 Arrays = list[Array]
 
 
@@ -51,7 +48,7 @@ class _Direction:
 class _Iteration:
     """States, variables, slacks s > 0 and multipliers y > 0 of all stages, and the Newton steps from there."""
 
-    def __init__(self, stages: list[Stage], start: Array, variables: Arrays):
+    def __init__(self, stages: list[QPStage], start: Array, variables: Arrays):
         self.stages = stages
         self.variables = [v.copy() for v in variables]
         self.states = [start]
@@ -88,7 +85,7 @@ class _Iteration:
         self._factorise()
 
     def noise(self, k: int) -> Array:
-        """What rounding of the state makes of the variables of stage k through their feedback: no digits lie below."""
+        """Rounding of the variables of stage k by the state through feedback. No digits lie below."""
         return FEEDBACK_ROUNDING * np.abs(self.gains[k]) @ np.abs(self.states[k])
 
     def largest_step(self, direction: _Direction) -> float:
@@ -167,7 +164,7 @@ class _Iteration:
         return total / max(rows, 1)
 
     def move(self, direction: _Direction, length: float) -> None:
-        """Take a step; states follow forwards with feedback, so that rounding does not grow with the plant."""
+        """Take a step. States follow forwards with feedback, so that rounding does not grow with the plant."""
         states = [self.states[0]]
         for k, (st, K, f) in enumerate(zip(self.stages, self.gains, direction.forward)):
             self.variables[k] = self.variables[k] + length * f + K @ (states[k] - self.states[k])
@@ -180,12 +177,12 @@ class _Iteration:
         self.refresh()
 
 
-def solve_stagewise(stages: list[Stage], start: Array, variables: Arrays) -> StagewiseResult:
+def solve_stagewise(stages: list[QPStage], start: Array, variables: Arrays) -> StagewiseResult:
     """Solution from the scaled first state and a first guess of the variables of every stage."""
     at = _Iteration(stages, start, variables)
     best = StagewiseResult(at.states, list(at.variables), np.inf, at.violation)
     waited = 0
-    for _ in range(_MOST_STEPS):
+    for _ in range(100):
         affine = [w * r for w, r in zip(at.weights, at.residuals)]
         predictor = at.direction(affine)
         step = at.largest_step(predictor)
@@ -195,7 +192,7 @@ def solve_stagewise(stages: list[Stage], start: Array, variables: Arrays) -> Sta
         if max(step, at.violation) < max(best.step, best.violation):
             best = StagewiseResult(at.states, list(at.variables), step, at.violation)
             waited = 0
-        if max(step, at.violation) <= BARRIER_STOP or (best.converged and waited > _PATIENCE):
+        if max(step, at.violation) <= BARRIER_STOP or (best.converged and waited > 2):
             break
         mean = at.mean_product()
         share = at.mean_product(predictor, at.longest(predictor)) / mean if mean > 0 else 0.0
@@ -205,7 +202,7 @@ def solve_stagewise(stages: list[Stage], start: Array, variables: Arrays) -> Sta
             for a, ds, dy, s, o in zip(affine, predictor.slacks, predictor.multipliers, at.slacks, at.open)
         ]
         direction = at.direction(centred)
-        at.move(direction, min(1.0, _TO_BOUNDARY * at.longest(direction)))
+        at.move(direction, min(1.0, 0.995 * at.longest(direction)))  # slacks and multipliers stay positive
     return best
 
 

@@ -16,6 +16,9 @@ OSQP = 1e-7
 # Violation, relative to the unit of its row, up to which a problem counts as feasible [-]. Well above what the LP and
 # QP solvers themselves accept on scaled rows (1e-7 and `PRIMAL`), so that their rounding never decides.
 FEASIBLE = 1e-6
+NO_BOUND = 1e30  # DAQP takes this bound for none [-].
+DAQP_ITERATIONS = 10_000  # DAQP stops after so many iterations.
+MOST_MATRIX_ENTRIES = 2e8  # A condensed QP with more matrix entries, 1.6 GB, is refused.
 UNREACHED = 1e-9  # Violation of a row that no input reaches, in its unit, that is put down to rounding [-]
 # Scaled violations of the origin are at most the inverse of this: with larger ones `PRIMAL` would lie below rounding
 # [-]
@@ -78,12 +81,15 @@ LP_FEASIBLE = 1e-10  # Violation of a row, in its unit, that the LP solver accep
 LP_SUPPORT = 1e-8  # Violation, in the unit of the row, above which a row is among those that give [-]
 # Multiplier of a proof of infeasibility above which its row takes part, and weight of z beside a violation [-]
 CERTIFICATE = 1e-12
+# Options of HiGHS that set its feasibility tolerances to `LP_FEASIBLE`
+LP_OPTIONS = {"primal_feasibility_tolerance": LP_FEASIBLE, "dual_feasibility_tolerance": LP_FEASIBLE}
 FARTHEST = 1e12  # Bounds larger than this, relative to their unit, are scaled down for the LP solver [-]
 STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms, that counts as none [-]
 
 # ---- stage-by-stage solution, in scaled variables ----
 # Largest Newton step of an input, in units of its limits, at which a stagewise plan counts as solved [-]
 STAGEWISE = 1e-6
+FIRST_GUESS_SHARE = 0.9  # Share of the limits that a first guess of the inputs uses [-]
 BARRIER_STOP = 1e-9  # Newton step and violation at which the interior-point iteration ends [-]
 SLACK_FLOOR = 1e-14  # Least slack of a row in units of its bound: smaller ones are rounding [-]
 # Relative rounding of a state that has come about over a whole horizon [-]: its feedback is no more exact
@@ -105,6 +111,7 @@ WEAKLY_ACTIVE = 1e-6
 NEAR_OPTIMUM = 1e-2
 # Newton step, in sizes of inputs and states, from which on derivatives are taken [-]; their error is of this size
 NEWTON = 1e-9
+UNIT_STEP = 1e-5  # Step of differences of units, relative to what the units are made of [-]
 INDEPENDENT = 1e-9  # Part of a row outside the span of the acting ones below which it depends on them [-]
 TOGETHER = 1e-7  # Rate at which a dependent row leaves its bound, beside its parts, that is rounding [-]
 
@@ -113,11 +120,12 @@ TOGETHER = 1e-7  # Rate at which a dependent row leaves its bound, beside its pa
 FLAT_INTERVAL = 1e-9
 REGION_RADIUS = 1e-7  # Radius of a ball below which a critical region counts as flat, scaled parameters [-]
 SAME_PLANE = 1e-7  # Difference of unit normals and offsets below which two facets lie on the same hyperplane [-]
-# Normal of a multiplier or slack law, relative to what the size of the variables allows, below which it is zero [-];
-# for its constant, ten times as much
+# Normal of a multiplier or slack law, relative to what the size of the variables allows, below which it is zero [-].
+# A tenfold multiple holds for its constant.
 ZERO_ROW = 1e-10
 DEPENDENT_ROW = 1e-12  # Squared distance of a unit row from the span of others below which it depends on them [-]
-REFINED_ROW = 1e-5  # The same, below which the multipliers are refined by what their rows miss [-]
+# Squared distance of a unit row from the span of others below which multipliers are refined by their residual [-]
+REFINED_ROW = 1e-5
 EXCHANGE = 1e-9  # Least coefficient of a dependent row on a member of the active set that can leave for it [-]
 # Size of the variables, in units of the largest bound, up to which a proof of infeasibility holds though its rows are
 # rounded; and the largest such unit, in units of the bounds [-]
@@ -164,10 +172,86 @@ TIE = 1e-8
 
 # ---- explicit laws: point location ----
 INSIDE = 1e-7  # Distance outside a region, scaled parameters, at which a parameter still counts as inside [-]
-INSIDE_FLOAT = 1e-5  # The same in generated code of single precision [-]
+INSIDE_FLOAT = 1e-5  # Distance `INSIDE` in generated code of single precision [-]
 SIDE = 1e-9  # How far a region must reach across a hyperplane to lie on that side of it too, scaled parameters [-]
 SAME_HYPERPLANE_DIGITS = 8  # Decimal digits in which unit normals and offsets agree that are stored once
 # Difference of two laws of one input, relative to the values that input takes, below which they are one [-]
 EQUAL_LAW = 1e-9
-LAW_ROUNDING = 1e-13  # The same, relative to the largest coefficient of that input: what rounding may change [-]
+LAW_ROUNDING = 1e-13  # Difference of two laws of one input, relative to its largest coefficient, that is rounding [-]
 FAR_AWAY = 4.0  # Distance from the centre, scaled parameters, beyond which only the direction of a parameter counts [-]
+CUT_OFF = 1e30  # Size of scaled parameters at which they are cut off [-]
+POINTS_OF_REGION = 64  # Points that stand for a region at most: as many as a word has bits.
+TRIES = 64  # Hyperplanes tried at most at a node before it becomes a leaf
+LEAF_ENTRIES = 200  # Entries of leaves, for each region of the partition, at which a tree stops growing
+TESTS_AT_ONCE = 20_000  # Regions tested between two looks at the clock
+
+# ---- explicit laws: exploration and the search for holes ----
+REGIONS_TO_THIN = 300  # Regions from which on it pays to leave out rows that the others imply
+LAWS_AT_ONCE = 4096  # Laws checked at once, which bounds the memory
+CLEARANCE = 0.1  # Distance from the other facets that a point behind a facet keeps where it can, scaled parameters [-]
+FARTHEST_BEHIND = 0.01  # Largest distance behind a facet at which a hole is looked for, scaled parameters [-]
+POINTS_ANYWHERE = 4  # Random parameters, and as many near the border, at which holes are looked for
+POINTS_BETWEEN = 100  # Points between facets at which holes are looked for
+POINTS_BEHIND = 500  # Points behind facets that led to a region, at which holes are looked for
+REGIONS_PER_POINT = 8  # Regions of a large law for which each way of looking for holes takes one more point
+QPS_AT_ONCE = 16  # Points at which the QP is solved before the others are checked against the new regions
+
+# ---- optimal control: solving ----
+TINY = 2.0**-1022  # Smallest normal number of double precision, a divisor that stands for zero
+DIVERGED = 1e13  # Scaled unknown beyond which Ipopt calls its iterates diverging [-]
+OPTIMAL = 1e-5  # Residual of the optimality conditions, scaled by the size of multipliers, of an optimum [-]
+WELL_SIZED = 10.0  # Ratio of sizes found to sizes assumed up to which no solve is repeated [-]
+CHEAPER = 1e-6  # Part of the cost by which another stationary point has to be cheaper to be the better one [-]
+BOTTOMLESS = 1e12  # Negative cost, in sizes of the cost at the guess, from which on the cost has no lower bound [-]
+USUAL_ITERATIONS = 3000  # Iterations of Ipopt at most, unless the caller says otherwise
+LEAST_SECONDS = 1e-3  # Time that a call of the solver is given, however late it is [s]
+VANISHING = 1e-6  # Size of an unknown, beside the size assumed, that a solver leaves of zero [-]
+SHAKEN = 0.3  # Part of the sizes of unknowns by which a second start is moved at most [-]
+IN_THE_WAY = 0.01  # Part of the largest multiplier from which on a limit is named as one that stands in the way [-]
+SAME_BOUND = 1e-6  # Distance of two bounds, in sizes of their unknown, up to which they count as one [-]
+NAMED_ROWS = 5  # Violated constraints, and others in the way, that are named at most
+SHORTEST_DURATION = 1e-4  # Part of its lower bound within which a duration counts as shortest [-]
+SPREAD_ROUNDING = 1e-12  # Part of the squared costs added to their variance: the spread of equal costs has a slope [-]
+SPREAD_FLOOR = 1e-300  # Least variance of costs, which keeps its root differentiable [cost²]
+
+# ---- optimal control: meshes ----
+HIGHEST_DEGREE = 50  # Highest degree of collocation: matrices of so many points still have twelve digits.
+LIMIT_PASSED = 1e-5  # Relative violation of a limit between the points that a solution may have [-]
+COARSE_MESH = 0.05  # Relative error of the dynamics over an interval that a solution may have [-]
+COST_ERROR = 0.003  # Estimated relative error of the cost that a solution may have; the true one is up to thrice it [-]
+COST_ROUNDING = 1e-6  # Error of the cost, in sizes of the cost or of its slope, that is rounding [-]
+RESTING_STATE = 1e-6  # Extent of a state, beside what its rate makes of it over the phase, that is rounding [-]
+LIMIT_CHECKS = 16  # Places of an interval, and again about the largest violation, at which limits are checked
+LEAST_LIMIT_SIZE = 0.01  # Least size of a limit between the points, beside its size in the program [-]
+MESH_SAFETY = 0.05  # Part of the tolerance that new intervals aim at [-]
+MOST_PARTS = 6  # Parts at most that an interval is cut into at once
+JUMP_PLACE = 0.1  # Precision to which the place of a jump is known, in roots of the tolerance [-]
+JUMP_SHARE = 0.5  # Part of an input's range that, crossed within one interval, makes a jump [-]
+LEAST_INTERVAL = 1e-9  # Part of the phase below which no interval is cut [-]
+SHARPER = 1e-3  # Factor of the solver's tolerance where inputs may jump: short intervals weigh little in the cost [-]
+INPUT_AT_BOUND = 1e-6  # Distance from a bound, in ranges of the input, at which an input is at it [-]
+MESH_GAIN = 0.8  # Part of what the mesh before missed below which a finer mesh has helped [-]
+MESHES_WITHOUT_GAIN = 2  # Meshes in a row without a gain, rounding alone, after which none is made
+JUMPED_LIMIT = 1e-2  # Relative violation that a finer mesh does not lower where the trajectory jumps over a limit [-]
+
+# ---- optimal control: sensitivities of a solution ----
+BARRIER_BLUR = 10.0  # Multiple of an interior point's residue within which a bound and its multiplier may be 0 [-]
+RELAXED_BOUND = 1e-6  # Scaled distance from a bound that says nothing: Ipopt moves bounds by 1e-8 of their size [-]
+LEAST_CURVATURE = 1e-3  # Least curvature of an unknown, beside the largest [-]
+SAME_DIRECTION_DIGITS = 9  # Decimal digits in which the directions of two constraints agree that are one
+KKT_CONDITION = 1e13  # Condition of the KKT system, in scaled unknowns, above which it is singular but for rounding [-]
+
+# ---- nonlinear MPC ----
+AT_REST = 1e-9  # Move of a state in a step, in its size, up to which it is at rest [-]
+SQP_CONVERGED = 1e-7  # Gaps in sizes of the states, and relative stationarity, at which a plan is an optimum [-]
+SQP_REPORTED = 1e-5  # Gaps in sizes of the states, and relative stationarity, above which a plan is INACCURATE [-]
+SHORTEST_STEP = 2.0**-10  # Least part of a step that is tried [-]
+VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]
+MERIT_ROUNDING = 1e-12  # Part of the merit that is rounding [-]
+MERIT_DECREASE = 1e-4  # Part of the predicted decrease of the merit that a step has to reach [-]
+REFERENCE_ROUNDING = 1e-6  # Part of the gradients of references below which their difference is rounding [-]
+LEAST_CURVED = 1e-6  # Least eigenvalue of a Hessian with curvature, relative to one without [-]
+GAIN_REGULARISATION = 1e-12  # Part added to a diagonal that is divided by: gains only have to stabilise [-]
+STEADY_SOLVER = 1e-11  # Residuals at which Ipopt stops at a steady state, in sizes of the states [-]
+TARGET_STEP = 1e-10  # Change of a target, in sizes of states and inputs, that is rounding [-]
+TARGET_STEADY = 1e-8  # Drift of a target, in sizes of the states, up to which it is steady [-]

@@ -92,7 +92,7 @@ class OffsetFreeMPC:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What a closed loop hands over at every step besides the state, see `LinearMPC.needs`."""
+        """Names of the signals that a closed loop hands over besides the state, see `LinearMPC.needs`."""
         return self.mpc.needs | {"reference"}
 
     def observe(self, x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> OffsetFreeMPC:
@@ -125,7 +125,7 @@ class OffsetFreeMPC:
         return found.state, found.input
 
     def nearest_target(self, reference: ArrayLike) -> Target:
-        """As `target`, but where no steady state exists the state and input in X and U that drift least."""
+        """The `target`, or where no steady state exists the state and input in X and U that drift least."""
         mpc = self.mpc
         r = as_array("reference", reference, (len(self.C),))
         return nearest_target(mpc, mpc.A, mpc.B, mpc.E @ self.disturbance, self.C, r)
@@ -184,7 +184,7 @@ class OffsetFreeLoop:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What a closed loop hands over at every step besides the state: the input it applied and the reference."""
+        """Names of the signals that a closed loop hands over besides the state: applied input and reference."""
         return self.controller.needs | {"last_input"}
 
     def reset(self, n: int = 1) -> None:
@@ -239,7 +239,7 @@ class Target:
 
 
 def nearest_target(problem: MPCProblem, A: Array, B: Array, push: Array, C: Array, r: Array) -> Target:
-    """The target of x⁺ = Ax + Bu + push whose outputs Cx are nearest to r; where nothing is steady, what drifts least.
+    """The target of x⁺ = Ax + Bu + push whose outputs Cx are nearest to r. Where nothing is steady, what drifts least.
 
     Weights and sets are those of the problem.
     """

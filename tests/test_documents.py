@@ -22,7 +22,7 @@ PICTURES = sorted((DOCS / "pictures").glob("[a-z]*.py"))
 BLOCK = re.compile(r"```python\n(.*?)```", re.S)  # what is printed, and nothing else
 WRITTEN = re.compile(r"```sh\n(.*?)```", re.S)
 INLINE = re.compile(r"`((?:ccdtools|python|make) [^`…]+)`")
-HEAVY = {"every_stage_alone.md": pytest.mark.check}  # it trains a policy and a twin; see test_readme
+HEAVY = dict.fromkeys(["every_stage_alone.md", "ten_minutes.md"], pytest.mark.check)  # one trains a policy and a twin
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 RUN = [page for page in PAGES if page.name != "README.md" and BLOCK.search(page.read_text(encoding="utf-8"))]
 

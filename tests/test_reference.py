@@ -29,7 +29,3 @@ def test_what_a_page_calls_a_class_is_one(package):
         thing = getattr(import_module(package), name)
         kind = "function" if not isinstance(thing, type) else "exception" if issubclass(thing, Exception) else "class"
         assert directive == kind, name
-
-
-def test_every_page_is_that_of_a_package():
-    assert set(PAGES) == {package.rpartition(".")[2] for package in PACKAGES}

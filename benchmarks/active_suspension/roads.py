@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.io import loadmat
 
-from ccdtools.disturbances.iso8608 import road_roughness
+from ccdtools.vehicles.iso8608 import road_roughness
 
 NAME = "IRI_737b.mat"
 SOURCE = "github.com/danielrherber/dt-qp-project, examples/ACC2021/detailed-suspension-acc/assets"

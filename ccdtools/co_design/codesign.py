@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from importlib import import_module
 from typing import Any, Protocol, overload
 
 import numpy as np
@@ -14,11 +15,6 @@ from ccdtools.checks import as_choice, as_flag, as_generator, as_instance, shown
 from ccdtools.co_design.configuration import METHODS as LEARNED
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.learned_result import LearnedCoDesign
-from ccdtools.co_design.methods.learned import Learned
-from ccdtools.co_design.methods.nested import Nested
-from ccdtools.co_design.methods.search import Search
-from ccdtools.co_design.methods.sequential import Sequential
-from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.settling import Settling
@@ -26,7 +22,7 @@ from ccdtools.co_design.task import LimitPenalty
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
 
-MODEL_BASED = {"sequential": Sequential, "nested": Nested, "simultaneous": Simultaneous, "search": Search}
+MODEL_BASED = ("sequential", "nested", "simultaneous", "search")  # each a class of its own file in `methods`
 METHODS = (*MODEL_BASED, *LEARNED)
 
 
@@ -129,6 +125,8 @@ def as_method(method: str | Method, **learning: Any) -> Method:
         If there is none of that name, or what belongs to learning is given to another.
     """
     if isinstance(method, str) and method in LEARNED:
+        from ccdtools.co_design.methods.learned import Learned
+
         return Learned(by=method, **learning)
     if isinstance(method, str):
         as_choice("method", method, METHODS)
@@ -136,10 +134,10 @@ def as_method(method: str | Method, **learning: Any) -> Method:
         raise InputError("method", shown(method), f"one of {', '.join(METHODS)}, or a Method such as Nested('mpc')")
     given = [name for name, value in learning.items() if value is not None]
     if given:
-        cure = "State them in the method: Learned(by=…, agent=…)." if isinstance(method, Learned) else ""
+        cure = "State them in the method: Learned(by=…, agent=…)." if hasattr(method, "judge") else ""
         raise InputError(given[0], shown(learning[given[0]]), f"nothing, of the method {method!r}", cure)
     if isinstance(method, str):
-        made: Method = MODEL_BASED[method]()
+        made: Method = getattr(import_module(f"ccdtools.co_design.methods.{method}"), method.capitalize())()
         return made
     return method
 

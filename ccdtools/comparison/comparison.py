@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count, as_instance, as_limits, as_mapping
+from ccdtools.checks import as_choice, as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.co_design.risk import Risk, as_risk, measure
 from ccdtools.co_design.risk_intervals import summarise_in_risk
@@ -24,7 +24,7 @@ from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
-from ccdtools.limits import Excursions, StateLimits
+from ccdtools.limits import Excursions, StateLimits, as_limits
 from ccdtools.output_limits import OutputLimits
 from ccdtools.outside import Outside, limits_in_words
 from ccdtools.progress import at

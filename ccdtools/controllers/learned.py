@@ -17,7 +17,8 @@ from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from learning import checkpoint
 from learning.exceptions import CheckpointError
-from learning.networks import LOG_STD, ActorCritic, Layers
+from learning.networks import ActorCritic, Layers
+from learning.tolerances import LOG_STD
 
 EDGE = 1.05  # designs may lie this far out, in half-widths of the range that the agent was made for
 

@@ -10,8 +10,8 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.exceptions import NotDetectableError
 from mpc import NotStabilisableError, lqr
-from mpc.lqr import cost_units
 from mpc.modes import Mode, least_reached
+from mpc.riccati import cost_units
 from mpc.tolerances import NEAR_CIRCLE, REACH, UNIT_CIRCLE, UNSEEN
 
 MAINLY = 0.5  # of the largest part of a mode: states with less are not named

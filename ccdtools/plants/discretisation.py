@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_instance, as_limits, as_positive
+from ccdtools.checks import as_choice, as_instance, as_positive
 from ccdtools.exceptions import InputError, JumpWarning
+from ccdtools.limits import as_limits
 from ccdtools.plants.collocation import ImplicitStep
 from ccdtools.plants.holds import zero_order_hold
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error

@@ -8,11 +8,11 @@ from typing import Any
 
 from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
-from ccdtools.disturbances.roads import GeneratedRoad, road_disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.studies.loading import LoadedStudy, load_with_sources
 from ccdtools.studies.options import Options, blamed_on_options
 from ccdtools.studies.study import Study
+from ccdtools.vehicles.roads import GeneratedRoad, road_disturbance
 
 
 def asked_study(options: Options, recording: Recorded | None = None) -> LoadedStudy:

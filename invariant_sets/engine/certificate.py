@@ -27,13 +27,13 @@ from invariant_sets.tolerances import (
     LP_SOLVER,
     MISSING,
     PLACE,
+    PROGRAMS_PER_CHECK,
     WITNESS,
     WITNESS_SOLVER,
 )
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
-_EVERY = 50  # linear programs between two looks at the clock
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Feedback:
 
 def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target: Polytope | None = None,
                       deadline: Deadline = NO_DEADLINE) -> Check:
-    """Return by how much the worst vertex of C leaves `target` (C itself) under the best input in U.
+    """Return the violation of `target` (C itself) by C's worst vertex under its best input.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target:
 
 
 def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline) -> float:
-    """Return the largest over k of min over v in the inputs of max (slope v − room_k), from the minimisers found."""
+    """Return the largest over k of min over v of max (slope v − room_k), from the minimisers found."""
     H, h = inputs
     nu = H.shape[1]
     if nu > 1:  # nearly parallel inputs: their difference becomes an input of its own
@@ -115,7 +115,7 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     leaves = _violations(witnesses, slope, room, (H, h))
     doubtful = np.flatnonzero(~(leaves <= DOUBTFUL))
     for count, k in enumerate(doubtful):
-        if count % _EVERY == 0:
+        if count % PROGRAMS_PER_CHECK == 0:
             deadline.check()
         v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=WITNESS_SOLVER)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
@@ -124,7 +124,7 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     for count, k in enumerate(np.argsort(-leaves)):  # DAQP stops early where the inputs are nearly parallel
         if leaves[k] <= DOUBTFUL:
             break
-        if count % _EVERY == 0:
+        if count % PROGRAMS_PER_CHECK == 0:
             deadline.check()
         for solver in (_checked_minimiser, precise_minimiser):
             v = solver(cost, rows, np.concatenate([room[k], h]))
@@ -166,7 +166,7 @@ def precise_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
 
 
 def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
-    """Return the violation of each witness (k, nu), moved into U towards its centre 0; inf if it is far outside."""
+    """Return the violation of each witness (k, nu), moved into U towards its centre 0. Inf if it is far outside."""
     with np.errstate(invalid="ignore"):
         excess = (v @ inputs[0].T / inputs[1]).max(axis=1, initial=0.0)
         inside = v / np.maximum(excess, 1.0)[:, None]
@@ -175,7 +175,7 @@ def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
 
 def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feedback,
                        deadline: Deadline = NO_DEADLINE) -> Check:
-    """Return by how much C leaves itself, or the inputs leave U, under a feedback: one linear program a row."""
+    """Return the violation of C, or of U, by C under a feedback. One linear program is solved a row."""
     closed = system.A + system.B @ law.gain
     shift = system.B @ (law.centre - law.gain @ law.equilibrium)
     F, g = tightened_rows(C, system.disturbances)
@@ -183,14 +183,14 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feed
     rows = np.vstack([F @ closed, H @ law.gain])
     right = np.append(g - F @ shift, h - H @ (law.centre - law.gain @ law.equilibrium))
     worst = -np.inf
-    for i in range(0, len(rows), _EVERY):
+    for i in range(0, len(rows), PROGRAMS_PER_CHECK):
         deadline.check()
-        worst = max(worst, float((C.support(rows[i:i + _EVERY]) - right[i:i + _EVERY]).max()))
+        worst = max(worst, float((C.support(rows[i:i + PROGRAMS_PER_CHECK]) - right[i:i + PROGRAMS_PER_CHECK]).max()))
     return Check(worst, len(rows))
 
 
 def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
-    """Return by how much C leaves X, relative to the range of the row of X over the bounding box of C.
+    """Return the violation of X by C, relative to each row's range over C's bounding box.
 
     Without `by_vertices`, by linear programs: for a set in so many dimensions that vertices take too long.
     """
@@ -209,7 +209,7 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
 
 
 def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadline: Deadline = NO_DEADLINE) -> float:
-    """Return by how much one more backward step would enlarge C, relative to the range of each row of C.
+    """Return the enlargement of C by another backward step, relative to each row's range.
 
     For every row f of C one linear program: max fᵀx over x in X and u in U with A x + B u + w in C for all w. A set
     that has collapsed, or was cut too far, shows here.
@@ -235,9 +235,9 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     size = row_norms(costs)
     moving = np.flatnonzero(size > 0.0)
     beyond = level.copy()
-    for i in range(0, len(moving), _EVERY):
+    for i in range(0, len(moving), PROGRAMS_PER_CHECK):
         deadline.check()
-        part = moving[i:i + _EVERY]
+        part = moving[i:i + PROGRAMS_PER_CHECK]
         beyond[part] += size[part] * _upper_bounds(costs[part] / size[part, None], rows, right)
     worst = -np.inf
     for row in np.argsort(-beyond):
@@ -272,7 +272,7 @@ def tightened_rows(C: Polytope, disturbances: Array | None) -> Rows:
 
 
 def _violation_at_facets(system: LinearSystem, C: Polytope, U: Polytope, target: Rows, deadline: Deadline) -> Check:
-    """Return by how much C leaves the predecessor set of the target rows, by one LP a facet."""
+    """Return the violation of the target rows' predecessor set by C. One linear program is solved a facet."""
     body = U._body
     assert body is not None
     F, g = target

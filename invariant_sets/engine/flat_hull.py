@@ -26,7 +26,7 @@ class InputMap:
     inputs: Array
 
     def about(self, y: Array, v: Array) -> InputMap:
-        """Return the same map where y and v are counted from this point."""
+        """Return the map with y and v counted from this point."""
         return InputMap(self.offset + self.states @ y + self.inputs @ v, self.states, self.inputs)
 
 
@@ -47,7 +47,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class OnHull:
-    """What it takes to stay on the hull: the inputs that do (`motion`), or further equalities on y, or neither."""
+    """Conditions for staying on the hull: the inputs that do (`motion`), or further equalities on y, or neither."""
 
     motion: Motion | None = None  # the motion under the inputs that keep the state on the hull
     # equalities rows y = values that y has to meet before any input can
@@ -56,7 +56,7 @@ class OnHull:
 
 
 def stay_on_hull(motion: Motion, basis: Array, spread: Array | None, size: Array) -> OnHull:
-    """Return what keeps the successors on the hull that the columns of `basis` span.
+    """Return the conditions for successors to stay on the hull that `basis` spans.
 
     `spread` (k, n) are the vertices of the disturbance about its mean, `size` (n,) what counts as one in each
     coordinate of x. A disturbance that leaves the hull leaves nothing.

@@ -19,16 +19,14 @@ from invariant_sets.engine.recursion import Caps, Outcome, Predecessor, Region, 
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.projection import eliminate_last, project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CENTRAL, CLOSED_LOOP_MARGIN, CONTRACTIONS, SHRUNK
+from invariant_sets.tolerances import CENTRAL, CHEAP_HULL_DIM, CLOSED_LOOP_MARGIN, CONTRACTIONS, SHRUNK
 
 Array = np.ndarray
-_INPUT_WEIGHTS = (1.0, 1e-2, 1e2, 1e4)  # of the linear-quadratic feedbacks tried where no better set is known
-_VERTEX_DIM = 4  # beyond, closed-loop sets are kept by their rows alone
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When to stop.
+    """Limits at which a computation stops.
 
     Attributes
     ----------
@@ -52,7 +50,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A region that should be invariant, the steps it took, and the local feedback that keeps it so where known."""
+    """A region that should be invariant, its steps, and the local feedback that keeps it so where known."""
 
     region: Region
     steps: int = 0
@@ -65,7 +63,7 @@ def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadlin
     limit = Deadline() if deadline is None else deadline
 
     def rows(target: Rows, fresh: Array | None = None) -> Rows:
-        """Return the predecessor rows of the target, of its fresh rows only where they are named."""
+        """Return the predecessor rows of the target, or of its fresh rows where they are named."""
         F, g = target
         g = factor * g
         if dynamics.drift.any():
@@ -78,7 +76,7 @@ def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadlin
 
 
 def candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits: Limits) -> Iterator[Candidate]:
-    """Yield inner regions, the best first; those that would exceed a limit are left out."""
+    """Yield inner regions, the best first. Those that would exceed a limit are left out."""
     scales = problem.dynamics.disturbances is None and problem.at_equilibrium
     if outcome.converged:
         if scales:
@@ -100,13 +98,13 @@ def candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits: 
 
 
 def shrunk(region: Region, part: float) -> Region:
-    """Return (1 − part) times the region."""
+    """Return the region times 1 − part."""
     V = None if region.V is None else (1 - part) * region.V
     return Region(region.F, (1 - part) * region.g, V, minimal=region.minimal)
 
 
 def _contracted(problem: LocalProblem, region: Region, delta: float, limits: Limits) -> Iterator[Candidate]:
-    """Yield the largest set that contracts by 1 − delta in each step, where the recursion ends."""
+    """Yield the largest set that contracts by 1 − delta per step, where the recursion ends."""
     again = iterate(region, predecessor_of(problem, 1 - delta, limits.deadline),
                     limits.caps(1 / (1 - delta) - 1, max(limits.iterations // 4, 20)))
     if again.converged and again.region.shape is Shape.SOLID:
@@ -152,7 +150,7 @@ def _grow(problem: LocalProblem, region: Region, seed: Region, limits: Limits) -
 
 def feedback_sets(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[Candidate]:
     """Yield the positively invariant sets in the region of several linear-quadratic feedbacks."""
-    for weight in _INPUT_WEIGHTS:
+    for weight in (1.0, 1e-2, 1e2, 1e4):
         K = _feedback(problem, weight)
         if K is None:
             continue
@@ -165,20 +163,20 @@ def feedback_sets(problem: LocalProblem, region: Region, limits: Limits) -> Iter
 
 
 def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Limits) -> Candidate | None:
-    """Return the largest set in the region that v = K y keeps, None if the recursion does not end."""
+    """Return the largest set in the region that v = K y keeps. None if the recursion does not end."""
     k = len(problem.dynamics.A)
     closed = problem.dynamics.A + problem.dynamics.B @ K
     noise = problem.dynamics.disturbances
     rows, right = unit_rows(problem.joint[0] @ np.vstack([np.eye(k), K]), problem.joint[1])
     if rows is None:
         return None
-    seed = region if k <= _VERTEX_DIM else Region(region.F, region.g, None)
+    seed = region if k <= CHEAP_HULL_DIM else Region(region.F, region.g, None)
     seed = seed.cut(rows, right, limits.deadline)
     if seed.shape is not Shape.SOLID:
         return None
 
     def backwards(target: Rows, fresh: Array | None) -> Rows:
-        """Return the rows of the states that the feedback takes into the target in one step."""
+        """Return the rows of the states that the feedback takes into the target."""
         F, g = target if fresh is None else (target[0][fresh], target[1][fresh])
         reach = 0.0 if noise is None else (F @ noise.T).max(axis=1)
         return F @ closed, g * (1 - CLOSED_LOOP_MARGIN) - reach
@@ -190,7 +188,7 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
 
 
 def _feedback(problem: LocalProblem, weight: float) -> Array | None:
-    """Return a stabilising feedback K (q, k) of the local problem, None if none was found."""
+    """Return a stabilising feedback K (q, k) of the local problem. None if none was found."""
     from scipy.linalg import solve_discrete_are
 
     A = problem.dynamics.A

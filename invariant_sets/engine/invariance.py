@@ -4,7 +4,7 @@
    without an equilibrium holds no invariant set. Flat sets are solved on their affine hull.
 2. `unstable_modes`: unstable modes are bounded first; without that the recursion creeps and stops outside.
 3. `recursion`: Ω ← Pre(Ω) ∩ Ω until no row cuts any more. This is `outer`. A set that has become small or flat
-   is taken back to 1.
+   starts again at 1.
 4. `inner_sets`: (1 − tol/10) Ω is invariant with room to spare, because inputs scale with the state. Disturbances
    do not scale; there the recursion is repeated from Ω for a contraction factor just below one. Where a cap came
    first, the invariant set of a linear feedback is grown from inside. Where two fifths of the time have gone, one such
@@ -42,15 +42,11 @@ from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
 from invariant_sets.tolerances import GAP_ROUNDING, INVARIANT, MISSING, STOP
 
 Array = np.ndarray
-_OUTER_SHARE = 0.4  # of the time limit: a recursion that ends within it needs no inner set in reserve
-_RESERVE_SHARE = 0.7  # of the time left then at most, for an inner set that is kept in reserve
-_LAST_SHARE = 0.5  # of the time left after that, for the rest of the recursion
-_INNER_SHARE = 0.6  # of the time left then for better inner sets; the rest is for the certificate
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is asked for: the largest set in X that inputs in U can keep the state in, within limits."""
+    """Task of finding the largest set in X that inputs can keep the state in, within limits."""
 
     system: LinearSystem
     X: Polytope
@@ -80,7 +76,7 @@ def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResul
 
 
 def _quotient_of(task: Task, Q: Array) -> dict[str, Any]:
-    """Return the system and the state set of the task in the coordinates z = Q x."""
+    """Return the system and state set of the task in coordinates z = Q x."""
     system, X = quotient(task.system, task.X, Q)
     return {"system": system, "X": X}
 
@@ -102,7 +98,7 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     iterations = 0
     widest = _extent(X)
     reserve: _Reserve | None = None
-    outer_deadline = limits.deadline.part(_OUTER_SHARE)
+    outer_deadline = limits.deadline.part(0.4)  # a recursion that ends within it needs no inner set in reserve
     for _ in range(4 * nx + 8):
         localised = localise(task.system, X, task.U, widest)
         if localised.flatter is not None:
@@ -139,14 +135,14 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
 
 
 def _recursion(problem: LocalProblem, start: Region, caps: Caps) -> Outcome:
-    """Return how the recursion from `start` ended; at once, where that is flat, empty or has to be rescaled."""
+    """Return the outcome of the recursion from `start`; at once, where that is flat, empty or has to be rescaled."""
     if start.shape is not Shape.SOLID or start.is_small:
         return Outcome(start, 0)
     return iterate(start, predecessor_of(problem, deadline=caps.deadline), caps)
 
 
 def _continued(problem: LocalProblem, outcome: Outcome, caps: Caps) -> Outcome:
-    """Return how a recursion ends with more time, if time stopped it; `caps` are those of the whole."""
+    """Return the outcome of a recursion with more time, if time stopped it; `caps` are those of the whole."""
     left = caps.iterations - outcome.iterations
     if outcome.limit is not Status.TIME_LIMIT or left == 0:
         return outcome
@@ -169,7 +165,7 @@ def _extent(X: Polytope) -> Array:
 
 
 def _flattened(X: Polytope, widest: Array) -> Polytope:
-    """Return X with the coordinates fixed in which almost nothing is left of the first set."""
+    """Return X with coordinates fixed in which the first set has almost nothing left."""
     lower, upper = X.bounding_box()
     gone = upper - lower <= FLAT * widest
     if not gone.any():
@@ -209,22 +205,22 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
 
 @dataclass(frozen=True)
 class _Reserve:
-    """What a time limit leaves: the set of a linear feedback, None if none was found; the recursion's last deadline."""
+    """Set of a linear feedback, None if none was found, in reserve for a time limit; the recursion's last deadline."""
 
     inner: _Inner | None
     deadline: Deadline
 
 
 def _reserve(task: Task, problem: LocalProblem, start: Region) -> _Reserve:
-    """Return the set of a linear feedback, if a part of the time left is enough to find one."""
+    """Return the set of a linear feedback, if part of the time left suffices for it."""
     inner = None
     if problem.bounded and problem.at_equilibrium and start.shape is Shape.SOLID:
-        inner = _feedback_set(task, problem, replace(start, V=None), task.limits.deadline.part(_RESERVE_SHARE))
-    return _Reserve(inner, task.limits.deadline.part(_LAST_SHARE))
+        inner = _feedback_set(task, problem, replace(start, V=None), task.limits.deadline.part(0.7))
+    return _Reserve(inner, task.limits.deadline.part(0.5))  # half of what is left is for the rest of the recursion
 
 
 def _feedback_set(task: Task, problem: LocalProblem, start: Region, deadline: Deadline) -> _Inner | None:
-    """Return the first set of a linear feedback in `start` that passes the certificate in time."""
+    """Return the first linear feedback's set in `start` that passes the certificate in time."""
     for candidate in feedback_sets(problem, start, replace(task.limits, deadline=deadline)):
         inner = _certified(task, problem, start, candidate, deadline)
         if inner is not None:
@@ -233,7 +229,7 @@ def _feedback_set(task: Task, problem: LocalProblem, start: Region, deadline: De
 
 
 def _fallback(task: Task, reserve: _Reserve | None, outer: Polytope, status: Status, steps: int) -> SetResult:
-    """Return the reserve where it helps, with its gap to the outer set; no set otherwise."""
+    """Return the reserve where it helps, with its gap to the outer set. No set otherwise."""
     inner = None if reserve is None else reserve.inner
     if inner is None or outer.is_empty or status not in (Status.TIME_LIMIT, Status.FACET_LIMIT):
         return no_set(task.X.dim, steps, outer, status)
@@ -252,7 +248,7 @@ def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Reser
     if not outcome.converged:
         status = outcome.limit or Status.ITERATION_LIMIT
         status = status if problem.bounded else Status.OUTER_ONLY
-    inside = replace(limits, deadline=limits.deadline.part(_INNER_SHARE))
+    inside = replace(limits, deadline=limits.deadline.part(0.6))  # the rest is for the certificate
     steps = outcome.iterations
     for candidate in candidates(problem, outcome, region, inside):
         steps += candidate.steps
@@ -266,7 +262,7 @@ def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Reser
 
 @dataclass(frozen=True)
 class _Inner:
-    """An inner set that has passed the check of invariance, its gap, and the equilibrium in it."""
+    """An inner set certified as invariant, its gap, and the equilibrium in it."""
 
     C: Polytope
     check: certificate.Check
@@ -277,7 +273,7 @@ class _Inner:
 
 def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Candidate,
                deadline: Deadline) -> _Inner | None:
-    """Return the candidate as a set if it is invariant, inside X, and the check ends in time; None otherwise."""
+    """Return the candidate as a set if it is invariant, inside X, and checked in time. None otherwise."""
     found = candidate.region
     C = problem.frame.polytope(found.F, found.g, found.V)
     try:
@@ -300,7 +296,7 @@ def _law(problem: LocalProblem, gain: Array) -> certificate.Feedback:
 
 
 def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
-    """Return the result with the status that its gap and the check for missing states deserve."""
+    """Return the result with the status that its gap and missing states deserve."""
     small = inner.gap <= task.limits.tol * (1 + GAP_ROUNDING) + INVARIANT
     absent = np.inf
     if small:
@@ -317,7 +313,7 @@ def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, ste
 
 
 def _nothing(task: Task, iterations: int) -> SetResult:
-    """Return the empty result, after a second look: an equilibrium would be an invariant set by itself."""
+    """Return the empty result, after a second look. An equilibrium would be an invariant set by itself."""
     nx = task.X.dim
     nu = task.U.dim
     if task.system.disturbances is None and not task.X.is_empty and not task.U.is_empty:

@@ -18,11 +18,10 @@ from invariant_sets.interior_form import Body, normals, null_space
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
-from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT_ROW, THINNEST
+from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT_ROW, THINNEST, WELL_INSIDE
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
-_WELL_INSIDE = 0.02  # the origin is kept as the equilibrium if it is this far from every row of X
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class LinearSystem:
 
 
 def left_inverse(basis: Array) -> Array:
-    """Return L (k, n) with L basis = 1, for columns and coordinates in units that differ by any factor."""
+    """Return L (k, n) with L basis = 1, whatever the units of columns and coordinates."""
     if basis.shape[0] == basis.shape[1]:
         return np.linalg.inv(basis)
     rows = np.abs(basis).max(axis=1, initial=0.0)
@@ -57,7 +56,7 @@ class Frame:
         return left_inverse(self.basis)
 
     def rows_of(self, P: Polytope) -> Rows:
-        """Return the inequalities of P as unit rows on y; those that do not depend on y are left out."""
+        """Return the inequalities of P as unit rows on y. Those that do not depend on y are left out."""
         F = P.A @ self.basis
         g = P.b - P.A @ self.centre
         norms = row_norms(F)
@@ -76,7 +75,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """y⁺ = A y + B v + drift + w, with w in the hull of the rows of `disturbances`; drift is 0 at an equilibrium."""
+    """y⁺ = A y + B v + drift + w, with w in the hull of the rows of `disturbances`. Drift is 0 at an equilibrium."""
 
     A: Array
     B: Array
@@ -101,14 +100,14 @@ class LocalProblem:
 
 @dataclass(frozen=True)
 class Localised:
-    """The problem in local coordinates, or a flatter X to try instead, or neither: then no state can stay in X."""
+    """The problem in local coordinates, or a flatter X to try instead. With neither no state can stay in X."""
 
     problem: LocalProblem | None = None
     flatter: Polytope | None = None
 
 
 def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Localised:
-    """Return the problem in local coordinates; `units` (nx,) is the extent of the first state set."""
+    """Return the problem in local coordinates. The extent of the first state set is `units` (nx,)."""
     state = X._body
     inputs = U._body
     if state is None or inputs is None:
@@ -146,7 +145,7 @@ def _with_equalities(X: Polytope, frame: Frame, rows: Array, values: Array | Non
 
 
 def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
-    """Return coordinates in which X has extents of one, also where it is a slanted needle, and its rows in them."""
+    """Return coordinates in which X has extents of one, and its rows in them. X may be a slanted needle."""
     frame = Frame(state.centre, state.basis)
     rows = (state.F, state.g)
     k = state.basis.shape[1]
@@ -162,14 +161,14 @@ def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
 
 
 def _input_corners(U: Polytope, inputs: Body) -> Array | None:
-    """Return the vertices (m, q) of the local input set, None if it is unbounded."""
+    """Return the vertices (m, q) of the local input set. None if it is unbounded."""
     if inputs.basis.shape[1] == 0:
         return np.zeros((1, 0))
     return (U.vertices - inputs.centre) @ left_inverse(inputs.basis).T if inputs.bounded else None
 
 
 def _joint_input_corners(problem: LocalProblem) -> Array | None:
-    """Return the corners (m, q) of a box that holds every input that some state allows; None if there is none."""
+    """Return corners (m, q) of a box with every input that some state allows. None if there is none."""
     k = problem.frame.basis.shape[1]
     q = problem.joint[0].shape[1] - k
     if q == 0:
@@ -186,7 +185,7 @@ def _joint_input_corners(problem: LocalProblem) -> Array | None:
 
 
 def _lifted(problem: LocalProblem) -> Rows:
-    """Return all rows on (y, v), of unit norm; those that say nothing are left out."""
+    """Return all rows on (y, v), of unit norm. Those that say nothing are left out."""
     F, g = problem.states
     H, h = problem.joint
     rows = np.vstack([np.hstack([F, np.zeros((len(F), H.shape[1] - F.shape[1]))]), H])
@@ -195,7 +194,7 @@ def _lifted(problem: LocalProblem) -> Rows:
 
 
 def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: LinearSystem) -> LocalProblem | None:
-    """Return the problem about an equilibrium inside both sets; None if a bounded one has none.
+    """Return the problem about an equilibrium inside both sets. None if a bounded one has none.
 
     A nonempty compact convex control invariant set holds an equilibrium (Kakutani's theorem on x ↦ successors).
     """
@@ -219,7 +218,7 @@ def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: Linea
 
 
 def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
-    """Return x = 0, u = 0 in local coordinates if it is an equilibrium well inside both sets."""
+    """Return x = 0, u = 0 in local coordinates. None unless it is an equilibrium well inside both sets."""
     if system.disturbances is not None and np.abs(system.disturbances.mean(axis=0)).max() > 0:
         return None
     y = -np.linalg.solve(problem.frame.basis, problem.frame.centre)
@@ -231,13 +230,13 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
     point = np.append(y, v)
     if np.abs(residual - dynamics.B @ v).max() > AT_REST * max(1.0, np.abs(y).max()):
         return None
-    inside = (problem.states[1] - problem.states[0] @ y).min(initial=1.0) > _WELL_INSIDE
+    inside = (problem.states[1] - problem.states[0] @ y).min(initial=1.0) > WELL_INSIDE
     inside = inside and (problem.joint[1] - problem.joint[0] @ point).min(initial=1.0) > 0
     return point if inside else None
 
 
 def _inner_equilibrium(problem: LocalProblem) -> Array | None:
-    """Return an equilibrium (y, v) deep inside all rows; None if there is none."""
+    """Return an equilibrium (y, v) deep inside all rows. None if there is none."""
     dynamics = problem.dynamics
     matrix = np.hstack([np.eye(len(dynamics.A)) - dynamics.A, -dynamics.B])
     size = row_norms(matrix.T)

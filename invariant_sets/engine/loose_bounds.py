@@ -16,15 +16,14 @@ from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.unstable_modes import unstable_bounds
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.polytope import Polytope
-from invariant_sets.tolerances import FLAT, LOOSE, UNSTABLE
+from invariant_sets.tolerances import BOX_ROOM, FLAT, LOOSE, UNSTABLE
 
 Array = np.ndarray
-_ROOM = 0.1  # of its width: by how much a box is larger than need be; its inverse is how far away a row is far
 
 
 def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
                          target: Polytope | None = None) -> tuple[LinearSystem, Polytope, Polytope]:
-    """Return the same problem with the rows of X and the inputs that can play a part in reaching a target in one step.
+    """Return the problem without rows of X and inputs that play no part in reaching a target in one step.
 
     Without a target, in staying in X for ever. Where U has to be cut, inputs that move the state alike become one.
     """
@@ -38,7 +37,7 @@ def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
 
 def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
                   target: Polytope | None) -> tuple[LinearSystem, Polytope, Polytope]:
-    """Return the problem with what is felt in one step to a target, or in nx steps in X without one."""
+    """Return the problem with what is felt in one step to a target, or else in nx steps in X."""
     states = X._body
     inputs = U._body
     goal = states if target is None else target._body
@@ -63,7 +62,7 @@ def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
     eye = np.eye(lifted.dim)[X.dim:X.dim + nu]
     upper = lifted.support(eye)
     lower = -lifted.support(-eye)
-    room = _ROOM * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
+    room = BOX_ROOM * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
     return system, _felt(X, lifted, moves[:-1], drift[:-1]), _cut(U, Polytope.from_bounds(lower - room, upper + room))
 
 
@@ -119,7 +118,7 @@ def _trajectories(moves: list[Array], drift: list[Array], X: Polytope, U: Polyto
 
 
 def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array]) -> Polytope:
-    """Return X without the rows that no trajectory comes near: without them there are no others, X is convex.
+    """Return X without the rows that no trajectory comes near. Without them there are no others, X is convex.
 
     Of a coordinate in which the trajectories have no width nothing is left that could be far away.
     """
@@ -129,7 +128,7 @@ def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array])
     for M, c in zip(moves, drift):
         upper = lifted.support(X.A @ M)
         lower = -lifted.support(-X.A @ M)
-        far &= _ROOM * (X.b - X.A @ c - upper) > upper - lower
+        far &= BOX_ROOM * (X.b - X.A @ c - upper) > upper - lower
     return Polytope(X.A[~far], X.b[~far], X.A_eq, X.b_eq)
 
 

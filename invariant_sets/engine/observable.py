@@ -21,7 +21,7 @@ Array = np.ndarray
 
 
 def observed_directions(A: Array, X: Polytope) -> Array | None:
-    """Return rows Q (k, n) such that X and the motion depend on Q x alone; None if nothing can be left out."""
+    """Return rows Q (k, n) such that X and the motion depend on Q x alone. None if nothing can be left out."""
     F = np.vstack([X.A, X.A_eq])
     if not len(F) or not np.abs(F).max() > 0.0:
         return None
@@ -72,7 +72,7 @@ def _product(F: Array, back: Array) -> Array:
 
 
 def _right_inverse(Q: Array) -> Array:
-    """Return R (n, k) with Q R = 1, for columns in units that differ by any factor."""
+    """Return R (n, k) with Q R = 1, whatever the units of the columns."""
     columns = np.abs(Q).max(axis=0)
     columns[columns == 0.0] = 1.0
     return np.linalg.pinv(Q / columns) / columns[:, None]

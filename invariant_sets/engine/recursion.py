@@ -15,17 +15,15 @@ from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.projection import needed_rows
 from invariant_sets.results import Status
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import CUT, LEAST_RIGHT, SMALL, UNRESOLVED
+from invariant_sets.tolerances import CHEAP_HULL_DIM, CUT, LEAST_RIGHT, SMALL, UNRESOLVED
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
 Predecessor = Callable[[Rows, Array | None], Rows]
-_CUT_AT_ONCE = 200  # rows
-_PRODUCT = 60_000  # rows times vertices of one matrix product
 
 
 class Shape(Enum):
-    """What is left of the set."""
+    """Shape of what a recursion has left of a set."""
 
     SOLID = "full-dimensional"
     FLAT = "of lower dimension"
@@ -49,7 +47,7 @@ class Region:
         if not len(rows):
             return np.zeros(0)
         if self.V is not None:
-            step = max(1, _PRODUCT // len(self.V))
+            step = max(1, 60_000 // len(self.V))  # rows times vertices of one product
             return np.concatenate([(rows[i:i + step] @ self.V.T).max(axis=1) for i in range(0, len(rows), step)])
         if not len(self.g):
             return np.full(len(rows), np.inf)
@@ -60,7 +58,7 @@ class Region:
         return np.concatenate(parts)
 
     def cut(self, R: Array, r: Array, deadline: Deadline = NO_DEADLINE) -> Region:
-        """Return the region intersected with {R y <= r} (unit rows); raise `LimitReached` if that takes too long."""
+        """Return the region intersected with {R y <= r} (unit rows). Raise `LimitReached` if that takes too long."""
         F = np.vstack([self.F, R])
         g = np.append(self.g, r)
         middle = np.zeros(F.shape[1])
@@ -82,7 +80,7 @@ class Region:
 
     @property
     def is_small(self) -> bool:
-        """Whether it is so much smaller than one in some coordinate that it should be rescaled."""
+        """Whether the region should be rescaled: in some coordinate it is much smaller than one."""
         return self.V is not None and bool((self.V.max(axis=0) - self.V.min(axis=0) < SMALL).any())
 
     def tidy(self, deadline: Deadline = NO_DEADLINE) -> Region:
@@ -95,12 +93,12 @@ class Region:
 
 def _irredundant(F: Array, g: Array, deadline: Deadline) -> Array:
     """Return the indices of the rows that the set needs, weakly redundant ones left out."""
-    return hulls.irredundant_rows(F, g) if F.shape[1] <= 4 else needed_rows(F, g, deadline)
+    return hulls.irredundant_rows(F, g) if F.shape[1] <= CHEAP_HULL_DIM else needed_rows(F, g, deadline)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a recursion ended: converged, at a cap, or because the set has become flat, empty or small."""
+    """Outcome of a recursion: converged, at a cap, or stopped because the set is flat, empty or small."""
 
     region: Region  # the last set
     iterations: int  # steps taken
@@ -112,7 +110,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Caps:
-    """When a recursion stops."""
+    """Limits at which a recursion stops."""
 
     stop: float  # it has converged when no row cuts more than this part of its right-hand side
     # most steps, and most facets
@@ -180,9 +178,9 @@ def _new_rows(region: Region, previous: Region) -> Array:
 
 
 def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: Deadline) -> Region:
-    """Return the region cut by all rows, the deepest first: they make most of the others redundant."""
+    """Return the region cut by all rows, the deepest first. They make most of the others redundant."""
     while len(r) and region.shape is Shape.SOLID:
-        first = np.argsort(-depth)[:_CUT_AT_ONCE]
+        first = np.argsort(-depth)[:200]
         region = region.cut(R[first], r[first], deadline)
         if len(first) == len(r) or region.shape is not Shape.SOLID:
             break
@@ -196,7 +194,7 @@ def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: D
 
 
 def _worth_testing(region: Region, R: Array, r: Array, deadline: Deadline) -> Rows:
-    """Drop the new rows that are redundant beside the others, before one LP is spent on each."""
+    """Drop new rows that others make redundant, before one linear program is spent on each."""
     F = np.vstack([region.F, R])
     g = np.append(region.g, r)
     radius, middle = inscribed_ball(F, g, cap=1.0)

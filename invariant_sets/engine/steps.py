@@ -21,16 +21,14 @@ from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import FLAT, INVARIANT, LOOSE, ROUNDING, USEFUL_INPUTS
+from invariant_sets.tolerances import FLAT, HALF_BOX, INVARIANT, LOOSE, PROGRAMS_PER_CHECK, ROUNDING, USEFUL_INPUTS
 
 Array = np.ndarray
-_EVERY = 50  # linear programs between two looks at the clock
-_REACH = 4.0  # largest coordinate of a bounded body, whose extents are about one
 
 
 @dataclass(frozen=True)
 class Step:
-    """The set after one step and what was checked of it.
+    """A set after one step, and what was checked of it.
 
     Attributes
     ----------
@@ -93,7 +91,7 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
 
 def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
                       deadline: Deadline) -> Step | None:
-    """Return the step without the ends so far away that a set with a width seems flat; None if it is flat.
+    """Return the step without the ends so far away that a set with a width seems flat. None if it is flat.
 
     In units of what moves the target by `LOOSE` times its width, at most of the width of the sets: `1 / FLAT` of them
     away doubles do not tell where the rows are.
@@ -126,18 +124,18 @@ def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytop
 
 
 def _without_rows_beyond(P: Polytope, point: Array, reach: Array) -> Polytope:
-    """Return P without the inequalities that a box about a point of it, with these half widths (n,), does not meet."""
+    """Return P without inequalities that a box about a point of it, of these half widths (n,), does not meet."""
     near = P.b - P.A @ point <= np.abs(P.A) @ reach
     return Polytope(P.A[near], P.b[near], P.A_eq, P.b_eq)
 
 
 def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
-    """Return the projection of the lifted set on x, by Fourier–Motzkin in coordinates of extent one."""
+    """Return the lifted set's projection on x, by Fourier–Motzkin in coordinates of extent one."""
     body = lifted._body
     assert body is not None
     if body.basis.shape[1] < lifted.dim:
         return lifted.projection(np.arange(n)).minimal()
-    reach = np.full(lifted.dim, _REACH if body.bounded else np.inf)
+    reach = np.full(lifted.dim, HALF_BOX if body.bounded else np.inf)
     F, g = project_rows(body.F, body.g, n, reach=reach, deadline=deadline)
     F = F / np.diag(body.basis)[:n]  # the basis of a full-dimensional body is diagonal
     return Polytope(F, g + F @ body.centre[:n]).minimal()
@@ -145,7 +143,7 @@ def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
 
 def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
             deadline: Deadline) -> Polytope | None:
-    """Return {x : A x in S ⊕ (−B U)} ∩ X through the hull of sums of vertices; None where a set is unbounded."""
+    """Return {x : A x in S ⊕ (−B U)} ∩ X through the hull of sums of vertices. None where a set is unbounded."""
     n = len(system.A)
     lower, upper = lifted.bounding_box()
     slack = USEFUL_INPUTS * np.maximum(upper - lower, 0.0)[n:]
@@ -157,13 +155,13 @@ def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted:
 
 
 def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> float:
-    """Return by how much the lifted set reaches beyond a facet of P, relative to the range of the facet over P."""
+    """Return the largest reach of the lifted set beyond a facet of P, relative to the range of the facet over P."""
     body = lifted._body
     assert body is not None
     F, g = P._relative_rows
     worst = 0.0
     for i, f in enumerate(F):
-        if i % _EVERY == 0:
+        if i % PROGRAMS_PER_CHECK == 0:
             deadline.check()
         local = body.basis[:n].T @ f
         level = float(f @ body.centre[:n] - g[i])
@@ -194,7 +192,7 @@ def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: D
 
 
 def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polytope, deadline: Deadline) -> float:
-    """Return how far the worst vertex of the image is from A R ⊕ moves, relative to the extent of the image."""
+    """Return the distance of the worst vertex of the image from A R ⊕ moves, relative to the extent of the image."""
     start = R._body
     move = moves._body
     assert start is not None
@@ -215,7 +213,7 @@ def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polyto
     cost = np.append(np.zeros(k + q), 1.0)
     worst = 0.0
     for i, v in enumerate(image.vertices / width):
-        if i % _EVERY == 0:
+        if i % PROGRAMS_PER_CHECK == 0:
             deadline.check()
         scaled, right = unit(rows, np.concatenate([v - at, at - v, start.g, move.g]))
         worst = max(worst, minimise(cost, scaled, right)[0])

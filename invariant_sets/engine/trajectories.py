@@ -14,8 +14,6 @@ from invariant_sets.time_limits import Deadline
 from invariant_sets.tolerances import TINY
 
 Array = np.ndarray
-_MOST_POINTS = 200
-_MOST_ENTRIES = 2_000_000  # of the linear program over all steps: a larger one takes more than a second
 
 
 @dataclass(frozen=True)
@@ -50,14 +48,14 @@ class Trajectories:
 
 
 def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polytope | None:
-    """Return the hull of extreme states at time `at` (0 or N), as many as the deadline allows; None if there is none.
+    """Return the hull of extreme states at time `at` (0 or N), as many as the deadline allows. None if there is none.
 
     None, too, where the linear program over all steps would be too large.
 
     One linear program a point, in the coordinates of the bodies of x₀ and U. Every point belongs to a trajectory that
     respects all sets, so their hull is inside the set of all such states.
     """
-    if trajectories.entries > _MOST_ENTRIES:
+    if trajectories.entries > 2_000_000:  # a larger linear program takes more than a second
         return None
     steps = trajectories.steps
     states = (trajectories.first, *[trajectories.between] * (steps - 1), trajectories.last)
@@ -93,7 +91,7 @@ def _extreme_points(M: Array, c: Array, rows: tuple[Array, Array], deadline: Dea
     """Return extreme states M z + c over the rows, along the axes and then along random directions."""
     n = len(c)
     rng = np.random.default_rng(0)
-    directions = np.vstack([np.eye(n), -np.eye(n), rng.standard_normal((_MOST_POINTS, n))])
+    directions = np.vstack([np.eye(n), -np.eye(n), rng.standard_normal((200, n))])
     points: list[Array] = []
     for d in directions / np.maximum(np.abs(M).sum(axis=1), TINY):
         if deadline.passed:

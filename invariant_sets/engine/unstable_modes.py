@@ -9,8 +9,6 @@ import numpy as np
 from invariant_sets.tolerances import DOUBLE_EIGENVALUE, EDGE, REAL_EIGENVALUE, SERIES_END, UNSTABLE
 
 Array = np.ndarray
-_MAX_TERMS = 20_000  # of the series; the rest is bounded
-_MAX_NORMALS = 400  # of a plane of modes; barely unstable ones have many more, and the recursion finds what matters
 
 
 def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) -> tuple[Array, Array, Array]:
@@ -116,7 +114,7 @@ def _powers(inverse: Array) -> tuple[Array, Array]:
     """Return the powers Λ⁻¹, Λ⁻², … (j, k, k) until they are negligible, and the first one left out."""
     powers = [inverse]
     power = inverse @ inverse
-    while len(powers) < _MAX_TERMS and np.linalg.norm(power) > SERIES_END:
+    while len(powers) < 20_000 and np.linalg.norm(power) > SERIES_END:
         powers.append(power)
         power = power @ inverse
     return np.array(powers), power
@@ -127,7 +125,7 @@ def _edge_normals(moves: Array) -> Array:
     first, second = np.triu_indices(moves.shape[2], k=1)
     edges = (moves[:, :, first] - moves[:, :, second]).transpose(0, 2, 1).reshape(-1, 2)
     length = np.linalg.norm(edges, axis=1)
-    edges = edges[length > EDGE * length.max(initial=0.0)][:_MAX_NORMALS]
+    edges = edges[length > EDGE * length.max(initial=0.0)][:400]  # barely unstable: the recursion finds more
     return np.column_stack([-edges[:, 1], edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None]
 
 

@@ -43,7 +43,7 @@ class ImpliedEqualities(NamedTuple):
 
 
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
-    """Pairs of rows of M that are opposite, with opposite bounds, judged by the two bounds alone."""
+    """Pairs of opposite rows of M with opposite bounds, decided by the two bounds alone."""
     first, second = np.nonzero(qp.gram < ZERO_ROW - 1)
     if not len(first):
         return []
@@ -102,13 +102,13 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
 
 
 def _unsettled(deadline: float) -> ImpliedEqualities:
-    """What a program that did not end leaves: the time limit, or nothing that can be said."""
+    """Outcome of a program that did not end: the time limit, or nothing that can be said."""
     late = time.perf_counter() > deadline
     return ImpliedEqualities(MPQPStatus.TIME_LIMIT if late else MPQPStatus.INACCURATE)
 
 
 def _leave_freedom(rows: Array, slack: float) -> bool:
-    """Whether so little slack in these rows, which may be nearly dependent, lets v move by more than rounding does."""
+    """Whether so little slack in these rows, maybe nearly dependent, lets v move by more than rounding does."""
     sizes = np.linalg.svd(rows, compute_uv=False) if len(rows) else np.ones(1)
     return slack > LAW_ERROR * float(sizes[sizes > ZERO_ROW * sizes[0]].min())
 

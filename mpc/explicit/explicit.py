@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
-ROOM = 1e-3  # of the width of the feasible parameters: the box around them has no side that touches them
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,7 @@ class ExplicitMPC:
         object.__setattr__(self, "input_rows", (_read_only(H), _read_only(h)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields; what is computed from them is computed anew."""
+        """Fields alone; what is computed from them is computed anew."""
         return {name: value for name, value in self.__dict__.items() if name != "regions"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -218,7 +217,7 @@ class ExplicitMPC:
 
     @classmethod
     def load(cls, path: str | Path) -> ExplicitMPC:
-        """Read what `save` wrote; nothing is executed, and damaged or mixed files are refused."""
+        """Read what `save` wrote. Nothing is executed, and damaged or mixed files are refused."""
         from mpc.explicit.storage import load_parts
 
         return cls(*load_parts(as_path("path", path)))
@@ -289,7 +288,7 @@ def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:
     reach = joint.support(directions)
     if not np.isfinite(reach).all():
         return known
-    room = ROOM * (reach[:n] + reach[n:])
+    room = 1e-3 * (reach[:n] + reach[n:])  # no side of the box touches the feasible parameters
     return known.intersection(Polytope.from_bounds(-reach[n:] - room, reach[:n] + room))
 
 
@@ -316,7 +315,7 @@ def _read_only(array: Any) -> Any:
 
 
 def _law_numbers(law: Array, partition: Partition, centres: Array) -> Ints:
-    """Equal numbers for equal laws; the laws of each input are compared in units of the values this input takes."""
+    """Equal numbers for equal laws. The laws of each input are compared in units of the values this input takes."""
     scaled = law.copy()
     scaled[:, :, :-1] *= partition.half
     scaled[:, :, -1] += law[:, :, :-1] @ partition.centre

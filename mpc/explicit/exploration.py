@@ -13,20 +13,13 @@ from mpc.explicit.holes import Holes
 from mpc.explicit.partition import Ints, MPQPStatus
 from mpc.explicit.region_graph import Found, RegionGraph
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import REDUNDANT
+from mpc.tolerances import REDUNDANT, REGIONS_TO_THIN
 
-_SEEDS = 8  # parameters from which the exploration starts
-_ROUNDS = 10  # how often new ones are drawn while none leads to a region
-_LOOK = 0.05  # wall time between two looks at the clock [s]
-_MANY = 300  # regions from which on it pays to leave out rows that the others imply
-_SHARE = 0.25  # share of the time left that may be spent on that
 _LIMITED = (MPQPStatus.REGION_LIMIT, MPQPStatus.TIME_LIMIT)
-_ROWS_AT_ONCE = 2_000  # of the programs that find a feasible parameter, between two looks at the clock
-_ITERATIONS = 3  # steps of a linear program that are waited for, in numbers of its rows and columns
 
 
 class Limits(NamedTuple):
-    """When to stop: number of regions, and `time.perf_counter()` [s]."""
+    """Limits of an exploration: number of regions, and `time.perf_counter()` [s]."""
 
     max_regions: int
     deadline: float
@@ -83,8 +76,8 @@ class Search:
         Where the compiled solver finds none at parameters that are feasible, the checked online solver is asked.
         """
         feasible = [np.empty((0, self.regions.parameters)) if self.known is None else self.known]
-        for _ in range(_ROUNDS):
-            targets = self.rng.uniform(-1, 1, size=(_SEEDS, self.regions.parameters))
+        for _ in range(10):  # new ones are drawn while none leads to a region
+            targets = self.rng.uniform(-1, 1, size=(8, self.regions.parameters))
             found = self._seeded(targets, deadline)
             if len(found) == 0 or self.queued or time.perf_counter() > deadline:
                 break
@@ -95,44 +88,44 @@ class Search:
     def _seeded(self, targets: Array, deadline: float) -> Array:
         """Feasible parameters near the targets, their active sets queued; one after the other where rows are many."""
         found = [np.empty((0, self.regions.parameters))]
-        for few in self.holes.portions(targets, _ROWS_AT_ONCE):
+        for few in self.holes.portions(targets, 2_000):
             found.append(self.regions.seed(few))
             if time.perf_counter() > deadline:
                 break
         return np.vstack(found)
 
     def nothing_found(self, deadline: float) -> MPQPStatus:
-        """What it means that no region was found to begin with."""
+        """Status of an exploration that found no region to begin with."""
         if self.holes.uncovered:
             return MPQPStatus.INACCURATE
         return MPQPStatus.TIME_LIMIT if time.perf_counter() > deadline else MPQPStatus.INFEASIBLE
 
     def advance(self, most: int) -> None:
-        """Find the facets of some more regions, and their neighbours, until it is time to look at the clock."""
+        """Find the facets of some more regions, and their neighbours, until the next look at the clock."""
         before = self.done
         start = time.perf_counter()
         # not where the clock says: the regions keep their order
-        stop = min(most, _MANY) if before < _MANY and not self.thinned else most
+        stop = min(most, REGIONS_TO_THIN) if before < REGIONS_TO_THIN and not self.thinned else most
         self.regions.explore(min(self.portion, stop - before))
         taken = max(time.perf_counter() - start, 1e-6)
         if self.done > before:  # else there was no room, and it grew
-            self.portion = max(1, int(_LOOK * (self.done - before) / taken))
+            self.portion = max(1, int(0.05 * (self.done - before) / taken))  # 0.05 s between two looks
 
     @property
     def should_be_thinned(self) -> bool:
-        """Whether rows that others imply are in the way: they cost time, or several active sets are optimal at once."""
-        pays = self.done >= _MANY and not self.thinned_for_speed
+        """Whether rows that others imply are in the way. They cost time, or several active sets are optimal."""
+        pays = self.done >= REGIONS_TO_THIN and not self.thinned_for_speed
         return not self.thinned and (pays or (self.done == self.queued and self.regions.tied))
 
     def thinned_out(self, deadline: float) -> Search:
-        """The search to go on with, without rows that the others imply: a new one where such a row is active.
+        """The search without rows that the others imply. It is a new one where such a row is active.
 
         For speed alone a share of the time left is spent on it: what is found by then is left out.
         """
         now = time.perf_counter()
         qp = self.regions.qp
         needed = self.done == self.queued and self.regions.tied
-        kept, finished = irredundant_rows(qp, deadline if needed else now + _SHARE * (deadline - now))
+        kept, finished = irredundant_rows(qp, deadline if needed else now + 0.25 * (deadline - now))
         self.thinned = finished or needed
         self.thinned_for_speed = True
         if len(kept) == len(qp.M):
@@ -157,7 +150,7 @@ class Search:
 
 
 class NeededRows(NamedTuple):
-    """Rows of M that the others are not known to imply, and whether all rows were looked at."""
+    """Rows of M that others are not known to imply, and whether all were looked at."""
 
     rows: Ints
     finished: bool
@@ -185,7 +178,7 @@ def is_implied(row: Array, bound: float, J: Array, h: Array) -> bool:
     # the point that lies farthest across the row, within one unit of it
     normals = np.ascontiguousarray(np.vstack([J, row]))
     bounds = np.append(h, bound + 1.0)
-    most = _ITERATIONS * sum(normals.shape)
+    most = 3 * sum(normals.shape)  # iterations
     point, _, flag, info = daqp.solve(
         None, np.ascontiguousarray(-row), normals, bounds, np.full(len(bounds), -1e30), iter_limit=most
     )

@@ -12,25 +12,20 @@ from mpc.explicit.kernels.data import ASKED, CROSSED, OPEN, ROWS
 from mpc.explicit.openings import OnlineQP, points_beyond
 from mpc.explicit.partition import Ints
 from mpc.explicit.region_graph import RegionGraph
-from mpc.tolerances import CROSSING, THIN
-
-# what is looked at before a small law is called complete:
-_ANYWHERE = 4  # random parameters, and as many near the border,
-_BETWEEN = 100  # points between facets,
-_BEHIND = 500  # and behind facets that led to a region,
-_FARTHEST = 0.01  # at most at this distance, scaled parameters
-_PER_REGION = 8  # regions for which, in a large law, there is one more of each,
-_MOST = 2000  # but no more than so many
-_AT_ONCE = 20_000_000  # pairs of a point and a region between two looks at the clock
-_ROWS_AT_ONCE = 20_000  # rows of the QPs that are solved between two looks at the clock
-_FEW = 16  # points where the QP is solved before it is asked which of the others still lie in no region
-_ASKED = 64  # points where it is solved once one of them lies in a hole
-_ACROSS = 64  # open facets that are looked across in a small law,
-_MOST_ACROSS = 500  # and in a large one
+from mpc.tolerances import (
+    CROSSING,
+    FARTHEST_BEHIND,
+    POINTS_ANYWHERE,
+    POINTS_BEHIND,
+    POINTS_BETWEEN,
+    QPS_AT_ONCE,
+    REGIONS_PER_POINT,
+    THIN,
+)
 
 
 class Holes:
-    """Looks for parameters that are feasible and in no region; what it finds there joins the graph of regions.
+    """Search for parameters that are feasible and in no region. What it finds joins the graph of regions.
 
     feasible : (k, nt) parameters that were feasible, with room, and in no region when they were met;
     pending : (k, nt) parameters in no region when they were met, about which the QP was not asked yet.
@@ -58,7 +53,8 @@ class Holes:
         Of very many facets some are drawn: a hole of any size has many.
         """
         regions = self.regions
-        still = self._some(np.flatnonzero(regions.facet_states == OPEN), min(_ACROSS + regions.done // 8, _MOST_ACROSS))
+        count = min(64 + regions.done // REGIONS_PER_POINT, 500)
+        still = self._some(np.flatnonzero(regions.facet_states == OPEN), count)
         offsets = regions.facets.offsets
         for facet, r in zip(still, self._owners(still)):
             if regions.queued > regions.done or time.perf_counter() > deadline:
@@ -75,12 +71,12 @@ class Holes:
         the deadline is past.
         """
         regions = self.regions
-        more = min(regions.done // _PER_REGION, _MOST)
-        between = self.between_facets(_BETWEEN + more)  # feasible, whatever a solver says
-        behind = self.behind_facets(_BEHIND + more)
-        anywhere = self.rng.uniform(-1, 1, size=(2 * (_ANYWHERE + more), regions.parameters))
-        places = [anywhere[: _ANYWHERE + more], behind]
-        for targets in self.portions(anywhere[_ANYWHERE + more :]):
+        more = min(regions.done // REGIONS_PER_POINT, 2000)
+        between = self.between_facets(POINTS_BETWEEN + more)  # feasible, whatever a solver says
+        behind = self.behind_facets(POINTS_BEHIND + more)
+        anywhere = self.rng.uniform(-1, 1, size=(2 * (POINTS_ANYWHERE + more), regions.parameters))
+        places = [anywhere[: POINTS_ANYWHERE + more], behind]
+        for targets in self.portions(anywhere[POINTS_ANYWHERE + more :]):
             if time.perf_counter() > deadline:
                 return True
             places.append(regions.seed(targets))  # near the border
@@ -92,7 +88,7 @@ class Holes:
         return self._ask(deadline)
 
     def between_facets(self, count: int) -> Array:
-        """So many random points between two facets."""
+        """Random points between two facets, `count` of them."""
         from mpc.explicit.kernels.places import between_facets
 
         regions = self.regions
@@ -101,7 +97,7 @@ class Holes:
         return points
 
     def behind_facets(self, most: int) -> Array:
-        """So many random points behind facets that led to a region: half of them just behind, the others farther."""
+        """Random points behind facets that led to a region, `most` of them: half just behind, the others farther."""
         from mpc.explicit.kernels.places import behind_facets
 
         regions = self.regions
@@ -109,7 +105,7 @@ class Holes:
         owners = self._owners(chosen)
         points = np.empty((most if len(chosen) else 0, regions.parameters))
         draws = self.rng.random((len(points), regions.parameters + 2))
-        behind_facets(regions.facets, chosen, owners, draws, CROSSING, _FARTHEST, points)
+        behind_facets(regions.facets, chosen, owners, draws, CROSSING, FARTHEST_BEHIND, points)
         return points
 
     def _owners(self, facets: Ints) -> Ints:
@@ -118,15 +114,15 @@ class Holes:
         return np.searchsorted(offsets, facets, side="right") - 1
 
     def _some(self, numbers: Ints, most: int) -> Ints:
-        """So many of the numbers, at random and in order, or all of them."""
+        """A number `most` of the numbers, at random and in order, or all of them."""
         return numbers if len(numbers) <= most else np.sort(self.rng.choice(numbers, most, replace=False))
 
     def _look_at(self, points: Array, feasible: bool, deadline: float) -> bool:
-        """Queue the active sets at points in no region; the feasible ones are pending. False when time is up.
+        """Queue the active sets at points in no region. The feasible ones are pending. False when time is up.
 
         feasible : whether they are known to be, whatever the compiled solver says.
         """
-        parts = 1 + len(points) * self.regions.done // _AT_ONCE
+        parts = 1 + len(points) * self.regions.done // 20_000_000  # pairs of a point and a region
         for part in np.array_split(points, parts):
             if time.perf_counter() > deadline:
                 return False
@@ -137,8 +133,8 @@ class Holes:
                 self.pending = np.vstack([self.pending, few if feasible else few[found]])
         return True
 
-    def portions(self, points: Array, rows: int = _ROWS_AT_ONCE) -> Iterator[Array]:
-        """The points, few at a time where there are many rows: a QP with thousands takes hundredths of a second."""
+    def portions(self, points: Array, rows: int = 20_000) -> Iterator[Array]:
+        """The points, few at a time where there are many rows. A QP with thousands takes hundredths of a second."""
         size = max(1, rows // max(1, len(self.regions.qp.M)))
         return (points[first : first + size] for first in range(0, len(points), size))
 
@@ -149,16 +145,16 @@ class Holes:
         """
         regions = self.regions
         asked = 0
-        while regions.queued == regions.done and len(self.pending) and not (asked >= _ASKED and self.uncovered):
+        while regions.queued == regions.done and len(self.pending) and not (asked >= 64 and self.uncovered):
             if time.perf_counter() > deadline:
                 return True
-            self.ask_at(self.pending[:_FEW], deadline)
-            self.pending = self.pending[_FEW:]
-            asked += _FEW
+            self.ask_at(self.pending[:QPS_AT_ONCE], deadline)
+            self.pending = self.pending[QPS_AT_ONCE:]
+            asked += QPS_AT_ONCE
         return regions.queued > regions.done
 
     def ask_at(self, points: Array, deadline: float) -> None:
-        """Solve the QP at points in no region, as far as time allows; queue its active sets, note the feasible ones."""
+        """Solve the QP at points in no region, as far as time allows. Queue its active sets, note the feasible ones."""
         if self.online is None or self.online.qp is not self.regions.qp:
             self.online = OnlineQP(self.regions.qp)
         for point in points[~self.regions.covered(points)]:

@@ -1,4 +1,4 @@
-"""Minimiser laws of active sets, whether they hold where they are used, and the law that they make together."""
+"""Minimiser laws of active sets, checks that they hold where they are used, and the law that they make together."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from mpc.checks import Array
 from mpc.explicit.partition import Ints, MPQPStatus, Partition
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.explicit.search_tree import SearchTree
-from mpc.tolerances import LAW_ERROR, LAW_ROUNDING_FAR, NEARLY_DEPENDENT
+from mpc.tolerances import LAW_ERROR, LAW_ROUNDING_FAR, LAWS_AT_ONCE, NEARLY_DEPENDENT
 
-_TOGETHER = 4096  # regions checked at once: bounds the memory
-_SIZES = 4  # sizes of active sets that are treated as one
 ActiveSets = list[tuple[int, ...]]
 
 
@@ -27,7 +25,7 @@ class ScaledLaws(NamedTuple):
 
 
 def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> ScaledLaws:
-    """The law of each active set, checked for every parameter in its own rows and at the region's centre in all others.
+    """The law of each active set, checked in its own rows everywhere and in all others at the region's centre.
 
     A law holds where its active rows hold with equality, no row is violated and no multiplier negative, to `LAW_ERROR`
     in units of the bounds and of the variables.
@@ -36,15 +34,15 @@ def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> Scale
     accepted = max(LAW_ERROR / max(1.0, qp.far), LAW_ROUNDING_FAR)  # in units of how far the optimum is
     holds = np.ones(len(active_sets), dtype=bool)
     where = np.hstack([centres, np.ones((len(centres), 1))])
-    sizes = np.array([len(act) for act in active_sets])
-    for size in {*(-(-sizes // _SIZES)).tolist()} - {0}:  # those of similar size together
-        which = np.flatnonzero(-(-sizes // _SIZES) == size)
+    sizes = -(-np.array([len(act) for act in active_sets]) // 4)  # in fours: those of similar size together
+    for size in {*sizes.tolist()} - {0}:
+        which = np.flatnonzero(sizes == size)
         rows, right, gram = _padded(qp, [active_sets[r] for r in which])
         law[which], missed, pull = _law(rows, right, gram)
         force = (pull @ where[which, :, None])[:, :, 0]  # minus the multipliers
         holds[which] = missed <= accepted
         holds[which] &= force.max(axis=1) <= LAW_ERROR * np.maximum(1.0, np.abs(force).max(axis=1))
-    return ScaledLaws(law, holds & (_excess(qp, law, where) <= accepted))
+    return ScaledLaws(law, holds & (_violation(qp, law, where) <= accepted))
 
 
 def _padded(qp: ScaledQP, active_sets: ActiveSets) -> tuple[Array, Array, Array]:
@@ -78,7 +76,7 @@ def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:
 
 
 def _law_by_directions(rows: Array, right: Array) -> tuple[Array, Array]:
-    """The same of one active set by orthogonal directions: a Gram matrix squares what is lost by nearly equal rows."""
+    """Law of one active set by orthogonal directions. A Gram matrix squares what nearly equal rows lose."""
     real = rows.any(axis=1)
     Q, R = np.linalg.qr(rows[real].T)
     along = solve_triangular(R, right[real], trans="T")
@@ -87,12 +85,12 @@ def _law_by_directions(rows: Array, right: Array) -> tuple[Array, Array]:
     return Q @ along, pull
 
 
-def _excess(qp: ScaledQP, law: Array, where: Array) -> Array:
+def _violation(qp: ScaledQP, law: Array, where: Array) -> Array:
     """Largest relative violation of any row by each law at its point [t; 1]."""
     parts = [np.zeros(0)]
-    for first in range(0, len(law) if len(qp.M) else 0, _TOGETHER):
-        part = where[first : first + _TOGETHER]
-        v = np.einsum("rvc,rc->rv", law[first : first + _TOGETHER], part)
+    for first in range(0, len(law) if len(qp.M) else 0, LAWS_AT_ONCE):
+        part = where[first : first + LAWS_AT_ONCE]
+        v = np.einsum("rvc,rc->rv", law[first : first + LAWS_AT_ONCE], part)
         bounds = part @ qp.D.T
         size = 1.0 + np.abs(bounds) + np.linalg.norm(v, axis=1)[:, None]
         parts.append(((v @ qp.M.T - bounds) / size).max(axis=1))

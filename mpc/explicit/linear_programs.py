@@ -9,10 +9,9 @@ import numpy as np
 from scipy.optimize import linprog
 
 from mpc.checks import Array
-from mpc.tolerances import CERTIFICATE, LP_FEASIBLE
+from mpc.tolerances import CERTIFICATE, LP_OPTIONS
 
 SOLVED, INFEASIBLE, UNBOUNDED = 0, 2, 3  # what `status` says
-_EXACTLY = {"primal_feasibility_tolerance": LP_FEASIBLE, "dual_feasibility_tolerance": LP_FEASIBLE}
 
 
 def solve_exactly(cost: Array, rows: Array, right: Array, limits: Any, deadline: float = np.inf) -> Any:
@@ -21,7 +20,7 @@ def solve_exactly(cost: Array, rows: Array, right: Array, limits: Any, deadline:
     HiGHS accepts 1e-7 by its default, in the rows and in the optimality: more than the room that is asked for here.
     Where it does not end with the least tolerance it may with its own.
     """
-    options: dict[str, Any] = dict(_EXACTLY)
+    options: dict[str, Any] = dict(LP_OPTIONS)
     if np.isfinite(deadline):
         options["time_limit"] = max(deadline - time.perf_counter(), 0.0)
     program = linprog(cost, A_ub=rows, b_ub=right, bounds=limits, method="highs", options=options)

@@ -126,7 +126,7 @@ def partitioned(
 
 
 def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
-    """Whether every law keeps the rows left out on the whole box of parameters: then it is optimal with them too."""
+    """Whether every law keeps the rows left out on the whole box of parameters. Then it is optimal with them too."""
     left = np.isinf(answer.problem.w)
     gain = problem.S[left] - problem.G[left] @ answer.law[:, :, :-1]
     room = problem.w[left] - answer.law[:, :, -1] @ problem.G[left].T
@@ -134,9 +134,7 @@ def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
 
 
 def _thinnest(qp: ScaledQP) -> float:
-    """How far two opposite bounds are apart along the parameters, where they are furthest: laws between them may be
-    too thin to be seen.
-    """
+    """Least of the largest distances of opposite bounds along the parameters. Laws may be too thin to be seen."""
     first, second = np.nonzero(qp.gram < DUPLICATE - 1)
     slope = np.linalg.norm(qp.D[first, :-1], axis=1)
     apart = qp.D[first] + qp.D[second]
@@ -167,13 +165,13 @@ def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:
 
 
 def _is_thin(found: Found, r: int) -> bool:
-    """Whether the ball in a region is smaller than THIN; a centre that lies outside says nothing."""
+    """Whether the ball in a region is smaller than THIN. A centre that lies outside says nothing."""
     rows = found.rows[found.offsets[r] : found.offsets[r + 1]]
     return bool(0.0 <= (rows[:, -1] - rows[:, :-1] @ found.centres[r]).min() < THIN)
 
 
 def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) -> ScaledQP | None:
-    """The problem with these equalities eliminated; None where they are met nowhere, or at a flat set of parameters."""
+    """The problem with these equalities eliminated. None where they are met nowhere, or at a flat set of parameters."""
     if implied.status is not MPQPStatus.COMPLETE or implied.of_parameters:
         return None
     if not len(implied.rows):

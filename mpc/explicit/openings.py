@@ -13,19 +13,18 @@ from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, 
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import CROSSING, KKT, LAW_ERROR, OPTIMAL_SET, PARALLEL, TIE
 
-_FAR = 0.1  # the farther point beyond a facet, in radii of the facet
 Candidates = list[tuple[int, ...]]
 
 
 class Opening(NamedTuple):
-    """What the QP finds at a parameter: active sets with independent rows, and whether it is feasible with room."""
+    """Result of the QP at a parameter: active sets with independent rows, and whether it is feasible with room."""
 
     candidates: Candidates
     feasible: bool
 
 
 def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
-    """Points of the parameter set just beyond one facet [a, b] of a region and a share of its size beyond it.
+    """Points of the parameter set just beyond a region's facet [a, b], and a share of its size beyond it.
 
     They lie above a point in the middle of the facet; none where the facet is too small for one.
     """
@@ -46,7 +45,7 @@ def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
         radius = interior_point(A, slack[sides] / length[sides], np.inf, centre)
     if radius == 0.0:
         return np.empty((0, len(foot)))
-    steps = [CROSSING, max(CROSSING, _FAR * radius)]
+    steps = [CROSSING, max(CROSSING, 0.1 * radius)]
     points = np.array([foot + plane @ centre + step * normal for step in steps])
     return points[(points @ qp.TA.T <= qp.Tb).all(axis=1)]
 
@@ -60,7 +59,7 @@ class OnlineQP:
         self.solver = DenseQP(np.eye(len(self.free)), qp.M)
 
     def at(self, t: Array, deadline: float = np.inf) -> Opening:
-        """What the QP finds at the parameter t; past the deadline a feasible one may be taken for one without room."""
+        """Opening at the parameter t. Past the deadline a feasible one may be taken for one without room."""
         bounds = self.qp.D @ np.append(t, 1.0)
         result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
         y = result.multipliers
@@ -72,7 +71,7 @@ class OnlineQP:
         return Opening([taken, self._independent(result.z, bounds)], self._has_room(bounds, deadline))
 
     def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:
-        """Rows active at v that carry it, as few as can: their multipliers are positive, so they are independent."""
+        """Rows active at v that carry it, as few as can. Their multipliers are positive, so they are independent."""
         near = np.flatnonzero(bounds - self.qp.M @ v <= LAW_ERROR * (1.0 + np.abs(bounds)))
         if not len(near):
             return ()
@@ -80,13 +79,13 @@ class OnlineQP:
         return tuple(int(i) for i in near[share > 0])
 
     def _has_room(self, bounds: Array, deadline: float) -> bool:
-        """Whether a point holds every row, found with bounds a little tighter: no tolerance makes it feasible."""
+        """Whether a point holds every row, found with bounds a little tighter. No tolerance makes it feasible."""
         room = TIE * (1.0 + np.abs(bounds))
         found = self.solver.solve(self.free, bounds - room, confirm_infeasible=True).z
         return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room, deadline)
 
     def _linear_program_finds_room(self, bounds: Array, room: Array, deadline: float) -> bool:
-        """The same asked of HiGHS, for v that are not too large: of nearly opposite rows a QP solver finds no point.
+        """Whether HiGHS finds room, for v not too large. Of nearly opposite rows a QP solver finds no point.
 
         Where HiGHS does not end, nobody can tell, and the parameter counts.
         """

@@ -17,7 +17,7 @@ Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class MPQPStatus(Outcome):
-    """How the exploration ended; the value is the advice."""
+    """Outcome of an exploration; the value is the advice."""
 
     COMPLETE = "Complete: every region behind every facet was explored, and no feasible parameter found outside them."
     INFEASIBLE = "No parameter of the set is feasible, or only a flat part. Ask `LinearMPC.explain` what conflicts."
@@ -90,7 +90,7 @@ class Partition:
         return rows
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields; what is computed from them is computed anew."""
+        """Fields alone; what is computed from them is computed anew."""
         return {name: value for name, value in self.__dict__.items() if name != "scaled_rows"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -84,7 +84,7 @@ def _is_index(value: Any, count: int) -> bool:
 
 
 def _polygons(law: PiecewiseLaw, axes: tuple[int, int], base: Array, ax: Any) -> list[Any]:
-    """Regions as polygons; those that the section misses, or only touches, are left out."""
+    """Regions as polygons. Those that the section misses, or only touches, are left out."""
     import matplotlib.pyplot as plt
 
     from invariant_sets import Polytope

@@ -16,8 +16,6 @@ Masks = np.ndarray[Any, np.dtype[np.uint64]]
 Bits = np.ndarray[Any, np.dtype[np.uint8]]
 Bools = np.ndarray[Any, np.dtype[np.bool_]]
 
-_CAPACITY = 1024  # active sets for which there is room at first
-_FACETS = 16  # facets a region for which there is room at first
 
 
 class Found(NamedTuple):
@@ -44,7 +42,7 @@ class RegionGraph:
         self.graph, self.facets = _room(len(qp.M), self.parameters)
 
     def _take(self, qp: ScaledQP) -> None:
-        """Take a problem."""
+        """Store a problem."""
         self.qp = qp
         self.parameters = qp.D.shape[1] - 1
         self.data = QPData(qp.M, qp.D, qp.tie, qp.gram, qp.TA, qp.Tb)
@@ -66,11 +64,11 @@ class RegionGraph:
 
     @property
     def facet_states(self) -> np.ndarray[Any, np.dtype[np.int8]]:
-        """What became of the facets."""
+        """States of the facets."""
         return self.facets.state[: self.graph.counts[ROWS]]
 
     def explore(self, regions: int) -> None:
-        """Find the facets of so many more regions, and their neighbours; of fewer where memory has to grow first."""
+        """Find the facets of so many more regions, and their neighbours. Fewer where memory has to grow first."""
         from mpc.explicit.kernels.exploration import GROW, explore
 
         if explore(self.data, self.graph, self.facets, regions) == GROW:
@@ -86,7 +84,7 @@ class RegionGraph:
         consider(self.data, self.graph, _masks(members, self.graph.masks.shape[1])[0])
 
     def seed(self, targets: Array) -> Array:
-        """Queue the active sets at feasible parameters near the targets; returns those parameters."""
+        """Queue the active sets at feasible parameters near the targets. Returns those parameters."""
         from mpc.explicit.kernels.places import seed
 
         self.make_room(4 * len(targets))
@@ -94,14 +92,14 @@ class RegionGraph:
         return found[: int(seed(self.data, self.graph, *self.qp.joint, targets, found))]
 
     def look_at(self, points: Array) -> Bools:
-        """Queue the active sets at points; which of these lie in the parameter set and are feasible."""
+        """Queue the active sets at points. Return which points lie in the parameter set and are feasible."""
         from mpc.explicit.kernels.places import look_at
 
         self.make_room(4 * len(points))
         return np.asarray(look_at(self.data, self.graph, points))
 
     def covered(self, points: Array, distance: float = INSIDE) -> Bools:
-        """Which points lie in a region that is done, or not farther outside one than a distance."""
+        """Points that lie in a region that is done, or not farther outside one than a distance (bool)."""
         from mpc.explicit.kernels.places import covered
 
         return np.asarray(covered(self.facets, self.graph.counts, points, distance))
@@ -112,7 +110,7 @@ class RegionGraph:
         return np.unpackbits(masks, axis=1, bitorder="little")[:, : len(self.qp.M)]
 
     def keep_rows(self, kept: Ints) -> None:
-        """Keep these rows of the problem, among them all active ones; forget the sets without region."""
+        """Keep these rows of the problem, among them all active ones. Forget the sets without region."""
         members = self.active_bits(self.queued)[:, kept]
         count = len(members)
         old = self.graph
@@ -133,7 +131,7 @@ class RegionGraph:
             self._grow_sets()
 
     def _grow(self) -> None:
-        """Twice the room for facets if that is scarce, else for active sets."""
+        """Double the room for facets if that is scarce, else for active sets."""
         facets = self.facets
         if self.graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
             longer = {name: _longer(getattr(facets, name)) for name in ("rows", "hits", "state")}
@@ -142,7 +140,7 @@ class RegionGraph:
             self._grow_sets()
 
     def _grow_sets(self) -> None:
-        """Twice the room for active sets."""
+        """Double the room for active sets."""
         graph = self.graph
         facets = self.facets
         self.facets = facets._replace(offsets=_longer(facets.offsets), centres=_longer(facets.centres))
@@ -167,14 +165,14 @@ class RegionGraph:
         return Found(status, self.qp, sets, rows, offsets, self.facets.centres[: self.done].copy(), uncovered)
 
 
-def _room(m: int, n: int, capacity: int = _CAPACITY) -> tuple[Graph, Facets]:
+def _room(m: int, n: int, capacity: int = 1024) -> tuple[Graph, Facets]:
     """An empty graph of active sets among m rows, and facets in n parameters."""
     graph = Graph(
         masks=np.zeros((capacity, max(1, (m + 63) // 64)), dtype=np.uint64), kinds=np.zeros(capacity, dtype=np.int8),
         table=np.full(4 * capacity, -1, dtype=np.int64), queue=np.zeros(capacity, dtype=np.int64),
         counts=np.zeros(4, dtype=np.int64), tied=np.zeros(m, dtype=bool),
     )  # fmt: skip
-    rows = np.empty((_FACETS * capacity, n + 1))
+    rows = np.empty((16 * capacity, n + 1))
     state = np.zeros(len(rows), dtype=np.int8)
     hits = np.empty((len(rows), n))
     return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), rows, np.empty((capacity, n)), hits, state)

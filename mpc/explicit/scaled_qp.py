@@ -193,7 +193,7 @@ def _bounded_rows(problem: ParametricQP) -> Ints:
 
 
 def widths(gram: Array, sizes: Array) -> Array:
-    """The size of each bound, or of an opposite one where that is larger: the wider side says how wide a slab is."""
+    """Size of each bound, or of an opposite larger one. The wider side says how wide a slab is."""
     wide = sizes.copy()
     first, second = np.nonzero(gram < DUPLICATE - 1)
     np.maximum.at(wide, first, sizes[second])
@@ -220,7 +220,7 @@ def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
 
 
 def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Which rows restrict the parameter only: moving v by its own size changes them by rounding."""
+    """Rows (bool) that restrict the parameter only. Moving v by its own size changes them by rounding."""
     moved = length > 0
     reach = _typical(right[moved] / length[moved, None])  # what the bounds ask of v, where its optimum is zero
     typical = max(float(np.abs(shift).sum(axis=1).max(initial=0.0)), reach)

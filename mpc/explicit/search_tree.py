@@ -12,20 +12,15 @@ from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, as_seconds
 from mpc.exceptions import InputError
 from mpc.explicit.partition import Ints, Laws, MPQPStatus, Partition
-from mpc.tolerances import CROSSING, SAME_HYPERPLANE_DIGITS
+from mpc.tolerances import CROSSING, LEAF_ENTRIES, POINTS_OF_REGION, SAME_HYPERPLANE_DIGITS, TESTS_AT_ONCE
 
-_SMALL = 2000  # regions up to which leaves are divided until one law is left
-_BUCKET = 8  # regions in a leaf that are not divided further in larger partitions
-_MOST = 200  # entries of leaves for each region of the partition at which the tree stops to grow
-_PORTION = 20_000  # regions tested between two looks at the clock
-_POINTS = 64  # points that represent a region
 METHODS = ("tree", "sequential")
 
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class TreeStatus(Outcome):
-    """How the growth of a search tree ended; the value is the advice."""
+    """Outcome of the growth of a search tree. The value is the advice."""
 
     COMPLETE = "Complete: every leaf holds regions of one law, or few."
     TIME_LIMIT = "Stopped at `tree_time_limit`: some leaves hold many regions and are scanned. The law is the same."
@@ -145,7 +140,7 @@ def find(tree: SearchTree, partition: Partition, theta: Array, *, scan: bool = F
 def evaluate(
     tree: SearchTree, partition: Partition, theta: Array, laws: Laws, *, scan: bool = False
 ) -> tuple[Array, Flags]:
-    """Input law[region] [θ; 1] of every parameter (n, nt), and whether it lies outside; regions as `find` gives them.
+    """Input law[region] [θ; 1] of every parameter (n, nt), and whether it lies outside. Regions as `find` gives them.
 
     Outside a complete partition the law is taken at the border; outside any, it is kept within the rows of limits.
     """
@@ -154,7 +149,7 @@ def evaluate(
 
 
 def scan_regions(partition: Partition, theta: Array) -> Ints:
-    """Region of every parameter (n, nt) by a scan of all regions, -1 outside; no tree is needed."""
+    """Region of every parameter (n, nt) by a scan of all regions, -1 outside. No tree is needed."""
     n = theta.shape[1]
     region, outside = _located(_locator(partition, _no_leaf(n), np.zeros((0, n + 1)), np.zeros(n)), theta)
     return np.where(outside, -1, region)
@@ -183,7 +178,7 @@ def _no_leaf(n: int) -> tuple[Array, Ints, Ints]:
 
 
 def _locator(partition: Partition, tree: tuple[Array, Ints, Ints], border: Array, inner: Array) -> Any:
-    """Planes, nodes and leaf regions, the facets of the regions, and the border, for the compiled search."""
+    """Locator for the compiled search: planes, nodes and leaf regions, the facets of the regions, and the border."""
     from mpc.explicit.kernels.search import Locator
 
     regions = (partition.scaled_rows, partition.offsets)
@@ -191,7 +186,7 @@ def _locator(partition: Partition, tree: tuple[Array, Ints, Ints], border: Array
 
 
 def _searched(tree: SearchTree, partition: Partition, scan: bool) -> Any:
-    """The same for a search tree, or for a scan of all regions within its border."""
+    """Locator of a search tree, or of a scan of all regions within its border."""
     parts = _no_leaf(len(partition.centre)) if scan else (tree.planes, tree.nodes, tree.leaf_regions)
     return _locator(partition, parts, tree.border, tree.centre)
 
@@ -225,7 +220,7 @@ def region_points(partition: Partition) -> RegionPoints:
     """Centre of every region and one point on each facet, scaled."""
     from mpc.explicit.kernels.growth import points_of
 
-    sizes = np.minimum(np.diff(partition.offsets) + 1, _POINTS)
+    sizes = np.minimum(np.diff(partition.offsets) + 1, POINTS_OF_REGION)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     points = np.zeros((int(starts[-1]), partition.scaled_rows.shape[1] - 1))
     points_of(partition.scaled_rows, partition.offsets, points, starts)
@@ -249,16 +244,16 @@ def _grow(
     growth.last[0] = count
     growth.pool[:count] = np.arange(count)
     growth.inside[:count] = [(1 << int(size)) - 1 for size in np.diff(points.starts)]
-    bucket = 1 if count <= _SMALL else _BUCKET
+    bucket = 1 if count <= 2000 else 8
     status = TreeStatus.COMPLETE
-    while (code := grow(regions, growth, bucket, _PORTION)) != FINISHED:
+    while (code := grow(regions, growth, bucket, TESTS_AT_ONCE)) != FINISHED:
         if code == GROW:
             growth = _roomier(growth)
         if time.perf_counter() > deadline:
             status = TreeStatus.TIME_LIMIT
             break
         waiting = growth.counts[POOL] - growth.first[growth.counts[NEXT]]
-        if growth.counts[LEAF] + waiting > _MOST * count + 10_000:
+        if growth.counts[LEAF] + waiting > LEAF_ENTRIES * count + 10_000:
             status = TreeStatus.SIZE_LIMIT
             break
     nodes = growth.nodes[: growth.counts[NODES]].copy()
@@ -289,7 +284,7 @@ def _largest_first(nodes: Ints, leaf: Ints, points: RegionPoints) -> Ints:
 
 
 def _roomier(growth: Any) -> Any:
-    """The same growth with more room; regions of nodes already looked at are let go."""
+    """The growth with more room. Regions of nodes already looked at are let go."""
     from mpc.explicit.kernels.growth import NEXT, POOL
 
     node = growth.counts[NEXT]
@@ -308,7 +303,7 @@ def _roomier(growth: Any) -> Any:
 
 
 def _border(partition: Partition, tree: tuple[Array, Ints, Ints], points: RegionPoints) -> Array:
-    """Facets with every region on one side and none just across; a complete partition is convex, so these bound it."""
+    """Facets with every region on one side and none just across. A complete partition is convex, so these bound it."""
     from mpc.explicit.kernels.search import supporting
 
     rows = partition.scaled_rows

@@ -1,4 +1,4 @@
-"""What a program is put together from: unknowns, constraints and pieces, one after the other."""
+"""The parts of a program in the making: unknowns, constraints and pieces, one after the other."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mpc.optimal_control.program import (
 
 
 class Assembly:
-    """Collects unknowns, constraints and pieces."""
+    """Collection of unknowns, constraints and pieces."""
 
     def __init__(self) -> None:
         self.lower: list[Array] = []
@@ -38,7 +38,7 @@ class Assembly:
 
     @property
     def width(self) -> int:
-        """Unknowns so far."""
+        """Number of unknowns so far."""
         return sum(map(len, self.lower))
 
     def unknown(self, lower: Array, upper: Array, guess: Array, scale: Array | None = None) -> None:
@@ -56,7 +56,7 @@ class Assembly:
 
     def rows(self, name: str, phase: int, entries: Sequence[str], points: int, low: Any, high: Any, scale: Any,
              fractions: Any) -> slice:  # fmt: skip
-        """Append constraints, those called `entries` at so many points; their places."""
+        """Append constraints, those called `entries` at so many points; return their places."""
         count = len(entries) * points
         first, last = self.height, self.height + count
         low, high, scale, places = (

@@ -47,7 +47,7 @@ def as_parameter_bounds(value: Any) -> tuple[Array, Array]:
 
 
 def _as_pair(name: str, value: Any) -> Any:
-    """Two sides of bounds."""
+    """The two sides of bounds."""
     given = tuple(value) if isinstance(value, np.ndarray) else value
     if not isinstance(given, list | tuple) or len(given) != 2:
         cure = "Each is a number or has one for every entry: pairs of every entry are ([lower, …], [upper, …])."
@@ -101,7 +101,7 @@ def as_duration(value: Any, discrete: bool) -> tuple[float, float]:
 
 
 def as_names(name: str, value: Any, usual: str, size: int) -> tuple[str, ...]:
-    """So many names; `usual` and a number each where none are given."""
+    """Names, `size` of them; `usual` and a number each where none are given."""
     if isinstance(value, str) or not isinstance(value, list | tuple):
         raise InputError(name, brief(repr(value)), f"a list of {size} names")
     names = tuple(value) or tuple(f"{usual}{i + 1}" for i in range(size))

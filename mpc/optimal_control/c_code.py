@@ -14,9 +14,7 @@ from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.linear_law import gain_at_rest
-from mpc.optimal_control.planner import DEAR, TINY
-
-SOLVER = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False, "max_iter": 1000}
+from mpc.tolerances import TINY, VIOLATION_PRICE
 
 
 def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
@@ -45,7 +43,9 @@ def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
     data = _program(law)
     h, g, a, low, high, least = data(x, at, now, after - at[:, 1:], A, B, x_ref, u_ref, last if limited else 0)
     arguments["multipliers"] = given = ca.MX.sym("multipliers", g.numel() + low.numel())
-    solver = ca.conic("program", "qrqp", {"h": data.sparsity_out(0), "a": data.sparsity_out(2)}, SOLVER)
+    solver = ca.conic("program", "qrqp", {"h": data.sparsity_out(0), "a": data.sparsity_out(2)}, {
+        "print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False, "max_iter": 1000,
+    })  # fmt: skip
     found = solver(
         h=h, g=g, a=a, lba=low, uba=high, lbx=least, lam_x0=given[: g.numel()], lam_a0=given[g.numel() :]
     )  # fmt: skip
@@ -57,7 +57,7 @@ def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
 
 
 def write_c(law: LinearMPC, model: DiscreteModel, folder: Any) -> Path:
-    """Write `nonlinear_mpc.c` and its header: `iteration`, `step` and `derivatives`; returns the path of the former."""
+    """Write `nonlinear_mpc.c` and its header: `iteration`, `step` and `derivatives`. Returns the path of the former."""
     iteration = real_time_iteration(law, model)
     try:
         where = Path(folder)
@@ -72,7 +72,7 @@ def write_c(law: LinearMPC, model: DiscreteModel, folder: Any) -> Path:
 
 
 def _of_columns(function: ca.Function) -> ca.Function:
-    """A function of (x, u, w, p) as one of those that have entries: generated C knows no empty arguments."""
+    """A function of (x, u, w, p) as one of those that have entries. Generated C knows no empty arguments."""
     columns = symbols_of(function)
     kept = {name: column for name, column in columns.items() if not column.is_empty()}
     results = function.call(list(columns.values()))
@@ -82,7 +82,7 @@ def _of_columns(function: ca.Function) -> ca.Function:
 
 
 def _held(law: LinearMPC, wanted: Any, last: Any) -> Any:
-    """An input within U, where that is a box, and within the rate limit of the last one."""
+    """An input within U, where that is a box, and within the last one's rate limit."""
     low, high = _box(law)
     held = ca.fmin(ca.fmax(wanted, low), high)
     if law.rate_limit is None:
@@ -133,7 +133,7 @@ def _program(law: LinearMPC) -> ca.Function:
     d, v, s = _split(law, z, slacks)
     d, v = ca.diag(size_x) @ d, ca.diag(size_u) @ v
     now_cost, cost = (_cost(law, at + i * d - x_ref, now + i * v - u_ref) for i in (0, 1))
-    soft = law.soft if law.soft is not None else (ca.fmax(DEAR * now_cost, TINY),) * 2
+    soft = law.soft if law.soft is not None else (ca.fmax(VIOLATION_PRICE * now_cost, TINY),) * 2
     for k in range(slacks):
         cost += soft[0] * s[k] + soft[1] * s[k] ** 2
     rows = [(at[:, 0] + d[:, 0] - x) / size_x]

@@ -7,12 +7,12 @@ from functools import cache
 import numpy as np
 from numba import njit
 
-TINY = 1e-12  # of the diagonal of a matrix to be divided by: gains need not be exact, only stabilise
+from mpc.tolerances import GAIN_REGULARISATION
 
 
 @cache
 def compile_kernels() -> None:
-    """Compile them before a clock runs: seconds after an installation, once; numba keeps them on disk."""
+    """Compile the kernels before a clock runs: seconds after an installation, once. Numba keeps them on disk."""
     one, column = np.ones((1, 1, 1)), np.ones((1, 1))
     gains, _ = gains_along(one, one, column, column, column, column)
     responses(one, one, gains, column, np.ones(1))
@@ -47,7 +47,7 @@ def gains_along(A, B, Q, R, S, P):
 
 @njit(cache=True)
 def responses(A, B, gains, gaps, first):
-    """How states (N + 1, nx, N nu) and inputs (N, nu, N nu) answer to v, where du = v - K dx; and where v = 0 leads.
+    """Responses of states (N + 1, nx, N nu) and inputs (N, nu, N nu) to v of du = v - K dx, and where v = 0 leads.
 
     Parameters
     ----------
@@ -127,10 +127,10 @@ def _divided(M, right):
     L = np.zeros((n, n))
     for i in range(n):
         for j in range(i + 1):
-            left = M[i, j] * scale[i] * scale[j] + (TINY if i == j else 0.0)
+            left = M[i, j] * scale[i] * scale[j] + (GAIN_REGULARISATION if i == j else 0.0)
             for k in range(j):
                 left -= L[i, k] * L[j, k]
-            L[i, j] = np.sqrt(max(left, TINY)) if i == j else left / L[j, j]
+            L[i, j] = np.sqrt(max(left, GAIN_REGULARISATION)) if i == j else left / L[j, j]
     found = np.zeros(right.shape)
     for c in range(right.shape[1]):
         for i in range(n):

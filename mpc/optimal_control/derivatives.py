@@ -35,7 +35,7 @@ class Derivatives:
         return cost, constraints
 
     def _gathered(self, v: Any, of_cost: bool) -> Any:
-        """f or g, of the values that go there."""
+        """Expression of f or g, from the values that are added to it."""
         values, rows, factors = [ca.MX(0, 1)], [], []
         for piece in self.pieces:
             chosen = piece.of_cost == of_cost
@@ -53,13 +53,13 @@ class Derivatives:
 
     @cached_property
     def values(self) -> ca.Function:
-        """v → f, g."""
+        """Function v → f, g."""
         v = ca.MX.sym("v", self.n)
         return ca.Function("values", [v], list(self.expressions(v)))
 
     @cached_property
     def stationarity(self) -> ca.Function:
-        """v, λ → g, ∇(f + λ'g), ∇f: by CasADi's own reverse mode, which shares nothing with what the solver gets."""
+        """Function v, λ → g, ∇(f + λ'g), ∇f by CasADi's own reverse mode, which the solver does not use."""
         v, multipliers = ca.MX.sym("v", self.n), ca.MX.sym("multipliers", self.m)
         f, g = self.expressions(v)
         slope = ca.gradient(f + ca.dot(multipliers, g), v)
@@ -67,7 +67,7 @@ class Derivatives:
 
     @cached_property
     def jacobian(self) -> tuple[ca.Function, ca.Function]:
-        """v → (f, ∇f) and v → (g, ∂g/∂v)."""
+        """Functions v → (f, ∇f) and v → (g, ∂g/∂v)."""
         v = ca.MX.sym("v", self.n)
         f, g = self.expressions(v)
         parts: tuple[list[Any], list[Any]] = ([ca.MX(0, 1)], [ca.MX(0, 1)])
@@ -90,7 +90,7 @@ class Derivatives:
 
     @cached_property
     def hessian(self) -> ca.Function:
-        """v, σ, λ → upper triangle of the Hessian of σ f + λ'g."""
+        """Function v, σ, λ → upper triangle of the Hessian of σ f + λ'g."""
         v, of_cost, multipliers = ca.MX.sym("v", self.n), ca.MX.sym("of_cost"), ca.MX.sym("multipliers", self.m)
         all_of_them = ca.vertcat(of_cost, multipliers)
         parts, places = [ca.MX(0, 1)], []
@@ -113,7 +113,7 @@ class Derivatives:
 
     @staticmethod
     def _assembled(parts: list[Any], places: list[Any], shape: tuple[int, int], first: int) -> Any:
-        """A sparse matrix of nonzeros and their places, those of one place added; rows are counted from `first`."""
+        """Sparse matrix of nonzeros and their places, those of one place added. Rows are counted from `first`."""
         rows, columns = (_joined([place[i] for place in places]) for i in range(2))
         order = columns * shape[0] + rows - first  # by columns, as CasADi keeps them
         cells, where = np.unique(order, return_inverse=True)
@@ -157,7 +157,7 @@ def _compact(name: str, symbols: list[Any], matrix: Any) -> ca.Function:
 
 
 def _places(matrix: Any) -> tuple[Numbers, Numbers]:
-    """Rows and columns of its nonzeros."""
+    """Rows and columns of a matrix's nonzeros."""
     rows, columns = matrix.sparsity().get_triplet()
     return np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
 
@@ -176,7 +176,7 @@ def _dm(matrix: Any) -> ca.DM:
 
 
 def merged(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
-    """The pieces, with those of one function and the same factors as one.
+    """Pieces with those of one function and the same factors as one.
 
     Then those of scalar instructions that differ in constants and factors alone: these become data. Constants that are
     the same everywhere, such as 0 and 1, stay, and with them what is known of derivatives that vanish.
@@ -206,7 +206,7 @@ def _as_one(group: list[Piece]) -> Piece:
 
 
 def _written(function: ca.Function) -> Any:
-    """What two functions have in common if they are the same."""
+    """Key that two functions share if they are the same."""
     try:
         return function.serialize()
     except RuntimeError:  # of a function that is no expression
@@ -214,7 +214,7 @@ def _written(function: ca.Function) -> Any:
 
 
 def _kind(piece: Piece) -> Any:
-    """What pieces have in common that may differ in constants alone."""
+    """Key that pieces share which may differ in constants alone."""
     function = piece.function
     if not function.is_a("SXFunction"):
         return id(piece)

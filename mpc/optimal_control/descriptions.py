@@ -1,4 +1,4 @@
-"""What constraints and unknowns of a program are called, and which are violated or stand in the way, in words."""
+"""Names of a program's constraints and unknowns, and of those that are violated or stand in the way."""
 
 from __future__ import annotations
 
@@ -10,11 +10,7 @@ from mpc.checks import Array
 from mpc.optimal_control.interval import coordinates
 from mpc.optimal_control.pieces import Numbers
 from mpc.optimal_control.program import NonlinearProgram, Rows
-
-HOLDS = 0.01  # multiplier, beside the largest, of a limit that stands in the way
-NEARLY = 1e-6  # of an unknown's size: what two bounds that count as one differ by
-SHOWN = 5  # violated constraints that are named, and others that stand in the way
-BOUNDS = 10  # that are named
+from mpc.tolerances import IN_THE_WAY, NAMED_ROWS, SAME_BOUND
 
 
 def rows_of(program: NonlinearProgram, row: int) -> Rows:
@@ -23,29 +19,29 @@ def rows_of(program: NonlinearProgram, row: int) -> Rows:
 
 
 def of_phase(program: NonlinearProgram, phase: int) -> str:
-    """" of phase 2", where there are several."""
+    """Words such as " of phase 2", where there are several phases."""
     return f" of phase {phase + 1}" if len(program.parts) > 1 and phase >= 0 else ""
 
 
 def of_linked_phase(program: NonlinearProgram, phase: int) -> str:
-    """The same where phases follow one another; scenarios side by side have their limits in common."""
+    """Words such as " of phase 2" where phases follow one another. Scenarios side by side share their limits."""
     return of_phase(program, phase) if program.problem.linked else ""
 
 
 def limit_of_row(program: NonlinearProgram, row: int) -> str:
-    """What limit a constraint belongs to, at whatever time, and in whatever scenario: "path 2"."""
+    """Name of the limit that a constraint belongs to, at any time and in any scenario: "path 2"."""
     rows = rows_of(program, row)
     return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_linked_phase(program, rows.phase)}"
 
 
 def name_of_row(program: NonlinearProgram, row: int) -> str:
-    """What a constraint is, at whatever time: "path 2 of phase 3"."""
+    """Name of a constraint, at any time: "path 2 of phase 3"."""
     rows = rows_of(program, row)
     return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_phase(program, rows.phase)}"
 
 
 def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
-    """What a constraint is, and when: "path 2 at t = 0.31"."""
+    """Name and time of a constraint: "path 2 at t = 0.31"."""
     rows = rows_of(program, row)
     if rows.phase < 0:
         return name_of_row(program, row)
@@ -54,7 +50,7 @@ def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
 
 
 def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
-    """What an unknown is, and when: "bound of u1 at t = 0.31"."""
+    """Name and time of an unknown: "bound of u1 at t = 0.31"."""
     for k, (part, (start, length)) in enumerate(zip(program.parts, program.times(v))):
         if index == part.duration:
             return f"bound of the duration{of_phase(program, k)}"
@@ -69,7 +65,7 @@ def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
 
 
 def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: float) -> tuple[str, ...]:
-    """Constraints that are violated (m,), in sizes, by more than what passes for feasible; the worst first.
+    """Constraints that are violated (m,), in sizes, by more than what passes for feasible. The worst first.
 
     Each is named once for all times and scenarios, where it is violated most, with the amount in its own unit.
     """
@@ -78,7 +74,7 @@ def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: f
     worst = {name: int(rows[np.argmax(violations[rows])]) for name, rows in groups.items()}
     order = sorted(groups, key=lambda name: -violations[worst[name]])
     found = []
-    for name in order[:SHOWN]:
+    for name in order[:NAMED_ROWS]:
         row = worst[name]
         more = len(groups[name]) - 1
         points = f" (and at {more} more point{'s' * (more > 1)})" if more else ""
@@ -88,19 +84,19 @@ def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: f
 
 def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds: Array, violations: Array,
                   feasible: float) -> tuple[str, ...]:  # fmt: skip
-    """What cannot hold together, of the unknowns with the least violations and the multipliers there.
+    """Names of what cannot hold together, from the unknowns with least violations and the multipliers there.
 
     First the constraints that are violated, then those and the bounds whose multipliers hold against them.
     """
     pushing = np.abs(on_rows * program.row_scale)
-    strong = HOLDS * pushing.max(initial=0.0)
+    strong = IN_THE_WAY * pushing.max(initial=0.0)
     others = [
         int(rows[pushing[rows].argmax()])
         for rows in _limits(program, without=("dynamics",)).values()
         if pushing[rows].max() > strong and not (violations[rows] > feasible).any()
     ]
     others.sort(key=lambda i: -pushing[i])
-    named = [describe_row(program, i, v) for i in others[:SHOWN]]
+    named = [describe_row(program, i, v) for i in others[:NAMED_ROWS]]
     return (
         *violated(program, v, violations, feasible), *_shortened(named, len(others), "constraint"),
         *_bounds_in_the_way(program, v, on_bounds),
@@ -108,7 +104,7 @@ def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds
 
 
 def _limits(program: NonlinearProgram, without: tuple[str, ...] = ()) -> dict[str, Numbers]:
-    """The rows of every limit, at all times and in all scenarios, by its name."""
+    """Rows of every limit, at all times and in all scenarios, by its name."""
     found: dict[str, list[Numbers]] = {}
     for rows in program.rows:
         if rows.name in without:
@@ -126,9 +122,9 @@ def _bounds_in_the_way(program: NonlinearProgram, v: Array, on_bounds: Array) ->
     for i, text in _texts(program, v, weights):
         groups[text] = groups.get(text, 0.0) + abs(weights[i])
     largest = max(groups.values(), default=0.0)
-    held = [text for text, weight in groups.items() if weight > HOLDS * largest]
+    held = [text for text, weight in groups.items() if weight > IN_THE_WAY * largest]
     held.sort(key=lambda text: -round(np.log10(groups[text])))
-    return _shortened(held[:BOUNDS], len(held), "bound")
+    return _shortened(held[:10], len(held), "bound")
 
 
 def _shortened(named: list[str], count: int, what: str) -> tuple[str, ...]:
@@ -138,7 +134,7 @@ def _shortened(named: list[str], count: int, what: str) -> tuple[str, ...]:
 
 
 def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tuple[int, str]]:
-    """What the bound of each unknown with a multiplier is called."""
+    """Names of the bounds of unknowns with a multiplier."""
     for k, part in enumerate(program.parts):
         phase = of_linked_phase(program, k)
         numbers, _ = coordinates(part.layout, part.mesh)
@@ -160,11 +156,11 @@ def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tupl
 
 
 def _side(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
-    """Which bound of an unknown a multiplier is of, and the bound; where one is held besides, its value."""
+    """Side and value of the bound of an unknown that a multiplier belongs to. Where one is held besides, its value."""
     low, high = program.lower[i], program.upper[i]
-    if high - low <= NEARLY * program.scale[i]:
+    if high - low <= SAME_BOUND * program.scale[i]:
         return f"= {high:.6g}"
     bound = high if weight > 0 else low
-    if abs(bound - value) > HOLDS * program.scale[i]:
+    if abs(bound - value) > IN_THE_WAY * program.scale[i]:
         return f"= {value:.6g}"
     return f"{'≤' if weight > 0 else '≥'} {bound:.6g}"

@@ -16,7 +16,7 @@ from mpc.optimal_control.functions import symbols_of
 
 
 class Buffered:
-    """A CasADi function of arrays, each with one row for every column of the function's; every thread has buffers.
+    """A CasADi function of arrays, each with one row for every column of the function's. Every thread has buffers.
 
     Parameters
     ----------
@@ -29,14 +29,14 @@ class Buffered:
         self._workspace = threading.local()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Buffers are not copied: a copy makes its own."""
+        """Fields without buffers: a copy makes its own."""
         return {"function": self.function}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(**state)  # type: ignore[misc]
 
     def __call__(self, *arguments: ArrayLike) -> tuple[Array, ...]:
-        """Its results; a single row of an argument is repeated."""
+        """Results of the function; a single row of an argument is repeated."""
         own = self._workspace.__dict__
         if not own:
             own.update(self._buffers())
@@ -46,7 +46,7 @@ class Buffered:
         return tuple(value.copy() for value in own["results"])
 
     def _buffers(self) -> dict[str, Any]:
-        """Where arguments and results lie: CasADi stores columns one after the other, as NumPy rows."""
+        """Buffers of arguments and results: CasADi stores columns one after the other, as NumPy rows."""
         f = self.function
         arguments = [np.zeros((f.size2_in(i), f.size1_in(i))) for i in range(f.n_in())]
         results = [np.zeros((f.size2_out(i), f.size1_out(i))) for i in range(f.n_out())]
@@ -98,7 +98,7 @@ class DiscreteModel:
         return f, np.ascontiguousarray(A.transpose(0, 2, 1)), np.ascontiguousarray(B.transpose(0, 2, 1))
 
     def linearised_at(self, x: Array, u: Array, w: Array, p: Array) -> tuple[Array, Array, Array]:
-        """The same at one point."""
+        """Next state, A and B at one point."""
         f, A, B = self._at(x, u, w, p)
         return f[0], A.T, B.T
 
@@ -113,7 +113,7 @@ class DiscreteModel:
 
     @cached_property
     def _curvature(self) -> Buffered:
-        """Built when first asked for: few plans need it."""
+        """Function of second derivatives, built when first asked for: few plans need it."""
         columns = list(symbols_of(self.step).values())
         kind = type(columns[0])
         costate = kind.sym("costate", self.step.numel_out(0))

@@ -93,7 +93,7 @@ def symbols_of(function: ca.Function) -> dict[str, Any]:
 
 
 class _Named:
-    """Stands for a column that the problem does not have: any use of it names what is missing."""
+    """Placeholder of a column that the problem does not have. Any use of it names what is missing."""
 
     def __init__(self, column: Any, name: str) -> None:
         self.column = column

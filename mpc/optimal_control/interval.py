@@ -18,7 +18,7 @@ Trajectory = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Layout:
-    """Which unknowns an interval has: those of its first node, then its own."""
+    """Unknowns of an interval: those of its first node, then its own."""
 
     nx: int
     nu: int
@@ -94,7 +94,7 @@ def _step(functions: PhaseFunctions, s: dict[str, Any], w: Any) -> tuple[Any, An
 
 
 def _shoot(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any], w: Any) -> tuple[Any, Any, Any]:
-    """The equations of one interval of shooting: the state and its cost are integrated with the input held."""
+    """The equations of one interval of shooting. The state and its cost are integrated with the input held."""
     u, p, t, h = s["own"], s["p"], s["t"], s["h"]
 
     def rate(z: Any, time: Any, signal: Any) -> Any:
@@ -191,7 +191,7 @@ def placed(layout: Layout, mesh: Array, trajectory: Trajectory) -> Array:
 
 
 def coordinates(layout: Layout, mesh: Array) -> tuple[Array, Array]:
-    """What the unknowns (n,) of a phase are, states 0 … nx − 1 and then inputs, and the fractions at which they are."""
+    """Coordinates of a phase's unknowns (n,), states 0 … nx − 1 and then inputs, and their fractions."""
     width = layout.nx + layout.nu
 
     def numbers(at: Array) -> tuple[Array, Array]:
@@ -223,7 +223,7 @@ def first_duration(phase: Phase) -> float:
 
 
 def first_guess(phase: Phase) -> Trajectory:
-    """Where a phase starts from: what the user gave, else straight from the start to the end, with inputs near zero."""
+    """First guess of a phase: the user's, else straight from the start to the end, with inputs near zero."""
     if phase.guess is not None:
         return between(*phase.guess)
     first, last = (_known(*side) for side in (phase.start, phase.end))

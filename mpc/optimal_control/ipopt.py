@@ -1,4 +1,4 @@
-"""One call of Ipopt, and what its answer is worth by the program's own derivatives."""
+"""One call of Ipopt, and a check of its answer by the program's own derivatives."""
 
 from __future__ import annotations
 
@@ -13,17 +13,14 @@ from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.plan import Residuals
+from mpc.tolerances import DIVERGED, FEASIBLE
 
-FEASIBLE = 1e-6  # violation, in scaled rows, of what passes for feasible
-ENDLESS = 1e13  # of a scaled unknown
-NEARLY_FULL = 6  # QAMD, for rows that are nearly full: parameters and durations reach every interval of every scenario
-QUIET = {"print_level": 0, "sb": "yes"}
 ENDED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Of one call.
+    """Settings of one call.
 
     Attributes
     ----------
@@ -47,7 +44,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Found:
-    """What one call of the solver gave, in the units of the problem."""
+    """Result of one call of the solver, in the units of the problem."""
 
     v: Array
     multipliers: dict[str, Array]
@@ -93,11 +90,13 @@ def once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] 
 
 
 def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
-    """Ipopt on scaled unknowns and rows; made once for each choice of options, whatever the sizes."""
+    """Ipopt on scaled unknowns and rows. Made once for each choice of options, whatever the sizes."""
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
     if np.isfinite(settings.seconds):
         limits["max_wall_time"] = settings.seconds
-    ipopt = QUIET | {"diverging_iterates_tol": ENDLESS, "mumps_pivot_order": NEARLY_FULL} | limits | settings.options
+    # QAMD, number 6, is for rows that are nearly full: parameters and durations reach every interval of every scenario
+    given = {"print_level": 0, "sb": "yes", "diverging_iterates_tol": DIVERGED, "mumps_pivot_order": 6}
+    ipopt = given | limits | settings.options
     made = program.derivatives.solvers
     key = repr((sorted(ipopt.items()), settings.keep_best))
     if key in made:
@@ -119,7 +118,7 @@ def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIte
 
 
 class BestIterate(ca.Callback):  # type: ignore[misc]
-    """Keeps the cheapest of the feasible iterates; the least infeasible where none is."""
+    """Callback that keeps the cheapest of the feasible iterates. The least infeasible where none is."""
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
@@ -135,19 +134,19 @@ class BestIterate(ca.Callback):  # type: ignore[misc]
         self._sides = given["lbg"], given["ubg"]
 
     def get_n_in(self) -> int:
-        """As CasADi asks for it."""
+        """Number of arguments, for CasADi."""
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
-        """As CasADi asks for it."""
+        """Number of results, for CasADi."""
         return 1
 
     def get_name_in(self, i: int) -> str:
-        """As CasADi asks for it."""
+        """Name of an argument, for CasADi."""
         return str(ca.nlpsol_out(i))
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """As CasADi asks for it."""
+        """Sparsity of an argument, for CasADi."""
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)])
 
     def eval(self, arg: Any) -> list[int]:
@@ -164,7 +163,7 @@ class BestIterate(ca.Callback):  # type: ignore[misc]
 
 
 def _rank(violation: float, f: float) -> tuple[float, float]:
-    """The violation that counts, then the cost; whatever is not finite comes last."""
+    """The violation that counts, then the cost. Whatever is not finite comes last."""
     if not (np.isfinite(violation) and np.isfinite(f)):
         return np.inf, np.inf
     return (0.0, f) if violation <= FEASIBLE else (violation, f)

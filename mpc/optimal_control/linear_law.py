@@ -29,7 +29,7 @@ def gain_at_rest(law: LinearMPC) -> Array:
 
 
 def invariant_set(law: LinearMPC) -> Polytope:
-    """The largest set of states from which the regulator u = -Kx keeps X and U for ever, on the linearisation.
+    """Largest set of states in which u = -Kx keeps X and U for ever, on the linearisation.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How much a solution misses the dynamics, the cost and the limits between the points of its mesh."""
+"""Errors of a solution in the dynamics, the cost and the limits between the points of its mesh."""
 
 from __future__ import annotations
 
@@ -13,23 +13,18 @@ from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-
-QUADRATURE = 8  # Gauss points an interval at which the dynamics are compared
-TIGHTER = 0.01  # tolerance of CVODES that its result is compared with, beside its own
-STILL = 1e-6  # extent of a state, beside what its rate would make of it over the phase, that is rounding
-LOOKS = 16  # places an interval, and again about the largest excess
-LEAST_SIZE = 0.01  # of a limit, beside its size in the program
+from mpc.tolerances import LEAST_LIMIT_SIZE, LIMIT_CHECKS, RESTING_STATE
 
 
 class Missed(NamedTuple):
-    """What is missed over each interval, (N,) each: the dynamics, relative, and of the cost about."""
+    """Errors over each interval, (N,) each: of the dynamics, relative, and of the cost, about."""
 
     dynamics: Array
     cost: Array
 
 
 def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
-    """What a phase misses of the dynamics over each interval, relative to the extent of each state, and of its cost.
+    """Errors of a phase's dynamics over each interval, relative to the extent of each state, and of its cost.
 
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
@@ -46,7 +41,7 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
         return Missed(np.zeros(N), np.zeros(N))
     moved = np.abs(phase.stages.rates).max(axis=(0, 1)) * phase.duration
     largest = np.maximum(np.abs(phase.states).max(axis=0), np.abs(phase.stages.states).max(axis=(0, 1)))
-    size = np.maximum(largest, STILL * moved)
+    size = np.maximum(largest, RESTING_STATE * moved)
     found = _by_residual(phase, scheme, p) if isinstance(scheme, Collocation) else _by_finer_steps(phase, scheme, p)
     relative = found.dynamics / np.where(size > 0, size, 1.0)
     worst, cost = relative.max(axis=1), np.abs(found.cost)
@@ -54,9 +49,9 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
 
 
 def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
-    """∫ |dx/dt − f| over every interval, (N, nx), and what is missed of the cost."""
+    """Integrals ∫ |dx/dt − f| over every interval, (N, nx), and errors of the cost."""
     part, N = phase.part, phase.part.intervals
-    tau, weights = np.polynomial.legendre.leggauss(max(QUADRATURE, 2 * scheme.stages))
+    tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))
     tau, weights = 0.5 * (tau + 1), 0.5 * weights
     h, basis = np.diff(phase.times), scheme.basis(tau)
     k, at = np.repeat(np.arange(N), len(tau)), np.tile(tau, N)
@@ -75,15 +70,15 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
 
 
 def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> Missed:
-    """The difference (N, nx) that half the steps, or a tighter tolerance, make at the end of every interval."""
-    finer = replace(scheme, substeps=2 * scheme.substeps, tolerance=TIGHTER * scheme.tolerance)
+    """Difference (N, nx) by half the steps, or a tighter tolerance, at the end of every interval."""
+    finer = replace(scheme, substeps=2 * scheme.substeps, tolerance=0.01 * scheme.tolerance)
     (ends, fine), (_, coarse) = (_shot(phase, one, p) for one in (finer, scheme))
     of_cost = phase.weight * (fine[:, 0] - coarse[:, 0]) + np.einsum("kji,ki->k", phase.stages.costates, ends)
     return Missed(np.abs(ends), of_cost)
 
 
 def _shot(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> tuple[Array, Array]:
-    """What the ends (N, nx) of intervals miss by a scheme, and their costs (N, 1)."""
+    """Errors of the ends (N, nx) of intervals by a scheme, and their costs (N, 1)."""
     part, N = phase.part, phase.part.intervals
     layout = layout_of(part.phase, part.layout.nw, scheme)
     interval = interval_function(part.phase, part.functions, scheme, layout, len(p))
@@ -107,7 +102,7 @@ def evaluated(function: Any, phase: PhaseSolution, x: Array, u: Array, t: Array,
 
 
 class Excess(NamedTuple):
-    """The largest excess of each limit of a phase between the points: of its path, then of its bounded states.
+    """Largest violation of each limit of a phase between the points: of its path, then of its bounded states.
 
     What passes a limit by the polynomial of an input alone, as where an input jumps, counts by the part of the time
     that it lasts at most: what inputs do is felt by its integral.
@@ -131,7 +126,7 @@ class Excess(NamedTuple):
 
 
 def path_excess(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...], p: Array) -> tuple[Excess, ...]:
-    """By how much limits are exceeded between the points of the mesh, and when, of the unknowns (n,) of a program.
+    """Violations of limits between the points of the mesh, and their times, at the unknowns (n,) of a program.
 
     Zero where they never are; of discrete dynamics there is nothing between.
     """
@@ -139,21 +134,21 @@ def path_excess(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution
 
 
 def _excess(phase: PhaseSolution, p: Array, sizes: Array) -> Excess:
-    """That of a phase whose limits have sizes (m, N)."""
+    """Violations in a phase whose limits have sizes (m, N)."""
     m, N = sizes.shape
     bounded = _bounded(phase)
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
     if not m or phase.part.phase.discrete:
         return Excess(np.zeros(m), np.full(m, phase.times[0]), np.zeros(m), np.zeros(N), names)
-    tau = (np.arange(LOOKS) + 0.5) / LOOKS
-    beyond = _beyond(phase, p, np.repeat(np.arange(N), LOOKS), np.tile(tau, N)).reshape(m, N, LOOKS)
+    tau = (np.arange(LIMIT_CHECKS) + 0.5) / LIMIT_CHECKS
+    beyond = _beyond(phase, p, np.repeat(np.arange(N), LIMIT_CHECKS), np.tile(tau, N)).reshape(m, N, LIMIT_CHECKS)
     relative = beyond.max(axis=2) / sizes
     worst = relative.argmax(axis=1)
     rows = np.arange(m)
     first = tau[beyond[rows, worst].argmax(axis=1)]
-    near = np.clip(first[:, None] + np.linspace(-1, 1, LOOKS + 1) / LOOKS, 0, 1)
-    k = np.repeat(worst, LOOKS + 1)
-    closer = _beyond(phase, p, k, near.ravel()).reshape(m, m, LOOKS + 1)[rows, rows]
+    near = np.clip(first[:, None] + np.linspace(-1, 1, LIMIT_CHECKS + 1) / LIMIT_CHECKS, 0, 1)
+    k = np.repeat(worst, LIMIT_CHECKS + 1)
+    closer = _beyond(phase, p, k, near.ravel()).reshape(m, m, LIMIT_CHECKS + 1)[rows, rows]
     at = closer.argmax(axis=1)
     value = np.maximum(closer[rows, at], 0.0)
     relative[rows, worst] = value / sizes[rows, worst]
@@ -168,7 +163,7 @@ def _bounded(phase: PhaseSolution) -> Any:
 
 
 def _beyond(phase: PhaseSolution, p: Array, k: Any, tau: Array) -> Array:
-    """How far each limit is exceeded at fractions (n,) of intervals k (n,), (m, n)."""
+    """Violation (m, n) of each limit at fractions (n,) of intervals k (n,)."""
     part, scheme = phase.part, phase.part.scheme
     x, u = phase.states_within(k, tau), np.clip(phase.inputs_within(k, tau), *part.phase.u_bounds)
     own = _bounded(phase)
@@ -195,7 +190,7 @@ def _beyond(phase: PhaseSolution, p: Array, k: Any, tau: Array) -> Array:
 
 
 def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...]) -> list[Array]:
-    """Sizes (m, N) of the limits of every phase: how much they change with the extents of states and inputs."""
+    """Sizes (m, N) of the limits of every phase, by how they change with the extents of states and inputs."""
     extents = np.zeros(len(v))
     found, paths = [], []
     for part, phase in zip(program.parts, phases):
@@ -204,7 +199,7 @@ def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...
         extents[part.first : part.last] = of_all[numbers.astype(int)]
         own = _bounded(phase)
         scale = np.array([program.scale[part.first : part.last][numbers == i].max() for i in own])
-        size = np.maximum(of_all[own], LEAST_SIZE * scale)
+        size = np.maximum(of_all[own], LEAST_LIMIT_SIZE * scale)
         found.append(np.tile(size.reshape(-1, 1), (1, part.intervals)))
         paths.append(0 if part.functions.path is None or part.phase.discrete else part.functions.path.numel_out(0))
     if not any(paths):
@@ -215,5 +210,5 @@ def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...
             continue
         count = part.intervals * part.interval.numel_out(2)
         local, scale = (value[part.path][:count].reshape(part.intervals, -1, m) for value in (steep, program.row_scale))
-        found[k] = np.vstack([np.maximum(local.min(axis=1), LEAST_SIZE * scale.min(axis=1)).T, found[k]])
+        found[k] = np.vstack([np.maximum(local.min(axis=1), LEAST_LIMIT_SIZE * scale.min(axis=1)).T, found[k]])
     return found

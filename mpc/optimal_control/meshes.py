@@ -12,25 +12,20 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Collocation
-
-SAFETY = 0.05  # part of the tolerance that new intervals aim at
-MOST_PARTS = 6  # that an interval is cut into at once
-PINNED = 0.1  # of the root of the tolerance, to which the place of a jump is known
-JUMP = 0.5  # of an input's range, crossed within one interval
-LEAST_INTERVAL = 1e-9  # of the phase
+from mpc.tolerances import JUMP_PLACE, JUMP_SHARE, LEAST_INTERVAL, MESH_SAFETY, MOST_PARTS
 
 
 def finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: float) -> Array:
-    """A mesh whose intervals are cut into as many parts as errors ask for, and the excess of limits, and at jumps.
+    """A mesh whose intervals are cut into as many parts as errors ask for, and violations of limits, and at jumps.
 
     Of an excess (N,) that counts from 1 on; where an input jumps, too.
     """
     part = phase.part
     order = part.scheme.stages + 1 if isinstance(part.scheme, Collocation) else 5
-    asked = np.clip((np.maximum(errors, tolerance) / (SAFETY * tolerance)) ** (1 / order), 2, MOST_PARTS)
+    asked = np.clip((np.maximum(errors, tolerance) / (MESH_SAFETY * tolerance)) ** (1 / order), 2, MOST_PARTS)
     steps = np.diff(part.mesh)
     parts = np.where(errors > tolerance, np.ceil(asked).astype(int), 1)
-    long = steps > PINNED * np.sqrt(tolerance)
+    long = steps > JUMP_PLACE * np.sqrt(tolerance)
     parts = np.where(excess > 1, np.maximum(parts, np.clip(np.ceil(np.cbrt(excess)), 2, MOST_PARTS)), parts).astype(int)
     parts[_jumps(phase) & long] = MOST_PARTS
     parts[steps <= LEAST_INTERVAL] = 1
@@ -41,7 +36,7 @@ def finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: fl
 
 
 def _jumps(phase: PhaseSolution) -> Array:
-    """Intervals (N,) within which an input crosses most of its range: the jump's own place is known no better.
+    """Intervals (N,) within which an input crosses most of its range. The jump's own place is known no better.
 
     Not where it crosses back and forth in neighbours, as inputs do along a singular arc: there is no jump to find.
     """
@@ -49,7 +44,7 @@ def _jumps(phase: PhaseSolution) -> Array:
     if not inputs.size:
         return np.zeros(len(inputs), dtype=bool)
     whole = np.ptp(inputs, axis=(0, 1))
-    crossing = (np.ptp(inputs, axis=1) > JUMP * np.where(whole > 0, whole, np.inf)).any(axis=1)
+    crossing = (np.ptp(inputs, axis=1) > JUMP_SHARE * np.where(whole > 0, whole, np.inf)).any(axis=1)
     beside = np.convolve(crossing, [1, 0, 1], mode="same") > 0
     return np.asarray(crossing & ~beside)
 

@@ -18,7 +18,7 @@ from mpc.optimal_control.c_code import write_c
 from mpc.optimal_control.discrete_model import DiscreteModel, ModelDerivatives
 from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.linear_law import INVARIANT, invariant_set
-from mpc.optimal_control.planner import Effort, Planner
+from mpc.optimal_control.planner import Planner, SolveBudget
 from mpc.optimal_control.steady_state import SteadyStates
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
@@ -26,8 +26,7 @@ from mpc.rollout import for_each_state, spread_signals
 from mpc.sensitivities.along_plan import sensitivity_of
 from mpc.sensitivities.changes import as_changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity
-
-AT_REST = 1e-9  # how far a step may leave the rest, in sizes of the states
+from mpc.tolerances import AT_REST
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,9 +153,9 @@ class NonlinearMPC:
 
     @cached_property
     def _planner(self) -> Planner:
-        """Plans for these parameters."""
-        effort = Effort(self.iterations, self.most_iterations, as_seconds("time_limit", self.time_limit))
-        return Planner(self.linear, self.model, self.p, effort)
+        """Planner for these parameters."""
+        budget = SolveBudget(self.iterations, self.most_iterations, as_seconds("time_limit", self.time_limit))
+        return Planner(self.linear, self.model, self.p, budget)
 
     def __repr__(self) -> str:
         how = "converged" if self.iterations is None else f"{self.iterations} a sample"
@@ -164,16 +163,16 @@ class NonlinearMPC:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What a closed loop hands over at every step besides the state, see `LinearMPC.needs`."""
+        """Names of the signals that a closed loop hands over besides the state, see `LinearMPC.needs`."""
         return self.linear.needs
 
     @property
     def last_plans(self) -> tuple[Plan, ...]:
-        """The plans of the last call, one for each row: their statuses say which of them stand in for an optimum."""
+        """The plans of the last call, one for each row. Their statuses say which of them stand in for an optimum."""
         return tuple(self._last)
 
     def with_parameters(self, p: ArrayLike) -> NonlinearMPC:
-        """The same controller for other parameters p (np,), without building the model anew."""
+        """Controller for other parameters p (np,), without building the model anew."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
         for name in ("linear", "_planner", "steady_states"):
@@ -187,7 +186,7 @@ class NonlinearMPC:
         self._last.clear()
 
     def __copy__(self) -> NonlinearMPC:
-        """The same controller without plans of a last sample: copies control runs of their own."""
+        """Copy without plans of a last sample: copies control runs of their own."""
         other = object.__new__(type(self))
         other.__dict__.update(self.__dict__)
         other.__dict__["_last"] = []
@@ -247,7 +246,7 @@ class NonlinearMPC:
         x = as_array("x", x, (self.states,))
         self._check_start(start)
         given = spread_signals(self.linear, dict(signals))
-        to_the_end = Planner(self.linear, self.model, self.p, Effort(None, self.most_iterations, np.inf))
+        to_the_end = Planner(self.linear, self.model, self.p, SolveBudget(None, self.most_iterations, np.inf))
         plan = to_the_end.plan(x, given, start)
         w = given["w"].reshape(self.horizon, -1) if "w" in given else np.zeros((self.horizon, self.disturbances))
         derivatives = self._model_derivatives

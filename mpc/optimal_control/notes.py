@@ -1,4 +1,4 @@
-"""What a problem's statement may have to do with how a solve ended."""
+"""Notes on what a problem's statement may have to do with how a solve ended."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from mpc.optimal_control.descriptions import describe_row, of_phase
 from mpc.optimal_control.interval import times_of
 from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
+from mpc.tolerances import SHORTEST_DURATION
 
 AWAY = "Give a `guess` away from there, with which the function is finite."
 JUMPS = {
@@ -22,11 +23,10 @@ JUMPS = {
     ca.OP_NE: "!=", ca.OP_IF_ELSE_ZERO: "if_else", ca.OP_FMOD: "fmod",
 }  # fmt: skip
 KINKS = {ca.OP_FABS: "fabs", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
-AT_BOUND = 1e-4  # of a duration, of its lower bound
 
 
 def check_at_guess(program: NonlinearProgram) -> None:
-    """Raise an `InputError` unless cost and constraints are finite at the guess: it says which, when and where."""
+    """Raise an `InputError` unless cost and constraints are finite at the guess. It says which, when and where."""
     expected = "finite values where the solution starts from"
     try:
         f, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(program.guess))
@@ -80,7 +80,7 @@ def _at_ends(part: PhasePart, v: Array, clock: tuple[float, float]) -> dict[str,
 
 
 def _first(function: ca.Function | None, entries: Sequence[str], columns: dict[str, Array], phase: str) -> str:
-    """The first time at which a function is not finite, in words; nothing where it is."""
+    """The first time at which a function is not finite, in words. Nothing where it is."""
     if function is None:
         return ""
     n = max((value.shape[1] for value in columns.values() if value.ndim == 2), default=1)
@@ -119,7 +119,7 @@ def _shortest(program: NonlinearProgram, v: Array) -> Iterator[str]:
         if part.duration < 0:
             continue
         least, found = part.phase.duration[0], v[part.duration]
-        if found <= least * (1 + AT_BOUND):
+        if found <= least * (1 + SHORTEST_DURATION):
             yield (
                 f"The duration of phase {k + 1} came down to its lower bound {least:g}: without that bound it might "
                 "run to zero."
@@ -146,7 +146,7 @@ def _rough(program: NonlinearProgram, of_kinks: bool) -> Iterator[str]:
 
 
 def operations(function: ca.Function | None) -> set[int]:
-    """The operations of a function that is made of scalar instructions, or of calls of such functions."""
+    """Operations of a function made of scalar instructions, or of calls of such functions."""
     if function is None:
         return set()
     if not function.is_a("SXFunction"):

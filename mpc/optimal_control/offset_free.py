@@ -15,11 +15,8 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
 from mpc.problem import MPCProblem
+from mpc.tolerances import TARGET_STEADY, TARGET_STEP
 from mpc.tracking import OffsetFreeMPC, Target, nearest_target, sizes_of
-
-NEWTON = 1e-10  # change of a target, in sizes of states and inputs, that is rounding
-MOST = 20  # Newton steps towards a target
-DRIFT = 1e-8  # of a target that is steady, in sizes of the states
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,14 +95,14 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
             found = found if other is None else other
         x, u = np.split(found, [problem.nx])
         drift = model.next(x, u, w, p) - x
-        return Target(x, u, drift, bool(np.abs(drift / problem.state_extent).max() <= DRIFT))
+        return Target(x, u, drift, bool(np.abs(drift / problem.state_extent).max() <= TARGET_STEADY))
 
     def _by_newton(self, r: Array) -> tuple[Array, bool]:
         """State and input (nx + nu,) that linearised targets lead to, and whether they settle on a steady one."""
         problem, model, p, w = self._problem, self.mpc.model, self.mpc.p, self.disturbance
         size = sizes_of(problem)
         at = np.zeros(len(size))
-        for _ in range(MOST):
+        for _ in range(20):
             x, u = np.split(at, [problem.nx])
             after, A, B = model.linearised_at(x, u, w, p)
             if not (np.isfinite(after).all() and np.isfinite(A).all() and np.isfinite(B).all()):
@@ -114,13 +111,13 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
             then = np.concatenate([found.state, found.input])
             moved = float(np.abs((then - at) / size).max())
             at = then
-            if moved <= NEWTON:
+            if moved <= TARGET_STEP:
                 return at, found.steady
         return at, False
 
 
 def _with_additive(mpc: NonlinearMPC) -> NonlinearMPC:
-    """The same controller of a model with a disturbance added to every next state."""
+    """Controller of the model with a disturbance added to every next state."""
     step = mpc.model.step
     x, u, none, p = symbols_of(step).values()
     w = type(x).sym("w", mpc.states)

@@ -127,7 +127,7 @@ class Phase:
         self._try_functions()
 
     def _try_functions(self) -> None:
-        """Raise an `InputError` for functions that cannot be meant, as far as their arguments are known by now."""
+        """Raise an `InputError` for functions that cannot be meant, as far as arguments are known."""
         width = 0 if self.signal is None or callable(self.signal) else int(np.shape(self.signal)[1])
         for name, (sizes, rows) in _columns(self, width, 0).items():
             given = getattr(self, name)
@@ -139,7 +139,7 @@ class Phase:
                 _with_limits(self, name, compiled(name, given, sizes, rows))
 
     def _check_nothing_limits(self, name: str) -> None:
-        """Raise an `InputError` for bounds or names of the values of a function that is not there."""
+        """Raise an `InputError` for bounds or names of the values of a missing function."""
         if name not in LIMITED:
             return
         usual = repr(type(self).__dataclass_fields__[f"{name}_bounds"].default)
@@ -180,7 +180,7 @@ class PhaseFunctions:
 
 
 def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[str, int], int | None]]:
-    """What each function of a phase is a function of, with lengths, and the length of its value, where that is set."""
+    """Columns that each function of a phase depends on, with lengths, and the length of its value, where set."""
     running = {"x": phase.states, "u": phase.inputs, "w": width, "p": parameters, "t": 1}
     at_end = {"x": phase.states, "p": parameters, "t": 1}
     ends = {"x0": phase.states, "x": phase.states, "t0": 1, "t": 1, "p": parameters}
@@ -200,7 +200,7 @@ def _with_limits(phase: Phase, name: str, function: ca.Function | None) -> tuple
 
 
 def _width(phase: Phase) -> int:
-    """Entries of the given signal."""
+    """Number of entries of the given signal."""
     if phase.signal is None:
         return 0
     if not callable(phase.signal):

@@ -36,7 +36,7 @@ class PhaseToCome:
 
     @property
     def shared(self) -> Numbers:
-        """Places of what all its intervals depend on: parameters and free durations."""
+        """Places of the parameters and free durations that all intervals depend on."""
         return np.concatenate([self.p, self.clock.free])
 
     @property
@@ -46,7 +46,7 @@ class PhaseToCome:
 
 
 def phase_equations(into: Assembly, own: PhaseToCome) -> PhasePart:
-    """Append the equations of a phase; where they are."""
+    """Append the equations of a phase; return their places."""
     phase, functions, scheme, mesh, layout = own.phase, own.functions, own.scheme, own.mesh, own.layout
     N, first = len(mesh) - 1, own.first
     interval = interval_function(phase, functions, scheme, layout, len(own.p))
@@ -89,7 +89,7 @@ def phase_equations(into: Assembly, own: PhaseToCome) -> PhasePart:
 
 
 def _path_at_an_end(into: Assembly, own: PhaseToCome, w: Array) -> None:
-    """Append what is kept along a phase at that of its ends which its intervals leave out."""
+    """Append what is kept along a phase at the end that its intervals leave out."""
     functions, layout, first, fraction = own.functions, own.layout, own.first, 1.0 if own.held else 0.0
     assert functions.path is not None
     low, high = functions.path_bounds
@@ -134,7 +134,7 @@ def _ends(into: Assembly, own: PhaseToCome, last: int) -> None:
 
 
 def _depends_on_input(path: ca.Function) -> Array:
-    """Which values of a path function depend on the input: with points that leave out 0 there is none at the start."""
+    """Values (bool) of a path function that depend on the input. Points that leave out 0 have none at the start."""
     pattern = path.jac_sparsity(0, 1)
     depends = np.zeros(path.numel_out(0), dtype=bool)
     depends[list(pattern.row())] = True

@@ -17,7 +17,7 @@ from mpc.optimal_control.schemes import Collocation
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """What is known at the d points of every interval."""
+    """Values at the d points of every interval."""
 
     times: Array  # (N, d)
     states: Array  # (N, d, nx)
@@ -55,7 +55,7 @@ class PhaseSolution:
 
     @property
     def duration(self) -> float:
-        """[s]."""
+        """Duration [s]."""
         return float(self.times[-1] - self.times[0])
 
     @property
@@ -66,11 +66,11 @@ class PhaseSolution:
 
     @property
     def input_times(self) -> Array:
-        """(n,): the points at which inputs are unknowns."""
+        """Times (n,) at which inputs are unknowns."""
         return self.stages.times.ravel()
 
     def x(self, t: ArrayLike) -> Array:
-        """States (..., nx) at times (...), by the polynomials of the scheme; held beyond both ends."""
+        """States (..., nx) at times (...), by the polynomials of the scheme. Held beyond both ends."""
         k, tau, shape = self._located(t)
         return self.states_within(k, tau).reshape(*shape, -1)
 
@@ -108,7 +108,7 @@ class PhaseSolution:
         return np.stack([np.interp(t, self.times, column) for column in self.costates.T], axis=-1)
 
     def _located(self, t: ArrayLike) -> tuple[Any, Array, tuple[int, ...]]:
-        """Intervals and fractions of them of times, and their shape."""
+        """Intervals of times, fractions of them, and the shape of the times."""
         given = as_floats("t", t)
         inside = np.clip(given.ravel(), self.times[0], self.times[-1])
         k = np.clip(np.searchsorted(self.times, inside, side="right") - 1, 0, len(self.times) - 2)
@@ -171,7 +171,7 @@ def _stage_costates(part: PhasePart, multipliers: Array) -> Array:
 
 def _costates(part: PhasePart, nodes: Array, own: Array, p: Array, times: Array, h: Array, w: Array, multipliers: Array,
               weight: float) -> Array:  # fmt: skip
-    """How cost, equations and limits of each interval change with the state that it begins with, and at the end."""
+    """Derivatives of cost, equations and limits of each interval by the state that it begins with, and at the end."""
     layout, N = part.layout, part.intervals
     interval = part.interval
     arguments = [nodes[: layout.nx, :-1], nodes[layout.nx :, :-1], own, nodes[: layout.nx, 1:], nodes[layout.nx :, 1:],

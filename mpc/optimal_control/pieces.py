@@ -14,15 +14,14 @@ from numpy.typing import NDArray
 from mpc.checks import Array
 from mpc.optimal_control.interval import Layout
 from mpc.optimal_control.phase import PhaseFunctions
+from mpc.tolerances import SPREAD_FLOOR, SPREAD_ROUNDING
 
-ROUND = 1e-12  # of the squares: where all scenarios cost the same, their spread has a slope all the same
-TINY = 1e-300
 Numbers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """When a phase begins and how long it is, of given numbers and free durations."""
+    """Start and length of a phase, from given numbers and free durations."""
 
     start: float  # its start, less the free durations before it
     length: float  # its duration, where it is given
@@ -47,7 +46,7 @@ def piece_function(function: Callable[..., Any], scalar: bool, sizes: dict[str, 
 
 
 def interval_piece(interval: ca.Function, layout: Layout, clock: Clock, parameters: int, discrete: bool) -> ca.Function:
-    """Cost, defects and path values of an interval; data are its begin and length, as fractions, and the signal."""
+    """Cost, defects and path values of an interval. Data are its begin and length, as fractions, and the signal."""
     sizes = {
         "x": layout.nx, "v": layout.node_inputs, "own": layout.own, "x_next": layout.nx, "v_next": layout.node_inputs,
         "p": parameters, "free": len(clock.free),
@@ -81,7 +80,7 @@ def end_piece(functions: PhaseFunctions, clock: Clock, nx: int, parameters: int)
 
 def path_piece(functions: PhaseFunctions, clock: Clock, layout: Layout, parameters: int, fraction: float,
                kept: Numbers) -> ca.Function:  # fmt: skip
-    """Path values that are kept at one end of a phase; data are the signal there."""
+    """Path values that are kept at one end of a phase. Data are the signal there."""
 
     def values(x: Any, u: Any, p: Any, free: Any, data: Any) -> list[Any]:
         start, length = clock.times(free)
@@ -95,7 +94,7 @@ def path_piece(functions: PhaseFunctions, clock: Clock, layout: Layout, paramete
 
 
 def link_piece(link: ca.Function | None, clock: Clock, before: int, after: int, parameters: int) -> ca.Function:
-    """What the state that a phase begins with differs by from that of the phase before; `clock` is the phase's own."""
+    """Gap between the state a phase begins with and that of the phase before; `clock` is the phase's own."""
 
     def values(end: Any, begin: Any, p: Any, free: Any, data: Any) -> list[Any]:
         return [(end if link is None else link(end, p, clock.times(free)[0])) - begin]
@@ -130,14 +129,14 @@ def mean_and_spread(weights: Array, spread: float) -> ca.Function:
     def value(z: Any, data: Any) -> list[Any]:
         mean = ca.dot(parts, z)
         variance = ca.dot(parts, (z - mean) ** 2)
-        return [mean + spread * ca.sqrt(variance + ROUND * ca.dot(parts, z**2) + TINY)]
+        return [mean + spread * ca.sqrt(variance + SPREAD_ROUNDING * ca.dot(parts, z**2) + SPREAD_FLOOR)]
 
     return piece_function(value, True, {"z": len(weights)}, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One function of a few unknowns, at M places; each of its values is added to one row of [f; g]."""
+    """One function of a few unknowns, at M places. Each of its values is added to one row of [f; g]."""
 
     function: ca.Function  # (z (n,), data (d,)) → values (k,)
     unknowns: Numbers  # (n, M): which of all they are
@@ -147,12 +146,12 @@ class Piece:
 
     @property
     def places(self) -> int:
-        """M."""
+        """Number M of places."""
         return int(self.unknowns.shape[1])
 
     @property
     def of_cost(self) -> NDArray[np.bool_]:
-        """Which values (k,) are added to the cost."""
+        """Values (k,) that are added to the cost (bool)."""
         return np.asarray(self.rows[:, 0] == 0)
 
     @cached_property
@@ -180,5 +179,5 @@ class Piece:
 
 
 def listed(chosen: NDArray[np.bool_]) -> list[int]:
-    """The numbers of what is chosen."""
+    """Numbers of the chosen entries."""
     return [int(i) for i in np.flatnonzero(chosen)]

@@ -15,23 +15,23 @@ from mpc.optimal_control.linear_law import gain_at_rest
 from mpc.optimal_control.sqp import Sequential, Step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, admissible, cost_of, finite, relative_violations, violation_of
-from mpc.tolerances import FEASIBLE
+from mpc.tolerances import (
+    FEASIBLE,
+    MERIT_DECREASE,
+    MERIT_ROUNDING,
+    SHORTEST_STEP,
+    SQP_CONVERGED,
+    SQP_REPORTED,
+    TINY,
+    VIOLATION_PRICE,
+)
 
-CONVERGED = 1e-7  # gaps in sizes of the states, and stationarity relative to the gradients that balance
-REPORTED = 1e-5  # of the same, above which a plan is called inaccurate
-SHORTEST = 2.0**-10  # part of a step that is tried
-DEAR = 100.0  # price of violating a hard limit by one unit where it must be, in costs of the first plan
-PATIENT = 6  # quadratic programs after which the curvature of the model is taken in
-ROUNDING = 1e-12  # of the merit
-ENOUGH = 1e-4  # part of the promised decrease that is asked for
-TINY = float(np.finfo(float).tiny)
-WORSE = 2.0  # cost of a real-time iteration, in that of the plan that it began at, from which on it is not followed
 LINEAR_LAW, SHIFTED, REAL_TIME, CONVERGING = "linear law", "shifted plan", "real-time iteration", "SQP"
 
 
 @dataclass(frozen=True, eq=False)
-class Effort:
-    """How much is done a sample: quadratic programs (None: to the optimum), most of them, and wall time [s]."""
+class SolveBudget:
+    """Budget of a sample: quadratic programs (None: to the optimum), most of them, and wall time [s]."""
 
     iterations: int | None
     most: int
@@ -48,7 +48,7 @@ class _Path:
     name: str
 
     def moved(self, step: Step, part: float = 1.0) -> _Path:
-        """The same after a part of a step."""
+        """Path after a part of a step."""
         return replace(
             self, states=self.states + part * step.states, inputs=self.inputs + part * step.inputs, gains=step.gains
         )
@@ -57,11 +57,11 @@ class _Path:
 class Planner:
     """Plans of a statement for one set of parameters p (np,)."""
 
-    def __init__(self, law: LinearMPC, model: DiscreteModel, p: Array, effort: Effort) -> None:
+    def __init__(self, law: LinearMPC, model: DiscreteModel, p: Array, budget: SolveBudget) -> None:
         self.law = law
         self.model = model
         self.p = p
-        self.effort = effort
+        self.budget = budget
         self.programs = Sequential(law, model)
         self._gain = gain_at_rest(law)
         self._gains = np.tile(self._gain, (law.horizon, 1, 1))
@@ -86,7 +86,7 @@ class Planner:
             if last is not None and last.relaxed and status in (Status.SOLVED, Status.FOLLOWED):
                 over = relative_violations(self.law, found.states).max()
                 status = Status.SOFTENED if over > FEASIBLE else status
-            if time.perf_counter() - began > self.effort.time_limit:
+            if time.perf_counter() - began > self.budget.time_limit:
                 status = Status.LATE
             if found.name == REAL_TIME or status not in (Status.SOLVED, Status.SOFTENED):
                 best, cost = self._best(x, found, first, w, given)
@@ -114,28 +114,28 @@ class Planner:
     def _iterated(
         self, x: Array, first: _Path, w: Array, given: Given, began: float, *, follow: bool
     ) -> tuple[_Path, Step | None, Status]:
-        """Where quadratic programs lead from a path, the last of them, and what that is."""
-        real_time = follow and self.effort.iterations is not None
-        at = replace(first, name=CONVERGING if self.effort.iterations is None else REAL_TIME)
-        dear = DEAR * max(cost_of(self.law, at.inputs, at.states, given), TINY) if self._hard else 0.0
+        """Path that quadratic programs lead to, the last of them, and its status."""
+        real_time = follow and self.budget.iterations is not None
+        at = replace(first, name=CONVERGING if self.budget.iterations is None else REAL_TIME)
+        dear = VIOLATION_PRICE * max(cost_of(self.law, at.inputs, at.states, given), TINY) if self._hard else 0.0
         last: Step | None = None
         status = Status.FOLLOWED if real_time else Status.INACCURATE
         relaxed = False
         gap_price = limit_price = 0.0
         longest, now = 0.0, time.perf_counter()
         costates: Array | None = None
-        for count in range(self.effort.iterations or 1 if real_time else self.effort.most):
-            if last is not None and now - began + longest > self.effort.time_limit:
+        for count in range(self.budget.iterations or 1 if real_time else self.budget.most):
+            if last is not None and now - began + longest > self.budget.time_limit:
                 return at, last, Status.LATE
             step = self.programs.step(
                 x, at.states, at.inputs, w, self.p, given, dear, relaxed=relaxed,
-                costates=costates if count >= PATIENT else None,
+                costates=costates if count >= 6 else None,
             )  # fmt: skip
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
                 return (first, None, Status.REPLACED) if last is None else (at, last, Status.INACCURATE)
             last = step
             if not real_time:
-                if max(step.defects, step.stationarity) <= CONVERGED:
+                if max(step.defects, step.stationarity) <= SQP_CONVERGED:
                     break
                 relaxed = step.relaxed  # from now on all violations have their price: one problem to converge on
                 of_gap, of_limit, costates = self.programs.prices(step, at.states, at.inputs, given)
@@ -149,13 +149,13 @@ class Planner:
                 at = at.moved(step)
             longest, now = max(longest, time.perf_counter() - now), time.perf_counter()
         assert last is not None
-        if max(last.defects, last.stationarity) <= REPORTED:
+        if max(last.defects, last.stationarity) <= SQP_REPORTED:
             status = Status.SOLVED
         return at, last, status
 
     def _after(self, step: Step, x: Array, at: _Path, w: Array, given: Given, gap_price: float,
                charged: tuple[float, float]) -> _Path | None:  # fmt: skip
-        """The path after a part of a step that brings the merit down, as planned or on the model; None if none does."""
+        """The path after a part of a step that brings the merit down, as planned or on the model. None if none does."""
 
         def merit(path: _Path) -> float:
             return self.programs.merit(x, path.states, path.inputs, w, self.p, given, gap_price, charged)
@@ -163,8 +163,8 @@ class Planner:
         now = merit(at)
         promised = now - self.programs.priced_cost(at.states + step.states, at.inputs + step.inputs, given, charged)
         part = 1.0
-        while part >= SHORTEST:
-            enough = now - ENOUGH * part * max(promised, 0.0) + ROUNDING * abs(now)
+        while part >= SHORTEST_STEP:
+            enough = now - MERIT_DECREASE * part * max(promised, 0.0) + MERIT_ROUNDING * abs(now)
             planned = at.moved(step, part)
             if merit(planned) <= enough:  # not so of what is no number
                 return planned
@@ -175,7 +175,7 @@ class Planner:
         return None
 
     def _linear_law(self, x: Array, w: Array, given: Given) -> _Path:
-        """What the linear law does to the model."""
+        """Path of the model under the linear law."""
         states, inputs = np.zeros((self.law.horizon + 1, self.law.nx)), np.zeros((self.law.horizon, self.law.nu))
         error, effort = self.programs.deviations(states, inputs, given)
         return self._followed(x, _Path(-error, -effort, self._gains, LINEAR_LAW), w, given)
@@ -214,9 +214,9 @@ class Planner:
         if first.name != LINEAR_LAW and not np.isfinite(worth[1]).all():
             paths.append(self._linear_law(x, w, given))
             worth.append(self._worth(paths[-1], given))
-        price = DEAR * max((cost for cost, _ in worth[1:] if np.isfinite(cost)), default=1.0)
+        price = VIOLATION_PRICE * max((cost for cost, _ in worth[1:] if np.isfinite(cost)), default=1.0)
         total = [cost + price * over if np.isfinite([cost, over]).all() else np.inf for cost, over in worth]
-        total[0] /= WORSE if found.name == REAL_TIME else 1.0
+        total[0] /= 2.0 if found.name == REAL_TIME else 1.0
         best = int(np.argmin(total))
         return paths[best], worth[best][0]
 

@@ -11,13 +11,6 @@ from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.phase_solution import PhaseSolution
 
-FINE = 12  # points that an interval is drawn with
-HEIGHT = 1.5  # of a row [inch]
-WIDTH = 7.0  # of a figure with one phase [inch]
-NARROWEST = 0.25  # width of a phase beside the widest
-MARGIN = 0.05  # of what is drawn, above and below
-NEAR = 1.0  # distance of a bound, in extents of what is drawn, within which it is drawn
-
 
 def plot_phases(phases: Sequence[PhaseSolution], *, costates: bool, mesh: bool, title: str,
                 figure: Any = None) -> Any:  # fmt: skip
@@ -43,9 +36,9 @@ def plot_phases(phases: Sequence[PhaseSolution], *, costates: bool, mesh: bool, 
     rows = [("x", i) for i in range(states)] + [("u", i) for i in range(inputs)]
     rows += [("costate", i) for i in range(states)] * bool(costates)
     longest = max(phase.duration for phase in phases)
-    widths = [max(phase.duration / longest, NARROWEST) for phase in phases]
+    widths = [max(phase.duration / longest, 0.25) for phase in phases]
     if figure is None:
-        figure = plt.figure(figsize=(WIDTH * min(max(sum(widths), 1.0), 2.5), HEIGHT * (len(rows) + 0.5)),
+        figure = plt.figure(figsize=(7.0 * min(max(sum(widths), 1.0), 2.5), 1.5 * (len(rows) + 0.5)),
                             layout="constrained")  # fmt: skip
     elif not hasattr(figure, "subplots"):
         raise InputError("figure", type(figure).__name__, "a matplotlib Figure")
@@ -94,11 +87,12 @@ def _entry(ax: Any, phase: PhaseSolution, kind: str, i: int) -> None:
     else:
         values = _input(ax, phase, i)
     sides = phase.part.phase.u_bounds if kind == "u" else phase.part.phase.x_bounds
-    extent = max(float(np.ptp(values)), float(np.abs(values).max()) * MARGIN)
+    margin = 0.05
+    extent = max(float(np.ptp(values)), float(np.abs(values).max()) * margin)
     for bound in (sides[0][i], sides[1][i]):
-        if np.isfinite(bound) and values.min() - NEAR * extent <= bound <= values.max() + NEAR * extent:
+        if np.isfinite(bound) and values.min() - extent <= bound <= values.max() + extent:
             ax.axhline(bound, color="0.5", ls="--", lw=0.8)
-    ax.margins(y=MARGIN)
+    ax.margins(y=margin)
 
 
 def _input(ax: Any, phase: PhaseSolution, i: int) -> Array:
@@ -117,5 +111,5 @@ def _input(ax: Any, phase: PhaseSolution, i: int) -> Array:
 
 
 def _fine(mesh: Array) -> Array:
-    """Times (N, FINE + 1) within every interval, its ends among them."""
-    return mesh[:-1, None] + np.diff(mesh)[:, None] * np.linspace(0, 1, FINE + 1)
+    """Times (N, 13) within every interval, its ends among them."""
+    return mesh[:-1, None] + np.diff(mesh)[:, None] * np.linspace(0, 1, 13)

@@ -127,7 +127,7 @@ class OptimalControlProblem:
 
     @property
     def parameters(self) -> int:
-        """np."""
+        """Number np of parameters."""
         return len(self.p_bounds[0])
 
     @cached_property
@@ -146,14 +146,14 @@ class OptimalControlProblem:
 
     @cached_property
     def of_parameters(self) -> tuple[ca.Function | None, ca.Function | None]:
-        """p → cost and p → constraints."""
+        """Functions p → cost and p → constraints."""
         sizes = {"p": self.parameters}
         cost = None if self.p_cost is None else compiled("p_cost", self.p_cost, sizes, 1)
         return cost, None if self.p_constraints is None else compiled("p_constraints", self.p_constraints, sizes)
 
     @cached_property
     def link_functions(self) -> tuple[ca.Function | None, ...]:
-        """(x, p, t) → the state that each phase but the first begins with; None for that of the phase before."""
+        """Functions (x, p, t) → the first state of each phase but the first. None for that of the phase before."""
         pairs = zip(self.link, self.phases, self.phases[1:])
         return tuple(
             None if link is None else compiled("link", link, {"x": a.states, "p": self.parameters, "t": 1}, b.states)

@@ -15,9 +15,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-
-VANISHING = 1e-6  # size of an unknown, beside the one it was given, that is what a solver leaves of 0
-SHAKEN = 0.3  # part of the sizes of unknowns by which a second start is moved
+from mpc.tolerances import SHAKEN, VANISHING
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class PhasePart:
-    """Where the unknowns of a phase stand in the vector of all."""
+    """Places of a phase's unknowns in the vector of all."""
 
     phase: Phase
     functions: PhaseFunctions
@@ -65,11 +63,11 @@ class PhasePart:
 
     @property
     def intervals(self) -> int:
-        """N."""
+        """Number N of intervals."""
         return len(self.mesh) - 1
 
     def unknowns(self, v: Array) -> tuple[Array, Array, list[Array], list[Array]]:
-        """Of the vector of all: unknowns of nodes (node, N + 1) and intervals (own, N), states and inputs at points."""
+        """Unknowns of nodes (node, N + 1) and intervals (own, N), states and inputs at points, of the vector of all."""
         nx, node, cut = self.layout.nx, self.layout.node, self.first + self.layout.column * self.intervals
         columns = v[self.first : cut].reshape(self.intervals, self.layout.column).T
         nodes, own = np.column_stack([columns[:node], v[cut : self.last]]), columns[node:]
@@ -190,7 +188,7 @@ def with_costs_of_scenarios(program: NonlinearProgram) -> NonlinearProgram:
 
 
 def costs_of_scenarios(program: NonlinearProgram, v: Array) -> Array:
-    """What the unknown costs of scenarios are at unknowns (n,): the largest cost, or each of them."""
+    """Values of the unknown costs of scenarios at unknowns (n,): the largest cost, or each of them."""
     count = len(program.parts)
     g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()
     each: Array = g[:count] + v[program.costs]
@@ -198,7 +196,7 @@ def costs_of_scenarios(program: NonlinearProgram, v: Array) -> Array:
 
 
 def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
-    """The program whose every constraint may be violated, and whose cost is the sum of the violations, in sizes."""
+    """The program whose every constraint may be violated, with the sum of violations, in sizes, as cost."""
     n, m = len(program.lower), len(program.row_lower)
     pieces = [
         replace(piece, factors=np.where(piece.of_cost, 0.0, piece.factors)) for piece in program.derivatives.pieces
@@ -225,14 +223,14 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
 
 
 def starts(program: NonlinearProgram, stopped: Array, lower: Array, upper: Array) -> Iterator[Array]:
-    """Where the least violation is looked for: where the solver stopped, the guess, and the guess shaken."""
+    """Starts of a search for the least violation: where the solver stopped, the guess, and the guess shaken."""
     yield stopped
     yield np.clip(program.guess, lower, upper)
     yield shaken(program, lower, upper)
 
 
 def shaken(program: NonlinearProgram, lower: Array, upper: Array, seed: int = 0) -> Array:
-    """The guess, each state and input of it moved along a line of its own, by a part of its size."""
+    """The guess with each state and input moved along a line of its own, by a part of its size."""
     random = np.random.default_rng(seed)
     move = random.uniform(-SHAKEN, SHAKEN, len(lower))
     for part in program.parts:

@@ -19,19 +19,21 @@ from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, shaken
 from mpc.optimal_control.schemes import Scheme
-from mpc.optimal_control.solution import PASSED, OptimalControlStatus, Solution
-from mpc.optimal_control.solving import LEAST_SECONDS, solve
+from mpc.optimal_control.solution import OptimalControlStatus, Solution
+from mpc.optimal_control.solving import solve
 from mpc.optimal_control.transcription import build
+from mpc.tolerances import (
+    INPUT_AT_BOUND,
+    JUMPED_LIMIT,
+    LEAST_SECONDS,
+    LIMIT_PASSED,
+    MESH_GAIN,
+    MESHES_WITHOUT_GAIN,
+    SHARPER,
+)
 
-SHARPNESS = 1e-3  # tolerance of the last solves where inputs may jump: short intervals weigh little in the cost
-GROWTH = 1.5  # of the program, by those last solves
-AT_BOUND = 1e-6  # of an input's range
-FALLS = 0.8  # of what the mesh before missed: a finer mesh that misses more has not helped
 NO_TIME, NO_ROUNDS, FINER = "the time was up", "these were all the rounds", "on a finer mesh"
 PASSING = (OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.STOPPED, OptimalControlStatus.INACCURATE)
-STILL = 2  # meshes in a row that have not helped, after which none is made: what is left is rounding
-THROUGH = 1e-2  # excess of a limit that a finer mesh does not lower where the trajectory jumps over it
-GUESSES = 3  # that a trajectory which jumps over a limit is looked for from, each on a mesh twice as fine
 
 
 def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, *, intervals: Any = 10,
@@ -78,7 +80,7 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
         run = _Rounds(options, float(asked), meshes - 1, began + seconds, bar)
         program = build(problem, scheme, intervals)
         solution, reason = run.refined(run.solved(program, None))
-        for seed in range(GUESSES):
+        for seed in range(3):  # each guess on a mesh twice as fine
             if not _jumps_over(solution) or time.perf_counter() >= run.end:
                 break
             program = build(program.problem, scheme, meshes=[_halved(part.mesh) for part in program.parts])
@@ -108,11 +110,11 @@ class _Rounds:
     def sharper(self) -> _Rounds:
         """The rounds that are left, with a tighter tolerance of the solver."""
         rounds = copy(self)
-        rounds.options = self.options | {"tolerance": SHARPNESS * self.tolerance}
+        rounds.options = self.options | {"tolerance": SHARPER * self.tolerance}
         return rounds
 
     def refined(self, solution: Solution) -> tuple[Solution, str]:
-        """The best solution, and why it is not the one that was asked for, if it is not."""
+        """The best solution, and why it is not the one asked for, if so."""
         best, still = solution, 0
         while solution.solved_on_mesh and (meshes := self._meshes(solution)) is not None:
             if reason := self._over(still):
@@ -124,31 +126,32 @@ class _Rounds:
             finer = self.solved(program, solution)
             if not finer.solved_on_mesh:
                 return best, self._over(0) or f"{FINER} the problem is {finer.status.name}"
-            through = finer.excess > max(THROUGH, FALLS * solution.excess)
-            helped = self.missed(finer) <= max(FALLS * self.missed(solution), 1)
-            still = 0 if helped else STILL if through else still + 1
+            through = finer.excess > max(JUMPED_LIMIT, MESH_GAIN * solution.excess)
+            helped = self.missed(finer) <= max(MESH_GAIN * self.missed(solution), 1)
+            still = 0 if helped else MESHES_WITHOUT_GAIN if through else still + 1
             solution = finer
             best = solution if self.missed(solution) <= max(self.missed(best), 1) else best
         return best, "" if self.missed(best) <= 1 else "intervals are as short as they may be"
 
     def missed(self, solution: Solution) -> float:
-        """By how many times its tolerance a mesh misses the dynamics or a limit, whichever is more."""
-        return max(solution.mesh_error / self.tolerance, solution.excess / PASSED)
+        """Error of a mesh in the dynamics or a limit, whichever is more, in tolerances [-]."""
+        return max(solution.mesh_error / self.tolerance, solution.excess / LIMIT_PASSED)
 
     def _over(self, still: int) -> str:
-        """Why there is no further round, if there is none."""
+        """Reason why there is no further round; empty if there is one."""
         if time.perf_counter() >= self.end:
             return NO_TIME
         if not self.left:
             return NO_ROUNDS
-        return f"{STILL} times in a row a finer mesh missed as much as the one before" if still >= STILL else ""
+        said = f"{MESHES_WITHOUT_GAIN} times in a row a finer mesh missed as much as the one before"
+        return said if still >= MESHES_WITHOUT_GAIN else ""
 
     def sharpened(self, solution: Solution) -> Solution | None:
         """The solution to a tighter tolerance of the solver, if a mesh of much the same size does for that.
 
         Along a singular arc it does not: the input begins to swing.
         """
-        self.most = int(GROWTH * len(solution.unknowns))
+        self.most = int(1.5 * len(solution.unknowns))
         sharp = self.solved(solution.program, solution)
         if not sharp.solved_on_mesh:
             return None
@@ -156,7 +159,7 @@ class _Rounds:
         return None if reason else sharp
 
     def solved(self, program: NonlinearProgram, start: Solution | None) -> Solution:
-        """From the solution of another mesh, or the user's start; if that fails, from the guess."""
+        """Solution from that of another mesh, or the user's start. If that fails, from the guess."""
         found = self._once(program, self.options if start is None else self.options | {"start": start})
         if not found.solved_on_mesh and start is not None and time.perf_counter() < self.end:
             fresh = self._once(program, {name: value for name, value in self.options.items() if name != "start"})
@@ -178,7 +181,7 @@ class _Rounds:
         """Finer meshes; None where none is asked for."""
         meshes = []
         for k, (phase, error) in enumerate(zip(solution.phases, solution.errors)):
-            excess = solution.path_excess[k].intervals / PASSED
+            excess = solution.path_excess[k].intervals / LIMIT_PASSED
             meshes.append(finer_mesh(phase, error, excess, self.tolerance))
         same = all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases))
         return None if same else meshes
@@ -188,7 +191,7 @@ def _reach_bounds(solution: Solution) -> bool:
     """Whether inputs reach their bounds, between which they may jump."""
     for phase in solution.phases:
         low, high = phase.part.phase.u_bounds
-        room = AT_BOUND * np.where(np.isfinite(high - low), high - low, 0.0)
+        room = INPUT_AT_BOUND * np.where(np.isfinite(high - low), high - low, 0.0)
         if phase.inputs.size and ((phase.inputs <= low + room) | (phase.inputs >= high - room)).any():
             return True
     return False
@@ -196,7 +199,7 @@ def _reach_bounds(solution: Solution) -> bool:
 
 def _jumps_over(solution: Solution) -> bool:
     """Whether limits are passed between the points after all rounds, or where the solver gave up."""
-    return solution.status in PASSING and solution.excess > PASSED
+    return solution.status in PASSING and solution.excess > LIMIT_PASSED
 
 
 def _halved(mesh: Array) -> Array:

@@ -1,4 +1,4 @@
-"""How a trajectory is cut into numbers: the points, unknowns and equations of one interval of the mesh."""
+"""Discretisation of a trajectory: the points, unknowns and equations of one interval of the mesh."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from scipy.special import roots_jacobi
 
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-
-HIGHEST = 50  # degree: matrices of that many points still have twelve digits
+from mpc.tolerances import HIGHEST_DEGREE
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class Collocation:
         return np.stack([np.prod(away[..., own], axis=-1) for own in others], axis=-1) / over
 
     def integrals(self, tau: Any) -> Array:
-        """Their integrals (n, stages) from 0 to fractions (n,) of the interval, by a quadrature that is exact."""
+        """Integrals (n, stages) of the polynomials from 0 to fractions (n,) of the interval, by an exact quadrature."""
         at, weights = np.polynomial.legendre.leggauss(self.stages // 2 + 1)
         given = np.asarray(tau, dtype=float)[..., None]
         values = self.basis(given * (at + 1) / 2)
@@ -85,16 +84,16 @@ def HermiteSimpson() -> Collocation:
 def Radau(degree: int = 3) -> Collocation:
     """Legendre–Gauss–Radau points, the end of the interval among them: order 2·degree − 1."""
     d = as_count("degree", degree)
-    if d > HIGHEST:
+    if d > HIGHEST_DEGREE:
         cure = "Take more intervals instead."
-        raise InputError("degree", degree, f"an integer from 1 to {HIGHEST}", cure)
+        raise InputError("degree", degree, f"an integer from 1 to {HIGHEST_DEGREE}", cure)
     inner = roots_jacobi(d - 1, 1, 0)[0] if d > 1 else np.zeros(0)
     return Collocation((*(0.5 * (inner + 1)).tolist(), 1.0), f"Radau of degree {d}", 2 * d - 1)
 
 
 @dataclass(frozen=True)
 class MultipleShooting:
-    """Inputs constant over every interval; states at its ends, joined by an integrator.
+    """Inputs constant over every interval. States at its ends, joined by an integrator.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a solve returns: trajectories as functions of time, multipliers, and how far it can be believed."""
+"""The result of a solve: trajectories as functions of time, multipliers, and how far it can be believed."""
 
 from __future__ import annotations
 
@@ -18,11 +18,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.solution_sensitivity import SolutionSensitivity, solution_sensitivity
 from mpc.plan import Residuals
-
-PASSED = 1e-5  # relative excess of a limit between the points that a solution may have
-COARSE = 0.05  # relative error of the dynamics over an interval that a solution may have
-DEARER = 0.003  # estimated error of the cost, beside it, that a solution may have: the true one is up to three times it
-ROUNDED = 1e-6  # of the cost's size, or of its slope's: an error of the cost that is rounding
+from mpc.tolerances import COARSE_MESH, COST_ERROR, COST_ROUNDING, LIMIT_PASSED
 
 
 class OptimalControlStatus(Outcome):
@@ -112,37 +108,37 @@ class Solution:
 
     @property
     def solved(self) -> bool:
-        """Whether it is an optimum that keeps limits and dynamics between the points of its mesh, too."""
+        """Whether the solution is an optimum that keeps limits and dynamics between the points, too."""
         return self.status is OptimalControlStatus.SOLVED
 
     @property
     def solved_on_mesh(self) -> bool:
-        """Whether it is an optimum of the program, whatever happens between the points."""
+        """Whether the solution is an optimum of the program, whatever happens between the points."""
         return self.status in ON_MESH
 
     @property
     def advice(self) -> str:
-        """What to do about the outcome: that of the status, the notes, and what is missed between the points."""
+        """Advice on the outcome: that of the status, the notes, and what is missed between the points."""
         return " ".join([self.status.advice, *self.notes, *(self._missed() if self.solved_on_mesh else ())])
 
     @cached_property
     def path_excess(self) -> tuple[Excess, ...]:
-        """By how much limits are exceeded between the points of the mesh, and when, one a phase: see `Excess`."""
+        """Violations of limits between the points of the mesh, and their times, one a phase: see `Excess`."""
         return path_excess(self.program, self.unknowns, self.phases, self.p)
 
     @property
     def excess(self) -> float:
-        """The largest relative excess of a limit between the points."""
+        """Largest relative violation of a limit between the points."""
         return max(float(excess.relative.max(initial=0.0)) for excess in self.path_excess)
 
     @cached_property
     def missed(self) -> tuple[Missed, ...]:
-        """What dynamics and cost miss between the points, one a phase: see `mesh_errors`."""
+        """Errors of dynamics and cost between the points, one a phase: see `mesh_errors`."""
         return tuple(mesh_errors(phase, self.p) for phase in self.phases)
 
     @property
     def errors(self) -> tuple[Array, ...]:
-        """What the dynamics miss between the points, relative to the extents of states, (N,) a phase."""
+        """Errors of the dynamics between the points, relative to the extents of states, (N,) a phase."""
         return tuple(one.dynamics for one in self.missed)
 
     @property
@@ -152,15 +148,15 @@ class Solution:
 
     @property
     def cost_error(self) -> float:
-        """What the mesh makes the cost miss, about: to first order, by the costates and the cost's quadrature."""
+        """Error of the cost by the mesh, about: to first order, by the costates and the cost's quadrature."""
         return float(sum(one.cost.sum() for one in self.missed))
 
     def looked_between(self) -> Solution:
-        """With the status that it deserves between the points."""
+        """Solution with the status that it deserves between the points."""
         status = OptimalControlStatus.SOLVED
-        if not self.excess <= PASSED:
+        if not self.excess <= LIMIT_PASSED:
             status = OptimalControlStatus.LIMITS_PASSED
-        elif not (self.mesh_error <= COARSE and self._cost_is_fine):
+        elif not (self.mesh_error <= COARSE_MESH and self._cost_is_fine):
             status = OptimalControlStatus.COARSE
         return replace(self, status=status) if self.solved_on_mesh else self
 
@@ -168,18 +164,18 @@ class Solution:
     def _cost_is_fine(self) -> bool:
         """Whether the mesh hardly changes the cost."""
         size = max(self.cost_size, self.program.cost_scale)
-        return self.cost_error <= max(DEARER * abs(self.cost), ROUNDED * size)
+        return self.cost_error <= max(COST_ERROR * abs(self.cost), COST_ROUNDING * size)
 
     def _missed(self) -> list[str]:
-        """Limits that are exceeded between the points by more than rounding, and what a coarse mesh misses."""
+        """Limits exceeded between the points by more than rounding, and what a coarse mesh misses."""
         said = [
             f"Between the points of the mesh {name}{of_phase(self.program, k)} is exceeded by {value:.3g} at "
             f"t = {time:.6g}: cut the intervals there, or keep a margin."
             for k, excess in enumerate(self.path_excess)
             for name, value, time, relative in zip(excess.names, excess.value, excess.time, excess.relative)
-            if not relative <= PASSED
+            if not relative <= LIMIT_PASSED
         ]
-        if self.mesh_error > COARSE:
+        if self.mesh_error > COARSE_MESH:
             said.append(f"The dynamics are missed by {self.mesh_error:.1e} of the extent of a state.")
         if not self._cost_is_fine:
             said.append(f"The cost may be off by about {self.cost_error:.2g}.")
@@ -192,18 +188,18 @@ class Solution:
 
     @property
     def duration(self) -> float:
-        """Of all phases, or of the longest scenario [s]."""
+        """Duration of all phases, or of the longest scenario [s]."""
         if not self.program.problem.linked:
             return max(phase.duration for phase in self.phases)
         return float(self.phases[-1].times[-1] - self.phases[0].times[0])
 
     @property
     def p_gradient(self) -> Array:
-        """How the optimal cost changes with parameters that are held or stand at a bound, (np,); 0 of others."""
+        """Derivatives (np,) of the optimal cost by parameters that are held or stand at a bound; 0 of others."""
         return -self.multipliers["bounds"][self.program.parameters]
 
     def sensitivity(self) -> SolutionSensitivity:
-        """How optimal cost and trajectory change with the parameters, held where they are, and with a given start.
+        """Derivatives of optimal cost and trajectory by the parameters, held where they are, and by a given start.
 
         The conditions of an optimum of the program, on its mesh, are differentiated at the active constraints. Solve
         to a small tolerance for derivatives of as many digits: `solve(…, tolerance=1e-10)`.
@@ -233,7 +229,7 @@ class Solution:
         return self._of_phases("costate", t)
 
     def plot(self, *, costates: bool = False, mesh: bool = True, figure: Any = None) -> Any:
-        """Draw states, inputs with their bounds, and the mesh; phases or scenarios side by side.
+        """Draw states, inputs with their bounds, and the mesh. Phases or scenarios side by side.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""How a solution changes with parameters that are held and with a given start: its KKT system, solved."""
+"""Derivatives of a solution by parameters that are held and by a given start: its KKT system, solved."""
 
 from __future__ import annotations
 
@@ -15,12 +15,7 @@ from mpc.checks import Array
 from mpc.optimal_control.descriptions import describe_row, describe_unknown
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.sensitivities.plan_sensitivity import SensitivityStatus
-
-BLURRED = 10.0  # sizes of what an interior point leaves between a bound and its multiplier, within which both may be 0
-RELAXED = 1e-6  # distance from a bound, scaled, that says nothing: Ipopt moves bounds by 1e-8 of their size
-LEVEL = 1e-3  # curvature, beside the largest, that an unknown is taken to have at least
-SAME = 9  # digits in which the directions of two constraints agree that are one
-CONDITION = 1e13  # of the KKT system, in scaled unknowns, above which it is singular but for rounding
+from mpc.tolerances import BARRIER_BLUR, KKT_CONDITION, LEAST_CURVATURE, RELAXED_BOUND, SAME_DIRECTION_DIGITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +72,13 @@ class SolutionSensitivity:
 def solution_sensitivity(
     program: NonlinearProgram, v: Array, multipliers: dict[str, Array], solved: bool
 ) -> SolutionSensitivity:
-    """Derivatives at unknowns v (n,) with multipliers of "rows" and "bounds"; see `Solution.sensitivity`."""
+    """Derivatives at unknowns v (n,) with multipliers of "rows" and "bounds". See `Solution.sensitivity`."""
     held = _held(program)
     if not solved:
         return _none(program, held, SensitivityStatus.UNSOLVED, ())
     gradient, W, J, rows = _derivatives(program, v, multipliers["rows"])
     softness = np.abs(W.diagonal())
-    softness = 1 / np.maximum(softness, LEVEL * softness.max(initial=np.finfo(float).tiny))
+    softness = 1 / np.maximum(softness, LEAST_CURVATURE * softness.max(initial=np.finfo(float).tiny))
     on_rows, weak_rows = _acting(
         (program.row_lower - rows) / program.row_scale, (program.row_upper - rows) / program.row_scale,
         multipliers["rows"] * program.row_scale / program.cost_scale, J.multiply(J) @ softness,
@@ -139,7 +134,7 @@ def _derivatives(program: NonlinearProgram, v: Array, multipliers: Array) -> tup
 def _acting(
     low: Array, high: Array, multiplier: Array, softness: Array
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """What holds with equality (n,), and where an interior point cannot tell.
+    """Bounds (n,) that hold with equality, and those of which an interior point cannot tell.
 
     Of bounds relative to the value, multipliers, and how far a unit force moves the value, about; all scaled.
     """
@@ -148,17 +143,17 @@ def _acting(
     passed = np.abs(multiplier) * softness  # how far the value would pass the bound
     inside = ~equal & np.isfinite(room) & (room > passed)
     barrier = float(np.median(np.abs(multiplier[inside]) * room[inside])) if inside.any() else 0.0
-    blur = np.maximum(BLURRED * np.sqrt(barrier * softness), RELAXED)
+    blur = np.maximum(BARRIER_BLUR * np.sqrt(barrier * softness), RELAXED_BOUND)
     weak = ~equal & (np.maximum(room, passed) <= blur)
     return equal | (~weak & (passed > room)), weak
 
 
 def _once_each(rows: Any) -> NDArray[np.int64]:
-    """The rows (n,) that are no multiple of one before: a limit that is stated twice is one limit."""
+    """Rows (n,) that are no multiple of one before. A limit that is stated twice is one limit."""
     along = rows @ np.random.default_rng(0).normal(size=(rows.shape[1], 2))
     length = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
     along = along / (np.where(along[:, 0] < 0, -1, 1) * length)[:, None]
-    return np.sort(np.unique(np.round(along, SAME), axis=0, return_index=True)[1])
+    return np.sort(np.unique(np.round(along, SAME_DIRECTION_DIGITS), axis=0, return_index=True)[1])
 
 
 def _solved(K: Any, right: Array) -> Array | None:
@@ -169,7 +164,7 @@ def _solved(K: Any, right: Array) -> Array | None:
         return None
     probe = np.random.default_rng(0).choice([-1.0, 1.0], K.shape[0])
     size = float(abs(K).sum(axis=0).max()) if K.shape[0] else 0.0
-    if not float(np.abs(factor.solve(probe)).max(initial=0.0)) * size < CONDITION:
+    if not float(np.abs(factor.solve(probe)).max(initial=0.0)) * size < KKT_CONDITION:
         return None
     found = factor.solve(right)
     return np.asarray(found + factor.solve(right - K @ found))
@@ -209,7 +204,7 @@ def _along(part: PhasePart, moves: Array) -> tuple[Array, Array]:
 def _none(
     program: NonlinearProgram, held: NDArray[np.int64], status: SensitivityStatus, weak: tuple[str, ...]
 ) -> SolutionSensitivity:
-    """What there is to say where there are no derivatives."""
+    """Sensitivity without derivatives: NaN in place of each."""
     moves = np.full((len(program.lower), len(held)), np.nan)
     return _packed(
         program, held, status, np.full(len(held), np.nan), np.full((len(held), len(held)), np.nan), moves, weak

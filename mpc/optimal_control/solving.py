@@ -14,7 +14,7 @@ from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import contradiction, violated
 from mpc.optimal_control.interval import placed
-from mpc.optimal_control.ipopt import FEASIBLE, Found, Settings, once
+from mpc.optimal_control.ipopt import Found, Settings, once
 from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
@@ -22,18 +22,8 @@ from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, elastic, rescaled, shaken, starts
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
+from mpc.tolerances import BOTTOMLESS, CHEAPER, FEASIBLE, LEAST_SECONDS, OPTIMAL, USUAL_ITERATIONS, WELL_SIZED
 
-OPTIMAL = 1e-5  # residual of the optimality conditions, scaled by the size of multipliers
-RESCALINGS = 3  # solves at most, each with sizes as the one before found them
-WELL_SIZED = 10.0  # ratio of sizes that is good enough
-WARM = {
-    "mu_init": 1e-5, "bound_mult_init_method": "mu-based", "bound_push": 1e-6, "bound_frac": 1e-6,
-    "slack_bound_push": 1e-6, "slack_bound_frac": 1e-6,
-}  # fmt: skip
-CHEAPER = 1e-6  # of the cost: what makes another stationary point the better one
-BOTTOMLESS = 1e12  # of the cost at the guess
-USUAL = 3000  # iterations at most
-LEAST_SECONDS = 1e-3  # that a call is given, however late it is
 LIMITS = ("Maximum_Iterations_Exceeded", "Maximum_WallTime_Exceeded", "Maximum_CpuTime_Exceeded", "User_Requested_Stop")
 IMPOSSIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")
 UNDEFINED = ("Invalid_Number_Detected",)
@@ -41,7 +31,7 @@ ENDLESS = ("Diverging_Iterates",)
 
 
 def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: Solution | None = None,
-          p: ArrayLike | None = None, tolerance: float = 1e-8, max_iterations: int = USUAL,
+          p: ArrayLike | None = None, tolerance: float = 1e-8, max_iterations: int = USUAL_ITERATIONS,
           time_limit: float | None = None, options: dict[str, Any] | None = None) -> Solution:  # fmt: skip
     """Solve an optimal control problem.
 
@@ -87,14 +77,14 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
 
 
 def _settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Settings:
-    """What a call is given, checked."""
+    """Settings of a call, checked."""
     number = as_floats("tolerance", tolerance)
     if number.ndim or not 0 < number < 1:
         raise InputError("tolerance", brief(repr(tolerance)), "a number between 0 and 1")
     if options is not None and not (isinstance(options, dict) and all(isinstance(name, str) for name in options)):
         raise InputError("options", brief(repr(options)), "a dict of options of Ipopt")
     most, limit = as_count("max_iterations", iterations), as_seconds("time_limit", seconds)
-    stops = most < USUAL or np.isfinite(limit)
+    stops = most < USUAL_ITERATIONS or np.isfinite(limit)
     return Settings(float(number), most, limit, dict(options or {}), keep_best=bool(stops))
 
 
@@ -113,15 +103,19 @@ class _Run:
     def _left(self, warm: bool) -> Settings:
         """The settings of the next call."""
         passed = time.perf_counter() - self.began
-        options = (WARM if warm else {}) | self.settings.options
-        return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS), options=options)
+        options = {
+            "mu_init": 1e-5, "bound_mult_init_method": "mu-based", "bound_push": 1e-6, "bound_frac": 1e-6,
+            "slack_bound_push": 1e-6, "slack_bound_frac": 1e-6,
+        } if warm else {}  # fmt: skip
+        return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS),
+                       options=options | self.settings.options)  # fmt: skip
 
     def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
         """Solve, again where the first sizes were off."""
         if warm:
             self.program = rescaled(self.program, guess)
         kept: tuple[NonlinearProgram, Found] | None = None
-        for _ in range(RESCALINGS):
+        for _ in range(3):
             found = once(self.program, guess, multipliers, self.lower, self.upper, self._left(warm))
             self.iterations += found.iterations
             if kept is not None and _status(found) is not OptimalControlStatus.SOLVED:
@@ -139,7 +133,7 @@ class _Run:
         return found
 
     def elsewhere(self, found: Found) -> Found:
-        """What is found from a guess that is moved, where the guess itself was stationary: it may be a maximum."""
+        """Result from a guess that is moved, where the guess itself was stationary. It may be a maximum."""
         program = self.program
         # begun with a small barrier, which at full height would pull inputs back between their bounds
         other = self.solved(shaken(program, self.lower, self.upper), None, warm=True)
@@ -151,7 +145,7 @@ class _Run:
         return found
 
     def judged(self, found: Found) -> Solution:
-        """The solution that the solver's answer stands for, its verdict confirmed."""
+        """The solution that the solver's answer stands for, with its status confirmed."""
         status = _status(found)
         if status not in (OptimalControlStatus.SOLVED, OptimalControlStatus.UNDEFINED) and self._falls(found):
             status = OptimalControlStatus.UNBOUNDED
@@ -233,7 +227,7 @@ def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -
 
 
 def _status(found: Found) -> OptimalControlStatus:
-    """What a solver's word and the residuals come to."""
+    """Status that a solver's word and the residuals come to."""
     said, residuals = found.said, found.residuals
     if residuals.worst <= OPTIMAL and residuals.primal <= FEASIBLE:
         return OptimalControlStatus.SOLVED

@@ -14,15 +14,12 @@ from mpc.optimal_control.condensing import compile_kernels, costates_along, gain
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, relative_violations
-
-TINY = float(np.finfo(float).tiny)
-SETTLED = 1e-6  # gradients, beside those of references themselves, below which their difference is rounding
-DEFINITE = 1e-6  # least eigenvalue of a Hessian with curvature, relative to one without
+from mpc.tolerances import LEAST_CURVED, REFERENCE_ROUNDING, TINY
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What one quadratic program says of a plan.
+    """Result of one quadratic program for a plan.
 
     Attributes
     ----------
@@ -150,7 +147,7 @@ class Sequential:
         )  # fmt: skip
 
     def prices(self, step: Step, states: Array, inputs: Array, given: Given) -> tuple[float, float, Array]:
-        """What a merit must charge for a gap of one size and for a limit violated by one unit; costates (N + 1, nx)."""
+        """Prices of a merit for a gap of one size and a limit violated by one unit; costates (N + 1, nx)."""
         forces = self._forces(states + step.states, inputs + step.inputs, step.multipliers, given)
         found = costates_along(*step.slopes, step.gains, *forces)
         own = step.multipliers[len(step.multipliers) - len(self._prices) :] * self._prices
@@ -169,7 +166,7 @@ class Sequential:
         return np.asarray((H + H.T) / 2)
 
     def _program(self, states: Array, inputs: Array, G: Array, F: Array, H: Array, given: Given) -> _Program:
-        """The program in v, of a plan that v = 0 leads to; states answer by G, inputs by F."""
+        """The program in v, of a plan that v = 0 leads to. States answer by G, inputs by F."""
         problem, n = self.problem, self.n
         error, effort = self.deviations(states, inputs, given)
         flat, acting = G.reshape(-1, n), F.reshape(-1, n)
@@ -178,8 +175,9 @@ class Sequential:
         if "x_ref" in given or "u_ref" in given:
             x_ref, u_ref = states - error, inputs - effort
             of_states, of_inputs = self._slopes(x_ref, u_ref)
-            lost = SETTLED * (np.abs(of_states).ravel() @ np.abs(flat) + np.abs(of_inputs).ravel() @ np.abs(acting))
-            lost_cost = SETTLED**2 * cost_of(problem, u_ref, x_ref, {})
+            terms = np.abs(of_states).ravel() @ np.abs(flat) + np.abs(of_inputs).ravel() @ np.abs(acting)
+            lost = REFERENCE_ROUNDING * terms
+            lost_cost = REFERENCE_ROUNDING**2 * cost_of(problem, u_ref, x_ref, {})
         rows, bounds = self._limits(states, inputs, G, F, given)
         return _Program(H, by_state.ravel() @ flat, by_input.ravel() @ acting, lost, lost_cost, rows, bounds)
 
@@ -194,7 +192,7 @@ class Sequential:
         return by_state, by_input
 
     def deviations(self, states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
-        """States and inputs from their references, where there are some."""
+        """Deviations of states and inputs from their references, where there are some."""
         error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
         return error, inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
 
@@ -246,7 +244,7 @@ class Sequential:
     def _priced(
         self, program: _Program, linear: float, quadratic: float, relaxed: bool
     ) -> tuple[Array, Array, bool, bool]:
-        """As `_solve`, where the largest violation of every step has a price."""
+        """Solution as of `_solve`, with a price on the largest violation of every step."""
         N, n, m = self.problem.horizon, self.n, len(program.rows)
         columns = np.zeros((m, N))
         columns[m - len(self._prices) + np.arange(len(self._prices)), self._step_of] = -self._prices
@@ -296,8 +294,8 @@ def _bent(program: _Program, answers: Array, curvature: Array, lead: Array) -> _
     H = (H + H.T) / 2
     unit = 1 / np.sqrt(np.diag(program.H))
     values, vectors = np.linalg.eigh(H * unit * unit[:, None])
-    if values[0] < DEFINITE:  # bent the other way along these directions
-        H = (vectors * np.maximum(np.abs(values), DEFINITE)) @ vectors.T / unit / unit[:, None]
+    if values[0] < LEAST_CURVED:  # bent the other way along these directions
+        H = (vectors * np.maximum(np.abs(values), LEAST_CURVED)) @ vectors.T / unit / unit[:, None]
     return replace(program, H=H, by_state=program.by_state + lead.ravel() @ weighted)
 
 

@@ -11,18 +11,12 @@ from mpc.checks import Array
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import symbols_of
-from mpc.tolerances import TARGET_COST
+from mpc.tolerances import STEADY_SOLVER, TARGET_COST
 from mpc.tracking import sizes_of
-
-EXACT = 1e-11  # residuals at which it stops, in sizes of the states
-QUIET: dict[str, Any] = {
-    "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": EXACT, "ipopt.max_iter": 200,
-    "ipopt.bound_relax_factor": 0.0, "show_eval_warnings": False,
-}  # fmt: skip
 
 
 class SteadyStates:
-    """Steady states of a model in X and U; the statement is that of `targets.nearest_target`.
+    """Steady states of a model in X and U. The statement is that of `targets.nearest_target`.
 
     Parameters
     ----------
@@ -52,10 +46,13 @@ class SteadyStates:
             "x": z, "p": ca.vertcat(ca.vec(squares), slope, w, p), "g": ca.vertcat(drift, rows),
             "f": ca.bilin(squares, x) - 2 * ca.dot(slope, x) + TARGET_COST * cost / most,
         }  # fmt: skip
-        self._solver = ca.nlpsol("steady_state", "ipopt", program, QUIET)
+        self._solver = ca.nlpsol("steady_state", "ipopt", program, {
+            "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": STEADY_SOLVER,
+            "ipopt.max_iter": 200, "ipopt.bound_relax_factor": 0.0, "show_eval_warnings": False,
+        })  # fmt: skip
 
     def nearest(self, C: Array, r: Array, w: Array, p: Array) -> Array | None:
-        """State and input (nx + nu,) with outputs Cx nearest to r, sought from rest; None where it finds none."""
+        """State and input (nx + nu,) with outputs Cx nearest to r, sought from rest. None where it finds none."""
         unit = max(float(np.linalg.norm(C * self._size[: C.shape[1]])), np.finfo(float).tiny)
         data = np.concatenate([(C.T @ C).ravel() / unit**2, C.T @ r / unit**2, w, p])
         found = self._solver(x0=0, p=data, lbg=self._least, ubg=self._most)

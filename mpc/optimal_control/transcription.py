@@ -52,7 +52,7 @@ def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, 
 
 
 class _Builder:
-    """Puts a program together, phase by phase."""
+    """Builder of a program, phase by phase."""
 
     def __init__(self, problem: OptimalControlProblem, scheme: Scheme, meshes: list[Array]) -> None:
         self.problem = problem
@@ -61,7 +61,7 @@ class _Builder:
         self.into = Assembly()
 
     def program(self) -> NonlinearProgram:
-        """The whole."""
+        """The whole program."""
         problem, into = self.problem, self.into
         first_parameters = np.asarray(problem.p_guess)
         layouts = [layout_of(phase, own.nw, self.scheme) for phase, own in zip(problem.phases, problem.functions)]
@@ -109,7 +109,7 @@ class _Builder:
         return slice(first, first + many)
 
     def _duration(self, phase: Phase) -> int:
-        """Append a duration that is free; its place, or −1."""
+        """Append a duration that is free; return its place, or −1."""
         if not phase.free_duration:
             return -1
         low, high = phase.duration
@@ -118,7 +118,7 @@ class _Builder:
         return self.into.width - 1
 
     def _clock(self, k: int, durations: list[int]) -> Clock:
-        """When phase k is."""
+        """Clock of phase k."""
         phases = self.problem.phases
         before = range(k) if self.problem.linked else range(0)
         start = phases[0 if self.problem.linked else k].start_time

@@ -1,1 +1,1 @@
-"""How controllers change with their first state and with parameters: LQR, linear MPC, and what nonlinear MPC shares."""
+"""Changes of controllers with their first state and parameters: LQR, linear MPC, and what nonlinear MPC shares."""

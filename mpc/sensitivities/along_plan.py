@@ -17,8 +17,6 @@ from mpc.sensitivities.linearised import Linearised
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
 from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
 
-STEPS = 8  # of Newton's method at most
-
 
 def sensitivity_of(
     problem: MPCProblem, model: PlanModel, changes: Changes, plan: Plan, given: Given
@@ -28,11 +26,11 @@ def sensitivity_of(
     if plan.status is not Status.SOLVED:
         return conditions.none(plan, SensitivityStatus.UNSOLVED)
     with np.errstate(over="ignore", invalid="ignore"):
-        point = Point.of(problem, plan)
+        point = Point.from_plan(problem, plan)
         point = Linearised(conditions, point).with_multipliers(point)
         last = NEAR_OPTIMUM
-        for _ in range(STEPS):
-            step = NewtonStep.of(Linearised(conditions, point), point)
+        for _ in range(8):
+            step = NewtonStep.at(Linearised(conditions, point), point)
             if step is None:
                 return conditions.none(plan, SensitivityStatus.SINGULAR)
             size = step.size
@@ -56,7 +54,7 @@ def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
     U, X = (form[:, :, :nt] + form[:, :, at["z"]] @ rates[:n] for form in (linear.U, linear.X))
     cost = linear.gradient[:nt] + linear.multipliers @ linear.rows[:, :nt]
     by_parameters = cost[at["p"]] + linear.cost_of_parameters
-    idle = IdleRows.of(linear, point, rates)
+    idle = IdleRows.at(linear, point, rates)
     status = SensitivityStatus.SMOOTH
     if idle.weak.any():
         status = SensitivityStatus.ONE_SIDED
@@ -96,8 +94,8 @@ class IdleRows:
     together: Mask
 
     @classmethod
-    def of(cls, linear: Linearised, point: Point, rates: Array) -> IdleRows:
-        """Those at an optimum whose free variables move by rates (n, nt)."""
+    def at(cls, linear: Linearised, point: Point, rates: Array) -> IdleRows:
+        """Idle rows at an optimum whose free variables move by rates (n, nt)."""
         met = linear.on_bound & linear.own & ~point.acting
         acting = linear.rows[point.acting][:, linear.free] * linear.scale
         basis = np.linalg.qr(acting.T)[0] if len(acting) else np.zeros((len(linear.scale), 0))
@@ -123,7 +121,7 @@ class IdleRows:
         return cls(met & ~alone, dependent, together)
 
     def margin(self, linear: Linearised, point: Point) -> float:
-        """How far the nearest row is from beginning or ceasing to act, in its unit [-]."""
+        """Distance of the nearest row from beginning or ceasing to act, in its unit [-]."""
         idle = self.weak | self.dependent
         worth = linear.worth(linear.multipliers)
         pushing = worth > WEAKLY_ACTIVE
@@ -136,7 +134,7 @@ class IdleRows:
 
 
 def _vanishing_sum(unit: Array, weak: Mask) -> dict[int, float] | None:
-    """A sum with positive parts of weak rows that leaves nothing beside the acting ones; None where there is none.
+    """A sum with positive parts of weak rows that leaves nothing beside the acting ones. None where there is none.
 
     Where there is one the multipliers are not unique (Kyparisis, Mathematical Programming 32, 1985).
     """
@@ -167,8 +165,8 @@ class NewtonStep:
     pushes: Array  # (number of acting rows, nt + 1): of their multipliers
 
     @classmethod
-    def of(cls, linear: Linearised, point: Point) -> NewtonStep | None:
-        """The step at a point; None at a saddle, or where acting rows depend on each other."""
+    def at(cls, linear: Linearised, point: Point) -> NewtonStep | None:
+        """Newton step at a point. None at a saddle, or where acting rows depend on each other."""
         at, nt = linear.conditions.columns, linear.conditions.nt
         acting = np.flatnonzero(point.acting)
         d = linear.scale
@@ -197,7 +195,7 @@ class NewtonStep:
 
     @property
     def size(self) -> float:
-        """How far it goes, in sizes of inputs and states, and in the units of the slacks [-]."""
+        """Length of the step, in sizes of inputs and states, and in the units of the slacks [-]."""
         linear = self.linear
         problem = linear.conditions.problem
         inputs, states = self._of_plan
@@ -222,7 +220,7 @@ class NewtonStep:
         return self.moves[at["z"].stop - at["z"].start :, -1]
 
     def after(self) -> Point:
-        """The point after it; rows that it would pass act from then on, those that would pull do not."""
+        """Point after the step. Rows that it would pass act from then on, those that would pull do not."""
         linear, point = self.linear, self.point
         inputs, states = self._of_plan
         multipliers = np.zeros(len(linear.rows))

@@ -1,4 +1,4 @@
-"""How cost and limits of an MPC problem change with parameters, as a user says it."""
+"""Derivatives of cost and limits of an MPC problem by parameters, as a user states them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ from mpc.exceptions import InputError
 from mpc.halfspaces import Limits
 from mpc.problem import MPCProblem
 from mpc.sensitivities.regulator import as_derivatives, lqr_sensitivity
-
-UNIT_STEP = 1e-5  # of differences of units, relative to what they are made of
+from mpc.tolerances import UNIT_STEP
 
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """How cost and limits change with parameters.
+    """Derivatives of cost and limits by parameters.
 
     Attributes
     ----------
@@ -42,7 +41,7 @@ class Changes:
 
     @property
     def parameters(self) -> int:
-        """np."""
+        """Number np of parameters."""
         return int(self.Q.shape[-1])
 
 
@@ -83,7 +82,7 @@ def as_changes(problem: MPCProblem, given: Mapping[str, ArrayLike | None], count
 
 
 def _unit_changes(limits: Limits, bounds: dict[str, Array], dB: Array) -> dict[str, Array]:
-    """How the units of soft limits change with parameters, by kind, (rows, np).
+    """Derivatives (rows, np) of the units of soft limits by parameters, by kind.
 
     A unit is the size of a bound, or a reach; reaches are products of at most two numbers that change, piece by piece,
     of which central differences are exact. The unit of a bound that is zero does not change with that bound.

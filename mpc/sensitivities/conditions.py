@@ -1,4 +1,4 @@
-"""The optimality conditions of a plan: how inputs, states and rows move with its first state, parameters and inputs."""
+"""The optimality conditions of a plan: moves of inputs, states and rows with its first state, parameters and inputs."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class PlanModel(Protocol):
     """Derivatives of x⁺ = f(x, u, p) along a plan, p (np,)."""
 
     def first(self, states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
-        """f (N, nx), ∂f/∂x (N, nx, nx), ∂f/∂u (N, nx, nu), ∂f/∂p (N, nx, np) at states and inputs of N steps."""
+        """Values f (N, nx), ∂f/∂x (N, nx, nx), ∂f/∂u (N, nx, nu), ∂f/∂p (N, nx, np) at states and inputs of N steps."""
         ...
 
     def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
-        """Of Σ λ_i f_i with costates λ (N, nx): Hessians by (x, u) and mixed with p, (N, nx + nu, nx + nu | np)."""
+        """Hessians of Σ λ_i f_i, costates λ (N, nx), by (x, u) and mixed with p, (N, nx + nu, nx + nu | np)."""
         ...
 
 
@@ -46,8 +46,8 @@ class Point:
     acting: Mask
 
     @classmethod
-    def of(cls, problem: MPCProblem, plan: Plan) -> Point:
-        """A plan, whose multipliers are not known."""
+    def from_plan(cls, problem: MPCProblem, plan: Plan) -> Point:
+        """Point of a plan, whose multipliers are not known."""
         slacks = np.zeros(0)
         if problem.soft is not None:
             slacks = relative_violations(problem, plan.states, problem.price_units)
@@ -127,7 +127,7 @@ class Conditions:
         return [(i, units[label.kind][label.row]) for i, label in enumerate(labels) if label.kind in units]
 
     def none(self, plan: Plan, status: SensitivityStatus) -> PlanSensitivity:
-        """What there is to say where there are no derivatives."""
+        """Sensitivity without derivatives: NaN in place of each."""
         N, nx, nu, count = self.problem.horizon, self.problem.nx, self.problem.nu, self.changes.parameters
         last = self.columns["u_prev"].stop - self.columns["u_prev"].start
         shapes = {

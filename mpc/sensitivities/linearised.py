@@ -73,7 +73,7 @@ class Linearised:
         return slice(self.conditions.columns["z"].start, self.width)
 
     def _mixed(self, steps: Array, end: Array) -> tuple[Array, Array]:
-        """How the slopes of the cost change with p, (N, nx + nu, np) and (nx, np)."""
+        """Derivatives of the slopes of the cost by p, (N, nx + nu, np) and (nx, np)."""
         conditions = self.conditions
         return (
             2 * np.einsum("pij,kj->kip", conditions.stage_change, steps),
@@ -96,7 +96,7 @@ class Linearised:
         return whole
 
     def _pushes(self) -> tuple[Array, Array]:
-        """What the multipliers of limits add to the slopes by states (N + 1, nx) and inputs (N, nu)."""
+        """Slopes by states (N + 1, nx) and inputs (N, nu) that the multipliers of limits add."""
         problem = self.conditions.problem
         on_states = np.zeros((problem.horizon + 1, problem.nx))
         on_inputs = np.zeros((problem.horizon, problem.nu))
@@ -114,7 +114,7 @@ class Linearised:
         return on_states, on_inputs
 
     def _costates(self, A: Array, B: Array) -> Array:
-        """λ (N, nx): what the cost from each next state on changes by with that state.
+        """Costates λ (N, nx): derivatives of the cost from each next state on by that state.
 
         Along the feedback, where there is one, they do not lose their digits to an unstable model: at an optimum the
         slope by the inputs, which it adds, is zero.
@@ -146,7 +146,7 @@ class Linearised:
         return Point(point.inputs, point.states, point.slacks, multipliers, self.acting(multipliers))
 
     def worth(self, multipliers: Array) -> Array:
-        """How far (m,) each row would be passed if it alone did not act, in its unit [-]; of linear models exactly."""
+        """Violation (m,) of each row if it alone did not act, in its unit [-]. Exact for linear models."""
         pushing = np.flatnonzero(multipliers > 0)
         d = self.scale
         G = self.rows[pushing][:, self.free] * d

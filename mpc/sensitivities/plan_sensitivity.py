@@ -1,4 +1,4 @@
-"""How an optimal plan and its cost change: what `sensitivity` returns."""
+"""Derivatives of an optimal plan and its cost: what `sensitivity` returns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mpc.tolerances import KKT_REPORTED
 
 
 class SensitivityStatus(Outcome):
-    """How far derivatives can be believed; the value is the advice."""
+    """Validity of derivatives; the value is the advice."""
 
     SMOOTH = "The active set is the same nearby: the derivatives hold on every side, as far as `margin`."
     ONE_SIDED = (
@@ -58,7 +58,7 @@ class LocalProgram:
     states: Array  # (N + 1, nx, nt + n)
 
     def rate(self, theta: Array) -> Array | None:
-        """Rate (n,) of z as θ (nt,) moves that way; None where the program has no solution."""
+        """Rate (n,) of z as θ (nt,) moves that way. None where the program has no solution."""
         nt = len(theta)
         held, at = self.held[:, nt:], self.held[:, :nt] @ theta
         d = 1 / np.sqrt(np.abs(np.diag(self.H)))

@@ -1,4 +1,4 @@
-"""How gain and cost of the infinite-horizon regulator change with parameters: the Riccati equation, differentiated."""
+"""Derivatives of gain and cost of the infinite-horizon regulator by parameters: the differentiated Riccati equation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.linalg import schur, solve_triangular
 
 from mpc.checks import Array, as_array, as_cross_weight, as_floats, as_pair, as_weight
 from mpc.exceptions import InputError
-from mpc.lqr import cost_units, lqr
+from mpc.riccati import cost_units, lqr
 from mpc.tolerances import ASYMMETRY
 
 
@@ -65,7 +65,7 @@ class LQRSensitivity:
         return np.einsum("x,xyp,y->p", x, self.dP, x)
 
     def noise_cost(self, W: ArrayLike) -> float:
-        """tr(PW): what noise of covariance W (nx, nx) in the state costs a step, in the long run."""
+        """Cost tr(PW) a step, in the long run, of noise of covariance W (nx, nx) in the state."""
         return float(np.sum(self.P * as_weight("W", W, len(self.P))))
 
     def noise_cost_by_parameters(self, W: ArrayLike, dW: ArrayLike | None = None) -> Array:
@@ -166,7 +166,7 @@ def as_derivatives(
     symmetric: tuple[str, ...] = (),
     count: int | None = None,
 ) -> dict[str, Array]:
-    """Arrays (*shape, np) of derivatives by name, checked; zeros for what is None.
+    """Arrays (*shape, np) of derivatives by name, checked. Zeros for what is None.
 
     Parameters
     ----------

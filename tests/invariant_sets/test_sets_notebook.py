@@ -25,7 +25,7 @@ def test_every_name_on_the_mpt3_page_exists():
     import invariant_sets
     from invariant_sets import ParametricSet, Polytope
 
-    text = (ROOT / "docs" / "how_to" / "from_mpt3.md").read_text(encoding="utf8")
+    text = (ROOT / "docs" / "reference" / "names_in_mpt3.md").read_text(encoding="utf8")
     ours = [line.split(" | ")[1] for line in text.splitlines() if line.startswith("|") and line.count(" | ") == 1]
     assert len(ours) > 35
     for cell in ours:

@@ -47,8 +47,8 @@ class Descent:
 
 
 def value_of(cost: Any, v: Array) -> float:
-    """The cost at a point, without its slope where that is dear: `apart`, with `value` and `slope` of its own."""
-    return cost.value(v) if getattr(cost, "apart", False) else cost(v)[0]
+    """The cost at a point, without its slope where that is expensive."""
+    return cost.value(v) if getattr(cost, "slope_is_expensive", False) else cost(v)[0]
 
 
 def tamed(relative: float) -> float:
@@ -109,7 +109,7 @@ class _Watched:
 
     def __init__(self, cost: Cost, space: DesignSpace, v: Array, size: float, evaluations: int) -> None:
         self.cost = cost
-        self.apart: Any = cost if getattr(cost, "apart", False) else None
+        self.apart: Any = cost if getattr(cost, "slope_is_expensive", False) else None
         self.space = space
         self.start = v
         self.size = size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -16,6 +17,7 @@ from ccdtools.plants.design_space import DesignSpace
 STEP = 1e-4  # of the unit box: of the differences that a slope is confirmed by
 AGREE = 0.05  # of a slope: what differences and it may differ by,
 LEVEL = 1e-3  # and of the cost per length of the unit box
+OTHERS = "other whole numbers were never looked at: raise starts"
 SAME_PLACE = 0.02  # of the box: two starts this close are one
 
 
@@ -35,7 +37,7 @@ class Held:
     rest: float
 
 
-def held_by(space: DesignSpace, v: Array, slope: Array, violations: dict[str, Array] | None = None) -> Held:
+def held_by(space: DesignSpace, v: Array, slope: Array, violations: Mapping[str, Array] | None = None) -> Held:
     """What holds a point of the unit box where the cost has this slope (np,); of one that is unknown, NaN is left.
 
     Active limits of the closed loop are constraints, too: by name, the slopes (np,) of their violations.

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -21,13 +20,11 @@ from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.agents import as_agent
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.methods.design_cost import DesignCost
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, SecantLaw
-from ccdtools.co_design.methods.learned import warm_start
-from ccdtools.co_design.methods.loop_cost import LearnedCost, LoopCost
-from ccdtools.co_design.methods.open_loop import drawn
+from ccdtools.co_design.methods.limited_loop_cost import loop_cost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
-from ccdtools.co_design.methods.searched import DesignCost, Plan, searched
-from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
+from ccdtools.co_design.methods.searched import Plan, searched
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.secant import fitted, visited
@@ -111,9 +108,7 @@ class Nested:
         plan = Plan(self.name, starts, self.evaluations or OUTER.get(self.inner, ALL))
         if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):
             return self._of_better_linearisation(plan, problem, design, rng, progress)
-        cost_from = self._cost_from(problem, rng, progress)
-        hopeful = partial(_keeps_its_runs, problem, cost_from) if self.inner in ("mpc", "nmpc") else None
-        return searched(plan, problem, cost_from, design, rng, hopeful=hopeful, progress=progress)
+        return searched(plan, problem, self._cost_from(problem, rng, progress), design, rng, progress=progress)
 
     def _of_better_linearisation(
         self, plan: Plan, problem: CoDesignProblem, design: Array, rng: np.random.Generator, progress: bool
@@ -124,7 +119,7 @@ class Nested:
         if self.linearisation == "auto":
             with suppress(InputError, NotStabilisableError):  # the tangent may have no input at all
                 tangent = searched(
-                    plan, problem, lambda v: LoopCost(problem, LQRLaw(), scenarios), design, rng, progress=progress
+                    plan, problem, lambda v: loop_cost(problem, LQRLaw(), scenarios), design, rng, progress=progress
                 )
         scenario = visited(problem, rng)
         if tangent is not None:
@@ -134,7 +129,7 @@ class Nested:
         plan = replace(plan, starts=1)
         first = design if tangent is None else np.asarray(tangent.design)
         law = SecantLaw(scenario)
-        found = searched(plan, problem, lambda v: LoopCost(problem, law, scenarios), first, rng, progress=progress)
+        found = searched(plan, problem, lambda v: loop_cost(problem, law, scenarios), first, rng, progress=progress)
         if tangent is not None and not found.objective > tangent.objective and np.isfinite(tangent.objective):
             found = tangent
         return replace(found, notes=(*found.notes, str(fitted(problem, found.design, scenario))))
@@ -146,24 +141,20 @@ class Nested:
         runs = self.runs or RUNS[self.inner]
         if self.inner == "riccati":
             return lambda v: RiccatiCost(problem)
-        if self.inner == "trajectory":
+        if self.inner == "trajectory":  # what few ask for is loaded where it is asked for
+            from ccdtools.co_design.methods.open_loop import drawn
+            from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
+
             given = drawn(problem, runs, rng)
             return lambda v: TrajectoryCost(problem, given, problem.design.settled(v), self.control)
         scenarios = scenario_tensors(problem, fewer_runs(runs, problem.steps), rng)
         if self.inner == "rl":
+            from ccdtools.co_design.methods.learned import warm_start
+            from ccdtools.co_design.methods.learned_cost import LearnedCost
+
             agent = warm_start(problem, rng, progress=progress) if self.agent is None else self.agent
             return lambda v: LearnedCost(problem, agent, scenarios, rng, self.by)
         laws: dict[str, DesignLaw] = {
             "lqr": LQRLaw(), "mpc": MPCLaw(self.horizon), "nmpc": MPCLaw(self.horizon, nonlinear=True)
         }  # fmt: skip
-        return lambda v: LoopCost(problem, laws[self.inner], scenarios)
-
-
-def _keeps_its_runs(problem: CoDesignProblem, cost_from: Callable[[Array], DesignCost], v: Array) -> bool:
-    """Whether saturated LQR, which costs nothing beside MPC, loses no run at a point of the unit box."""
-    cost = cost_from(v)
-    assert isinstance(cost, LoopCost)
-    try:
-        return not bool(LoopCost(problem, LQRLaw(), cost.scenarios).seen(v).diverged.any())
-    except NotStabilisableError:
-        return False
+        return lambda v: loop_cost(problem, laws[self.inner], scenarios)

@@ -11,9 +11,9 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.design_sensitivity import regulator_of
+from ccdtools.co_design.methods.design_cost import DesignCost
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import History
 from ccdtools.co_design.risk import Mean
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
@@ -24,7 +24,7 @@ SEED = 0
 
 
 @dataclass(eq=False)
-class RiccatiCost:
+class RiccatiCost(DesignCost):
     """E[x0ᵀ P x0] + T tr(P E W Eᵀ) and the cost of the design, with its exact slope.
 
     What the episodes of a linear model cost to the end of time, if inputs never saturate and the disturbance is white
@@ -99,15 +99,6 @@ class RiccatiCost:
         both = ca.Function("cost", [symbol], [value, ca.densify(ca.gradient(value, symbol))])(p)
         return float(both[0]), np.asarray(both[1], dtype=float).ravel()
 
-    @property
-    def evaluations(self) -> int:
-        """How many there were."""
-        return len(self.rows)
-
     def controller(self, p: Array) -> Controller:
         """The LQR of a design, saturated where it must be."""
         return saturated_lqr(self.problem, p)
-
-    def history(self) -> History:
-        """All evaluations so far."""
-        return History(*(np.array(column) for column in zip(*self.rows)))

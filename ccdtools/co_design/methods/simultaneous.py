@@ -16,7 +16,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of, saturated_lqr
 from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.methods.holding import start_points
+from ccdtools.co_design.methods.holding import OTHERS, start_points
 from ccdtools.co_design.methods.open_loop import (
     Feedback,
     at_the_mean,
@@ -37,7 +37,6 @@ from mpc.optimal_control import OptimalControlProblem, OptimalControlStatus, Sol
 
 UNKNOWNS = ("trajectory", "gain")
 RUNS = {"trajectory": 8, "gain": 16}  # scenarios, each with trajectories of its own
-OTHERS = "other whole numbers were never looked at: raise starts"
 
 
 @dataclass(frozen=True)

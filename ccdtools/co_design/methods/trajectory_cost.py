@@ -9,17 +9,19 @@ import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import controller_of
+from ccdtools.co_design.methods.design_cost import DesignCost
 from ccdtools.co_design.methods.open_loop import at_the_mean, followed, open_loop_problem
 from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import History
+from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.risk import MEAN, WorstCase
+from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
 from mpc.optimal_control import NonlinearProgram, OptimalControlProblem, OptimalControlStatus, Solution, build, solve
 
 
 @dataclass(eq=False)
-class TrajectoryCost:
+class TrajectoryCost(DesignCost):
     """What of the costs of the best inputs of every scenario counts at a design, with its exact slope by multipliers.
 
     The cases of a worst case have programs of their own, as nothing but the design ties them together: their costs are
@@ -82,6 +84,14 @@ class TrajectoryCost:
         (weights,) = torch.autograd.grad(counted, returns)
         return -float(counted.detach()), weights.numpy() @ slopes
 
+    def first_point(self, v: Array) -> tuple[Array, float]:
+        """A point to search from, within the limits, and its cost."""
+        cost = self(v)[0]
+        if np.isfinite(cost):
+            return v, cost
+        v = self.within_limits(v)
+        return v, np.inf if self.failed is not None else self(v)[0]
+
     def within_limits(self, v: Array) -> Array:
         """A point (np,) of the unit box whose inputs can keep the limits, found from another; that itself if none is.
 
@@ -101,23 +111,23 @@ class TrajectoryCost:
             return v
         return space.to_unit(space.project(solution.p))
 
-    @property
-    def impossible(self) -> bool:
-        """Whether no design was found whose inputs keep the limits."""
-        return self.failed is not None and self.failed.status is OptimalControlStatus.INFEASIBLE
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What there is to say where no trajectory was found."""
-        return () if self.failed is None else told(self.problem, self.failed)
+    def without_design(self, name: str, v: Array) -> CoDesignResult:
+        """What there is to say where no design has trajectories within the limits: that, at the given one."""
+        space = self.problem.design
+        design = space.settled(v)
+        row = (np.ones(1), np.ones(1), design[None], np.full(1, np.nan), np.zeros(1), np.zeros(1))
+        impossible = self.failed is not None and self.failed.status is OptimalControlStatus.INFEASIBLE
+        return CoDesignResult(
+            design=design, controller=self.controller(design), method=name,
+            status=CoDesignStatus.INFEASIBLE if impossible else CoDesignStatus.BUDGET_SPENT,
+            criterion=f"return of {self.words}", active_bounds=space.active_bounds(design),
+            active_constraints=space.active_constraints(design), history=History(*row),
+            notes=() if self.failed is None else told(self.problem, self.failed),
+        )  # fmt: skip
 
     def controller(self, p: Array) -> Controller:
         """What closes the loop at a design."""
         return controller_of(self.control, self.problem, p)
-
-    def history(self) -> History:
-        """All evaluations so far."""
-        return History(*(np.array(column) for column in zip(*self.rows)))
 
 
 def _stated(

@@ -9,13 +9,13 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.comparison.metrics import Metrics
-from ccdtools.comparison.ride import Ride
-from ccdtools.disturbances.iso8608 import RoadClass
-from ccdtools.disturbances.iso_road import ISORoad
 from ccdtools.plants.library import Car
 from ccdtools.plants.plant import Plant
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.studies.study import Study
+from ccdtools.vehicles.iso8608 import RoadClass
+from ccdtools.vehicles.iso_road import ISORoad
+from ccdtools.vehicles.ride import Ride
 from invariant_sets import Polytope
 
 CAR = Car()

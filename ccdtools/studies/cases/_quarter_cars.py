@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ccdtools.co_design.objective import QuadraticObjective
-from ccdtools.comparison.ride import Ride
-from ccdtools.disturbances.iso8608 import RoadClass
-from ccdtools.disturbances.iso_road import ISORoad
 from ccdtools.plants.library import QuarterCar, quarter_car
 from ccdtools.plants.library.elements import GRAVITY
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.studies.study import Study
+from ccdtools.vehicles.iso8608 import RoadClass
+from ccdtools.vehicles.iso_road import ISORoad
+from ccdtools.vehicles.ride import Ride
 from invariant_sets import Polytope
 
 SPEED = 20.0  # m/s

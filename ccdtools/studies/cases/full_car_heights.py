@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ccdtools.comparison.ride import Ride
 from ccdtools.plants.library import full_car
-from ccdtools.plants.library.car import WHEELS, heights_of_corners
 from ccdtools.studies.cases._cars import BODY, CAR, GOOD, PLACE, WHEEL, by_kind, study_on_roads
 from ccdtools.trajectory import Trajectory
+from ccdtools.vehicles.car import WHEELS, heights_of_corners
+from ccdtools.vehicles.ride import Ride
 from invariant_sets import Polytope
 
 plant = full_car(road="height")

@@ -7,13 +7,13 @@ import numpy as np
 
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Gaussian
-from ccdtools.disturbances.roads import GeneratedRoad
 from ccdtools.plants import library
-from ccdtools.plants.library.quarter_car import PAPER_DT
 from ccdtools.plants.plant import Plant
 from ccdtools.studies.cases._quarter_cars import quarter_car_ride
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.studies.study import Study
+from ccdtools.vehicles.quarter_car import PAPER_DT
+from ccdtools.vehicles.roads import GeneratedRoad
 from invariant_sets import Polytope
 
 HARDENING = 0.01  # of k_s [1/m²] and of c_s [s/m], in the real spring and damper

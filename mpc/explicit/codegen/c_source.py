@@ -269,7 +269,7 @@ def real(value: float, scalar: str) -> str:
 
 
 def table(values: Any, scalar: str) -> str:
-    """A nested C initialiser; an empty table gets one zero, which C demands."""
+    """A nested C initialiser. An empty table gets one zero, which C demands."""
     array = np.asarray(values)
     if array.size == 0:
         return "{0}" if array.ndim == 1 else "{{0}}"

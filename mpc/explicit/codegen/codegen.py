@@ -18,18 +18,15 @@ from mpc.explicit.laws import PiecewiseLaw
 from mpc.explicit.partition import Ints, MPQPStatus
 from mpc.explicit.search_tree import distinct_planes, region_points
 from mpc.halfspaces import box_of
-from mpc.tolerances import FAR_AWAY, INSIDE, INSIDE_FLOAT
+from mpc.tolerances import CUT_OFF, FAR_AWAY, INSIDE, INSIDE_FLOAT
 
 _TOLERANCE = {"double": INSIDE, "float": INSIDE_FLOAT}
 _LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
-_BYTES = {"double": 8, "float": 4}
-_COMPENSATED = 13  # multiply-adds that a product in twice the precision costs
-_LARGE = 1e30  # scaled parameters beyond this are cut off
 
 
 @dataclass(frozen=True)
 class CodeReport:
-    """What was written and what it costs.
+    """Report of the written code and its costs.
 
     files : header and source; method : "tree" or "sequential"; flash_bytes : size of the constant tables [B];
     operations : multiply-adds in the worst case; comparisons : comparisons in the worst case.
@@ -107,7 +104,7 @@ def write_c(
         "border": _border(law, scalar), "regions": search.regions, "body": search.body,
         "law": law_text, "summary": f"{len(law)} regions, {count} laws, {method} search",
         "low": table(low, scalar), "high": table(high, scalar), "nearest": table(nearest, scalar),
-        "large": real(_LARGE, scalar), "largest": _LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar),
+        "large": real(CUT_OFF, scalar), "largest": _LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar),
         "far": real(FAR_AWAY, scalar),
         "outside": "the input where the straight line to an inner point enters it" if complete
         else "the law of the nearest region, saturated",
@@ -122,8 +119,8 @@ def write_c(
     border = len(law.tree.border)
     numbers += 3 * law.nu + search.numbers + (border * (law.nt + 2) + 2 * law.nt if border else 0)
     rows = 2 * border + search.rows
-    operations = law.nt * rows + law.nu * law.nt * (1 if scalar == "double" else _COMPENSATED)
-    flash = _BYTES[scalar] * numbers + search.index_bytes
+    operations = law.nt * rows + law.nu * law.nt * (1 if scalar == "double" else 13)  # 13 in twice the precision
+    flash = (8 if scalar == "double" else 4) * numbers + search.index_bytes
     return CodeReport(files, method, scalar, len(law), count, border + search.planes, flash, operations, rows)
 
 
@@ -270,7 +267,7 @@ def _scan(law: PiecewiseLaw, scalar: str) -> Search:
 
 
 def _unscaled(law: PiecewiseLaw, planes: Array) -> Array:
-    """Hyperplanes [a, b] in the units of θ; the residual a'θ - b keeps its size."""
+    """Hyperplanes [a, b] in the units of θ. The residual a'θ - b keeps its size."""
     p = law.partition
     a = planes[:, :-1] / p.half
     return np.hstack([a, (planes[:, -1] + a @ p.centre)[:, None]])

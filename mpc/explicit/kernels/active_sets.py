@@ -31,7 +31,7 @@ def flip(mask, i):
 
 @njit(cache=True)
 def from_mask(mask, act):
-    """Write the members of a bit mask in increasing order; returns their number."""
+    """Write the members of a bit mask in increasing order. Returns their number."""
     k = 0
     for q in range(len(mask)):
         word = mask[q]

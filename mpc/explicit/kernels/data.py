@@ -1,4 +1,4 @@
-"""What the compiled exploration works on, with names: numba takes named tuples of arrays."""
+"""Data of the compiled exploration, with names: numba takes named tuples of arrays."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 KNOWN, QUEUED, DONE, ROWS = 0, 1, 2, 3  # positions in `Graph.counts`
 FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: its region is empty or of lower dimension
+FINISHED, GROW, PAUSED = 0, 1, 2  # why a kernel returned: done, memory has to grow, budget spent
 INFEASIBLE = 4  # a parameter without any active set
 BORDER = 0  # a facet on the border of the parameter set, or beyond which infeasibility is proven
 OPEN = 1  # one that led nowhere
@@ -20,7 +21,7 @@ ASKED = 3  # one that led nowhere, and the QP was solved beyond it
 
 
 class QPData(NamedTuple):
-    """Minimise ½|v|² subject to Mv <= D [t; 1] for t in {TA t <= Tb}; rows of M and TA have unit length.
+    """Minimise ½|v|² subject to Mv <= D [t; 1] for t in {TA t <= Tb}. Rows of M and TA have unit length.
 
     M : (m, nz); D : (m, nt + 1); tie : (m,) shift of the bounds that decides between active sets which are optimal
     together; gram : (m, m), MM'; TA, Tb : the parameter set.

@@ -15,23 +15,21 @@ from mpc.explicit.kernels.data import (
     CROSSED,
     DEPENDENT,
     DONE,
+    FINISHED,
     FLAT,
     FULL,
+    GROW,
     INFEASIBLE,
     KNOWN,
     OPEN,
+    PAUSED,
     QUEUED,
     ROWS,
     RegionData,
 )
 from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind
 from mpc.explicit.kernels.region import gram_factor, gram_solve, optimal_at, region_rows
-from mpc.tolerances import EXCHANGE, EXCLUDED, SAME_PLANE
-
-FINISHED, GROW, PAUSED = 0, 1, 2  # why the exploration returned
-_MARGIN = 0.1  # distance from the other facets, scaled parameters, that a point behind a facet keeps where it can
-_TWINS = 4  # rows on one hyperplane whose combinations are all tried
-_ROOM = 20  # active sets that one facet may add, beside exchanges
+from mpc.tolerances import CLEARANCE, EXCHANGE, EXCLUDED, SAME_PLANE
 
 
 @njit(cache=True)
@@ -60,7 +58,8 @@ def explore(qp, graph, facets, budget):
         radius = interior_point(A, b, np.inf, centre)
         count = irredundant(A, b, centre, kept, hits)
         room = min(len(graph.masks), len(graph.table) // 2)
-        if counts[ROWS] + m + len(qp.Tb) > len(facets.rows) or counts[KNOWN] + count * (k + _ROOM) > room:
+        # one facet may add 20 active sets beside exchanges
+        if counts[ROWS] + m + len(qp.Tb) > len(facets.rows) or counts[KNOWN] + count * (k + 20) > room:
             return GROW
         region = RegionData(mask, act[:k], A, b, kept[:count], hits, centre, radius)
         store(facets, counts, region)
@@ -72,7 +71,7 @@ def explore(qp, graph, facets, budget):
 
 @njit(cache=True)
 def store(facets, counts, region):
-    """Append the facets and the centre of the next region done; there is room for them."""
+    """Append the facets and the centre of the next region done. There is room for them."""
     n = region.A.shape[1]
     for number, facet in enumerate(region.facets):
         for j in range(n):
@@ -104,7 +103,7 @@ def cross(qp, graph, region, number):
         return CROSSED
     reached = just_behind(A, b, facets, len(facets), number, hits[number], behind_it)
     if not reached:
-        reached = across(A, b, facets, len(facets), facet, hits[number], min(_MARGIN, radius), behind_it)
+        reached = across(A, b, facets, len(facets), facet, hits[number], min(CLEARANCE, radius), behind_it)
     if kind == DEPENDENT:
         kind = exchange(qp, graph, act, len(act), facet, mask, behind_it if reached else centre)
     if not reached:
@@ -123,7 +122,7 @@ def behind(qp, graph, A, b, mask, facet, work):
     """
     m = len(qp.D)
     n = A.shape[1]
-    twins = np.empty(_TWINS, np.int64)
+    twins = np.empty(4, np.int64)  # rows on one hyperplane whose combinations are all tried
     shared = 0
     for i in range(m):
         close = abs(b[i] - b[facet]) < SAME_PLANE
@@ -131,7 +130,7 @@ def behind(qp, graph, A, b, mask, facet, work):
             if not close:
                 break
             close = abs(A[i, j] - A[facet, j]) < SAME_PLANE
-        if close and shared < _TWINS:
+        if close and shared < len(twins):
             twins[shared] = i
             shared += 1
     kind = FLAT
@@ -146,7 +145,7 @@ def behind(qp, graph, A, b, mask, facet, work):
 
 @njit(cache=True)
 def exchange(qp, graph, act, k, entering, mask, theta):
-    """Consider sets in which the entering row replaces another; one with a positive coefficient has to leave.
+    """Consider sets in which the entering row replaces another. One with a positive coefficient has to leave.
 
     Returns FULL when one of them that has a region is optimal at θ, a point behind the facet, INFEASIBLE when θ is,
     because none can leave, and FLAT otherwise; of any other point the answer means nothing.

@@ -12,19 +12,12 @@ import numpy as np
 from numba import njit
 
 from mpc.checks import Array
+from mpc.explicit.kernels.data import FINISHED, GROW, PAUSED
 from mpc.explicit.kernels.halfspace import interior_point, project
-from mpc.tolerances import PROJECTION, SAME_HYPERPLANE_DIGITS, SIDE
+from mpc.tolerances import POINTS_OF_REGION, PROJECTION, SAME_HYPERPLANE_DIGITS, SIDE, TRIES
 
 NODES, NEXT, POOL, LEAF = 0, 1, 2, 3  # positions in `Growth.counts`
-FINISHED, GROW, PAUSED = 0, 1, 2  # why the growth returned
-_POINTS = 64  # points of a region that are used
-_SAMPLE = 400  # members of a node that judge a hyperplane
-_CANDIDATES = 64  # hyperplanes judged at a large node
-_FEW = 24  # members of a node up to which every facet is judged
-_TRIES = 64  # hyperplanes tried at a node before it becomes a leaf,
-_TRIES_OF_MANY = 4  # the same in partitions
-_MANY = 500  # of more regions, where more tries take longer than the regions
-_SAME = 0.1**SAME_HYPERPLANE_DIGITS
+SAME_HYPERPLANE = 0.1**SAME_HYPERPLANE_DIGITS
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -100,15 +93,15 @@ def side_of(rows, i, points, q):
 
 @njit(cache=True)
 def score(regions, members, inside, row):
-    """How well a hyperplane divides the members of a node, by their points: the fewer on the fuller side the better."""
+    """Score of a hyperplane that divides a node's members by their points: the fewer on the fuller side the better."""
     low = 0
     high = 0
-    stride = 1 + len(members) // _SAMPLE
+    stride = 1 + len(members) // 400  # about 400 members score a hyperplane
     for e in range(0, len(members), stride):
         r = members[e]
         below = False
         above = False
-        for q in range(min(_POINTS, regions.starts[r + 1] - regions.starts[r])):
+        for q in range(min(POINTS_OF_REGION, regions.starts[r + 1] - regions.starts[r])):
             if inside[e] >> np.uint64(q) & np.uint64(1):
                 s = side_of(regions.rows, row, regions.points, regions.starts[r] + q)
                 below = below or s < -SIDE
@@ -117,30 +110,27 @@ def score(regions, members, inside, row):
                     break
         low += below
         high += above
-    return max(low, high) + _OVERLAP * (low + high)
-
-
-_OVERLAP = 0.5  # weight of the regions on both sides beside the fuller side
+    return max(low, high) + 0.5 * (low + high)
 
 
 @njit(cache=True)
 def same_plane(rows, i, j):
     """Whether two rows are one hyperplane, up to sign."""
-    return min(np.abs(rows[i] - rows[j]).max(), np.abs(rows[i] + rows[j]).max()) < _SAME
+    return min(np.abs(rows[i] - rows[j]).max(), np.abs(rows[i] + rows[j]).max()) < SAME_HYPERPLANE
 
 
 @njit(cache=True)
 def best_rows(regions, members, inside, node, best):
-    """Write the facet rows that divide the members best into `best`, the best first; returns their number."""
+    """Write the facet rows that divide the members best into `best`, the best first. Returns their number."""
     scores = np.empty(len(best))
     found = 0
-    thorough = len(best) == _TRIES  # else rows of one score count as one hyperplane
+    thorough = len(best) == TRIES  # else rows of one score count as one hyperplane
     total = 0
     for r in members:
         total += regions.offsets[r + 1] - regions.offsets[r]
-    few = len(members) <= _FEW
+    few = len(members) <= 24  # every facet is tried
     state = np.uint64(node + 1)
-    for c in range(total if few else _CANDIDATES):
+    for c in range(total if few else 64):
         if few:
             rest = c
             e = 0
@@ -180,7 +170,7 @@ def reaches(regions, r, inside, row, sign, A, b, depth):
     n = A.shape[1]
     nearest = np.inf
     start = regions.starts[r]
-    for q in range(min(_POINTS, regions.starts[r + 1] - regions.starts[r])):
+    for q in range(min(POINTS_OF_REGION, regions.starts[r + 1] - regions.starts[r])):
         if inside >> np.uint64(q) & np.uint64(1):
             s = sign * side_of(regions.rows, row, regions.points, regions.starts[r] + q)
             if s < -SIDE:
@@ -206,7 +196,7 @@ def reaches(regions, r, inside, row, sign, A, b, depth):
 
 @njit(cache=True)
 def cell_of(regions, growth, node, A, b):
-    """Write the half-spaces on the path to a node into A, b, drawn in by SIDE; returns their number."""
+    """Write the half-spaces on the path to a node into A, b, drawn in by SIDE. Returns their number."""
     n = A.shape[1]
     depth = 0
     child = node
@@ -233,7 +223,7 @@ def depth_of(growth, node):
 
 @njit(cache=True)
 def divide(regions, growth, members, inside, row, A, b, depth, start):
-    """Write the members below and then above a hyperplane into the pool from `start`; returns the two numbers."""
+    """Write the members below and then above a hyperplane into the pool from `start`. Returns the two numbers."""
     filled = start
     for bit in range(2):
         sign = 1.0 if bit == 0 else -1.0
@@ -242,7 +232,7 @@ def divide(regions, growth, members, inside, row, A, b, depth, start):
             if not reaches(regions, r, inside[e], row, sign, A, b, depth):
                 continue
             kept = np.uint64(0)
-            for q in range(min(_POINTS, regions.starts[r + 1] - regions.starts[r])):
+            for q in range(min(POINTS_OF_REGION, regions.starts[r + 1] - regions.starts[r])):
                 here = inside[e] >> np.uint64(q) & np.uint64(1)
                 if here and sign * side_of(regions.rows, row, regions.points, regions.starts[r] + q) <= SIDE:
                     kept |= np.uint64(1) << np.uint64(q)
@@ -265,7 +255,7 @@ def grow(regions, growth, bucket, budget):
     largest = 0
     for r in range(len(regions.offsets) - 1):
         largest = max(largest, regions.offsets[r + 1] - regions.offsets[r])
-    best = np.empty(_TRIES if len(regions.laws) <= _MANY else _TRIES_OF_MANY, np.int64)
+    best = np.empty(TRIES if len(regions.laws) <= 500 else 4, np.int64)  # more tries take longer then
     while counts[NEXT] < counts[NODES]:
         if budget <= 0:
             return PAUSED

@@ -135,7 +135,7 @@ def margin_at(A, b, theta):
 
 @njit(cache=True)
 def interior_point(A, b, wanted, centre):
-    """Write a point inside {Aθ <= b} into `centre`; returns a radius around it, 0 when there is none >= REGION_RADIUS.
+    """Write a point inside {Aθ <= b} into `centre`. Returns a radius around it, 0 when there is none >= REGION_RADIUS.
 
     Larger radii are tried until one above `wanted` is found or none is left.
     """
@@ -166,7 +166,7 @@ def interior_point(A, b, wanted, centre):
 
 @njit(cache=True)
 def irredundant(A, b, centre, facets, hits):
-    """Rows of {Aθ <= b} that are facets, by Clarkson's method (1994) from an interior point; returns their number.
+    """Rows of {Aθ <= b} that are facets, by Clarkson's method (1994) from an interior point. Returns their number.
 
     Writes the point where a ray from the interior has hit each facet into `hits`, the interior point where none did.
     """

@@ -43,7 +43,7 @@ def seed(qp, graph, J, h, targets, found):
 
 @njit(cache=True)
 def look_at(qp, graph, targets):
-    """Queue the active sets at the targets; which of these lie in the parameter set and are feasible."""
+    """Queue the active sets at the targets. Return which targets lie in the parameter set and are feasible."""
     mask = np.empty(graph.masks.shape[1], np.uint64)
     feasible = np.zeros(len(targets), np.bool_)
     for t in range(len(targets)):
@@ -54,7 +54,7 @@ def look_at(qp, graph, targets):
 
 @njit(cache=True)
 def between_facets(facets, rows, draws, points):
-    """Points between two facets; each draw in [0, 1) holds the two and a share of the way."""
+    """Points between two facets. Each draw in [0, 1) holds the two and a share of the way."""
     for p in range(len(points)):
         first = int(rows * draws[p, 0])
         last = int(rows * draws[p, 1])
@@ -106,7 +106,7 @@ def behind_facets(facets, chosen, owners, draws, nearest, farthest, points):
 
 @njit(cache=True)
 def covered(facets, counts, points, distance):
-    """Which points lie in a region that is done, or not farther outside one than a distance."""
+    """Points that lie in a region that is done, or not farther outside one than a distance (bool)."""
     n = points.shape[1]
     inside = np.zeros(len(points), np.bool_)
     for p in range(len(points)):

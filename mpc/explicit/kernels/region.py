@@ -77,7 +77,7 @@ def multipliers(qp, act, k, L):
 
 @njit(cache=True)
 def refine(qp, act, k, L, law):
-    """Take the rounding of a nearly singular Gram matrix out of a multiplier law: what v = M_a' λ misses is solved for.
+    """Take the rounding of a nearly singular Gram matrix out of a multiplier law. What v = M_a' λ misses is solved for.
 
     The error of v falls from that of the Gram matrix magnified by its condition to that magnified by the root of it.
     """
@@ -113,7 +113,7 @@ def variable_size(qp, act, k, law):
 
 @njit(cache=True)
 def row_levers(L, k):
-    """How much each multiplier can be for a unit v: lengths of the rows of the pseudo-inverse, sqrt of diag (LL')⁻¹."""
+    """Largest multipliers for a unit v: lengths of the rows of the pseudo-inverse, sqrt of diag (LL')⁻¹."""
     inverse = np.zeros((k, k))
     lever = np.zeros(k)
     for a in range(k):
@@ -237,7 +237,7 @@ def optimal_at(qp, act, k, theta):
 
 @njit(cache=True)
 def optimal_set(qp, theta, shift, act):
-    """Active set with positive multipliers of the QP at θ, bounds moved by shift * tie; negative when infeasible."""
+    """Active set with positive multipliers of the QP at θ, bounds moved by shift * tie. Negative when infeasible."""
     m, nz = qp.M.shape
     n = len(theta)
     d = np.empty(m)

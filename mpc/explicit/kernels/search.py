@@ -9,15 +9,13 @@ from numba import njit
 
 from mpc.checks import Array
 from mpc.explicit.kernels.growth import side_of
-from mpc.tolerances import CROSSING, FAR_AWAY, INSIDE
+from mpc.tolerances import CROSSING, CUT_OFF, FAR_AWAY, INSIDE
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
-_SHORT_BORDER = 32  # rows up to which the border is looked at before the tree
-_LARGEST = 1e30  # scaled parameters beyond this are cut off
 
 
 class Locator(NamedTuple):
-    """Tree, regions and border in scaled parameters t = (θ - centre) / half; see `SearchTree` and `Partition`.
+    """Tree, regions and border in scaled parameters t = (θ - centre) / half. See `SearchTree` and `Partition`.
 
     inner : point within the border towards which points beyond it are pulled.
     """
@@ -34,7 +32,7 @@ class Locator(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Region of every point, whether the point lies outside, and its input; all to be filled in."""
+    """Region of every point, whether the point lies outside, and its input. All to be filled in."""
 
     region: Ints
     outside: np.ndarray[Any, np.dtype[np.bool_]]
@@ -60,8 +58,8 @@ def leaf_of(planes, nodes, t):
 
 
 @njit(cache=True)
-def excess(facets, t, most):
-    """Largest distance of t above the facets of a region; not searched further once it exceeds `most`."""
+def violation(facets, t, most):
+    """Largest distance of t above the facets of a region. Not searched further once it exceeds `most`."""
     rows, first, end = facets
     worst = -np.inf
     for i in range(first, end):
@@ -75,7 +73,7 @@ def excess(facets, t, most):
 def holder(rows, offsets, members, t):
     """First of the member regions that holds t, to the tolerance INSIDE; -1 where none does."""
     for r in members:
-        if excess((rows, offsets[r], offsets[r + 1]), t, INSIDE) <= INSIDE:
+        if violation((rows, offsets[r], offsets[r + 1]), t, INSIDE) <= INSIDE:
             return r
     return -1
 
@@ -91,10 +89,10 @@ def of_one_law(number, members):
 
 @njit(cache=True)
 def nearest(rows, offsets, t):
-    """First of all regions that holds t, and 0; where none does, the one it lies least far outside of, and how far."""
+    """First of all regions that holds t, and 0. Where none does, the one it lies least far outside of, and how far."""
     region, distance = -1, np.inf
     for r in range(len(offsets) - 1):
-        worst = excess((rows, offsets[r], offsets[r + 1]), t, distance)
+        worst = violation((rows, offsets[r], offsets[r + 1]), t, distance)
         if worst <= INSIDE:
             return r, 0.0
         if worst < distance:
@@ -104,7 +102,7 @@ def nearest(rows, offsets, t):
 
 @njit(cache=True)
 def is_beyond(columns, height, t):
-    """Whether t lies beyond the border, given by its columns; all rows at once is faster than one after another."""
+    """Whether t lies beyond the border, given by its columns. All rows at once is faster than one after another."""
     for i in range(len(height)):
         height[i] = -columns[len(t), i]
     for j in range(len(t)):
@@ -155,10 +153,10 @@ def search(where, points, laws, found):
     room = border[:, n].copy()
     for j in range(n):
         room -= border[:, j] * inner[j]
-    border_first = len(border) <= _SHORT_BORDER
+    border_first = len(border) <= 32  # a short border is looked at before the tree
     for q in range(len(points)):
         for j in range(n):
-            t[j] = min(max((points[q, j] - centre[j]) / half[j], -_LARGEST), _LARGEST)
+            t[j] = min(max((points[q, j] - centre[j]) / half[j], -CUT_OFF), CUT_OFF)
         beyond = border_first and is_beyond(columns, height, t)
         if beyond:
             pull_back(columns, room, inner, t)

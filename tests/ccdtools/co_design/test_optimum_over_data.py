@@ -84,15 +84,28 @@ def test_the_slope_of_the_optimum_is_that_of_the_exact_one(inner):
     assert found.slope[0] == pytest.approx(exact, rel=0.05)
     assert found.agrees
     assert found.held == ()
-    assert found.curvature > 0
+    assert repr(found).startswith("OptimumSensitivity(θ = 10: dm/dθ -0.02")
 
 
 def test_a_design_at_a_bound_does_not_move():
     found = optimum_sensitivity(lambda price: priced(price), 500.0, inner="riccati", design=[0.2])
     assert found.held == ("m lower",)
     assert found.slope[0] == 0.0
-    assert found.solved_anew[0] == 0.0
+    assert found.agrees
     assert found.return_slope == pytest.approx(-0.2, rel=1e-6)  # of the price: the mass itself
+
+
+def test_where_the_design_meets_its_bound_the_slopes_to_both_sides_differ():
+    low, high = 0.0, 500.0
+    for _ in range(40):
+        price = (low + high) / 2
+        low, high = (price, high) if exact_best(10.0, price) > 0.2 + 1e-6 else (low, price)
+    found = optimum_sensitivity(lambda price: priced(price), 1.03 * price, inner="riccati", design=[0.2], step=0.05)
+    assert found.ahead[0] == pytest.approx(0.0, abs=1e-6)
+    assert found.behind[0] < -1e-3
+    assert found.slope == pytest.approx((found.ahead + found.behind) / 2)
+    assert not found.agrees
+    assert "ahead" in repr(found)
 
 
 @pytest.mark.check

@@ -9,11 +9,11 @@ import pytest
 import ccdtools as cc
 from ccdtools.co_design.design_gradients import check_gradients
 from ccdtools.comparison.pid_tuning import tuned_pid
-from ccdtools.disturbances.roads import generate_road, generate_speed
 from ccdtools.statistics import paired_difference, summarise
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import residuals
+from ccdtools.vehicles.roads import generate_road, generate_speed
 from learning import ActorCritic, NetworkConfig
 from learning.quantile import QuantileNetwork
 

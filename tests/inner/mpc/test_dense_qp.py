@@ -40,7 +40,7 @@ def test_five_hundred_random_problems_meet_the_optimality_conditions(kind, reque
 
 
 def test_a_spoilt_first_solver_is_caught_and_the_second_asked(monkeypatch):
-    monkeypatch.setattr(dense_qp, "_SETTINGS", {"iter_limit": 2})
+    monkeypatch.setattr(dense_qp, "DAQP_ITERATIONS", 2)
     A, B, _ = suspension()
     controller = LinearMPC(A, B, horizon=20, **SUSPENSION)
     plan = controller.solve([-0.1, -1.0, -0.1, -0.5])
@@ -53,7 +53,7 @@ def test_a_spoilt_first_solver_is_caught_and_the_second_asked(monkeypatch):
 
 
 def test_when_both_solvers_fail_the_plan_says_so_and_stays_admissible(monkeypatch):
-    monkeypatch.setattr(dense_qp, "_SETTINGS", {"iter_limit": 2})
+    monkeypatch.setattr(dense_qp, "DAQP_ITERATIONS", 2)
     monkeypatch.setattr(DenseQP, "_clarabel", lambda self, q, b: (0 * q, 0 * b, False))
     A, B = double_integrator()
     plan = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=10, X=box([5, 5]), U=box([1])).solve([-4.5, 0.0])

@@ -106,13 +106,13 @@ def hollow(search):
     assert np.abs(search.regions.facets.centres[0]).max() < 0.5
 
 
-@pytest.mark.parametrize("source", ["_ANYWHERE", "_BETWEEN", "_BEHIND"])
+@pytest.mark.parametrize("source", ["POINTS_ANYWHERE", "POINTS_BETWEEN", "POINTS_BEHIND"])
 def test_a_hole_is_seen_by_each_way_of_looking(search, monkeypatch, source):
     hollow(search)
     assert search.holes.uncovered == 0
-    for name in ("_ANYWHERE", "_BETWEEN", "_BEHIND"):
+    for name in ("POINTS_ANYWHERE", "POINTS_BETWEEN", "POINTS_BEHIND"):
         monkeypatch.setattr(holes, name, 300 if name == source else 0)
-    monkeypatch.setattr(holes, "_PER_REGION", 10**9)
+    monkeypatch.setattr(holes, "REGIONS_PER_POINT", 10**9)
     assert not search.holes.look_around(np.inf)
     assert search.holes.uncovered > 0
 
@@ -126,9 +126,9 @@ def test_points_between_facets_are_feasible_whatever_the_compiled_solver_says(se
 
 def test_what_is_pending_is_asked_about_the_next_time(search, monkeypatch):
     hollow(search)
-    for name in ("_ANYWHERE", "_BETWEEN", "_BEHIND"):
+    for name in ("POINTS_ANYWHERE", "POINTS_BETWEEN", "POINTS_BEHIND"):
         monkeypatch.setattr(holes, name, 0)
-    monkeypatch.setattr(holes, "_PER_REGION", 10**9)
+    monkeypatch.setattr(holes, "REGIONS_PER_POINT", 10**9)
     search.holes.pending = np.tile(search.regions.facets.centres[0], (40, 1))
     assert not search.holes.look_around(np.inf)
     assert search.holes.uncovered == 40

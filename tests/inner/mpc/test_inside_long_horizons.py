@@ -9,7 +9,7 @@ from mpc import LinearMPC
 from mpc.condensing import condense
 from mpc.dense_qp import DenseQP
 from mpc.rollout import spread_signals
-from mpc.stages import Staging
+from mpc.stages import StagewiseQP
 from mpc.stagewise import solve_stagewise
 
 A, B = np.array([[1.5, 0.3], [0.0, 1.3]]), np.array([[0.0], [1.0]])
@@ -21,9 +21,9 @@ def test_the_stagewise_solver_agrees_with_the_dense_one(extra):
     x = np.array([0.4, -0.1])
     signals = {"x_ref": [0.1, 0.0]} | ({"u_prev": [0.1]} if "rate_limit" in extra else {})
     given = spread_signals(mpc, signals)
-    staging = Staging(mpc, x, given, mpc.soft)
-    found = solve_stagewise(staging.stages, staging.start, staging.first_guess(np.zeros((12, 1))))
-    inputs, _ = staging.plan(found.states, found.variables, x)
+    stagewise = StagewiseQP(mpc, x, given, mpc.soft)
+    found = solve_stagewise(stagewise.stages, stagewise.start, stagewise.first_guess(np.zeros((12, 1))))
+    inputs, _ = stagewise.plan(found.states, found.variables, x)
     qp = condense(mpc, tuple(sorted(given)))
     theta = np.concatenate([x if name == "x" else given[name] for name, _ in qp.parameters])
     dense = DenseQP(qp.H, qp.G).solve(*qp.at(theta))

@@ -38,8 +38,8 @@ def test_tree_scan_and_stopped_tree_give_the_same_input(partition, spread):
 
 
 def test_a_tree_that_grows_too_large_is_stopped_and_still_right(partition, monkeypatch):
-    monkeypatch.setattr(search_tree, "_MOST", -18)
-    monkeypatch.setattr(search_tree, "_PORTION", 100)
+    monkeypatch.setattr(search_tree, "LEAF_ENTRIES", -18)
+    monkeypatch.setattr(search_tree, "TESTS_AT_ONCE", 100)
     law = ExplicitMPC.from_partition(partition)
     assert law.tree.status is TreeStatus.SIZE_LIMIT
     theta = samples(partition, 1.1)

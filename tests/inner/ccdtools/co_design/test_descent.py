@@ -16,7 +16,7 @@ class Valley:
     """A curved valley of two parameters, whose slope comes apart from it, and how often either was asked for."""
 
     def __init__(self, *, apart):
-        self.apart = apart
+        self.slope_is_expensive = apart
         self.values = self.slopes = 0
 
     def value(self, v):

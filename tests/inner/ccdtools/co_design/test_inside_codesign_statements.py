@@ -43,7 +43,7 @@ def test_designs_that_were_looked_at_in_vain_are_counted_from_every_start(monkey
             looked.append(v)
             return super().within_limits(v)
 
-    monkeypatch.setattr("ccdtools.co_design.methods.nested.TrajectoryCost", Counted)
+    monkeypatch.setattr("ccdtools.co_design.methods.trajectory_cost.TrajectoryCost", Counted)
     found = codesigned(weak(illustrative), cc.Nested("trajectory", runs=1, starts=3), design=[0.5])
     assert found.status.name == "INFEASIBLE"
     assert found.evaluations == len(looked) > 2

@@ -12,25 +12,24 @@ import mpc
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import Descent
+from ccdtools.co_design.methods.design_cost import DesignCost, End
 from ccdtools.co_design.methods.holding import confirmed
 from ccdtools.co_design.methods.laws import LQRLaw
-from ccdtools.co_design.methods.loop_cost import LearnedCost, LoopCost
-from ccdtools.co_design.methods.searched import End, Plan, _nearer, _status, searched
+from ccdtools.co_design.methods.learned_cost import LearnedCost
+from ccdtools.co_design.methods.limited_loop_cost import LimitedEnd, LimitedLoopCost
+from ccdtools.co_design.methods.searched import Plan, _status, searched
 from ccdtools.co_design.result import History
 from ccdtools.co_design.status import CoDesignStatus
 
 
-class Cliff:
+class Cliff(DesignCost):
     """A cost that falls towards the larger mass up to where it ends: differences there say nothing of its slope."""
 
     words = "a cliff"
 
-    def __init__(self):
+    def __init__(self, problem):
+        self.problem = problem
         self.rows = []
-
-    @property
-    def evaluations(self):
-        return len(self.rows)
 
     def __call__(self, v):
         value = 2.0 - v[0] if v[0] <= 0.5 else np.inf
@@ -52,7 +51,8 @@ def test_a_design_whose_slope_is_unknown_is_not_called_an_optimum(constraints):
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -2 * x[0] - (1 + p) * x[1] + u + w), space, dt=0.1)
     problem = replace(problem, model=cc.discretise(plant))
-    found = searched(Plan("cliff", 1, 50), problem, lambda v: Cliff(), np.array([0.45]), np.random.default_rng(0))
+    plan = Plan("cliff", 1, 50)
+    found = searched(plan, problem, lambda v: Cliff(problem), np.array([0.45]), np.random.default_rng(0))
     assert found.status.name == "GRADIENT_UNTRUSTED"
     assert found.multipliers == {}
     assert np.isnan(found.slope)
@@ -70,7 +70,7 @@ def test_differences_across_the_end_of_a_cost_confirm_no_slope():
 def test_the_way_to_a_cheaper_design_ends_where_there_is_no_controller():
     problem = mass()
 
-    class Gap(LoopCost):
+    class Gap(LimitedLoopCost):
         def seen(self, v):
             if v[0] < 0.9:
                 return super().seen(v)
@@ -79,9 +79,9 @@ def test_the_way_to_a_cheaper_design_ends_where_there_is_no_controller():
     cost = Gap(problem, LQRLaw(), scenario_tensors(problem, 4, np.random.default_rng(0)))
     first, cheaper = np.array([0.85]), np.array([1.0])
     plain = cost.value(first)
-    kept = End(cost, Descent(first, plain, np.zeros(1)), 1.0, StateLimitPenalty(problem))
-    broken = End(cost, Descent(cheaper, plain - 1, np.zeros(1)), 1.0, StateLimitPenalty(problem), 1.0)
-    assert 0.85 <= _nearer(kept, broken).found.v[0] < 0.9
+    kept = LimitedEnd(cost, Descent(first, plain, np.zeros(1)), 1.0, penalty=StateLimitPenalty(problem))
+    broken = LimitedEnd(cost, Descent(cheaper, plain - 1, np.zeros(1)), 1.0, 1.0, penalty=StateLimitPenalty(problem))
+    assert 0.85 <= cost.nearer(kept, broken).found.v[0] < 0.9
 
 
 def test_policies_trained_anew_are_not_blamed_on_their_slope():

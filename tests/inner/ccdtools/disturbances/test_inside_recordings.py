@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import trapezoid
 
 from ccdtools import read_road, read_speed, road_disturbance
-from ccdtools.disturbances.roads import generate_road
+from ccdtools.vehicles.roads import generate_road
 
 DT = 0.05
 

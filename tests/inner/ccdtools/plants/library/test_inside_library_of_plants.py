@@ -5,7 +5,7 @@ import pytest
 
 from ccdtools import InputError
 from ccdtools.plants import library
-from ccdtools.plants.library.elements import RealStrut
+from ccdtools.vehicles.corner import RealStrut
 
 
 @pytest.mark.parametrize(

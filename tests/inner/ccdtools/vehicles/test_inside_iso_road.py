@@ -7,8 +7,8 @@ from scipy.integrate import cumulative_trapezoid, quad
 from scipy.stats import chi2
 
 from ccdtools import ISORoad
-from ccdtools.disturbances.iso8608 import BAND
-from ccdtools.disturbances.roads import STYLES, generate_speed
+from ccdtools.vehicles.iso8608 import BAND
+from ccdtools.vehicles.roads import STYLES, generate_speed
 
 DT = 0.01
 SPEED = 20.0

@@ -6,8 +6,8 @@ from library_oracles import matrices
 
 from ccdtools import SamplingWarning, discretise
 from ccdtools.plants.library import full_car, half_car, quarter_car
-from ccdtools.plants.library.elements import RealStrut
-from ccdtools.plants.library.quarter_car import PAPER_DT
+from ccdtools.vehicles.corner import RealStrut
+from ccdtools.vehicles.quarter_car import PAPER_DT
 
 START = np.array([27692.0, 1906.5])
 AXLES = np.array([28e3, 2500.0, 21e3, 2000.0])

@@ -8,8 +8,9 @@ import casadi as ca
 
 from ccdtools.checks import as_flag
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.library.elements import GRAVITY, Corner, Parameters, RealStrut, given_or_default
+from ccdtools.plants.library.elements import GRAVITY, Parameters, given_or_default
 from ccdtools.plants.plant import Plant
+from ccdtools.vehicles.corner import Corner, RealStrut
 
 STATES = ("z_us − z₀ [m]", "ż_us [m/s]", "z_s − z_us [m]", "ż_s [m/s]")
 PAPER_DT = 0.05  # s, of Tsai et al.; it hardly resolves the wheel hop, and `discretise` says so

@@ -7,8 +7,8 @@ from scipy.signal import StateSpace, lsim, zpk2ss
 
 import ccdtools as cc
 from ccdtools import comfort, weighted_acceleration
-from ccdtools.comparison.ride_comfort import frequency_weighting
 from ccdtools.exceptions import InputError
+from ccdtools.vehicles.ride_comfort import frequency_weighting
 
 # ISO 2631-1:1997, table 3: factors times 1000 at the nominal third octaves.
 THIRD_OCTAVES = [

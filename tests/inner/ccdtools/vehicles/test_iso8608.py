@@ -13,14 +13,14 @@ from scipy.integrate import quad
 from scipy.signal import csd, welch
 from scipy.stats import chi2
 
-from ccdtools.disturbances.iso8608 import (
+from ccdtools.exceptions import InputError
+from ccdtools.vehicles.iso8608 import (
     BAND,
     generate_profile,
     road_roughness,
     road_spectrum,
     track_coherency,
 )
-from ccdtools.exceptions import InputError
 
 CLASSES = "ABCDEFGH"
 SPACING = 0.08

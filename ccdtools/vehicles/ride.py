@@ -9,9 +9,9 @@ import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_instance, as_positive, as_vector, shown
-from ccdtools.comparison.suspension import suspension_metrics
 from ccdtools.exceptions import InputError
 from ccdtools.trajectory import Trajectory
+from ccdtools.vehicles.suspension_metrics import suspension_metrics
 
 __all__ = ["Ride"]
 

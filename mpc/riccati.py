@@ -28,9 +28,6 @@ from mpc.tolerances import (
     UNSEEN,
 )
 
-NEWTON_STEPS = 40  # at most: from a gain far away each step at least halves the distance
-DOUBLINGS = 60  # at most: 2^60 samples
-
 
 def lqr(
     A: Any, B: ArrayLike | None = None, *, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None
@@ -109,7 +106,7 @@ def cost_units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Regulation:
-    """A, B, Q, R and S of a regulator."""
+    """Matrices A, B, Q, R and S of a regulator."""
 
     A: Array
     B: Array
@@ -118,7 +115,7 @@ class _Regulation:
     S: Array
 
     def solution(self, user_unit: Array) -> tuple[Array, Array] | None:
-        """Gain and cost matrix, checked; None where there is no solution, or none without an absurd gain."""
+        """Gain and cost matrix, checked. None where there is no solution, or none without an absurd gain."""
         for first in (self._by_scipy, self._stabilising):
             found = self._refined(first())
             if found is not None:
@@ -156,13 +153,13 @@ class _Regulation:
         return self._root_of(K)
 
     def _refined(self, root: Array) -> tuple[Array, Array] | None:
-        """Gain and cost matrix L'L by Newton's steps from a root L; None where they do not settle.
+        """Gain and cost matrix L'L by Newton's steps from a root L. None where they do not settle.
 
         They settle where a step neither changes P, in units in which its diagonal is one, nor how far the closed loop
         is from the unit circle: that halves with every step where Q does not see a mode there.
         """
         K, P = self.gain(root), root.T @ root
-        for _ in range(NEWTON_STEPS):
+        for _ in range(40):  # from a gain far away each step at least halves the distance
             margin = self._margin(K)
             if not margin >= LEAST_MARGIN:
                 return None
@@ -190,15 +187,15 @@ class _Regulation:
         return cost > ROUNDED_COST * float(np.abs(mode) @ np.abs(self.Q) @ np.abs(mode))
 
     def _missed(self, K: Array, P: Array) -> Array:
-        """What P misses of the Riccati equation."""
+        """Residual of P in the Riccati equation."""
         return self.A.T @ P @ (self.A - self.B @ K) + self.Q - self.S @ K - P
 
     def _margin(self, K: Array) -> float:
-        """Distance of the closed loop from the unit circle; NaN of a gain that is not finite."""
+        """Distance of the closed loop from the unit circle. NaN of a gain that is not finite."""
         return 1 - _radius(self.A - self.B @ K) if np.isfinite(K).all() else np.nan
 
     def gain(self, root: Array) -> Array:
-        """Gain that belongs to a root of a cost matrix, by least squares: B'PB would square what cancels in it."""
+        """Gain that belongs to a root of a cost matrix, by least squares. B'PB would square what cancels in it."""
         n = len(self.A)
         M = np.vstack([self._cost_root[:, n:], root @ self.B])
         right = np.vstack([self._cost_root[:, :n], root @ self.A])
@@ -233,7 +230,7 @@ def _lyapunov_root(A: Array, root: Array) -> Array:
 
     Infinite where it does not end.
     """
-    for _ in range(DOUBLINGS):
+    for _ in range(60):  # 2^60 samples
         more = root @ A
         root = np.asarray(np.linalg.qr(np.vstack([root, more]), mode="r"))
         if (np.linalg.norm(more, axis=0) <= DOUBLED * np.linalg.norm(root, axis=0)).all():
@@ -243,7 +240,7 @@ def _lyapunov_root(A: Array, root: Array) -> Array:
 
 
 def _explained(scaled: _Regulation, user_unit: Array) -> NotStabilisableError:
-    """The error that names the mode in the way: one that the input does not reach, or that Q does not see."""
+    """Error that names the mode in the way. Either the input does not reach it, or Q does not see it."""
     A, B, Q, R, S = scaled.A, scaled.B, scaled.Q, scaled.R, scaled.S
     none = np.ones(len(A))
     eigenvalues = np.linalg.eigvals(A)

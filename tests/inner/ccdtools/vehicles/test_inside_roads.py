@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import trapezoid
 
 from ccdtools import road_disturbance
-from ccdtools.disturbances.roads import FEATURES, STYLES, generate_road, generate_speed
 from ccdtools.exceptions import InputError
+from ccdtools.vehicles.roads import FEATURES, STYLES, generate_road, generate_speed
 
 DT = 0.05
 SLOPE = ([0.0, 100.0], [0.0, 10.0])  # a road that rises by one in ten
@@ -67,7 +67,7 @@ def test_every_kind_of_obstacle_reaches_its_height_between_level_ends():
 
 
 def test_noise_has_the_spectrum_of_iso_8608_class_c(monkeypatch):
-    monkeypatch.setattr("ccdtools.disturbances.roads.GAP", (1e9, 2e9))  # no obstacles
+    monkeypatch.setattr("ccdtools.vehicles.roads.GAP", (1e9, 2e9))  # no obstacles
     periods, spacing = 200, 0.05
     _, elevation = generate_road(periods * 100.0, rng=np.random.default_rng(0), spacing=spacing)
     blocks = elevation[: periods * 2000].reshape(periods, 2000)

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_floats, as_number, as_positive
-from ccdtools.comparison.ride_comfort import as_signal, comfort, root_mean_square
 from ccdtools.exceptions import InputError
+from ccdtools.vehicles.ride_comfort import as_signal, comfort, root_mean_square
 
 __all__ = ["SuspensionMetrics", "actuator_energy", "suspension_metrics", "suspension_travel", "tyre_load"]
 

@@ -1,0 +1,81 @@
+"""The cost of a policy that is trained anew at every design, with its slope.
+
+By the envelope theorem the slope of the best policy's cost is that of the cost with the policy held.
+
+References
+----------
+Tsai, Karkaria, Chen and Chen, "Digital twin-enabled multi-generation control co-design with deep reinforcement
+learning" (the bi-level framework); Milgrom and Segal, Econometrica 70(2), 2002 (envelope theorem).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.co_design.differentiable_model import ScenarioTensors
+from ccdtools.co_design.episodes import episode_at
+from ccdtools.co_design.methods.design_cost import DesignCost
+from ccdtools.co_design.methods.learned import Learned
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.learned import LearnedPolicy
+from learning.networks import ActorCritic
+
+ITERATIONS = 40  # of the policy at every design
+
+
+@dataclass(eq=False)
+class LearnedCost(DesignCost):
+    """Minus the mean return of the policy of each design, trained from that of the design before.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    agent : ActorCritic
+        Warm start.
+    scenarios : tensors (n, nx) and (n, T, nw)
+    rng : numpy.random.Generator
+    by : {"pathwise", "ppo", "pathwise+ppo"}
+        What moves the policy.
+    """
+
+    problem: CoDesignProblem
+    agent: ActorCritic
+    scenarios: ScenarioTensors
+    rng: np.random.Generator
+    by: str = "pathwise"
+    rows: list[tuple] = field(default_factory=list)
+    _trained: list[tuple[Array, ActorCritic]] = field(default_factory=list)
+    repeatable = False
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        return f"a policy trained by {self.by} at every design, on {len(self.scenarios[0])} scenarios"
+
+    def __call__(self, v: Array) -> tuple[float, Array]:
+        """Cost and its slope (np,) at a point (np,) of the unit box."""
+        p = self.problem.design.from_unit(v)
+        config = CoDesignConfig(iterations=ITERATIONS, design_rate=0.0, starts=1)
+        inner = Learned(by=self.by, agent=self.agent, config=config)
+        self.agent = inner.run(replace(self.problem, limit_tolerance="off"), p, self.rng).agent
+        self._trained.append((p, self.agent))
+        point = torch.tensor(v, dtype=torch.float32, requires_grad=True)
+        seen = episode_at(self.problem, self.agent, point, self.scenarios)
+        cost = -self.problem.risk.values(seen.total).mean()
+        (slope,) = torch.autograd.grad(cost, point)
+        count = len(self.rows) + 1
+        lost = float(seen.diverged.double().mean())
+        self.rows.append((count, count * ITERATIONS, p, -cost.item(), 0.0, lost))
+        return cost.item(), slope.double().numpy()
+
+    def controller(self, p: Array) -> Controller:
+        """The policy that was trained nearest to a design, at that design."""
+        space = self.problem.design
+        away = [float(np.abs(space.to_unit(at) - space.to_unit(p)).max()) for at, _ in self._trained]
+        return LearnedPolicy(self._trained[int(np.argmin(away))][1], p)

@@ -1,0 +1,131 @@
+"""A law in closed loop that keeps its limits: the search over designs again and again, while leaving them is cheap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.differentiable_model import ScenarioTensors
+from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.methods.descent import FEASIBLE, descend
+from ccdtools.co_design.methods.design_cost import End
+from ccdtools.co_design.methods.laws import DesignLaw
+from ccdtools.co_design.methods.loop_cost import LoopCost
+from ccdtools.co_design.problem import CoDesignProblem
+from mpc import NotStabilisableError
+
+ROUNDS = 30  # of the multipliers of limits, at most;
+QUIET = 2  # that gain nothing more among designs that keep the limits,
+STILL = 6  # or that bring no other design where none keeps them, are enough
+LITTLE = 1e-3  # of the return that control makes: a gain of a round without consequence
+DEARER = 2.0  # times the price of limits, beside what it grows by anyway, where a round has not led within them
+HALVINGS = 8  # of the way from a design that keeps the limits to one that does not
+USED = 0.8  # of a tolerance, from which on a limit may hold a design: prices aim at nine tenths
+
+
+@dataclass(frozen=True, eq=False)
+class LimitedEnd(End):
+    """The end of a search with prices on the limits."""
+
+    penalty: StateLimitPenalty | None = None
+
+
+class LimitedLoopCost(LoopCost):
+    """`LoopCost` whose search ends at the cheapest design that keeps the limits to their tolerance."""
+
+    def least(self, v: Array, *, size: float, evaluations: int) -> End:
+        """The end of the search again and again; from where it ended without a price."""
+        cost: LimitedLoopCost = self
+        found = descend(cost, self.problem.design, v, size=size, evaluations=evaluations)
+        penalty = StateLimitPenalty(self.problem)
+        ends: list[LimitedEnd] = []
+        for _ in range(ROUNDS if np.isfinite(found.cost) else 0):
+            seen, penalty = cost.updated(penalty, found.v)
+            if bool(seen.diverged.any()):
+                break
+            plain = float(-self.problem.risk.values(seen.total).mean())
+            violation = penalty.violation(seen)
+            ends.append(LimitedEnd(cost, replace(found, cost=plain), size, violation, penalty=penalty))
+            unpriced = cost.penalty is None
+            enough = violation <= 0 and (unpriced or found.spent)
+            if not penalty.active or enough or _settled(ends):
+                break
+            if not unpriced and violation > 0:
+                penalty = penalty.dearer(DEARER)
+            cost = LimitedLoopCost(self.problem, self.law, self.scenarios, penalty, cost.rows, cost.evaluations)
+            found = descend(cost, self.problem.design, found.v, size=size, evaluations=evaluations)
+        if not ends:
+            return End(cost, found, size)
+        best = replace(min(ends, key=lambda end: end.order), cost=cost)
+        broken = [end for end in ends if end.violation > 0 and end.found.cost < best.found.cost]
+        if best.violation > 0 or not broken:
+            return best
+        return cost.nearer(best, min(broken, key=lambda end: end.violation))
+
+    def nearer(self, best: LimitedEnd, broken: LimitedEnd) -> LimitedEnd:
+        """Of the designs on the way from one that keeps the limits to a cheaper one that does not, the cheapest that
+        does.
+
+        Prices aim a little within the limits, so that something of the way is left.
+        """
+        begin = best.found.v
+        assert best.penalty is not None
+        near, far = 0.0, 1.0
+        for _ in range(HALVINGS):
+            share = (near + far) / 2
+            v = begin + share * (broken.found.v - begin)
+            self.evaluations += 1
+            try:
+                seen = self.seen(v)
+            except NotStabilisableError:
+                far = share
+                continue
+            plain = float(-self.problem.risk.values(seen.total).mean())
+            penalty = replace(best.penalty, v=torch.tensor(v, dtype=torch.float32))
+            impossible = bool(seen.diverged.any()) or self.problem.design.allowed.violation(v) > FEASIBLE
+            if impossible or penalty.violation(seen) > 0 or plain >= best.found.cost:
+                far = share
+            else:
+                near = share
+                best = replace(best, found=replace(best.found, v=v, cost=plain), penalty=penalty)
+        return best
+
+    def examined(self, end: End) -> End:
+        """The end with its limits; those that have a price and are used up are constraints, whatever that came to."""
+        if not isinstance(end, LimitedEnd) or end.penalty is None:
+            return end
+        v = end.found.v
+        outcome = end.penalty.outcome(self.seen(v))
+        if not end.penalty.active:
+            return replace(end, limits=outcome)
+        slope, *violations = self._differences(v, self._cost_and_violations, 3)
+        named = zip(("mean violation of the limits", "peak violation of the limits"), violations)
+        measures = (outcome.achieved, outcome.errors, outcome.tolerance, outcome.multipliers)
+        used = zip(*(measure.values() for measure in measures))
+        active = [price > 0 and value + error >= USED * most for value, error, most, price in used]
+        return replace(end, limits=outcome, found=replace(end.found, slope=slope),
+                       active=dict(one for one, is_so in zip(named, active) if is_so))  # fmt: skip
+
+    def _cost_and_violations(self, v: Array) -> Array:
+        """Cost without its penalty, and mean and peak violation of the limits, (3,)."""
+        seen = self.seen(v)
+        cost = -self.problem.risk.values(seen.total).mean()
+        return np.array([float(cost), float(seen.depth.mean()), float(seen.peak.mean())])
+
+
+def loop_cost(problem: CoDesignProblem, law: DesignLaw, scenarios: ScenarioTensors) -> LoopCost:
+    """The cost of a law in closed loop, within the limits of the problem where it has a tolerance for them."""
+    return (LoopCost if problem.limit_tolerance == "off" else LimitedLoopCost)(problem, law, scenarios)
+
+
+def _settled(ends: list[LimitedEnd]) -> bool:
+    """Whether further rounds of prices are expected to change nothing."""
+    kept = [end.violation <= 0 for end in ends]
+    if any(kept):
+        costs = np.minimum.accumulate([end.found.cost if keeps else np.inf for end, keeps in zip(ends, kept)])
+        return len(ends) > QUIET and bool(costs[-1 - QUIET] - costs[-1] <= QUIET * LITTLE * ends[-1].size)
+    last = [end.found.v for end in ends[-STILL:]]
+    return len(last) == STILL and all(np.array_equal(v, last[0]) for v in last)

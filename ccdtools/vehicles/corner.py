@@ -1,0 +1,97 @@
+"""One wheel of a car and what joins it to the body: a strut that is linear, or as real ones are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+
+from ccdtools.plants.library.elements import Parameters, dry_friction, hardening_spring, limited
+
+ROUNDING = 0.1  # of the static load, over which the tyre leaves the road
+
+
+def asymmetric_damper(damping: ca.SX, rate: ca.SX, asymmetry: float, knee: float) -> ca.SX:
+    """c (v + a (√(v² + v₀²) − v₀)): slope c at rest, (1 + a) c in rebound and (1 − a) c in bump beyond the knee v₀."""
+    return damping * (rate + asymmetry * (ca.sqrt(rate**2 + knee**2) - knee))
+
+
+@dataclass(frozen=True)
+class RealStrut(Parameters):
+    """What real struts have that linear ones lack; typical values, of no particular car.
+
+    Attributes
+    ----------
+    hardening : float
+        Of the spring, k (d + h d³) [1/m²].
+    asymmetry : float
+        Of the damper: 1 + a times its damping in rebound, 1 − a times in bump [-].
+    knee : float
+        Speed above which that holds [m/s].
+    friction, sliding : float
+        Dry friction of the strut [N], smoothed below a speed [m/s].
+    force_limit : float
+        Of the actuator [N].
+    """
+
+    may_be_zero: ClassVar[tuple[str, ...]] = ("hardening", "friction")
+    shares: ClassVar[tuple[str, ...]] = ("asymmetry",)
+
+    hardening: float = 20.0
+    asymmetry: float = 0.3
+    knee: float = 0.1
+    friction: float = 40.0
+    sliding: float = 0.02
+    force_limit: float = 2500.0
+
+
+@dataclass(frozen=True)
+class Corner:
+    """One wheel and what joins it to the body; all forces are beyond the static ones.
+
+    Attributes
+    ----------
+    spring, damper : casadi.SX
+        Of the strut [N/m], [N·s/m].
+    tyre : float
+        Stiffness [N/m].
+    load : float
+        Static load of the tyre [N].
+    strut : RealStrut
+        What is not linear.
+    nonlinear : bool
+        Whether the spring hardens and the damper is asymmetric.
+    real : bool
+        Whether there is dry friction, too, a largest active force, and a tyre that cannot pull.
+    """
+
+    spring: ca.SX
+    damper: ca.SX
+    tyre: float
+    load: float
+    strut: RealStrut
+    nonlinear: bool
+    real: bool
+
+    def passive(self, travel: ca.SX, rate: ca.SX) -> ca.SX:
+        """Force that pulls body and wheel together [N], by their distance [m] and its rate [m/s]."""
+        if not (self.nonlinear or self.real):
+            return self.spring * travel + self.damper * rate
+        strut = self.strut
+        force = hardening_spring(self.spring, travel, strut.hardening)
+        force += asymmetric_damper(self.damper, rate, strut.asymmetry, strut.knee)
+        return force + dry_friction(strut.friction, rate, strut.sliding) if self.real else force
+
+    def active(self, u: ca.SX) -> ca.SX:
+        """Force that the actuator gives where `u` is asked for [N]."""
+        return limited(u, self.strut.force_limit) if self.real else u
+
+    def ground(self, deflection: ca.SX) -> ca.SX:
+        """Upward force of the road on the wheel [N], `deflection` [m] above where it stands at rest."""
+        if not self.real:
+            return -self.tyre * deflection
+        rounding = ROUNDING * self.load
+        contact = self.load - self.tyre * deflection
+        at_rest = (self.load + (self.load**2 + rounding**2) ** 0.5) / 2
+        return (contact + ca.sqrt(contact**2 + rounding**2)) / 2 - at_rest

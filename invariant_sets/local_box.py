@@ -1,0 +1,262 @@
+"""A box around a set in coordinates of its own, which are rescaled until the extents of the set are one.
+
+What the box shows decides the next one: it moves closer until the extents of the set are one, and further away
+while the set reaches its edges. A row that cannot reach the box has no influence on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from invariant_sets.linear_programs import Ball, largest_ball, maximise_in_box, ray_along
+from invariant_sets.tolerances import (
+    CANCELLED,
+    CLOSED,
+    CLOSER,
+    ENDLESS,
+    FLAT,
+    HALF_BOX,
+    LOST,
+    ROUNDING,
+    SETTLED,
+    THIN,
+    TINY,
+    WIDER,
+    WRONG_SCALE,
+)
+
+Array = np.ndarray
+
+
+class BallCertificate(NamedTuple):
+    """Room that the rows holding the ball leave between them, and coordinates (k,) in which they do not close."""
+
+    room: float
+    open: Array
+
+    @property
+    def closed(self) -> bool:
+        """Whether the rows close in every coordinate, so that `room` bounds the set."""
+        return not self.open.any()
+
+    @property
+    def decided_by_rounding(self) -> bool:
+        """Whether the room is no more than the rounding of the rows."""
+        return self.room == 0.0
+
+
+@dataclass(frozen=True)
+class LocalBox:
+    """{x : A x <= b} within the box x = centre + basis y, |y| <= `HALF_BOX`."""
+
+    # the coordinates
+    centre: Array  # (n,)
+    basis: Array  # (n, k)
+    # the rows that depend on y, of unit norm, and by how much g may be wrong from rounding
+    F: Array  # (m, k)
+    g: Array  # (m,)
+    error: Array  # (m,)
+    index: Array  # (m,) int: their numbers in A
+    near: Array  # (q,) int: those of F that can touch the box
+    ball: Ball  # a largest ball in the box; its multipliers belong to the rows in `near`
+    unbounded: Array  # (k,) bool: coordinates in which the set is known to have no end
+
+    @property
+    def multipliers(self) -> Array:
+        """Multipliers of the ball for all rows, (m,)."""
+        full = np.zeros(len(self.g))
+        full[self.near] = self.ball.dual
+        return full
+
+    @cached_property
+    def certificate(self) -> BallCertificate:
+        """Room left by the rows that hold the ball, taken together.
+
+        With multipliers λ >= 0 and Fᵀλ = 0 every point has λᵀg >= 0: a negative λᵀg proves that the set is empty
+        (Farkas), and a zero one that the rows hold with equality. The room is zero where rounding decides.
+        """
+        dual = self.ball.dual
+        F = self.F[self.near]
+        level = float(dual @ self.g[self.near])
+        doubt = float(dual @ self.error[self.near])
+        left_open = np.abs(dual @ F) > CLOSED * (dual @ np.abs(F))
+        return BallCertificate(0.0 if abs(level) <= doubt else level, left_open)
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether the set is thinner than `FLAT` of the box, or than the rounding of the rows that hold it."""
+        if self.ball.radius <= FLAT:
+            return True
+        return bool(self.certificate.decided_by_rounding and self.ball.dual.any() and self.certificate.closed)
+
+
+def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array, *,
+                  cancelled: float) -> LocalBox | None:
+    """Return the box in which the extents of the set are one. None if the set is empty.
+
+    The view ends where the set is solid and has the right size, or is flat: then `ball.radius` <= `FLAT`, and no
+    closer look would change that.
+    """
+    k = basis.shape[1]
+    basis = 8.0 * basis  # first lengths come from the tightest rows, and sets are often longer
+    unbounded = np.zeros(k, bool)
+    settled = False
+    resized = 0
+    for _ in range(500):  # one step is 1e3 or more for one coordinate at least, and doubles span 1e616
+        box = _local_box(A, b, terms, centre, basis, unbounded, cancelled)
+        if box is None or k == 0:
+            return box
+        radius = box.ball.radius
+        if settled and not box.is_flat:
+            return box
+        if box.is_flat:
+            certificate = box.certificate
+            if certificate.room < 0 and radius < -(FLAT if settled else THIN) and certificate.closed:
+                beyond, _ = _ends(box, unbounded)[2:]
+                if not beyond.any():
+                    return None
+                basis = basis * np.where(beyond, WIDER, 1.0)  # it misses by less than it is long
+                continue
+            if radius < -THIN:
+                basis = basis * np.where(certificate.open, WIDER, 1.0)
+                continue
+            if settled or (certificate.decided_by_rounding and certificate.closed):
+                return box
+        lower, upper, beyond, unbounded = _ends(box, unbounded)
+        if beyond.any():
+            basis = basis * np.where(beyond, WIDER, 1.0)
+            continue
+        middle, half = _frame(box, lower, upper, unbounded)
+        if box.is_flat:  # closer only where the rows close: that makes their other coordinates felt
+            half = np.where(box.certificate.open, np.maximum(half, 1.0), half)
+        right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < WRONG_SCALE or resized > 3
+        resized += 1 if unbounded.any() else 0
+        settled = bool((half[~unbounded] >= SETTLED).all()) and right_size
+        centre = centre + basis @ middle
+        basis = basis * half
+    return box
+
+
+def _local_box(A: Array, b: Array, terms: Array, centre: Array, basis: Array, unbounded: Array,
+               cancelled: float) -> LocalBox | None:
+    """Return the box in the coordinates given. None if a row parallel to the hull excludes all of it."""
+    F = A @ basis
+    g = b - A @ centre
+    slope = np.abs(A)
+    error = ROUNDING * (terms + slope @ np.abs(centre))
+    index = np.arange(len(b))
+    if basis.shape[1] < basis.shape[0]:
+        sizes = slope @ np.abs(basis)
+        F[np.abs(F) <= cancelled * sizes] = 0.0
+        steep = sizes.max(axis=1, initial=0.0)
+        left = np.abs(F).max(axis=1, initial=0.0)
+        parallel = (left == 0.0) | ((left <= cancelled * steep) & (HALF_BOX * np.abs(F).sum(axis=1) <= error))
+        g = np.where(left < LOST * steep, g + error, g)  # of a row that the hull nearly holds only rounding is left
+        if parallel.any():
+            if (g[parallel] < -error[parallel] - 100 * cancelled * sizes[parallel].sum(axis=1)).any():
+                return None
+            index = (~parallel).nonzero()[0]
+            F = F[index]
+            g = g[index]
+            error = error[index]
+    size = np.abs(F).max(axis=1, initial=0.0)
+    F = F / size[:, None]
+    norms = np.sqrt((F * F).sum(axis=1))
+    F = F / norms[:, None]
+    with np.errstate(over="ignore"):  # a bound beyond doubles is none
+        g = g / size / norms
+        error = error / size / norms
+    near = (g <= HALF_BOX * np.abs(F).sum(axis=1)).nonzero()[0]
+    ball = Ball(1.0, np.zeros(F.shape[1]), np.zeros(len(near)))
+    if len(near):
+        ball = largest_ball(F[near], g[near], 1.0, box=HALF_BOX)
+    return LocalBox(centre, basis, F, g, error, index, near, ball, unbounded)
+
+
+def _extents(box: LocalBox) -> tuple[Array, Array]:
+    """Return the lower and upper ends (k,) of the set within the box, at most `HALF_BOX`."""
+    k = box.F.shape[1]
+    F = box.F[box.near]
+    g = box.g[box.near] + 1.01 * max(-box.ball.radius, 0.0)
+    eye = np.eye(k)
+    ends = maximise_in_box(np.concatenate([eye, -eye]), F, g, HALF_BOX)
+    return -ends[k:], ends[:k]
+
+
+def _ends(box: LocalBox, unbounded: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the extents, the coordinates (k,) in which the set leaves the box, and those in which it has no end."""
+    lower, upper = _extents(box)
+    beyond = ((lower < -0.99 * HALF_BOX) | (upper > 0.99 * HALF_BOX)) & ~unbounded
+    if beyond.any():
+        far = np.abs(box.basis).max(axis=0) > ENDLESS
+        endless = (_endless(box, lower, upper) | far) & beyond
+        return lower, upper, beyond & ~endless, unbounded | endless
+    return lower, upper, beyond, unbounded
+
+
+def _endless(box: LocalBox, lower: Array, upper: Array) -> Array:
+    """Return the coordinates (k,) in which the set has no end, as a ray of its recession cone proves."""
+    k = box.F.shape[1]
+    answer = np.zeros(k, bool)
+    for j in range(k):
+        for end, side in ((upper[j], 1.0), (-lower[j], -1.0)):
+            if end > 0.99 * HALF_BOX and not answer[j]:
+                answer[j] = ray_along(side * np.eye(k)[j], box.F) is not None
+    return answer
+
+
+def _frame(box: LocalBox, lower: Array, upper: Array, unbounded: Array) -> tuple[Array, Array]:
+    """Return middle and half width (k,) of the next box.
+
+    A coordinate without an end gets the smallest length at which a row feels it as much as the other coordinates.
+    """
+    middle = (lower + upper) / 2
+    half = np.maximum((upper - lower) / 2, CLOSER)
+    if not unbounded.any():
+        return middle, half
+    ends = np.where(lower > -0.99 * HALF_BOX, lower, np.where(upper < 0.99 * HALF_BOX, upper, box.ball.centre))
+    middle = np.where(unbounded, ends, middle)
+    slope = np.abs(box.F)
+    felt = slope[:, ~unbounded] @ half[~unbounded] + np.abs(box.g - box.F @ middle)
+    felt = np.where(felt > np.maximum(box.error, CLOSER), felt, np.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        length = np.where(slope > CANCELLED, felt[:, None] / slope, np.inf).min(axis=0, initial=np.inf)
+    length = np.where(np.isfinite(length), np.clip(length, CLOSER, 1 / CLOSER), 1.0)
+    return middle, np.where(unbounded, length, half)
+
+
+def half_widths(box: LocalBox) -> Array:
+    """Return half the width (n,) of the set in every coordinate of x; 0 in those in which it is flat."""
+    basis = box.basis
+    k = basis.shape[1]
+    reach = np.abs(basis).sum(axis=1)
+    if k < len(basis) and k > 0 and len(box.near):
+        mixed = np.count_nonzero(basis, axis=1) > 1
+        D = basis[mixed] / reach[mixed, None]
+        g = box.g[box.near] + 1.01 * max(-box.ball.radius, 0.0)
+        ends = maximise_in_box(np.concatenate([D, -D]), box.F[box.near], g, HALF_BOX)
+        reach[mixed] *= np.maximum((ends[:len(D)] + ends[len(D):]) / 2, FLAT)
+    return np.where(reach > ROUNDING * np.abs(box.centre), reach, 0.0)
+
+
+def hidden_equalities(box: LocalBox) -> Array:
+    """Return the numbers in A of independent rows that hold with equality on the whole of a flat set.
+
+    The slack of a row of multiplier λᵢ is at most radius / λᵢ: with the largest ones it is a few times `FLAT`. Those
+    of the least doubt come first: a row that the hull nearly holds says little of where it goes.
+    """
+    dual = box.multipliers
+    order = np.argsort(abs(box.ball.radius) / np.maximum(dual, TINY) + box.error)
+    kept: list[int] = []
+    directions = np.zeros((0, box.F.shape[1]))
+    for i in order[dual[order] > 0.05 * dual.max()]:
+        rest = box.F[i] - directions.T @ (directions @ box.F[i])
+        size = np.linalg.norm(rest)
+        if size > 0.01:
+            directions = np.vstack([directions, rest / size])
+            kept.append(int(i))
+    return box.index[kept]
