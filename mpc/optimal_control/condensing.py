@@ -1,4 +1,7 @@
-"""States of a linearised plan eliminated, compiled: moves are counted from a feedback that keeps them bounded."""
+"""States of a linearised plan eliminated, compiled: moves are counted from a feedback that keeps them bounded.
+
+Save this file after a change in `tolerances.py`: numba's cache on disk does not notice it.
+"""
 
 from __future__ import annotations
 
