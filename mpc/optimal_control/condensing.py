@@ -122,7 +122,7 @@ def _product(M, L):
 
 @njit(cache=True)
 def _divided(M, right):
-    """M⁻¹ right for a symmetric M ⪰ 0 (nu, nu), scaled to a unit diagonal, by Cholesky."""
+    """Product M⁻¹ right for a symmetric M ⪰ 0 (nu, nu), scaled to a unit diagonal, by Cholesky."""
     n = len(M)
     scale = np.zeros(n)
     for i in range(n):
