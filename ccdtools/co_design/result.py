@@ -152,18 +152,23 @@ class Baseline(Immutable):
     design : (np,) array
     gain : PairedDifference
         Of the baseline over the result on common scenarios, in parts of the return that control makes.
+    measure : str
+        What of the returns it is a gain in: "mean", or the problem's risk in words.
     """
 
     name: str
     design: ArrayField
     gain: PairedDifference
+    measure: str = "mean"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", as_vector("design", self.design))
 
     def __repr__(self) -> str:
         low, high = self.gain.ci95
-        return f"{self.name}: {100 * self.gain.mean:+.2f} % [{100 * low:+.2f}, {100 * high:+.2f}]"
+        ends = f" [{100 * low:+.2f}, {100 * high:+.2f}]" if np.isfinite([low, high]).all() else ""
+        return f"{self.name}: {100 * self.gain.mean:+.2f} %{ends}" + (
+            "" if self.measure == "mean" else f" in the {self.measure}")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
