@@ -16,7 +16,7 @@ from ccdtools.cli import app
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 FOR_PEOPLE = [p for p in PAGES if p.parent.name in {"start", "how_to", "explanation", "gallery"} and p.stem != "index"]
 PICTURES = sorted((DOCS / "pictures").glob("[a-z]*.py"))
 BLOCK = re.compile(r"```python\n(.*?)```", re.S)  # what is printed, and nothing else
