@@ -83,6 +83,11 @@ def test_a_page_for_people_has_short_sentences(page):
     assert long == []
 
 
+def test_pages_for_people_are_few_words_together():
+    pages = [page for page in PAGES if page.parent.name not in {"reference", "benchmarks"}]
+    assert sum(len(page.read_text(encoding="utf-8").split()) for page in pages) <= 12_000
+
+
 def sentences(text: str) -> list[str]:
     """The sentences of a page: code, headings and links' targets left out, a row's cells and list items apart."""
     prose = re.sub(r"^```.*?^```", "", text, flags=re.M | re.S)

@@ -223,7 +223,7 @@ class CoDesignResult(Immutable):
     slope: float = float("nan")
     evaluations: int = 0
     seconds: float = float("nan")
-    history: History
+    history: History = None  # type: ignore[assignment]  # by default one row, of the design and its objective
     limits: LimitsOutcome | None = None
     baselines: tuple[Baseline, ...] = ()
     valleys: tuple[Valley, ...] = ()
@@ -232,6 +232,9 @@ class CoDesignResult(Immutable):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", frozen(np.array(self.design, dtype=float)))
+        if self.history is None:
+            row = ([1], [1], [self.design], [self.objective], [0.0], [0.0])
+            object.__setattr__(self, "history", History(*map(np.array, row)))
 
     def __repr__(self) -> str:
         bounds = ", ".join(f"{name} at its {side} bound" for name, side in self.active_bounds.items()) or "none"
