@@ -16,13 +16,14 @@ from ccdtools.cli import app
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 FOR_PEOPLE = [p for p in PAGES if p.parent.name in {"start", "how_to", "explanation", "gallery"} and p.stem != "index"]
 PICTURES = sorted((DOCS / "pictures").glob("[a-z]*.py"))
 BLOCK = re.compile(r"```python\n(.*?)```", re.S)  # what is printed, and nothing else
 WRITTEN = re.compile(r"```sh\n(.*?)```", re.S)
 INLINE = re.compile(r"`((?:ccdtools|python|make) [^`…]+)`")
-HEAVY = dict.fromkeys(["every_stage_alone.md", "ten_minutes.md"], pytest.mark.check)  # one trains a policy and a twin
+LONG = ["codesign.md", "every_stage_alone.md", "ten_minutes.md"]  # co-designs; a policy and a twin that are trained
+HEAVY = dict.fromkeys(LONG, pytest.mark.check)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 RUN = [page for page in PAGES if page.name != "README.md" and BLOCK.search(page.read_text(encoding="utf-8"))]
 
