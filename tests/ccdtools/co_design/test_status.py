@@ -160,7 +160,8 @@ def test_along_the_gradient_through_the_model_nothing_is_explored(mass_and_clone
 
 @pytest.mark.quick(1)
 @pytest.mark.parametrize(
-    ("risk", "words"), [(WorstCase(), "in the worst of 5 cases"), (MeanSpread(3), "in the mean minus 3 times the spread")]
+    ("risk", "words"),
+    [(WorstCase(), "in the worst of 5 cases"), (MeanSpread(3), "in the mean minus 3 times the spread")],
 )
 def test_a_design_that_its_baseline_beats_in_the_risk_of_the_problem_has_not_settled(risk, words):
     """Trajectories that know the disturbance ahead want a soft spring; in the worst case LQR wants a stiff one."""
