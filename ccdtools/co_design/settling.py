@@ -46,6 +46,7 @@ from mpc import MPCError
 LOSS = 5e-3  # of the return that control makes: a settled controller is worse than no baseline by more
 RUNS = 256  # scenarios of 100 steps, of nested LQR and of the checks of a policy; of its gradient twice as many
 EVALUATIONS = 20  # of nested LQR
+HALVINGS = 4  # of the way from a design that keeps the limits to one that does not
 BLIND = 0.5  # of the runs: a policy without a gradient in more of them is not led by it
 
 
@@ -150,8 +151,35 @@ class Settling:
             best = method.run(self.problem, start, copy.deepcopy(self.scenarios))
         except (MPCError, InputError):
             return None
-        name = f"nested LQR, at {self.problem.design.describe(best.design)}"
-        return self._baseline(name, best.controller, best.design, loop, best.limits)
+        kept = self._at("nested LQR", best.controller, best.design, loop, best.limits)
+        if kept is None or best.limits is None:
+            return kept
+        return self._nearer(kept, best.history.design[np.nanargmax(best.history.model_return)], loop, best.limits)
+
+    def _nearer(
+        self, kept: Baseline, beyond: Array, loop: ClosedLoopReturns, limits: LimitsOutcome
+    ) -> Baseline:  # fmt: skip
+        """The best LQR within the limits on the way to a design beyond them: a search aims a little within them."""
+        space = self.problem.design
+        begin, end = space.to_unit(kept.design), space.to_unit(beyond)
+        near, far = 0.0, 1.0
+        for _ in range(HALVINGS):
+            share = (near + far) / 2
+            design = space.project(space.from_unit(begin + share * (end - begin)))
+            other = None
+            with suppress(MPCError, InputError):
+                other = self._at("LQR", saturated_lqr(self.problem, design), design, loop, limits)
+            if other is not None and other.gain.mean > kept.gain.mean:
+                kept, near = other, share
+            else:
+                far = share
+        return kept
+
+    def _at(
+        self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None
+    ) -> Baseline | None:  # fmt: skip
+        """The baseline of a controller at another design, with the design in its name."""
+        return self._baseline(f"{name}, at {self.problem.design.describe(design)}", controller, design, loop, limits)
 
     def _baseline(
         self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None
