@@ -8,12 +8,11 @@ import numpy as np
 
 from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import SAME_BOUNDS
 from ccdtools.controllers.learned import EDGE
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
-
-SAME_BOUNDS = 1e-5  # relative difference of the agent's action bounds from U that rounding to float32 explains
 
 
 def as_agent(agent: Any) -> ActorCritic | None:

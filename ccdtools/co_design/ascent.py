@@ -22,7 +22,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_gradients import FEW, STEPS, Differences, Slope, check_gradients
+from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
 from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors, to_design
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
 from ccdtools.co_design.feasible import DesignRegion, measured_slope
@@ -34,15 +34,18 @@ from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.sample_average import Climb, SampleAverage
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.task import Iterate, Task
+from ccdtools.co_design.tolerances import (
+    FEW_PARAMETERS,
+    FINER_STEPS,
+    QUIET_BLOCKS,
+    QUIET_BLOCKS_LIMITED,
+    SLOPE_RUNS,
+    WORTHWHILE_VIOLATION,
+)
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic
 from learning.ppo import decay_exploration
-
-LESS = 0.9  # of a violation is left where a block was worth it
-SLOPE_RUNS = 512  # scenarios of the slope that a status rests on
-QUIET_LIMITED = 3  # the same while multipliers of the state limits move
-QUIET = {"pathwise": 1, "ppo": 2, "pathwise+ppo": 1}  # blocks without a gain that end it; PPO's first may only train V
 
 
 class Ascent:
@@ -82,7 +85,7 @@ class Ascent:
         self.blocks = 0
         self.quiet = 0
         self.longer = 1
-        self.step = STEPS[0]  # of the finite differences, where the design follows them
+        self.step = FINER_STEPS[0]  # of the finite differences, where the design follows them
         self.prices: Prices | None = None  # of leaving X, at the last cost
         self.rows: list[tuple] = []
         self.best = self.evaluated()
@@ -104,7 +107,7 @@ class Ascent:
     def by_differences(self) -> bool:
         """Whether the design follows finite differences in the place of the gradient through the model."""
         wrong = self.check is not None and not self.check.trusted
-        return wrong and self.region.free.sum() <= FEW and self.task.config.design_gradient == "pathwise"
+        return wrong and self.region.free.sum() <= FEW_PARAMETERS and self.task.config.design_gradient == "pathwise"
 
     def block(self, bar: tqdm) -> None:
         """One block of iterations, and what it brought."""
@@ -127,7 +130,8 @@ class Ascent:
         improving = self._improved(before)
         self.quiet = 0 if improving else self.quiet + 1
         spent = self.iterations >= self.task.config.iterations
-        if not spent and self.quiet < (QUIET_LIMITED if self.limited else QUIET[self.task.method]):
+        enough = QUIET_BLOCKS_LIMITED if self.limited else QUIET_BLOCKS[self.task.method]
+        if not spent and self.quiet < enough:
             return
         climbing = self._climbs() if self.task.moving else False
         if climbing and not spent:
@@ -150,7 +154,7 @@ class Ascent:
     def _improved(self, before: Iterate) -> bool:
         """Whether the block brought a gain that is not chance and that matters, or fewer lost runs or violations."""
         best = self.best
-        if best.lost < before.lost or best.violation < LESS * before.violation:
+        if best.lost < before.lost or best.violation < WORTHWHILE_VIOLATION * before.violation:
             return True
         return bool(self.gain.ci95[0] > 0 and self.gain.mean > self.task.config.tolerance * self._size)
 

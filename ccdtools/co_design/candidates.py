@@ -18,12 +18,10 @@ from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.set_choice import Effort, SetCounts, affordable_designs, found_sets
+from ccdtools.co_design.tolerances import ACCEPTED_SHARE, CANDIDATES_PER_START
 from ccdtools.design_limits import DesignLimits, Limits, bounds_at
 from ccdtools.exceptions import InputError
 from invariant_sets import ParametricSet, Polytope
-
-ENOUGH = 0.25  # accepted candidates below which the others are moved into their sets
-CANDIDATES_PER_START = 4  # candidates for each loop that begins where the episodes begin
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +81,7 @@ def starts(
     everyone = np.arange(samples)
     inside = pool.contains(x, everyone)
     acceptance = float(inside.mean())
-    if acceptance < ENOUGH:
+    if acceptance < ACCEPTED_SHARE:
         outside = np.flatnonzero(~inside)
         x[outside] = pool.moved_in(x[outside], outside)
         inside[outside] = pool.contains(x[outside], outside)

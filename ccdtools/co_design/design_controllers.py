@@ -19,7 +19,7 @@ from mpc import LinearMPC, NotStabilisableError, lqr
 if TYPE_CHECKING:
     from mpc.optimal_control import NonlinearMPC
 
-HORIZON = 20  # steps, of the MPC
+HORIZON = 20  # The MPC looks ahead so many steps.
 CONTROL = ("lqr", "mpc")
 ON_TANGENT = "The plant is not linear: LQR, MPC, expert and landscape are of its tangent at rest, or a note says more."
 

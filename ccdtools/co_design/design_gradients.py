@@ -15,20 +15,20 @@ from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_num
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.differentiable_model import ScenarioTensors, in_double, scenario_tensors, to_design
 from ccdtools.co_design.episodes import episode_at, fewer_runs
-from ccdtools.co_design.learned_result import LEVEL, GradientCheck
+from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.ppo_part import network_input_gradient
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import (
+    AGREEING,
+    FINER_STEPS,
+    LEVEL_SLOPE,
+    SIGNIFICANT,
+    SLOPE_AHEAD,
+    UNRESOLVED_SLOPE,
+)
 from learning.networks import ActorCritic
 from learning.ppo import PPOConfig
-
-STEPS = (1e-2, 1e-3, 1e-4, 1e-5)  # of the central differences, in the unit box
-AGREEING = 0.05  # of a gradient: two steps that differ by less show the same
-FEW = 6  # parameters, up to which differences may take the place of the gradient through the model
-
-SIGNIFICANT = 3.0  # standard errors of a slope that is not chance
-AHEAD = 0.1  # of the box: over this distance a slope must predict a gain that matters
-UNRESOLVED = 0.05  # of the return over the distance ahead: a slope with such an error says nothing
 
 
 def inside(v: Tensor, step: float) -> Tensor:
@@ -79,13 +79,13 @@ class Differences:
         """
         centre = v.detach().double()
         size = self.problem.made_by_control(self._returns(centre).mean(), to_design(self.problem, centre))
-        slope = self.about(v, STEPS[0]).mean(0)
-        for step, finer in pairwise(STEPS):
+        slope = self.about(v, FINER_STEPS[0]).mean(0)
+        for step, finer in pairwise(FINER_STEPS):
             finer_slope = self.about(v, finer).mean(0)
-            if (finer_slope - slope).norm() <= AGREEING * finer_slope.norm() + LEVEL * size:
+            if (finer_slope - slope).norm() <= AGREEING * finer_slope.norm() + LEVEL_SLOPE * size:
                 return step
             slope = finer_slope
-        return STEPS[-1]
+        return FINER_STEPS[-1]
 
     @torch.no_grad()
     def _returns(self, v: Tensor) -> Tensor:
@@ -147,15 +147,15 @@ class Slope:
 
     def promises(self, gain: float) -> bool:
         """Whether a slope beyond chance, falling to zero over the distance ahead, brings such a gain."""
-        return _brings(self.mean, self.error, np.minimum(self.room, AHEAD), gain)
+        return _brings(self.mean, self.error, np.minimum(self.room, SLOPE_AHEAD), gain)
 
     def rises_across_bounds(self, gain: float) -> bool:
         """Whether a wider box brings such a gain."""
-        return _brings(self.across, self.across_error, np.full(len(self.across), AHEAD), gain)
+        return _brings(self.across, self.across_error, np.full(len(self.across), SLOPE_AHEAD), gain)
 
     def unresolved(self, size: float) -> bool:
         """Whether its error is so large, beside returns of that size, that it says nothing."""
-        return bool((self.error * AHEAD > UNRESOLVED * size).any() or not np.isfinite(self.error).all())
+        return bool((self.error * SLOPE_AHEAD > UNRESOLVED_SLOPE * size).any() or not np.isfinite(self.error).all())
 
 
 def _brings(slope: Array, error: Array, distance: Array, gain: float) -> bool:

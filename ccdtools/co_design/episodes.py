@@ -20,11 +20,8 @@ from torch.utils.checkpoint import checkpoint
 
 from ccdtools.co_design.differentiable_model import Stepper, to_design
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import FEWEST_EPISODES, HELD_SAMPLES, LONGEST_SEGMENT
 from learning.networks import ActorCritic, scaled
-
-LONGEST_SEGMENT = 100  # steps whose intermediate values are held at once
-HELD = 256 * 2 * LONGEST_SEGMENT  # samples of all runs whose intermediate values may be held, however many steps
-FEWEST = 16  # parallel episodes, however long they are
 
 Law = Callable[[Tensor], Tensor]
 
@@ -88,7 +85,7 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
     nothing = torch.zeros(len(x0), dtype=torch.float64)
     running = torch.ones(len(x0), dtype=torch.bool)
     progress = _Progress(x0, step.without_error(x0), running, nothing, nothing, nothing, nothing)
-    recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT and w.shape[0] * w.shape[1] > HELD
+    recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT and w.shape[0] * w.shape[1] > HELD_SAMPLES
     length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
 
     def advanced(progress: _Progress, w: Tensor) -> _Progress:
@@ -198,4 +195,4 @@ def episode_at(
 
 def fewer_runs(runs: int, steps: int) -> int:
     """Parallel episodes of `steps` steps that hold about as many samples as `runs` of 100; at least 16 of `runs`."""
-    return max(min(runs, FEWEST), min(runs, math.ceil(runs * 100 / steps)))
+    return max(min(runs, FEWEST_EPISODES), min(runs, math.ceil(runs * 100 / steps)))

@@ -13,15 +13,11 @@ from ccdtools.co_design.candidates import Starts
 from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import ENTRIES_AT_ONCE, LED_BACK, VALUE_TAIL, VISITS
 from ccdtools.controllers.controllers import Controller
 from ccdtools.progress import counted
 from invariant_sets import AdmissibleInputs, Polytope
 from mpc import LinearMPC
-
-VISITS = (0, 1, 2, 4, 8, 16, 32, 64)  # steps of each closed loop whose states join the data
-TAIL = 400  # further steps that the values look ahead; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated
-NEAR = 0.1  # of the set's range along a row: a state that the noise carried out is led back, one far outside is not
-AT_ONCE = 2**21  # numbers of one product of rows and states, 16 MiB
 
 
 @dataclass(frozen=True)
@@ -38,7 +34,7 @@ def follow(
 ) -> Followed:
     """The loops on the problem's own model under what drives its episodes, looked at after `VISITS` steps."""
     x = loops.starts.x
-    steps = VISITS[-1] + TAIL
+    steps = VISITS[-1] + VALUE_TAIL
     w = problem.driving(len(x), steps, rng)
     step = NominalSteps(loops.starts.regions) if problem.discrepancy is None else UpdatedSteps(problem, loops.starts.p)
     rewards = np.empty((steps, len(x)))
@@ -54,7 +50,7 @@ def follow(
         x = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, np.nan)
         earned = problem.objective.rewards(x, u, before, loops.starts.p) - penalty
         rewards[k] = np.where(np.isnan(x).any(axis=1), np.nan, earned)
-    future = rewards[-TAIL // 4 :].mean(axis=0) / (1 - gamma)  # stationary by then
+    future = rewards[-VALUE_TAIL // 4 :].mean(axis=0) / (1 - gamma)  # stationary by then
     values = []
     for k in reversed(range(steps)):
         future = rewards[k] + gamma * future
@@ -168,7 +164,7 @@ class SetFilters:
             leaving &= piece.first & np.isfinite(x[runs]).all(axis=2)
             for g in np.flatnonzero(leaving.any(axis=1)):
                 chosen = runs[g][leaving[g]]
-                chosen = chosen[self.sets[piece.begin + int(g)].contains(x[chosen], NEAR)]
+                chosen = chosen[self.sets[piece.begin + int(g)].contains(x[chosen], LED_BACK)]
                 if len(chosen) == 0:
                     continue
                 u[chosen] = self._filter(piece.begin + int(g)).project(x[chosen], u[chosen])[0]
@@ -190,7 +186,7 @@ class SetFilters:
         rows = max(len(S.b) for S in self.sets)
         members = max(len(runs) for runs in self.groups)
         width = rows * (self.model.A.shape[1] + self.model.B.shape[2] + 1 + members)
-        step = max(1, AT_ONCE // width)
+        step = max(1, ENTRIES_AT_ONCE // width)
         return [self._piece(begin, min(begin + step, len(self.groups))) for begin in range(0, len(self.groups), step)]
 
     def _piece(self, begin: int, end: int) -> _Piece:

@@ -16,12 +16,10 @@ from scipy.optimize import linprog
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_gradients import AHEAD, SIGNIFICANT, Differences, Slope
+from ccdtools.co_design.design_gradients import Differences, Slope
+from ccdtools.co_design.tolerances import ACTIVE, PULL, SIGNIFICANT, SLOPE_AHEAD
 from ccdtools.plants.design_constraints import UnitConstraints, held
 from ccdtools.plants.design_space import DesignSpace
-
-PULL = 10.0  # of the return: ½ · 10 · distance² is what a point loses at least for its distance from the feasible ones
-ACTIVE = 1e-3  # of the unit box: an edge that is closer holds the design
 
 
 @dataclass(eq=False)
@@ -124,7 +122,7 @@ class FeasibleSlope(Slope):
 
     def rises_across_bounds(self, gain: float) -> bool:
         """Whether a wider box, or a constraint that asks for less, brings such a gain."""
-        return bool(((self.edges > SIGNIFICANT * self.edges_error) & (self.edges * AHEAD / 2 > gain)).any())
+        return bool(((self.edges > SIGNIFICANT * self.edges_error) & (self.edges * SLOPE_AHEAD / 2 > gain)).any())
 
 
 def measured_slope(differences: Differences, v: Tensor, region: DesignRegion) -> Slope:
@@ -142,8 +140,8 @@ def measured_slope(differences: Differences, v: Tensor, region: DesignRegion) ->
 
 def best_step(limits: UnitConstraints, point: Array, slope: Array, free: Any) -> Array:
     """The step (np,) of at most the distance ahead in every entry, within straight constraints, that rises most."""
-    low = np.where(free, np.maximum(-AHEAD, -point), 0.0)
-    high = np.where(free, np.minimum(AHEAD, 1.0 - point), 0.0)
+    low = np.where(free, np.maximum(-SLOPE_AHEAD, -point), 0.0)
+    high = np.where(free, np.minimum(SLOPE_AHEAD, 1.0 - point), 0.0)
     size = max(float(np.abs(slope).max()), 1e-300)
     normals, distances = limits.edges(point)
     near = np.isfinite(distances)

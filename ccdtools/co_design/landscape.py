@@ -25,20 +25,22 @@ from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.lqr_regions import lqr_gains
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
+from ccdtools.co_design.tolerances import (
+    CLIMBED_COMBINATIONS,
+    CLIMBED_OF_ONE,
+    COMPASS_FIRST_STEP,
+    COMPASS_LAST_STEP,
+    COMPASS_ROUNDS,
+    MAP_POINTS,
+    MAP_POINTS_OF_MANY,
+    MAP_ROWS,
+    MOST_CLIMBED,
+    PATH_POINTS,
+    RIDGE,
+)
 from ccdtools.plants.design_space import DesignSpace
 
-RUNS = 96  # scenarios that every design is simulated on, the same for all
-ROWS = 6000  # runs simulated side by side
-POINTS = {1: 32, 2: 64, 3: 128}  # designs of the first map, by number of parameters
-MANY = 128  # the same for more parameters
-MOST = 6  # hills of the first map that are climbed
-FIRST_STEP = 0.1  # of the climb, in the unit box,
-LAST_STEP = 0.01  # and where it ends
-ROUNDS = 60  # of the climb at most
-PATH = 9  # designs between two hilltops that are looked at
-COMBINATIONS = 8  # of whole numbers that are climbed with; up to so many, all of them
-HILLS = 2  # that are climbed with one combination
-RIDGE = 2e-3  # of the return without the cost of the design: two hills that are parted by less are one
+RUNS = 96  # Every design is simulated on the same scenarios, so many.
 
 
 class Landscape:
@@ -82,7 +84,7 @@ class Landscape:
     @property
     def _batch(self) -> int:
         """Designs simulated side by side."""
-        return max(1, ROWS // len(self._x0))
+        return max(1, MAP_ROWS // len(self._x0))
 
     @torch.no_grad()
     def _simulated(self, V: Array, K: Array) -> Array:
@@ -120,8 +122,8 @@ def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gener
     J = landscape.returns(V)
     if space.integer:
         V, J, chosen = _hilltops_by_combination(landscape, V, J)
-    elif space.free.sum() in POINTS:
-        chosen = _hilltops(V, J)[:MOST]
+    elif space.free.sum() in MAP_POINTS:
+        chosen = _hilltops(V, J)[:MOST_CLIMBED]
     else:
         chosen = [int(np.argmax(J))]
     tops, heights = _climbed(landscape, V[[0, *chosen]], J[[0, *chosen]])
@@ -148,7 +150,7 @@ def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
     """Feasible points all over the unit box (n, np), with every combination of whole numbers if these are few."""
     moving = np.flatnonzero(space.free)
     points = np.zeros((0, space.dim))
-    if combinations(space) > COMBINATIONS or not space.integer:
+    if combinations(space) > CLIMBED_COMBINATIONS or not space.integer:
         spread = _spread(len(moving), rng)
         points = np.zeros((len(spread), space.dim))
         points[:, moving] = spread
@@ -164,8 +166,8 @@ def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
 
 def _spread(size: int, rng: np.random.Generator) -> Array:
     """Points of the unit box (n, size): a Sobol sequence, and the corners where they are few."""
-    points = qmc.Sobol(size, rng=rng).random(POINTS.get(size, MANY))
-    return np.vstack([points, list(product((0.0, 1.0), repeat=size))]) if size in POINTS else points
+    points = qmc.Sobol(size, rng=rng).random(MAP_POINTS.get(size, MAP_POINTS_OF_MANY))
+    return np.vstack([points, list(product((0.0, 1.0), repeat=size))]) if size in MAP_POINTS else points
 
 
 def _feasible(space: DesignSpace, V: Array) -> Array:
@@ -183,15 +185,16 @@ def _hilltops_by_combination(landscape: Landscape, V: Array, J: Array) -> tuple[
     Where there are more than a few combinations, they are found by a climb along the whole numbers too.
     """
     space = landscape.problem.design
-    if combinations(space) > COMBINATIONS:
-        first = np.argsort(-J, kind="stable")[:MOST]
+    if combinations(space) > CLIMBED_COMBINATIONS:
+        first = np.argsort(-J, kind="stable")[:MOST_CLIMBED]
         visited = [_climbed(landscape, V[[i]], J[[i]], across=True, seen=True) for i in first]
         V = np.vstack([V, *(points for points, _ in visited)])
         J = np.concatenate([J, *(returns for _, returns in visited)])
     keys, which = np.unique(np.round(V[:, space.whole], 9), axis=0, return_inverse=True)
     groups = [np.flatnonzero(which.ravel() == k) for k in range(len(keys))]
     best = sorted((group for group in groups if np.isfinite(J[group]).any()), key=lambda group: -J[group].max())
-    return V, J, [int(group[i]) for group in best[:COMBINATIONS] for i in _hilltops(V[group], J[group])[:HILLS]]
+    tops = (group[_hilltops(V[group], J[group])[:CLIMBED_OF_ONE]] for group in best[:CLIMBED_COMBINATIONS])
+    return V, J, [int(i) for top in tops for i in top]
 
 
 def _hilltops(V: Array, J: Array) -> list[int]:
@@ -216,10 +219,10 @@ def _climbed(
     moving = space.free if across else space.allowed.free
     least = np.where(space.whole, 1.0 / space.allowed.width, 0.0)
     compass = np.vstack([np.eye(size)[moving], -np.eye(size)[moving]])
-    step = np.full(len(V), FIRST_STEP if len(compass) else 0.0)
+    step = np.full(len(V), COMPASS_FIRST_STEP if len(compass) else 0.0)
     looked = [(V.copy(), J.copy())]
-    for _ in range(ROUNDS):
-        climbing = np.flatnonzero(step >= LAST_STEP)
+    for _ in range(COMPASS_ROUNDS):
+        climbing = np.flatnonzero(step >= COMPASS_LAST_STEP)
         if not len(climbing):
             break
         places = [_about(space, V[i], compass * np.maximum(step[i], least), step[i]) for i in climbing]
@@ -263,9 +266,9 @@ def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float)
     whole = landscape.problem.design.whole
     if not np.array_equal(np.round(higher[whole], 9), np.round(lower[whole], 9)):
         return False
-    if np.abs(higher - lower).max() <= 2 * LAST_STEP:
+    if np.abs(higher - lower).max() <= 2 * COMPASS_LAST_STEP:
         return True
-    shares = np.linspace(0, 1, PATH + 2)[1:-1, None]
+    shares = np.linspace(0, 1, PATH_POINTS + 2)[1:-1, None]
     between = landscape.returns(lower + shares * (higher - lower))
     problem = landscape.problem
     size = problem.made_by_control(height, problem.design.from_unit(lower))

@@ -10,13 +10,10 @@ import numpy as np
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_vector
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.tolerances import LEVEL_SLOPE, SIGNIFICANT, TRUSTED_SLOPE
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference
 from learning.networks import ActorCritic
-
-TRUSTED = 0.2  # relative error of a gradient's length and direction that Adam does not mind,
-ERRORS = 3.0  # beyond so many standard errors
-LEVEL = 1e-3  # of the return per length of the box: a slope without consequence
 
 ROWS = (
     ("finite differences", "finite_difference"), ("pathwise", "pathwise"), ("network input (paper)", "network_input"),
@@ -91,7 +88,8 @@ class GradientCheck(Immutable):
             return False
         deviation = np.linalg.norm(self.pathwise - self.finite_difference)
         errors = (np.linalg.norm(self.deviation_error), np.linalg.norm(self.finite_difference_error))
-        allowed = TRUSTED * np.linalg.norm(self.finite_difference) + ERRORS * min(errors) + LEVEL * self.scale
+        length = np.linalg.norm(self.finite_difference)
+        allowed = TRUSTED_SLOPE * length + SIGNIFICANT * min(errors) + LEVEL_SLOPE * self.scale
         return bool(deviation <= allowed)
 
     def __str__(self) -> str:

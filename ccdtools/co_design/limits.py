@@ -26,7 +26,6 @@ from ccdtools.co_design.differentiable_model import to_design
 from ccdtools.co_design.episodes import Episode
 from ccdtools.co_design.limit_tolerance import (
     BY_MPC,
-    FLOOR,
     NOTHING,
     UNTIL_LEFT,
     Pair,
@@ -37,14 +36,16 @@ from ccdtools.co_design.limit_tolerance import (
     tolerance_by_mpc,
 )
 from ccdtools.co_design.problem import CoDesignProblem
-
-CHANCE = 2.0  # standard errors by which a measure may exceed its tolerance
-AIM = 0.9  # of the tolerance: what the multipliers aim at, so that some iterates are within
-RESOLVED = 1e-4  # half-widths: smaller depths say nothing of how far the states outside X are
-FIRST_PRICE = 0.02  # of the return, for leaving X by as much again as the tolerance
-CHEAPEST = 0.001  # a smaller multiplier is zero
-GROWTH = 0.4  # a multiplier grows by exp(0.4) at an evaluation where X is left by twice the tolerance,
-LARGE = 1.0  # and no faster where it is left by more
+from ccdtools.co_design.tolerances import (
+    AIMED_SHARE,
+    EXCESS_ERRORS,
+    FIRST_PRICE,
+    GROWTH,
+    LARGEST_EXCESS,
+    LEAST_PRICE,
+    LEAST_TOLERANCE,
+    RESOLVED_VIOLATION,
+)
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class LimitsOutcome:
     def kept(self) -> bool:
         """Whether neither measure exceeds its tolerance beyond chance."""
         measures = zip(self.achieved.values(), self.errors.values(), self.tolerance.values())
-        return all(value - CHANCE * error <= most for value, error, most in measures)
+        return all(value - EXCESS_ERRORS * error <= most for value, error, most in measures)
 
     def __str__(self) -> str:
         where = "samples outside the limits" if self.outputs else "states outside X"
@@ -88,7 +89,7 @@ class LimitsOutcome:
         if not self.kept:
             cure = "Raise limit_tolerance or iterations, or deploy with the filter."
             return f"{name} not kept: {achieved}; {asked}. {cure}"
-        if self.source == BY_MPC and max(self.achieved.values()) > FLOOR:
+        if self.source == BY_MPC and max(self.achieved.values()) > LEAST_TOLERANCE:
             return f"{name} left no more than MPC of the same design leaves them: {achieved}; {asked}"
         return f"{name} kept: {achieved}; {asked}"
 
@@ -166,7 +167,7 @@ class StateLimitPenalty:
         excess = _relative_excess(torch.tensor(seen.values(), dtype=torch.float64), tolerance.at(v))
         multipliers = (_next_multiplier(*pair) for pair in zip(self.multipliers.values(), excess.tolist()))
         depth = float(episode.depth[~episode.diverged].sum() / episode.outside[~episode.diverged].sum().clamp(min=1e-9))
-        spread = depth if depth > RESOLVED else self.spread
+        spread = depth if depth > RESOLVED_VIOLATION else self.spread
         return replace(self, tolerance=tolerance, v=v, seen=seen, multipliers=Pair(*multipliers), spread=spread)
 
     def dearer(self, factor: float) -> StateLimitPenalty:
@@ -191,24 +192,27 @@ class StateLimitPenalty:
         asked = self.judge.limit_tolerance
         if not isinstance(asked, str):
             return Tolerance(Pair(*asked), "asked for")
-        if max(seen.values()) <= FLOOR or self.tolerance.holds_at(v):
+        if max(seen.values()) <= LEAST_TOLERANCE or self.tolerance.holds_at(v):
             return self.tolerance
         return tolerance_by_mpc(self.judge, v, scenarios)
 
 
 def _relative_excess(means: Tensor, allowed: Tensor) -> Tensor:
     """By how much each measure exceeds what the multipliers aim at, relative to the tolerance, (2,)."""
-    return (means - AIM * allowed) / allowed.clamp(min=FLOOR)
+    return (means - AIMED_SHARE * allowed) / allowed.clamp(min=LEAST_TOLERANCE)
 
 
 def _penalty(over: Tensor) -> Tensor:
-    """(exp(c z) − 1)/c of relative excesses z, (2,), straight beyond LARGE: its slope is what a multiplier grows by."""
-    near = over.clamp(max=LARGE)
-    return (torch.exp(GROWTH * near) - 1) / GROWTH + math.exp(GROWTH * LARGE) * (over - near)
+    """(exp(c z) − 1)/c of relative excesses z, (2,), straight beyond `LARGEST_EXCESS`.
+
+    Its slope is what a multiplier grows by.
+    """
+    near = over.clamp(max=LARGEST_EXCESS)
+    return (torch.exp(GROWTH * near) - 1) / GROWTH + math.exp(GROWTH * LARGEST_EXCESS) * (over - near)
 
 
 def _next_multiplier(multiplier: float, over: float) -> float:
     """The multiplier after an evaluation with a relative excess: larger above zero, smaller below."""
     start = max(multiplier, FIRST_PRICE) if over > 0 else multiplier
-    moved = start * math.exp(GROWTH * min(max(over, -LARGE), LARGE))
-    return moved if moved > CHEAPEST else 0.0
+    moved = start * math.exp(GROWTH * min(max(over, -LARGEST_EXCESS), LARGEST_EXCESS))
+    return moved if moved > LEAST_PRICE else 0.0

@@ -21,15 +21,11 @@ from scipy.linalg import LinAlgError, solve_discrete_lyapunov
 
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import LONGEST_LOOP, NEARLY_LINEAR, ON_LIMIT, SCALE_HALVINGS
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
 from mpc import NotStabilisableError, lqr
-
-LONGEST = 2000  # steps of a loop; one that is not in its ellipsoid by then counts as outside
-NEARLY_LINEAR = 0.1  # of the ellipsoid of a linearisation
-ON_LIMIT = 1e-9  # of the half-widths of X
-HALVINGS = 10  # of the logarithm of a scale: from 1e-6 to 1 this leaves 1.4 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +96,7 @@ class LQRRegions:
         if self.rows is None:
             return inside
         left = np.flatnonzero(self.stabilised[runs])
-        for _ in range(LONGEST):
+        for _ in range(LONGEST_LOOP):
             beyond = x[left] @ self.rows.T if self.rows.ndim == 2 else times(self.rows[runs[left]], x[left])
             within = (beyond <= 1 + ON_LIMIT).all(axis=1)
             arrived = within & (_quadratic(self.shapes[runs[left]], x[left]) <= 1)
@@ -142,7 +138,7 @@ class LQRRegions:
         low[known] = 1 / np.sqrt(np.maximum(size[known], 1.0))
         high = np.ones(len(x))
         low[self.contains(x, runs)] = 1.0
-        for _ in range(HALVINGS):
+        for _ in range(SCALE_HALVINGS):
             middle = np.sqrt(low * high)
             inside = self.contains(middle[:, None] * x, runs)
             low = np.where(inside, middle, low)

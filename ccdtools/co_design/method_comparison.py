@@ -15,6 +15,7 @@ from ccdtools.co_design.method_pairs import MethodRow
 from ccdtools.co_design.method_verdicts import leaves_limits, method_verdicts, signed
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns, CoDesignResult
+from ccdtools.co_design.tolerances import MORE_LOST
 from ccdtools.exceptions import InputError
 from ccdtools.table import Table, csv_text
 
@@ -22,7 +23,6 @@ HEAD = (
     "method", "design", "return", "95 % interval", "lost", "difference", "own objective", "evals", "time", "status",
     "held by",
 )  # fmt: skip
-MORE_LOST = 1e-3  # of the runs: a method that loses so many more than the one that loses fewest is not the best
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

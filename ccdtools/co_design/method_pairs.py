@@ -25,8 +25,8 @@ from ccdtools.controllers.signals import Driver, Surroundings
 from ccdtools.statistics import PairedDifference
 from mpc import MPCError
 
-RUNS = 1000  # scenarios of 100 steps; of longer ones fewer are taken,
-ONLINE_RUNS = 200  # and of a controller that plans ahead at every sample
+RUNS = 1000  # So many scenarios of 100 steps are taken, of longer ones fewer.
+ONLINE_RUNS = 200  # A controller that plans ahead at every sample has so many.
 UNSOUND = (CoDesignStatus.DIVERGING, CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
 
 

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 
 from ccdtools.co_design.design_controllers import tangent_note
+from ccdtools.co_design.tolerances import OUTSIDE_SHARE, OWN_OBJECTIVE, SAME_PLACE
 
-SAME = 0.5  # per cent of the reference's return that two methods may differ by and be equal
-APART = 5.0  # per cent between a method's own objective and the closed loop that are worth a word
-NEAR = 0.02  # of the unit box: designs this close are one
-OUTSIDE = 1e-3  # of the states outside the limits, beyond twice the reference's: worth a word
+SAME = 0.5  # Two methods are equal if they differ by at most this part of the reference's return [%].
 
 
 def method_verdicts(comparison: Any) -> list[str]:
@@ -33,7 +31,7 @@ def method_verdicts(comparison: Any) -> list[str]:
 
 def leaves_limits(comparison: Any, row: Any) -> bool:
     """Whether a method is outside the limits more often than the reference may be."""
-    return bool(row.closed_loop.outside > 2 * comparison[comparison.reference].closed_loop.outside + OUTSIDE)
+    return bool(row.closed_loop.outside > 2 * comparison[comparison.reference].closed_loop.outside + OUTSIDE_SHARE)
 
 
 def signed(percent: float) -> str:
@@ -68,7 +66,7 @@ def _equal(comparison: Any, rows: list[Any]) -> str:
     points = space.to_unit(np.array([row.result.design for row in same]))
     spread = float(np.ptp(points, axis=0).max())
     first = comparison[comparison.reference].result
-    if spread <= NEAR:
+    if spread <= SAME_PLACE:
         where = f"at one design, {space.describe(first.design)}"
     else:
         where = f"at designs up to {spread:.0%} of the box apart: the return is flat there"
@@ -111,7 +109,7 @@ def _parts(comparison: Any, row: Any) -> str:
     result = row.result
     made_for = f"its criterion is the {result.criterion}" if result.criterion else ""
     loop = row.closed_loop.summary.mean
-    if made_for and abs(comparison.percent(result.objective - loop)) > APART:
+    if made_for and abs(comparison.percent(result.objective - loop)) > OWN_OBJECTIVE:
         made_for += f", {result.objective:.5g}, beside {loop:.5g} in closed loop"
     if row.from_design is None or row.from_control is None:
         return made_for

@@ -9,10 +9,9 @@ import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_count, as_instance, as_weight
+from ccdtools.co_design.tolerances import PSD
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbolic_functions import as_symbolic
-
-PSD = 1e-9  # of the largest weight: a negative eigenvalue this small is rounding
 
 
 class Weights(NamedTuple):

@@ -25,18 +25,19 @@ from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in
 from ccdtools.co_design.episodes import Episode, latent_law, simulated
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import (
+    CHECKED_DIRECTIONS,
+    LEAST_ACTION,
+    MOST_RETUNES,
+    NO_GRADIENT,
+    NOISIER,
+    POLICY_STEPS,
+    RETUNE_STEPS,
+    RETUNES_EACH,
+)
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import scaled
-
-DIRECTIONS = 4  # random ones, along which gradient and differences are compared
-STEPS = (1e-2, 1e-3)  # of the differences, in parts of what a policy does
-LEAST = 1e-3  # of the range of an input: what a policy is taken to do that does less
-NOISIER = 2.0  # times: where smaller steps have such errors, returns jump, and only the larger step says something
-FIRST = {"gain": 0.5, "offset": 0.1, "law": 0.2}  # steps of the search
-EVALUATIONS = 10  # of the search for every number that is tuned, and no more than
-MOST = 60
-BLIND = 1e-9  # of the return: a run whose gradient is smaller has none
 
 
 class Retuned:
@@ -58,7 +59,7 @@ class Retuned:
         self._scenarios = (scenarios[0].double(), scenarios[1].double())
         self.shape = (problem.model.nu, 2 + problem.model.nx)
         x, latent = self._root_mean_squares()
-        self._unit = latent.clamp(LEAST, 1.0)[:, None]
+        self._unit = latent.clamp(LEAST_ACTION, 1.0)[:, None]
         self._law = self._unit / x.clamp(min=1e-12)
 
     def episode(self, r: Tensor, *, depths: bool = False) -> Episode:
@@ -105,16 +106,16 @@ def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenario
     """Its slopes along a few random changes of its last layer: through the model, and by differences."""
     retuned = Retuned(problem, policy, scenarios)
     size = int(np.prod(retuned.shape))
-    drawn = np.random.default_rng(0).standard_normal((size, min(DIRECTIONS, size)))
+    drawn = np.random.default_rng(0).standard_normal((size, min(CHECKED_DIRECTIONS, size)))
     directions = torch.tensor(np.linalg.qr(drawn)[0])
     r = torch.zeros((len(scenarios[0]), *retuned.shape), dtype=torch.float64, requires_grad=True)
     values = retuned.values(r)
     pathwise = torch.autograd.grad(values.sum(), r)[0].flatten(1) @ directions
     scale = float(problem.made_by_control(values.detach().mean(), torch.tensor(policy.design)))
-    coarse = _check(pathwise, _differences(retuned, directions, STEPS[0]), scale)
+    coarse = _check(pathwise, _differences(retuned, directions, POLICY_STEPS[0]), scale)
     if coarse.trusted:
         return coarse
-    fine = _check(pathwise, _differences(retuned, directions, STEPS[1]), scale)
+    fine = _check(pathwise, _differences(retuned, directions, POLICY_STEPS[1]), scale)
     steady = fine.finite_difference_error <= NOISIER * coarse.finite_difference_error
     return fine if steady.all() else coarse
 
@@ -133,7 +134,7 @@ def _check(pathwise: Tensor, by_difference: Tensor, scale: float) -> GradientChe
         names, by_difference.mean(0).numpy(), pathwise.mean(0).numpy(), np.full(len(names), np.nan),
         standard_error(by_difference).numpy(), standard_error(pathwise).numpy(),
         standard_error(pathwise - by_difference).numpy(), scale,
-        float((pathwise.norm(dim=1) <= BLIND * scale).double().mean()),
+        float((pathwise.norm(dim=1) <= NO_GRADIENT * scale).double().mean()),
     )  # fmt: skip
 
 
@@ -155,9 +156,10 @@ def better_by_search(
         seen = retuned.episode(torch.tensor(z.reshape(retuned.shape)), depths=True)
         return -float(problem.risk.values(seen.total).mean()) if (_left(seen) <= most).all() else np.inf
 
-    steps = np.tile([FIRST["gain"], FIRST["offset"], *[FIRST["law"]] * (retuned.shape[1] - 2)], retuned.shape[0])
+    gain, offset, law = (RETUNE_STEPS[name] for name in ("gain", "offset", "law"))
+    steps = np.tile([gain, offset, *[law] * (retuned.shape[1] - 2)], retuned.shape[0])
     simplex = np.vstack([np.zeros(count), np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxfev": min(EVALUATIONS * count, MOST), "adaptive": True}
+    options = {"initial_simplex": simplex, "maxfev": min(RETUNES_EACH * count, MOST_RETUNES), "adaptive": True}
     found = minimize(cost, np.zeros(count), method="Nelder-Mead", options=options).x
     again = retuned.on(fresh)
     better = again.values(torch.tensor(found.reshape(retuned.shape)))

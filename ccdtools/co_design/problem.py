@@ -27,12 +27,13 @@ from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, bounds_
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits
-from ccdtools.plants.design_space import FEASIBLE, DesignSpace
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import Model, as_regulated_model
+from ccdtools.plants.tolerances import FEASIBLE
 from invariant_sets import Polytope
 
-DIVERGENCE = 1e3  # a run is lost when a state exceeds this many half-widths of X
-NARROWEST = 1e-5  # width of a box of designs beside its bounds, of which single precision resolves 1e-7
+DIVERGENCE = 1e3  # A run is lost when a state exceeds this many half-widths of X.
+NARROWEST = 1e-5  # A box of designs is too narrow below this part of its bounds: float32 resolves 1e-7.
 
 
 class Scenarios(Protocol):

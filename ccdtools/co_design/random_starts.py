@@ -9,12 +9,12 @@ import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_floats, has_method, shown
+from ccdtools.co_design.tolerances import TRIED_PER_START
 from ccdtools.disturbances.combinations import as_chances
 from ccdtools.disturbances.disturbance import Disturbance, Uniform, check_draw
 from ccdtools.exceptions import InputError
 from invariant_sets import Polytope
 
-TRIED = 40  # points of a set's bounding box for each that is wanted; where too few lie in it, hit and run takes over
 KINDS = "a Polytope, a distribution such as Uniform(lower, upper), or states (n, nx)"
 
 
@@ -116,7 +116,7 @@ def uniform_in(S: Polytope, n: int, rng: np.random.Generator) -> Array:
     Operations Research 32(6), 1984.
     """
     lower, upper = S.bounding_box()
-    tried = rng.uniform(lower, upper, (TRIED * n, S.dim))
+    tried = rng.uniform(lower, upper, (TRIED_PER_START * n, S.dim))
     found = tried[S.contains(tried)]
     if len(found) >= n:
         return found[:n]

@@ -14,11 +14,9 @@ from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.risk import MEAN, Mean, Risk, measure
 from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
 from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.tolerances import FEW_RUNS_DECIDE, UNFORESEEN
 from ccdtools.controllers.controllers import Controller
 from ccdtools.statistics import PairedDifference, Summary
-
-HEAVY = 2.0  # standard deviation of the runs, in parts of their mean, beyond which a few of them decide
-FAR = 0.5  # of the return in closed loop: an objective that predicts more than this did not see what happens
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -299,9 +297,9 @@ def _warnings(objective: float, summary: Summary) -> list[str]:
     """What a return in closed loop says against the method's own objective."""
     lines = []
     size = abs(summary.mean)
-    if summary.std > HEAVY * size:
+    if summary.std > FEW_RUNS_DECIDE * size:
         lines.append("a few runs cost far more than the rest: they are nearly lost, and the interval says little")
-    if np.isfinite(objective) and objective - summary.mean > FAR * size:
+    if np.isfinite(objective) and objective - summary.mean > UNFORESEEN * size:
         lines.append(
             "the closed loop brings far less than the method's own objective: what was optimised is not what happens, "
             "so look for a design in closed loop (nested, search, learning)"

@@ -25,13 +25,9 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import EXCITATION, SECANT_GAIN, SECANT_ROUNDS, SECANT_RUNS
 from ccdtools.controllers.controllers import LinearFeedback, Passive
 from mpc import NotStabilisableError, lqr
-
-RUNS = 32  # scenarios of 100 steps that the fit is over
-ROUNDS = 4  # fits, each over the loop of the one before
-BETTER = 5e-3  # of the return: a smaller gain is not worth a search without exact slopes
-EXCITED = 0.3  # of half the input's range: standard deviation of the inputs of the first fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +55,7 @@ class Linearisation(Immutable):
     @property
     def better(self) -> bool:
         """Whether it beats the tangent in closed loop by more than 0.5 % of its return."""
-        return not self.tangent_return >= self.mean_return - BETTER * self.size
+        return not self.tangent_return >= self.mean_return - SECANT_GAIN * self.size
 
     def __str__(self) -> str:
         tangent = "none" if np.isnan(self.tangent_return) else f"{self.tangent_return:.5g}"
@@ -96,7 +92,7 @@ def stochastic_linearisation(
 
 def visited(problem: CoDesignProblem, rng: np.random.Generator) -> ScenarioTensors:
     """The scenarios that a fit is over."""
-    x0, w = scenario_tensors(problem, fewer_runs(RUNS, problem.steps), rng)
+    x0, w = scenario_tensors(problem, fewer_runs(SECANT_RUNS, problem.steps), rng)
     return x0.double(), w.double()
 
 
@@ -128,9 +124,9 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
         states = driven(Passive(problem.model.nu))[0]
         tangent = float("nan")
     half = np.where(np.isfinite(bounds[1] - bounds[0]), bounds[1] - bounds[0], 1.0) / 2
-    inputs = np.clip(EXCITED * half * rng.standard_normal((len(states), problem.model.nu)), *bounds)
+    inputs = np.clip(EXCITATION * half * rng.standard_normal((len(states), problem.model.nu)), *bounds)
     best: Linearisation | None = None
-    for _ in range(ROUNDS):
+    for _ in range(SECANT_ROUNDS):
         A, B = _least_squares(problem, p, states, inputs, rng)
         try:
             law = LinearFeedback(lqr(A, B, **weights)[0], *bounds)

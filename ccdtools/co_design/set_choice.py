@@ -15,16 +15,12 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import ABORT, FACETS_PER_SECOND, FEWEST_DESIGNS, PROBES, SET_WORK
 from ccdtools.progress import counted
 from invariant_sets import ParametricSet, Polytope
 from invariant_sets.results import Status
 
 SETS = ("auto", "lqr", "none")
-WORK = 50_000  # steps times squared facets: what a usual processor does in a second, or more of it
-FACETS = 8  # of one set, at most, for every second of the limit
-FEWEST = 64  # designs that candidates may share
-PROBES = 5  # sets that are computed to see how much work one is
-ABORT = 4.0  # times the limit: processor time after which no further set is computed; one set has the limit itself
 LATE = ", by the clock: another machine may get further"
 USABLE = (Status.CONVERGED, Status.EMPTY)
 
@@ -105,9 +101,9 @@ def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: i
             late = LATE if result.status is Status.TIME_LIMIT else ""
             return 0, f"X_fea(p) was not found: {result.status.name}{late}"
         work.append(max(result.iterations, 1) * max(len(result.set.b), 1) ** 2)
-    number = min(float(samples), effort.seconds * WORK / float(np.mean(work)))
-    if number < min(FEWEST, samples):
-        return 0, f"X_fea(p) of {FEWEST} designs is more work than allowed"
+    number = min(float(samples), effort.seconds * SET_WORK / float(np.mean(work)))
+    if number < min(FEWEST_DESIGNS, samples):
+        return 0, f"X_fea(p) of {FEWEST_DESIGNS} designs is more work than allowed"
     return int(number), ""
 
 
@@ -136,5 +132,5 @@ def limited(sets: ParametricSet, effort: Effort) -> ParametricSet:
     """The family with the facets of one set that the budget allows; far beyond it, its time is limited."""
     if not np.isfinite(effort.seconds):
         return sets
-    facets = max(min(sets.max_facets, int(FACETS * effort.seconds)), 1)
+    facets = max(min(sets.max_facets, int(FACETS_PER_SECOND * effort.seconds)), 1)
     return replace(sets, max_facets=facets, time_limit=effort.seconds)

@@ -22,7 +22,7 @@ from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.idle_entries import acting_together
 from ccdtools.co_design.learned_result import LearnedCoDesign
-from ccdtools.co_design.limit_tolerance import BY_MPC, FLOOR, NOTHING, UNTIL_LEFT, Pair, tolerance_at
+from ccdtools.co_design.limit_tolerance import BY_MPC, NOTHING, UNTIL_LEFT, Pair, tolerance_at
 from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.method_pairs import RUNS as LOOP_RUNS
 from ccdtools.co_design.method_pairs import closed_loop_returns
@@ -33,6 +33,13 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, ClosedLoopReturns, CoDesignResult
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.tolerances import (
+    BLIND_SHARE,
+    LEAST_TOLERANCE,
+    SETTLED_LOSS,
+    SETTLING_EVALUATIONS,
+    SETTLING_RUNS,
+)
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -40,11 +47,6 @@ from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from mpc import MPCError
-
-LOSS = 5e-3  # of the return that control makes: a settled controller is worse than no baseline by more
-RUNS = 256  # scenarios of 100 steps, of nested LQR and of the checks of a policy; of its gradient twice as many
-EVALUATIONS = 20  # of nested LQR
-BLIND = 0.5  # of the runs: a policy without a gradient in more of them is not led by it
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +106,7 @@ class Settling:
             return None
         if not isinstance(asked, str):
             allowed, source = Pair(*asked), "asked for"
-        elif not max(seen.values()) > FLOOR:
+        elif not max(seen.values()) > LEAST_TOLERANCE:
             allowed, source = UNTIL_LEFT.allowed, UNTIL_LEFT.source
         else:
             v = torch.tensor(self.problem.design.to_unit(design))
@@ -113,7 +115,7 @@ class Settling:
             errors = Pair(*np.hypot(errors.values(), of_mpc.values()).tolist())
         return LimitsOutcome(seen, allowed, source, NOTHING, self.problem.output_limits is not None, errors)
 
-    def _drawn(self, number: int, runs: int = RUNS) -> tuple[torch.Tensor, torch.Tensor]:
+    def _drawn(self, number: int, runs: int = SETTLING_RUNS) -> tuple[torch.Tensor, torch.Tensor]:
         """Scenarios of the checks, others for every number."""
         rng = copy.deepcopy(self.scenarios)
         for _ in range(number):
@@ -143,7 +145,7 @@ class Settling:
 
     def _nested(self, start: Array, loop: ClosedLoopReturns) -> Baseline | None:
         """Where a short nested LQR leads from a design."""
-        method = Nested("lqr", runs=RUNS, starts=1, evaluations=EVALUATIONS)
+        method = Nested("lqr", runs=SETTLING_RUNS, starts=1, evaluations=SETTLING_EVALUATIONS)
         try:
             best = method.run(self.problem, start, copy.deepcopy(self.scenarios))
         except (MPCError, InputError):
@@ -174,10 +176,10 @@ class Settling:
         policy = result.controller
         assert isinstance(policy, LearnedPolicy)
         if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
-            check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * RUNS))
+            check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * SETTLING_RUNS))
             result = replace(result, policy_gradients=check)
             wrong = "" if check.trusted else "the gradient of the policy is not that of its return, beyond chance"
-            if check.blind > BLIND:
+            if check.blind > BLIND_SHARE:
                 wrong = f"the policy has no gradient in {check.blind:.0%} of the runs"
             if wrong:
                 return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))
@@ -189,4 +191,4 @@ class Settling:
 
 def _better(baseline: Baseline) -> bool:
     """Whether a baseline is better by more than a settled result may lose, beyond chance."""
-    return baseline.gain.mean > LOSS and baseline.gain.ci95[0] > 0
+    return baseline.gain.mean > SETTLED_LOSS and baseline.gain.ci95[0] > 0

@@ -13,14 +13,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array
-from ccdtools.plants.design_constraints import EXACT, UnitConstraints
+from ccdtools.plants.design_constraints import UnitConstraints
 from ccdtools.plants.nearest_design import allowed_point, nearest, nearest_whole
-
-SAMPLES = 256  # points of a Sobol sequence, beside centre and corners
-MAX_CORNERS = 10  # parameters of which every combination of bounds is looked at
-ANCHORS = 64  # allowed points that are kept to search from
-STARTS = 8  # of a search for one allowed point, and of the one for the nearest
-COMBINATIONS = 100  # of whole numbers that are tried, the nearest first
+from ccdtools.plants.tolerances import ALLOWED_STARTS, ANCHORS, BOX_SAMPLES, EXACT, MAX_CORNERS, TRIED_COMBINATIONS
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +64,11 @@ class AllowedDesigns:
     def _samples(self) -> Array:
         """Points of the whole unit box, (n, np): centre, a Sobol sequence and the corners of its first ten entries."""
         moving = np.flatnonzero(self._moving)
-        points = np.zeros((1 + SAMPLES, len(self.lower)))
+        points = np.zeros((1 + BOX_SAMPLES, len(self.lower)))
         if not len(moving):
             return points[:1]
         points[:, moving] = 0.5
-        points[1:, moving] = qmc.Sobol(len(moving), rng=np.random.default_rng(0)).random(SAMPLES)
+        points[1:, moving] = qmc.Sobol(len(moving), rng=np.random.default_rng(0)).random(BOX_SAMPLES)
         corners = np.tile(points[0], (2 ** min(len(moving), MAX_CORNERS), 1))
         corners[:, moving[:MAX_CORNERS]] = list(product((0.0, 1.0), repeat=min(len(moving), MAX_CORNERS)))
         return np.vstack([points, corners])
@@ -111,11 +106,11 @@ class AllowedDesigns:
         assert self.limits is not None
         samples = self.rounded(self._samples)
         samples = samples[np.argsort(self.violation(samples), kind="stable")]
-        tried = [*samples[:STARTS], *samples[STARTS :: max(1, len(samples) // STARTS)]]
+        tried = [*samples[:ALLOWED_STARTS], *samples[ALLOWED_STARTS :: max(1, len(samples) // ALLOWED_STARTS)]]
         if self.whole.any():
             between = allowed_point(self.limits, samples[0], self._moving)[0]
             for centre in (between, samples[0]):
-                tried += list(self._by_whole_numbers(centre)[:COMBINATIONS])
+                tried += list(self._by_whole_numbers(centre)[:TRIED_COMBINATIONS])
         least, violation = samples[0], np.inf
         for start in tried:
             u, broken = allowed_point(self.limits, start, self.free)
@@ -147,7 +142,7 @@ class AllowedDesigns:
         if not self.whole.any():
             return self.near_with(v, thorough=True)
         best = self._of_whole_numbers(v, v)
-        known = sorted(self.known, key=lambda one: _apart(one, v))[:STARTS]
+        known = sorted(self.known, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
         if best is None and self.limits is not None:
             between = nearest(self.limits, v, free=self._moving, starts=known, thorough=True)
             best = None if between is None else self._of_whole_numbers(between, v)
@@ -156,7 +151,7 @@ class AllowedDesigns:
     def _of_whole_numbers(self, centre: Array, v: Array) -> Array | None:
         """The nearest allowed point to `v` among those with whole numbers about a point."""
         best: Array | None = None
-        for held in self._by_whole_numbers(centre)[:COMBINATIONS]:
+        for held in self._by_whole_numbers(centre)[:TRIED_COMBINATIONS]:
             if best is not None and _apart(held, centre) >= _apart(best, centre):
                 break
             found = self.near_with(np.where(self.whole, held, v), thorough=True)
@@ -172,7 +167,7 @@ class AllowedDesigns:
         if self.limits is None or self.limits.violation(v) <= EXACT:
             return v
         same = self.known[(np.abs(self.known - v) <= 1e-9)[:, ~self.free].all(axis=1)]
-        known = sorted(same, key=lambda one: _apart(one, v))[:STARTS]
+        known = sorted(same, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
         return nearest(self.limits, v, free=self.free, starts=[*starts, *known], thorough=thorough)
 
 

@@ -14,19 +14,20 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbols import as_expression, check_known, term_sizes
+from ccdtools.plants.tolerances import (
+    BESIDE_LEVEL,
+    CURVED,
+    EPSILON,
+    EXTENT_QUANTILES,
+    LEVEL,
+    NEAR_EDGE,
+    ON_EDGE,
+    TINY,
+)
 from ccdtools_ground.user_functions import stopped
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 EXAMPLE = "a function of p that gives expressions, each to be ≤ 0, such as lambda p: p[0] + p[1] - 3.0"
-EXTENT = (0.05, 0.95)  # quantiles of a constraint over the box, between which its size is measured: a pole is left out
-EXACT = 1e-9  # violation, as `UnitConstraints.violation` has it, that is rounding
-ON_EDGE = 1e-7  # of the unit box: a constraint whose edge is closer may hold a design
-BESIDE = 1e-3  # of the unit box: samples that are closer to an edge say nothing of a constraint's size about it
-BESIDE_LEVEL = 1e-6  # of the unit box: normals are those so far off an edge, where none is level
-LEVEL = 1e-12  # slope beside the value below which a constraint is level
-TINY = 1e-300
-EPSILON = 2.0**-52
-CURVED = 0.1  # curvature of the distance along the constraints below which its own curvature is left out
 
 
 def compiled(constraints: Any, names: Sequence[str]) -> ca.Function:
@@ -102,7 +103,7 @@ class UnitConstraints:
         raw = _mapped(self._g, samples)
         self.not_finite = ~np.isfinite(raw).all(axis=1)
         known = np.where(np.isfinite(raw), raw, 0.0)
-        extent = np.ptp(np.quantile(known, EXTENT, axis=0), axis=0)
+        extent = np.ptp(np.quantile(known, EXTENT_QUANTILES, axis=0), axis=0)
         size = np.abs(known).max(axis=0)
         self._scale = np.where(extent > 1e-12 * size, extent, np.where(size > 0, size, 1.0))
         compressed = ca.asinh(g / ca.DM(self._near_edge(known, samples)))
@@ -115,7 +116,7 @@ class UnitConstraints:
         """Size of each constraint about its edge, (ng,): the least among the samples that are not all but on it."""
         slopes = self._slopes(samples)[1]
         size = np.abs(values)
-        far = (size > 0) & (size > BESIDE * np.where(np.isfinite(slopes), slopes, 0.0))
+        far = (size > 0) & (size > NEAR_EDGE * np.where(np.isfinite(slopes), slopes, 0.0))
         least = np.where(far, size, np.inf).min(axis=0)
         return np.where(np.isfinite(least), least, self._scale)
 

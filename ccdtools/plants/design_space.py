@@ -15,12 +15,9 @@ from scipy.stats import qmc
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_names, as_number, as_vector, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.allowed_designs import MAX_CORNERS, AllowedDesigns
+from ccdtools.plants.allowed_designs import AllowedDesigns
 from ccdtools.plants.design_constraints import compiled, constraint_names
-
-SAME_DESIGN = 1e-3  # of the range of every parameter: two designs that differ by less are one
-FEASIBLE = 1e-6  # violation, as `DesignSpace.violation` has it, up to which a design keeps a constraint
-INTERIOR = 64  # seeded points inside the box, beside its centre and corners
+from ccdtools.plants.tolerances import FEASIBLE, INTERIOR_POINTS, MAX_CORNERS
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -269,7 +266,7 @@ class DesignSpace(Immutable):
         moving = np.flatnonzero(self.free)[:MAX_CORNERS]
         corners = np.full((2 ** len(moving), self.dim), 0.5)
         corners[:, moving] = list(product((0.0, 1.0), repeat=len(moving)))
-        interior = self.latin_hypercube(INTERIOR, np.random.default_rng(0))
+        interior = self.latin_hypercube(INTERIOR_POINTS, np.random.default_rng(0))
         return np.vstack([self.from_unit(corners), self.centre[None], interior])
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:

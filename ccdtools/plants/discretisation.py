@@ -23,9 +23,7 @@ from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.sampling_guard import warn_of_aliasing
-
-ACCURACY = 1e-6  # of half the range of each state, a sample
-MOST_PARTS = {"rk4": 64, "collocation": 64}  # of a sample
+from ccdtools.plants.tolerances import ACCURACY, MOST_PARTS
 
 
 def discretise(

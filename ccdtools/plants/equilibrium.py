@@ -15,11 +15,8 @@ from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_floats, as_instance, as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.rates import ROUNDING, Rates, independent, newton_step, rest_near
-
-PATHS = ((1, 0), (1, 1), (1, 2), (1, 4), *((n, 2) for n in (2, 4, 8, 16, 32, 64)))  # stations, Newton steps at each
-POLISH = 5  # last Newton steps, where there is a way
-SAME = 1e-3  # of the largest value of an entry over the designs: two ways that end nearer than that end at one rest
+from ccdtools.plants.rates import Rates, independent, newton_step, rest_near
+from ccdtools.plants.tolerances import PATHS, POLISH, RATE_ROUNDING, SAME_REST
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,7 +95,8 @@ class Equilibrium(Immutable):
         longest = np.asarray(_followed(step, start, self.p, designs.T, *PATHS[-1])).reshape(len(start), len(designs))
         rests = np.array([rates.at_rest(z, q) for z, q in zip(longest.T, designs)])
         size = np.abs(longest[:, rests])
-        near = (SAME * size.max(axis=1, initial=0.0) + ROUNDING * size.max(initial=0.0))[:, None] + np.column_stack(
+        rounding = RATE_ROUNDING * size.max(initial=0.0)
+        near = (SAME_REST * size.max(axis=1, initial=0.0) + rounding)[:, None] + np.column_stack(
             [rates.resolution(z, q, rows, chosen) for z, q in zip(longest.T, designs)]
         )
         for stations, steps in PATHS:

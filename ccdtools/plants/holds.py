@@ -23,8 +23,7 @@ from ccdtools.checks import as_instance, as_positive, as_weight
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace, sample_designs
 from ccdtools.plants.plant import Plant, linear_matrices
-
-TAYLOR_DEGREE = 14  # with ‖M‖₁ ≤ 1/2 the first neglected term is (1/2)¹⁵/15! ≈ 2e-17
+from ccdtools.plants.tolerances import TAYLOR_DEGREE
 
 
 def zero_order_hold(

@@ -10,12 +10,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array, Immutable
-
-POINTS = 1024  # of a round, spread over the limits and designs
-ROUNDS = 3  # each after the first looks around the worst points so far,
-WORST = 16  # of these,
-NEARBY = 0.15  # within so much of every range in the second, and the square of it in the third
-SAFETY = 3.0  # of what is stated over the largest difference: 16/15 if smooth, 2 with a kink, and what was missed
+from ccdtools.plants.tolerances import AROUND_WORST, ERROR_POINTS, ERROR_ROUNDS, SAFETY, WORST_POINTS
 
 Step = Callable[[Any, Any, Any, Any], Any]
 
@@ -103,16 +98,16 @@ def measured_error(step: Step, finer: Step, region: Region) -> IntegrationError:
     """
     rng = np.random.default_rng(0)
     dim = len(region.lower)
-    spread = qmc.Sobol(dim, rng=rng).random(POINTS)
-    corners = np.round(spread[: POINTS // 4])
+    spread = qmc.Sobol(dim, rng=rng).random(ERROR_POINTS)
+    corners = np.round(spread[: ERROR_POINTS // 4])
     points = np.vstack([spread, corners, np.full((1, dim), 0.5)])
     known = points[:0]
     values = np.zeros((0, region.sizes[0]))
-    for nearby in (NEARBY**k for k in range(1, ROUNDS + 1)):
+    for nearby in (AROUND_WORST**k for k in range(1, ERROR_ROUNDS + 1)):
         known = np.vstack([known, points])
         values = np.vstack([values, _differences(step, finer, region, points)])
-        worst = known[np.argsort((values / region.extent).max(axis=1))[-WORST:]]
-        around = rng.choice(worst, POINTS // 2)
+        worst = known[np.argsort((values / region.extent).max(axis=1))[-WORST_POINTS:]]
+        around = rng.choice(worst, ERROR_POINTS // 2)
         points = np.clip(around + nearby * rng.uniform(-1, 1, around.shape), 0.0, 1.0)
     bound = SAFETY * values.max(axis=0)
     place = region.parts(known[[int(np.argmax((values / region.extent).max(axis=1)))]])

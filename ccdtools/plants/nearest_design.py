@@ -14,10 +14,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
-from ccdtools.plants.design_constraints import EXACT, UnitConstraints
-
-NEAREST = 1e-5  # of the distance: what its part along the constraints may be where a point is the nearest
-GRID = 4096  # combinations of whole numbers that are looked at
+from ccdtools.plants.design_constraints import UnitConstraints
+from ccdtools.plants.tolerances import EXACT, INTEGER_GRID, NEAREST
 
 
 def nearest(
@@ -76,7 +74,7 @@ def nearest_whole(values: Array, lower: Array, upper: Array, width: Array) -> Ar
     low = np.ceil(lower - 1e-9)
     count = np.floor(upper + 1e-9) - low + 1
     most = count.copy()
-    while np.prod(count) > GRID:
+    while np.prod(count) > INTEGER_GRID:
         longest = np.argmax(count)
         count[longest] = np.ceil(count[longest] / 2)
     first = np.clip(np.round(values) - count // 2, low, low + most - count)

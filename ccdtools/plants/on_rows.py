@@ -16,9 +16,8 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.plants.casadi_arrays import Operations, Tape, numpy_operations
+from ccdtools.plants.tolerances import KEPT_SIZES
 
-FEW = 192  # rows up to which CasADi's machine is the faster one; they are even at 200 to 300
-KEPT = 16  # numbers of rows that a function is held ready for
 IN_PLACE: Operations = {
     ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply, ca.OP_DIV: np.divide, ca.OP_NEG: np.negative,
     ca.OP_SQ: np.square, ca.OP_TWICE: lambda a, out: np.add(a, a, out),
@@ -64,7 +63,7 @@ class Native:
         if made is None:
             name = f"{self._function.name()}_{rows}"
             made = self._function.map(name, "serial", rows, list(common), [])
-            for oldest in list(self._for_rows)[: max(0, len(self._for_rows) - KEPT + 1)]:
+            for oldest in list(self._for_rows)[: max(0, len(self._for_rows) - KEPT_SIZES + 1)]:
                 self._for_rows.pop(oldest, None)  # another thread may have been faster
             self._for_rows[rows, common] = made
         return made

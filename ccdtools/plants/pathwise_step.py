@@ -17,8 +17,9 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Tape, check_sizes
-from ccdtools.plants.on_rows import FEW, InPlace, Native, as_rows
+from ccdtools.plants.on_rows import InPlace, Native, as_rows
 from ccdtools.plants.runge_kutta import ExplicitStep
+from ccdtools.plants.tolerances import FEW_ROWS
 
 
 class PathwiseStep:
@@ -62,7 +63,7 @@ class PathwiseStep:
 
     def advanced(self, x: Array, held: tuple[Array, ...]) -> tuple[Array, list[Array]]:
         """x⁺ (n, nx), and of many runs the states (nx, n) before each part of the sample, and at its end."""
-        if len(x) <= FEW:
+        if len(x) <= FEW_ROWS:
             return self._step.rows(x, held), []
         states = self._step.path(x, held)
         return states[-1].T, states

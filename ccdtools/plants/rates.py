@@ -14,10 +14,7 @@ from ccdtools.arrays import Array, Indices
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbols import term_sizes
-
-ROUNDING = 1e-9  # of the terms that a rate is the sum of: what is left of it at rest
-DEPENDENT = 1e-9  # of the largest pivot: a row or column of the Jacobian that says nothing new
-STARTS = 20  # from which an equilibrium is looked for, the guess first
+from ccdtools.plants.tolerances import DEPENDENT_PIVOT, RATE_ROUNDING, REST_STARTS
 
 
 class Rates:
@@ -65,9 +62,9 @@ class Rates:
     def _rounding(self, z: Array, p: Array) -> Array:
         """What is left of each rate (nx,) at rest by rounding."""
         J = np.abs(self.jacobian(z, p))
-        size = J @ np.abs(z) + J.max(axis=1) * ROUNDING
+        size = J @ np.abs(z) + J.max(axis=1) * RATE_ROUNDING
         terms = np.nan_to_num(np.asarray(self._terms(z, p), dtype=float).ravel(), posinf=0.0)
-        return np.asarray(ROUNDING * np.maximum(size, terms))
+        return np.asarray(RATE_ROUNDING * np.maximum(size, terms))
 
     @cached_property
     def _terms(self) -> ca.Function:
@@ -81,7 +78,7 @@ def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:
     nx = rates.states
     sizes = np.r_[np.full(nx, _size(z[:nx])), np.full(len(z) - nx, _size(z[nx:]))]
     best: tuple[float, Array] = (np.inf, z)
-    for start in range(STARTS):
+    for start in range(REST_STARTS):
         reached = z.copy()
         if start:
             away = 10.0 ** (-(start // 2) if start % 2 else start // 2)  # farther and nearer, a decade at a time
@@ -148,7 +145,7 @@ def independent(J: Array) -> tuple[Indices, Indices]:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     R, columns = qr(J, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(R))
-    rank = int((diagonal > DEPENDENT * diagonal[0]).sum())
+    rank = int((diagonal > DEPENDENT_PIVOT * diagonal[0]).sum())
     columns = np.sort(columns[:rank])
     _, rows = qr(J[:, columns].T, mode="r", pivoting=True)
     return np.sort(rows[:rank]), columns

@@ -10,9 +10,8 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.plants.casadi_arrays import Tape, Vectorised, check_sizes
-from ccdtools.plants.on_rows import FEW, InPlace, Native, as_rows
-
-AT_ONCE = 2048  # runs whose numbers fit into the processor's cache
+from ccdtools.plants.on_rows import InPlace, Native, as_rows
+from ccdtools.plants.tolerances import FEW_ROWS, RUNS_AT_ONCE
 
 
 class ExplicitStep:
@@ -80,9 +79,9 @@ class ExplicitStep:
 
     def rows(self, x: Array, held: tuple[Array, ...]) -> Array:
         """x⁺ (n, nx) of states (n, nx) and u, w and p, (n, ·) or (·,) of what is common to all."""
-        if len(x) <= FEW:
+        if len(x) <= FEW_ROWS:
             return self._native(x, *held)
-        parts = [slice(i, i + AT_ONCE) for i in range(0, len(x), AT_ONCE)]
+        parts = [slice(i, i + RUNS_AT_ONCE) for i in range(0, len(x), RUNS_AT_ONCE)]
         return np.vstack([self.path(x[i], tuple(a if a.ndim == 1 else a[i] for a in held))[-1].T for i in parts])
 
     def path(self, x: Array, held: tuple[Array, ...]) -> list[Array]:

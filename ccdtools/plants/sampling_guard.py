@@ -16,10 +16,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.exceptions import SamplingWarning
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
-
-SHARE = 0.8  # of half the sampling rate: oscillations above it have under 2.5 samples a period
-SAMPLES_PER_PERIOD = 10  # of the sampling time that is recommended instead
-DEAD = math.log(0.01)  # a mode that falls below 1 % within one sample leaves nothing to alias
+from ccdtools.plants.tolerances import ALIASED_DECAY, RESOLVED_SHARE, SAMPLES_PER_PERIOD
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +35,7 @@ class FastestMode(Immutable):
     @property
     def resolved(self) -> bool:
         """Whether the oscillation stays below 0.8 of half the sampling rate."""
-        return self.frequency < SHARE * self.nyquist
+        return self.frequency < RESOLVED_SHARE * self.nyquist
 
     @property
     def better_dt(self) -> float:
@@ -66,7 +63,7 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
         if not np.isfinite(matrix).all():  # said elsewhere, with the design
             return 0.0
         modes = np.linalg.eigvals(matrix)
-        living = modes[modes.real * dt > DEAD]
+        living = modes[modes.real * dt > math.log(ALIASED_DECAY)]
         return float(np.abs(living.imag).max(initial=0.0)) / (2 * np.pi)
 
     points = design.to_unit(design.spread())

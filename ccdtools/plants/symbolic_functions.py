@@ -11,10 +11,9 @@ from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.symbols import as_expression, check_known
+from ccdtools.plants.tolerances import LONGEST_TEXT
 from ccdtools_ground.door import brief
 from ccdtools_ground.user_functions import stopped
-
-LONGEST = 200  # characters of an expression that is shown
 
 Sizes = tuple[int, ...]
 
@@ -122,7 +121,7 @@ class SymbolicFunction:
         for function in self._functions.values():
             columns = [_column(name, function.numel_in(i)) for i, name in enumerate(self.names)]
             text = " ".join(str(function(*columns)).split())
-            return brief(text, LONGEST)
+            return brief(text, LONGEST_TEXT)
         return f"{self.argument}({', '.join(self.names)})"
 
     def serialized(self) -> dict[str, str]:

@@ -8,18 +8,19 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.limit_tolerance import FLOOR
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import tamed
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import (
+    BETTER_SHARE,
+    DISTANCE_COST,
+    LEAST_TOLERANCE,
+    LOST_COST,
+    SIZE_EVALUATIONS,
+    VIOLATION_COST,
+)
 from mpc import NotStabilisableError
-
-FIRST = 20  # evaluations that say how large costs are:
-BETTER = 0.25  # the better ones of them, as designs that lose their runs say nothing
-OUTSIDE = 10.0  # of the cost, per unit-box length squared: what a point loses for its distance from the feasible ones
-BROKEN = 0.05  # of the cost: what exceeding the tolerance of limits by the least that counts costs
-LOST = 1e3  # relative cost of a design where nothing works
 
 
 class ClosedLoop:
@@ -90,7 +91,7 @@ class BlackBox:
     def size(self) -> float:
         """How large costs are."""
         known = [abs(look.cost) for look in self.looks if np.isfinite(look.cost) and look.cost != 0]
-        return float(np.quantile(known[:FIRST], BETTER)) if known else 1.0
+        return float(np.quantile(known[:SIZE_EVALUATIONS], BETTER_SHARE)) if known else 1.0
 
     def begin(self, budget: int, rng: np.random.Generator) -> None:
         """Look at the start, and at random points until there is a value."""
@@ -110,8 +111,9 @@ class BlackBox:
         """The same of what was seen, by the size that is known now."""
         size = self.size
         if not np.isfinite(look.cost):
-            return LOST * size
-        return float(size * (tamed(look.cost / size) + OUTSIDE * look.away + BROKEN * look.violation / FLOOR))
+            return LOST_COST * size
+        violation = VIOLATION_COST * look.violation / LEAST_TOLERANCE
+        return float(size * (tamed(look.cost / size) + DISTANCE_COST * look.away + violation))
 
     def _looked(self, z: Array) -> Look:
         """Evaluate the feasible design that is nearest."""

@@ -16,17 +16,12 @@ from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.feasible import DesignRegion
+from ccdtools.co_design.tolerances import AT_BOUND, COMPRESS_ABOVE, GAINED, INSIDE_EDGES, LOST_COST, SEARCHES_IN_A_ROW
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.tolerances import EXACT
 
 Cost = Callable[[Array], tuple[float, Array]]
 
-TALL = 2.0  # relative cost from which on it counts by its logarithm: into lost runs it grows by 1e7 within one step
-LOST = 1e3  # relative cost of a design where there is none
-AGAIN = 3  # searches that follow one another while they gain
-GAINED = 1e-7  # of the cost
-FEASIBLE = 1e-9  # violation of a point that counts as feasible, in the unit box
-INSIDE = 1e-10  # how far inside the edges the search keeps
-ON_EDGE = 1e-9  # of the unit box: a point this close to a bound is on it
 
 
 class _SpentError(Exception):
@@ -52,8 +47,9 @@ def value_of(cost: Any, v: Array) -> float:
 
 
 def tamed(relative: float) -> float:
-    """A relative cost, beyond `TALL` as a logarithm."""
-    return float(relative) if relative <= TALL else TALL * (1 + float(np.log(relative / TALL)))
+    """A relative cost, beyond `COMPRESS_ABOVE` as a logarithm."""
+    high = relative > COMPRESS_ABOVE
+    return COMPRESS_ABOVE * (1 + float(np.log(relative / COMPRESS_ABOVE))) if high else float(relative)
 
 
 def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> Descent:
@@ -78,11 +74,11 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
     watched = _Watched(cost, space, v, size, evaluations)
     found = watched.found
     constraints = [] if limits is None else [{
-        "type": "ineq", "fun": lambda z: -limits.values(watched.at(z)) - INSIDE,
+        "type": "ineq", "fun": lambda z: -limits.values(watched.at(z)) - INSIDE_EDGES,
         "jac": lambda z: -limits.jacobian(watched.at(z))[:, free],
     }]  # fmt: skip
     try:
-        for _ in range(AGAIN):
+        for _ in range(SEARCHES_IN_A_ROW):
             before = found.cost
             minimize(watched.value, found.v[free], jac=watched.slope, method="SLSQP",
                      bounds=[(0.0, 1.0)] * int(free.sum()), constraints=constraints,
@@ -122,15 +118,15 @@ class _Watched:
     def at(self, z: Array) -> Array:
         """The whole point with the free entries `z`."""
         point = self.start.copy()
-        point[self.free] = np.where(z < ON_EDGE, 0.0, np.where(z > 1 - ON_EDGE, 1.0, z))
+        point[self.free] = np.where(z < AT_BOUND, 0.0, np.where(z > 1 - AT_BOUND, 1.0, z))
         return point
 
     def value(self, z: Array) -> float:
-        """Relative cost, beyond `TALL` its logarithm."""
+        """Relative cost, beyond `COMPRESS_ABOVE` its logarithm."""
         point = self._point(z)
         relative = point.cost / self.size
         if not np.isfinite(relative) or (point.slope is not None and not np.isfinite(point.slope).all()):
-            return LOST
+            return LOST_COST
         return tamed(relative)
 
     def slope(self, z: Array) -> Array:
@@ -142,7 +138,7 @@ class _Watched:
         slope = self._slope(point)[self.free]
         if not np.isfinite(slope).all():
             return np.zeros(len(z))
-        return slope / self.size * (TALL / relative if relative > TALL else 1.0)
+        return slope / self.size * (COMPRESS_ABOVE / relative if relative > COMPRESS_ABOVE else 1.0)
 
     def complete(self) -> None:
         """Have the slope at the best point."""
@@ -174,7 +170,7 @@ class _Watched:
         point = _Point(v, *self.cost(v)) if self.apart is None else _Point(v, self.apart.value(v), None)
         found.evaluations += 1
         self._last = point
-        if point.cost < found.cost and self.space.allowed.violation(v) <= FEASIBLE:
+        if point.cost < found.cost and self.space.allowed.violation(v) <= EXACT:
             found.v, found.cost, self._best = v, point.cost, point
             found.path.append((v, point.cost))
         return point

@@ -11,14 +11,12 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.methods.descent import Cost, value_of
 from ccdtools.co_design.result import Valley
-from ccdtools.plants.design_constraints import ON_EDGE, held
+from ccdtools.co_design.tolerances import AGREEING, COST_STEP, LEVEL_SLOPE, SAME_PLACE
+from ccdtools.plants.design_constraints import held
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.tolerances import ON_EDGE
 
-STEP = 1e-4  # of the unit box: of the differences that a slope is confirmed by
-AGREE = 0.05  # of a slope: what differences and it may differ by,
-LEVEL = 1e-3  # and of the cost per length of the unit box
 OTHERS = "other whole numbers were never looked at: raise starts"
-SAME_PLACE = 0.02  # of the box: two starts this close are one
 
 
 @dataclass(frozen=True)
@@ -79,11 +77,11 @@ def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
         return True
     direction = np.where(free, np.random.default_rng(0).standard_normal(len(v)), 0.0)
     direction /= np.abs(direction).max()
-    centre = np.where(free, np.clip(v, STEP, 1 - STEP), v)
-    ahead, behind = (value_of(cost, centre + side * STEP * direction) for side in (1, -1))
+    centre = np.where(free, np.clip(v, COST_STEP, 1 - COST_STEP), v)
+    ahead, behind = (value_of(cost, centre + side * COST_STEP * direction) for side in (1, -1))
     about = cost(centre)[1]
-    shown = (ahead - behind) / (2 * STEP)
-    return bool(np.isfinite(shown) and abs(shown - about @ direction) <= AGREE * abs(shown) + LEVEL * size)
+    shown = (ahead - behind) / (2 * COST_STEP)
+    return bool(np.isfinite(shown) and abs(shown - about @ direction) <= AGREEING * abs(shown) + LEVEL_SLOPE * size)
 
 
 def start_points(space: DesignSpace, design: Array, found: tuple[Valley, ...], most: int) -> list[Array]:

@@ -18,7 +18,7 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import episode_at, fewer_runs
 from ccdtools.co_design.expert import expert_dataset
-from ccdtools.co_design.landscape import COMBINATIONS, combinations, valleys
+from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
@@ -27,6 +27,15 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
 from ccdtools.co_design.risk import check_followed, measure
 from ccdtools.co_design.task import LimitPenalty, Task
+from ccdtools.co_design.tolerances import (
+    CLIMBED_COMBINATIONS,
+    EXPERT_SAMPLES,
+    MAPPED_PARAMETERS,
+    SAME_PLACE,
+    STARTS_OF_MANY,
+    WARM_START_RUNS,
+    WORTH_A_START,
+)
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
@@ -35,13 +44,6 @@ from ccdtools.statistics import paired_difference
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 from mpc import MPCError
-
-SPOILT_RUNS = 64  # scenarios that a warm start is looked at on
-SAMPLES = 1000  # candidates of the expert's data, where no agent is given
-SAME_PLACE = 0.02  # of the box: two starts this close are one
-HOPEFUL = 0.2  # of the best valley's return, without the cost of its design: one worse by more is not climbed from
-FEW = 4  # starts with the best of many combinations of whole numbers
-MAPPED = 3  # parameters, up to which a second valley of the landscape is climbed from by default
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +115,7 @@ class Learned:
 
 def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: bool = False) -> ActorCritic:
     """An agent that imitates saturated LQR over X and the box of designs."""
-    data = expert_dataset(problem, samples=SAMPLES, rng=rng, progress=progress)
+    data = expert_dataset(problem, samples=EXPERT_SAMPLES, rng=rng, progress=progress)
     return fit_actor_critic(
         data.inputs, data.actions, data.values, action_bounds=problem.action_bounds,
         input_bounds=problem.observation_bounds, rng=rng, progress=progress,
@@ -128,13 +130,13 @@ def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np
     except MPCError:
         return False
     own, other = (
-        closed_loop_returns(problem, controller, design, copy.deepcopy(drawn), runs=SPOILT_RUNS)
+        closed_loop_returns(problem, controller, design, copy.deepcopy(drawn), runs=WARM_START_RUNS)
         for controller in (LearnedPolicy(agent, design), lqr)
     )
     if own.lost.any() or other.lost.any():
         return own.lost_share > other.lost_share
     size = float(problem.made_by_control(other.summary.mean, design))
-    return other.summary.mean - own.summary.mean > HOPEFUL * size
+    return other.summary.mean - own.summary.mean > WORTH_A_START * size
 
 
 def _result(
@@ -219,7 +221,7 @@ def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[
     starts = [np.asarray(design, dtype=float)]
     for valley in found:
         best = found[0].lqr_return
-        hopeful = valley.lqr_return >= best - HOPEFUL * task.problem.made_by_control(best, found[0].design)
+        hopeful = valley.lqr_return >= best - WORTH_A_START * task.problem.made_by_control(best, found[0].design)
         elsewhere = all(_apart(space, space.to_unit(valley.design), space.to_unit(one)) for one in starts)
         if len(starts) < most and hopeful and elsewhere:
             starts.append(valley.design)
@@ -230,8 +232,8 @@ def _by_default(space: DesignSpace) -> int:
     """Starts, unless a number is asked for: of a few combinations of whole numbers all."""
     if space.integer:
         number = combinations(space)
-        return 1 + int(number) if number <= COMBINATIONS else FEW
-    return 3 if space.free.sum() <= MAPPED else 2
+        return 1 + int(number) if number <= CLIMBED_COMBINATIONS else STARTS_OF_MANY
+    return 3 if space.free.sum() <= MAPPED_PARAMETERS else 2
 
 
 def race(

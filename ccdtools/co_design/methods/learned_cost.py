@@ -22,11 +22,10 @@ from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.methods.design_cost import DesignCost
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import POLICY_ITERATIONS
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from learning.networks import ActorCritic
-
-ITERATIONS = 40  # of the policy at every design
 
 
 @dataclass(eq=False)
@@ -61,7 +60,7 @@ class LearnedCost(DesignCost):
     def __call__(self, v: Array) -> tuple[float, Array]:
         """Cost and its slope (np,) at a point (np,) of the unit box."""
         p = self.problem.design.from_unit(v)
-        config = CoDesignConfig(iterations=ITERATIONS, design_rate=0.0, starts=1)
+        config = CoDesignConfig(iterations=POLICY_ITERATIONS, design_rate=0.0, starts=1)
         inner = Learned(by=self.by, agent=self.agent, config=config)
         self.agent = inner.run(replace(self.problem, limit_tolerance="off"), p, self.rng).agent
         self._trained.append((p, self.agent))
@@ -71,7 +70,7 @@ class LearnedCost(DesignCost):
         (slope,) = torch.autograd.grad(cost, point)
         count = len(self.rows) + 1
         lost = float(seen.diverged.double().mean())
-        self.rows.append((count, count * ITERATIONS, p, -cost.item(), 0.0, lost))
+        self.rows.append((count, count * POLICY_ITERATIONS, p, -cost.item(), 0.0, lost))
         return cost.item(), slope.double().numpy()
 
     def controller(self, p: Array) -> Controller:

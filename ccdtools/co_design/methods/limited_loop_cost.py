@@ -10,20 +10,22 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.descent import FEASIBLE, descend
+from ccdtools.co_design.methods.descent import descend
 from ccdtools.co_design.methods.design_cost import End
 from ccdtools.co_design.methods.laws import DesignLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import (
+    LIMIT_ROUNDS,
+    NEGLIGIBLE_GAIN,
+    PRICE_GROWTH,
+    ROUNDS_AT_ONE_DESIGN,
+    ROUNDS_WITHOUT_GAIN,
+    USED_SHARE,
+    WAY_HALVINGS,
+)
+from ccdtools.plants.tolerances import EXACT
 from mpc import NotStabilisableError
-
-ROUNDS = 30  # of the multipliers of limits, at most;
-QUIET = 2  # that gain nothing more among designs that keep the limits,
-STILL = 6  # or that bring no other design where none keeps them, are enough
-LITTLE = 1e-3  # of the return that control makes: a gain of a round without consequence
-DEARER = 2.0  # times the price of limits, beside what it grows by anyway, where a round has not led within them
-HALVINGS = 8  # of the way from a design that keeps the limits to one that does not
-USED = 0.8  # of a tolerance, from which on a limit may hold a design: prices aim at nine tenths
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,7 @@ class LimitedLoopCost(LoopCost):
         found = descend(cost, self.problem.design, v, size=size, evaluations=evaluations)
         penalty = StateLimitPenalty(self.problem)
         ends: list[LimitedEnd] = []
-        for _ in range(ROUNDS if np.isfinite(found.cost) else 0):
+        for _ in range(LIMIT_ROUNDS if np.isfinite(found.cost) else 0):
             seen, penalty = cost.updated(penalty, found.v)
             if bool(seen.diverged.any()):
                 break
@@ -54,7 +56,7 @@ class LimitedLoopCost(LoopCost):
             if not penalty.active or enough or _settled(ends):
                 break
             if not unpriced and violation > 0:
-                penalty = penalty.dearer(DEARER)
+                penalty = penalty.dearer(PRICE_GROWTH)
             cost = LimitedLoopCost(self.problem, self.law, self.scenarios, penalty, cost.rows, cost.evaluations)
             found = descend(cost, self.problem.design, found.v, size=size, evaluations=evaluations)
         if not ends:
@@ -74,7 +76,7 @@ class LimitedLoopCost(LoopCost):
         begin = best.found.v
         assert best.penalty is not None
         near, far = 0.0, 1.0
-        for _ in range(HALVINGS):
+        for _ in range(WAY_HALVINGS):
             share = (near + far) / 2
             v = begin + share * (broken.found.v - begin)
             self.evaluations += 1
@@ -85,7 +87,7 @@ class LimitedLoopCost(LoopCost):
                 continue
             plain = float(-self.problem.risk.values(seen.total).mean())
             penalty = replace(best.penalty, v=torch.tensor(v, dtype=torch.float32))
-            impossible = bool(seen.diverged.any()) or self.problem.design.allowed.violation(v) > FEASIBLE
+            impossible = bool(seen.diverged.any()) or self.problem.design.allowed.violation(v) > EXACT
             if impossible or penalty.violation(seen) > 0 or plain >= best.found.cost:
                 far = share
             else:
@@ -105,7 +107,7 @@ class LimitedLoopCost(LoopCost):
         named = zip(("mean violation of the limits", "peak violation of the limits"), violations)
         measures = (outcome.achieved, outcome.errors, outcome.tolerance, outcome.multipliers)
         used = zip(*(measure.values() for measure in measures))
-        active = [price > 0 and value + error >= USED * most for value, error, most, price in used]
+        active = [price > 0 and value + error >= USED_SHARE * most for value, error, most, price in used]
         return replace(end, limits=outcome, found=replace(end.found, slope=slope),
                        active=dict(one for one, is_so in zip(named, active) if is_so))  # fmt: skip
 
@@ -126,6 +128,7 @@ def _settled(ends: list[LimitedEnd]) -> bool:
     kept = [end.violation <= 0 for end in ends]
     if any(kept):
         costs = np.minimum.accumulate([end.found.cost if keeps else np.inf for end, keeps in zip(ends, kept)])
-        return len(ends) > QUIET and bool(costs[-1 - QUIET] - costs[-1] <= QUIET * LITTLE * ends[-1].size)
-    last = [end.found.v for end in ends[-STILL:]]
-    return len(last) == STILL and all(np.array_equal(v, last[0]) for v in last)
+        n = ROUNDS_WITHOUT_GAIN
+        return len(ends) > n and bool(costs[-1 - n] - costs[-1] <= n * NEGLIGIBLE_GAIN * ends[-1].size)
+    last = [end.found.v for end in ends[-ROUNDS_AT_ONE_DESIGN:]]
+    return len(last) == ROUNDS_AT_ONE_DESIGN and all(np.array_equal(v, last[0]) for v in last)

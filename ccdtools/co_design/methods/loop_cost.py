@@ -18,10 +18,9 @@ from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.task import LimitPenalty
+from ccdtools.co_design.tolerances import COST_STEP
 from ccdtools.controllers.controllers import Controller
 from mpc import NotStabilisableError
-
-STEP = 1e-4  # of the unit box: of differences
 
 
 @dataclass(eq=False)
@@ -82,7 +81,7 @@ class LoopCost(DesignCost):
         slopes = np.zeros((count, len(v)))
         for i in np.flatnonzero(self.problem.design.allowed.free):
             ends = []
-            for side in (STEP, -STEP):
+            for side in (COST_STEP, -COST_STEP):
                 at = v.copy()
                 at[i] = np.clip(v[i] + side, 0.0, 1.0)
                 ends.append((at[i], values(at)))

@@ -33,10 +33,10 @@ from ccdtools.plants.sampled_model import SampledModel
 from learning.networks import ActorCritic
 from mpc import NotStabilisableError
 
-RUNS = {"lqr": 1000, "mpc": 32, "nmpc": 16, "riccati": 1, "trajectory": 8, "rl": 256}  # scenarios of 100 steps
+RUNS = {"lqr": 1000, "mpc": 32, "nmpc": 16, "riccati": 1, "trajectory": 8, "rl": 256}  # Scenarios of 100 steps
 NAMES = {"lqr": "LQR", "mpc": "MPC", "nmpc": "NMPC", "riccati": "Riccati", "trajectory": "trajectory", "rl": "RL"}
-OUTER = {"rl": 12}  # evaluations, where the inside takes long
-ALL = 100
+OUTER = {"rl": 12}  # Evaluations, where the inside takes long.
+EVALUATIONS = 100  # Evaluations of the others.
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Nested:
     ) -> CoDesignResult:
         """The best design found from a feasible design (np,) and other valleys, with its controller."""
         starts = 1 if self.inner == "rl" else self.starts
-        plan = Plan(self.name, starts, self.evaluations or OUTER.get(self.inner, ALL))
+        plan = Plan(self.name, starts, self.evaluations or OUTER.get(self.inner, EVALUATIONS))
         if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):
             return self._of_better_linearisation(plan, problem, design, rng, progress)
         return searched(plan, problem, self._cost_from(problem, rng, progress), design, rng, progress=progress)

@@ -17,13 +17,13 @@ from ccdtools.co_design.methods.path_limits import input_names, path_limits, sta
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import MEAN, Mean, MeanSpread, WorstCase
+from ccdtools.co_design.tolerances import SATURATION
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from mpc import NotStabilisableError
 from mpc.optimal_control import OptimalControlProblem, Phase, Solution, build, solve
 
-SOFT = 1e-3  # of the range of an input: how far from a bound its saturation is rounded off
 CURE = "Nested or learned co-design simulates the problem as it is."
 
 
@@ -100,7 +100,7 @@ def at_the_mean(
 class Feedback:
     """u = −K x, saturated: K among the parameters, after the design, so that it is found with it.
 
-    The saturation is rounded off, by at most half of `SOFT` times the range of an input, so that it has derivatives.
+    The saturation is rounded off, by at most half of `SATURATION` times the range of an input, so that it is smooth.
     """
 
     problem: CoDesignProblem
@@ -129,7 +129,7 @@ class Feedback:
             lower, upper = ca.vertsplit(U.both.function(size)(p[:size]), U.dim)
         else:
             lower, upper = (ca.DM(bound) for bound in self.problem.input_bounds)
-        soft = SOFT * (upper - lower)
+        soft = SATURATION * (upper - lower)
         return (lower + upper + ca.sqrt((asked - lower) ** 2 + soft**2) - ca.sqrt((asked - upper) ** 2 + soft**2)) / 2
 
 

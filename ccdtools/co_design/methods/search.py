@@ -22,20 +22,19 @@ from ccdtools.checks import as_choice, as_count, shown
 from ccdtools.co_design.design_controllers import controller_of
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.black_box import FIRST, BlackBox, ClosedLoop, Look
+from ccdtools.co_design.methods.black_box import BlackBox, ClosedLoop, Look
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.tolerances import CMA_FIRST_STEP, CMA_SETTLED, SIZE_EVALUATIONS
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
 
 LIBRARIES = {"cma": "cma", "bayesian": "optuna"}
-BUDGET = {"cma": 300, "bayesian": 60}  # evaluations
-RUNS = {"lqr": 256, "mpc": 32}  # scenarios of 100 steps
-FIRST_STEP = 0.25  # of CMA-ES, in the unit box
-SETTLED = 1e-3  # of the unit box: spread of CMA-ES at which it has converged
+BUDGET = {"cma": 300, "bayesian": 60}  # Evaluations, by library.
+RUNS = {"lqr": 256, "mpc": 32}  # Scenarios of 100 steps, by controller.
 
 
 @dataclass(frozen=True)
@@ -158,10 +157,10 @@ def _one_strategy(box: BlackBox, first: Array, budget: int, rng: np.random.Gener
     start = np.full(max(n, 2), 0.5)  # a covariance needs two entries: of one parameter the second idles, and costs
     start[:n] = first
     options = {
-        "bounds": [0.0, 1.0], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "tolx": SETTLED, "tolfun": 0.0,
+        "bounds": [0.0, 1.0], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "tolx": CMA_SETTLED, "tolfun": 0.0,
         "tolfunhist": 0.0,
     }  # fmt: skip
-    strategy = cma.CMAEvolutionStrategy(start, FIRST_STEP, options)
+    strategy = cma.CMAEvolutionStrategy(start, CMA_FIRST_STEP, options)
     while not strategy.stop():
         points = strategy.ask()
         left, budget = budget, budget - len(points)
@@ -214,9 +213,10 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
         return min(box(np.where(whole, (asked - low) / (high - low), asked)), level)
 
     try:
-        for until in range(min(FIRST, budget), budget + FIRST, FIRST):
+        for until in range(min(SIZE_EVALUATIONS, budget), budget + SIZE_EVALUATIONS, SIZE_EVALUATIONS):
             # a process that follows the cliffs of lost runs sees nothing of the valleys: the worse half is one level
-            level = float(np.median([box.merit(look) for look in box.looks])) if len(box.looks) >= FIRST else np.inf
+            enough = len(box.looks) >= SIZE_EVALUATIONS
+            level = float(np.median([box.merit(look) for look in box.looks])) if enough else np.inf
             study = optuna.create_study(sampler=sampler)
             study.add_trials([known(look) for look in box.looks])
             study.optimize(value, n_trials=max(min(until, budget) - len(box.looks), 0))

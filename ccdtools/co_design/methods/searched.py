@@ -11,13 +11,12 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.methods.descent import Descent
 from ccdtools.co_design.methods.design_cost import DesignCost, End
-from ccdtools.co_design.methods.holding import OTHERS, SAME_PLACE, confirmed, held_by, start_points
+from ccdtools.co_design.methods.holding import OTHERS, confirmed, held_by, start_points
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, Valley
 from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.tolerances import LEVEL_SLOPE, SAME_PLACE
 from ccdtools.progress import bar
-
-LEVEL = 1e-3  # of the return that control makes, per length of the unit box: a slope without consequence
 
 
 @dataclass(frozen=True)
@@ -106,7 +105,7 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
 
 def _status(problem: CoDesignProblem, best: End, rest: float, held: bool) -> CoDesignStatus:
     """How a search ended, whatever its closed loop does."""
-    if not rest <= LEVEL:  # of a cost that is never twice the same differences would say nothing
+    if not rest <= LEVEL_SLOPE:  # of a cost that is never twice the same differences would say nothing
         agree = not best.cost.repeatable or confirmed(best.cost, problem.design, best.found.v, size=best.size)
         return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED
     return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED

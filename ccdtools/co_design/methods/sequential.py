@@ -23,10 +23,10 @@ from ccdtools.co_design.methods.searched import Plan, searched
 from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.tolerances import STABLE
 
 CRITERIA = ("auto", "passive", "open_loop")
-RUNS = 1000  # scenarios of 100 steps
-STABLE = 1e-6  # how far inside the unit circle eigenvalues are: a body that is free to drift is not stable
+RUNS = 1000  # Scenarios of 100 steps.
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from mpc import NotStabilisableError
 from mpc.optimal_control import OptimalControlProblem, OptimalControlStatus, Solution, build, solve
 
 UNKNOWNS = ("trajectory", "gain")
-RUNS = {"trajectory": 8, "gain": 16}  # scenarios, each with trajectories of its own
+RUNS = {"trajectory": 8, "gain": 16}  # Scenarios; each has trajectories of its own.
 
 
 @dataclass(frozen=True)
