@@ -95,7 +95,7 @@ class Ascent:
 
     @property
     def ended(self) -> bool:
-        """Whether it has settled, or spent its budget."""
+        """True if the co-design has settled, or spent its budget."""
         return self.status is not None
 
     @property
@@ -110,7 +110,7 @@ class Ascent:
         return wrong and self.region.free.sum() <= FEW_PARAMETERS and self.task.config.design_gradient == "pathwise"
 
     def block(self, bar: tqdm) -> None:
-        """One block of iterations, and what it brought."""
+        """Run one block of iterations and return what it brought."""
         config = self.task.config
         before = self.best
         length = min(self.longer * config.block, config.iterations - self.iterations)
@@ -141,7 +141,7 @@ class Ascent:
         self.status = self._verdict(improving, climbing)
 
     def _verdict(self, improving: bool, climbing: bool) -> CoDesignStatus:
-        """How it ended, whatever its closed loop does."""
+        """Status of the co-design, whatever its closed loop does."""
         if self.task.moving and self._untrusted():
             return CoDesignStatus.GRADIENT_UNTRUSTED
         if improving:
@@ -174,7 +174,7 @@ class Ascent:
 
     @property
     def _size(self) -> float:
-        """How large the best return is, without the cost of its design."""
+        """Size of the best return, without the cost of its design."""
         best = self.best
         return float(self.task.judge.made_by_control(best.score, to_design(self.task.judge, best.v)))
 
@@ -207,7 +207,10 @@ class Ascent:
             self.v.copy_(self.best.v)
 
     def _climb(self, length: int, bar: tqdm) -> None:
-        """At most so many evaluations of L-BFGS-B on one set of scenarios."""
+        """Climb by at most so many evaluations of L-BFGS-B.
+
+        All are on one set of scenarios.
+        """
         scenarios = self.drawn(self.task.config.pathwise_runs)
         samples = scenarios[1].shape[0] * scenarios[1].shape[1]
 
@@ -233,7 +236,7 @@ class Ascent:
         return self.limited
 
     def _follow(self, length: int, bar: tqdm) -> None:
-        """So many steps of Adam, and of PPO where it has a part, on fresh scenarios."""
+        """Take so many steps of Adam on fresh scenarios, and of PPO where it has a part."""
         for k in range(length):
             self.iterate(k, length)
             self.count(bar)
@@ -241,7 +244,7 @@ class Ascent:
                 self.keep(self.evaluated())
 
     def count(self, bar: tqdm) -> None:
-        """One more iteration."""
+        """Count one more iteration."""
         self.iterations += 1
         most = self.task.config.iterations
         at(f"iteration {self.iterations} of at most {most}", self.iterations / most)
@@ -348,7 +351,7 @@ class Ascent:
         return History(*(np.array(column) for column in zip(*self.rows)))
 
     def convergence(self) -> Convergence:
-        """What the status rests on."""
+        """Evidence that the status rests on."""
         slope = self.slope
         return Convergence(self.gain, slope.mean, slope.error, self.by_differences, self.blocks, self.iterations)
 

@@ -31,7 +31,7 @@ class Method(Protocol):
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         ...
 
     def run(

@@ -129,7 +129,7 @@ def _compared(
 def _run(
     problem: CoDesignProblem, seed: int, design: Array | None, progress: bool, method: Method
 ) -> CoDesignResult | str:
-    """What a method finds, or why it refuses."""
+    """Result of a method, or the reason why it refuses."""
     try:
         found = codesign(problem, method=method, rng=np.random.default_rng(seed), design=design, progress=progress)
         if getattr(method, "judge", None) is None:

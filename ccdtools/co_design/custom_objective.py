@@ -141,7 +141,7 @@ def output_objective(plant: Plant, *, weights: Any, R: Any = 0.0, **others: Any)
     observe = plant.output
 
     def stage_cost(x: Any, u: Any, p: Any) -> Any:
-        """Of CasADi columns."""
+        """Cost of a step, of CasADi columns."""
         y = observe(x, u, p)
         return y.T @ W @ y + u.T @ given @ u
 

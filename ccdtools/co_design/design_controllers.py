@@ -25,7 +25,7 @@ ON_TANGENT = "The plant is not linear: LQR, MPC, expert and landscape are of its
 
 
 def tangent_note(problem: CoDesignProblem) -> str:
-    """That LQR and what is made of it stand on the tangent at rest; empty where the plant is linear."""
+    """Note that LQR and its kind stand on the tangent at rest; empty if linear."""
     return ON_TANGENT if isinstance(problem.model, SampledModel) else ""
 
 

@@ -114,7 +114,7 @@ def standard_error(by_run: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """How the mean return rises with the design, as far as the unit box has room."""
+    """Rise of the mean return with the design, as far as the unit box has room."""
 
     # finite differences and their standard errors, per length of the unit box; 0 where a bound leaves no room
     mean: Array  # (np,)
@@ -132,12 +132,12 @@ class Slope:
 
     @classmethod
     def measured(cls, differences: Differences, v: Tensor) -> Slope:
-        """At a point of the unit box."""
+        """Slope by differences at a point of the unit box."""
         return cls.of(differences.about(v, differences.step(v)), v)
 
     @classmethod
     def of(cls, by_run: Tensor, v: Tensor) -> Slope:
-        """From the slopes of every run (n, np) at a point of the unit box."""
+        """Slope from those of every run (n, np), at a point of the unit box."""
         both = np.stack([by_run.mean(0).numpy(), standard_error(by_run).numpy()])
         point = v.double().numpy()
         room = np.where(both[0] > 0, 1.0 - point, point)
@@ -154,7 +154,7 @@ class Slope:
         return _brings(self.across, self.across_error, np.full(len(self.across), SLOPE_AHEAD), gain)
 
     def unresolved(self, size: float) -> bool:
-        """Whether its error is so large, beside returns of that size, that it says nothing."""
+        """True if the error is too large beside returns of that size."""
         return bool((self.error * SLOPE_AHEAD > UNRESOLVED_SLOPE * size).any() or not np.isfinite(self.error).all())
 
 

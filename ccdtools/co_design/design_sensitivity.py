@@ -59,7 +59,7 @@ class DesignSensitivity(Immutable):
 
     @property
     def elasticities(self) -> Array:
-        """By how many per cent J* changes with each design parameter per per cent, (np,); 0 where J* is nothing."""
+        """Change of J* [%] per per cent of each parameter (np,); 0 where J* is 0."""
         return self.cost_by_design * self.design / self.cost if self.cost else np.zeros_like(self.design)
 
 
@@ -67,7 +67,7 @@ def design_sensitivity(
     problem: CoDesignProblem, design: ArrayLike, x0: ArrayLike | None = None, *, controller: str = "lqr",
     horizon: int = HORIZON,
 ) -> DesignSensitivity:  # fmt: skip
-    """How optimal cost and control law of the undisturbed model change with the design, exactly.
+    """Exact slopes of optimal cost and control law of the undisturbed model by the design.
 
     Parameters
     ----------

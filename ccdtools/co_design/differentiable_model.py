@@ -100,7 +100,7 @@ class Stepper:
         return x0.new_zeros(len(x0), x0.shape[-1] if discrepancy is None else discrepancy.error_size)
 
     def drive(self, w: Tensor) -> Tensor:
-        """What a disturbance (n, T, nw) adds to the states of a linear model, (n, T, nx).
+        """Effect of a disturbance (n, T, nw) on the states of a linear model, (n, T, nx).
 
         The disturbance itself where the model is not linear, the noise itself where errors are learned.
         """
@@ -122,7 +122,7 @@ class Stepper:
     def _sampled(
         self, model: SampledModel, x: Tensor, e: Tensor, u: Tensor, drive: Tensor
     ) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-        """The same of a model that is not linear."""
+        """Next states, errors and penalties of a model that is not linear."""
         discrepancy = self.problem.discrepancy
         if discrepancy is None:
             return model.pathwise(x, u, drive, self.p), e, ()
@@ -138,7 +138,7 @@ class Stepper:
         return rewards.unflatten(0, x_next.shape[:2])
 
     def final_rewards(self, x: Tensor) -> Tensor | None:
-        """What the states (n, nx) at the end of an episode add, (n,); None where nothing does."""
+        """Rewards (n,) of the states (n, nx) that end an episode; None if nothing counts."""
         final: Tensor | None = self.problem.objective.final_rewards(x, self.p)
         return final
 
@@ -147,7 +147,7 @@ class Stepper:
         return ~(x.abs() <= self.limit).all(-1)
 
     def outside(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
-        """How far steps are outside the limits, (..., n): the largest violation, in half-widths.
+        """Largest violation of the limits by steps (..., n), in half-widths.
 
         Of a facet of X by the next states (..., n, nx), or of a limit of an output by inputs and present states.
         """

@@ -28,7 +28,7 @@ Law = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What came of n episodes; returns and depths are differentiable."""
+    """Outcome of n episodes; returns and violations are differentiable."""
 
     total: Tensor  # (n,): undiscounted returns, in double precision
     diverged: Tensor  # (n,) bool: runs that passed the divergence limit; they are frozen there and earn nothing more
@@ -40,7 +40,7 @@ class Episode:
 
 @dataclass(frozen=True, eq=False)
 class _Progress:
-    """Where n episodes stand after a segment: states, errors of the model, and the sums so far."""
+    """State of n episodes after a segment: states, model errors and sums so far."""
 
     x: Tensor
     e: Tensor
@@ -153,7 +153,7 @@ def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) 
 
 
 def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progress) -> tuple[Tensor, ...]:
-    """As `_segment`, with every run frozen from the step at which it passed the divergence limit."""
+    """Like `_segment`, with each run frozen once it passes the divergence limit."""
     drive = step.drive(w)
     x, e, running, total, depth, peak, outside = progress.tensors()
     for k in range(w.shape[1]):

@@ -1,4 +1,4 @@
-"""What an expert would do, over the whole box of states and designs.
+"""Expert inputs over the whole box of states and designs.
 
 References
 ----------

@@ -171,7 +171,7 @@ class SetFilters:
         return u
 
     def _filter(self, g: int) -> AdmissibleInputs:
-        """What keeps the next state of group g in its set."""
+        """Filter that keeps the next state of group g in its set."""
         if g not in self._filters:
             i = self.groups[g][0]
             U = self.problem.input_limits(self.model.designs[i])

@@ -99,7 +99,7 @@ class FeasibleSlope(Slope):
 
     @classmethod
     def within(cls, by_run: Array, point: Array, limits: UnitConstraints, free: Any) -> FeasibleSlope:
-        """From the slopes of every run (n, np) at a point of the unit box."""
+        """Slope from those of every run (n, np), at a point of the unit box."""
         b = by_run.mean(axis=0)
         far = best_step(limits, point, b, free)
         outward, distances = limits.edges(point)

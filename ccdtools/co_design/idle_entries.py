@@ -77,7 +77,7 @@ def acting_together(problem: Any) -> str:
 
 
 def _idle(problem: Any, entries: Any, *, disturbance: float) -> Any:
-    """Those of some entries that change no term, with disturbances of one size."""
+    """Entries that change no term, of those given, with disturbances of one size."""
     extents = _extents(problem, disturbance)
     for term in _terms(problem, extents):
         entries = entries[~_acting(term, problem.design, entries, extents)] if len(entries) else entries
@@ -182,7 +182,7 @@ def _named(problem: Any, entries: Any) -> str:
 
 
 def _disturbance(problem: Any, runs: int) -> Array:
-    """Some runs of the disturbance, (runs, steps, nw)."""
+    """Disturbance (runs, steps, nw) of some runs."""
     return np.asarray(problem.scenarios.sample(runs, problem.steps, np.random.default_rng(0))[1])
 
 

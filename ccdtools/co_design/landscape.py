@@ -141,7 +141,7 @@ def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gener
 
 
 def combinations(space: DesignSpace) -> float:
-    """How many combinations of whole numbers a design may have; 1 where there are no whole numbers."""
+    """Number of combinations of whole numbers; 1 without whole numbers."""
     lower, upper = (bound[space.whole] for bound in space.outermost)
     return float(np.prod(upper - lower + 1.0))
 
@@ -208,7 +208,7 @@ def _hilltops(V: Array, J: Array) -> list[int]:
 def _climbed(
     landscape: Landscape, V: Array, J: Array, *, across: bool = False, seen: bool = False
 ) -> tuple[Array, Array]:
-    """Where compass search from each point (n, np) ends, and the returns there.
+    """End of compass search from each point (n, np), and the returns there.
 
     With `across`, along whole numbers too, one at least at a time; with `seen`, all points that were looked at.
     """

@@ -1,4 +1,4 @@
-"""What a co-design by learning returns beside the rest: the agent, and how policy and design came about."""
+"""Result of a co-design by learning: agent, and history of policy and design."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class GradientCheck(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Convergence(Immutable):
-    """What a status rests on.
+    """Evidence that a status rests on.
 
     Attributes
     ----------
@@ -175,12 +175,12 @@ class LearnedCoDesign(CoDesignResult):
         return self.controller
 
     def _values(self) -> dict[str, Any]:
-        """How it ended, and what it rests on."""
+        """Status, and the evidence for it, as plain values."""
         convergence = None if self.convergence is None else asdict(self.convergence)
         return super()._values() | {"gains": dict(self.gains), "convergence": convergence}
 
     def _ended(self) -> list[str]:
-        """How it ended, and what did the work, one line each."""
+        """Status, and the methods that did the work, one line each."""
         ended = "" if self.convergence is None else f" after {self.convergence.iterations} iterations"
         lines = [f"{self.method}: {self.status.value}{ended}. {self.status.advice}"]
         if self.gains:
@@ -189,7 +189,7 @@ class LearnedCoDesign(CoDesignResult):
         return lines + self._of_loop()
 
     def _remarks(self) -> list[str]:
-        """What else is to be known, one line each."""
+        """Other remarks, one line each."""
         if self.convergence is not None and self.convergence.by_differences:
             followed = "the design followed finite differences: the gradient through the model was wrong"
             return [followed, *super()._remarks()]

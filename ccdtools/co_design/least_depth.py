@@ -1,4 +1,4 @@
-"""How far outside X a start forces every controller."""
+"""Least violation of X that a start forces on every controller."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def unavoidable_depth(problem: CoDesignProblem, design: Array) -> tuple[float, f
 
 
 def unavoidable_text(here: float, anywhere: float) -> str:
-    """What `unavoidable_depth` found, as a sentence; empty where the limits can be kept."""
+    """Sentence on the outcome of `unavoidable_depth`; empty if the limits can be kept."""
     if here == 0.0:
         return ""
     where = f"; the least over the box of designs is {anywhere:.3g}" if anywhere > 0 else "; other designs can keep it"

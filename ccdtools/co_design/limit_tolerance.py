@@ -1,4 +1,4 @@
-"""How often and how far a design may leave X: what the user allows, or what MPC of the same design does."""
+"""Tolerance of a design: what the user allows, or what MPC violates there."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tenso
 
 
 def tolerance_at(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> tuple[Pair, Pair]:
-    """What MPC lets one design have, and its standard errors; the least there is where there is no MPC."""
+    """Tolerance by MPC at one design, with standard errors; the least without MPC."""
     try:
         seen = mpc_episodes(problem, v, scenarios)
     except NotStabilisableError:
@@ -97,7 +97,7 @@ def tolerance_at(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, T
 
 
 def _beside(seen: Episode) -> Tensor:
-    """What episodes of MPC let a design have, (2,); the least there is where MPC loses every run."""
+    """Tolerance (2,) by episodes of MPC; the least where MPC loses every run."""
     fraction, depth = measured(seen).values()
     beside = BESIDE_MPC * torch.tensor([fraction, depth], dtype=torch.float64)
     return beside.nan_to_num(nan=LEAST_TOLERANCE).clamp(min=LEAST_TOLERANCE)
@@ -120,7 +120,7 @@ def measured(episode: Episode) -> Pair:
 
 
 def expected_at_most(episode: Episode) -> Pair:
-    """What is `measured`, and a standard error more: what fresh runs are expected to keep to."""
+    """Measures plus one standard error, which fresh runs are expected to keep to."""
     return Pair(*(sum(pair) for pair in zip(measured(episode).values(), measurement_errors(episode).values())))
 
 

@@ -50,7 +50,7 @@ from ccdtools.co_design.tolerances import (
 
 @dataclass(frozen=True)
 class LimitsOutcome:
-    """How a co-design kept its state limits.
+    """Violation of the state limits by a co-design, beside its tolerance.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class LimitsOutcome:
 
 @dataclass(frozen=True, eq=False)
 class Prices:
-    """What one more of the mean depth, one more of the peak depth, and a step of the design (np,) cost."""
+    """Price of one more of the mean depth, of the peak depth, and of a design step (np,)."""
 
     depth: float
     peak: float
@@ -134,12 +134,14 @@ class StateLimitPenalty:
         return any(multiplier > 0 for multiplier in self.multipliers.values())
 
     def violation(self, episode: Episode) -> float:
-        """By how much the tolerance of the present design is exceeded; 0 where it is kept."""
+        """Excess over the tolerance of the present design; 0 where it is kept."""
         pairs = zip(expected_at_most(episode).values(), self._allowed.values())
         return max(0.0, *(value - most for value, most in pairs))
 
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
-        """What leaving X costs episodes at the point `v` of the unit box, (), as part of the return; differentiable.
+        """Cost () of leaving X at the point `v` of the unit box, as part of the return.
+
+        It is differentiable.
 
         The fraction of the states outside X has no gradient: it is as the mean depth, in units of `spread`.
         """
@@ -150,7 +152,7 @@ class StateLimitPenalty:
         return size * multipliers @ _penalty(_relative_excess(means, self.tolerance.at(v)))
 
     def prices(self, episode: Episode, v: Tensor) -> Prices:
-        """What is paid for more of either depth, and for another design, while episodes are such as these."""
+        """Price of either depth, and of another design, for episodes such as these."""
         depth, peak, v = (tensor.detach().clone().requires_grad_(True) for tensor in (episode.depth, episode.peak, v))
         with torch.enable_grad():
             cost = self.cost(replace(episode, depth=depth, peak=peak), v)
@@ -171,13 +173,13 @@ class StateLimitPenalty:
         return replace(self, tolerance=tolerance, v=v, seen=seen, multipliers=Pair(*multipliers), spread=spread)
 
     def dearer(self, factor: float) -> StateLimitPenalty:
-        """The same with the price of what was last left further than the tolerance multiplied."""
+        """This penalty with a multiplied price of each measure that exceeded its tolerance."""
         broken = (value > most for value, most in zip(self.seen.values(), self._allowed.values()))
         prices = (price * factor if is_so else price for price, is_so in zip(self.multipliers.values(), broken))
         return replace(self, multipliers=Pair(*prices))
 
     def outcome(self, episode: Episode) -> LimitsOutcome:
-        """How the iterate of these episodes keeps the limits."""
+        """Violation of the limits by the iterate of these episodes."""
         outputs = self.judge.output_limits is not None
         achieved, errors = measured(episode), measurement_errors(episode)
         return LimitsOutcome(achieved, self._allowed, self.tolerance.source, self.multipliers, outputs, errors)
@@ -188,7 +190,7 @@ class StateLimitPenalty:
         return self.tolerance.allowed if self.v is None else Pair(*self.tolerance.at(self.v).tolist())
 
     def _tolerance(self, seen: Pair, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
-        """That of the design `v`: the user's, or what MPC does there if X is left at all."""
+        """Tolerance of the design `v`: the user's, or by MPC if X is left at all."""
         asked = self.judge.limit_tolerance
         if not isinstance(asked, str):
             return Tolerance(Pair(*asked), "asked for")
@@ -198,7 +200,7 @@ class StateLimitPenalty:
 
 
 def _relative_excess(means: Tensor, allowed: Tensor) -> Tensor:
-    """By how much each measure exceeds what the multipliers aim at, relative to the tolerance, (2,)."""
+    """Excess (2,) of each measure over the multipliers' aim, relative to the tolerance."""
     return (means - AIMED_SHARE * allowed) / allowed.clamp(min=LEAST_TOLERANCE)
 
 

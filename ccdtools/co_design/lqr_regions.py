@@ -30,7 +30,7 @@ from mpc import NotStabilisableError, lqr
 
 @dataclass(frozen=True, eq=False)
 class LQRRegions:
-    """One region for each of n designs.
+    """Regions of n designs, one each.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> A
 
 
 def _own(value: Array, of: Any, usual: int) -> Array:
-    """What an array holds for a design, or for some, where it has one dimension more than usual; else itself."""
+    """Rows of an array for a design, or for some; the array itself if all share it."""
     return value[of] if value.ndim > usual else value
 
 

@@ -82,7 +82,7 @@ class MethodComparison(Immutable):
 
     @property
     def verdict(self) -> list[str]:
-        """What the table says, one sentence or two a line: which methods are equal, which one wins, and why."""
+        """Sentences on which methods are equal, which one wins, and why."""
         return method_verdicts(self)
 
     def percent(self, difference: float) -> float:
@@ -90,7 +90,7 @@ class MethodComparison(Immutable):
         return 100 * difference / self.size
 
     def table(self) -> list[dict[str, Any]]:
-        """One dictionary of plain values per method, the same keys in each; NaN or "" where there is nothing."""
+        """Plain values, one dictionary per method with the same keys; NaN or "" where there is nothing."""
         return [self._cells(row) for row in self.rows]
 
     def to_csv(self, path: str | Path) -> Path:
@@ -178,7 +178,7 @@ class MethodComparison(Immutable):
 
 
 def held(result: CoDesignResult) -> str:
-    """What holds a design, in words; empty if nothing does."""
+    """Text on the active bounds and constraints of a design; empty if there are none."""
     bounds = [f"{name} {side}" for name, side in result.active_bounds.items()]
     return ", ".join([*bounds, *result.active_constraints])
 

@@ -1,4 +1,4 @@
-"""What controllers bring in closed loop, and what methods found in pairs with one of them."""
+"""Closed-loop returns of controllers, and of methods in pairs with one of them."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def closed_loop_returns(
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MethodRow(Immutable):
-    """What one method came to.
+    """Outcome of one method.
 
     Attributes
     ----------
@@ -119,14 +119,14 @@ class MethodRow(Immutable):
 
     @property
     def closed_loop(self) -> ClosedLoopReturns:
-        """What was measured; only of a method that did not refuse."""
+        """Measured returns of a method that did not refuse."""
         assert self.result is not None
         assert self.result.closed_loop is not None
         return self.result.closed_loop
 
     @property
     def sound(self) -> bool:
-        """Whether it found something, and its own account is not of lost runs, or of limits that are not kept."""
+        """True if a design was found whose own account has no lost runs or broken limits."""
         return self.result is not None and self.result.status not in UNSOUND
 
 
@@ -166,7 +166,7 @@ class Pairs:
         )  # fmt: skip
 
     def _first(self, result: CoDesignResult, runs: int) -> ClosedLoopReturns:
-        """A result on the first so many of its scenarios."""
+        """Closed-loop returns of a result on the first so many of its scenarios."""
         assert result.closed_loop is not None
         if len(result.closed_loop.values) == runs:
             return result.closed_loop
@@ -189,5 +189,5 @@ class Pairs:
 
 
 def scenarios_of(seed: int) -> np.random.Generator:
-    """What draws the scenarios of a seed that `codesign` measures on."""
+    """Generator of the scenarios of a seed that `codesign` measures on."""
     return np.random.default_rng(seed).spawn(1)[0]

@@ -26,7 +26,10 @@ MARKERS = "osD^vPX*<>h"
 
 
 def plot_methods(comparison: Any) -> Figure:
-    """Of a `MethodComparison`: return against time, and the designs; of more than two parameters in parts of ranges."""
+    """Plot return against time and the designs of a `MethodComparison`.
+
+    Designs of more than two parameters are shown in parts of their ranges.
+    """
     rows = [row for row in comparison.rows if row.result is not None]
     with styled():
         figure = blank(10.5, 5.0)
@@ -159,7 +162,7 @@ def _map(
 def _ranges(
     ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], shown: Sequence[int]
 ) -> None:
-    """Where in its range every parameter ended, one row each."""
+    """Draw where in its range every parameter ended, one row each."""
     space = comparison.problem.design
     middle = (len(rows) - 1) / 2
     for y, i in enumerate(shown):
@@ -194,7 +197,7 @@ def _axis_label(space: DesignSpace, i: int) -> str:
 
 
 def plot_trade_off(found: Any) -> Figure:
-    """Of a `TradeOff`: what control brings against what the design costs, and the designs over the price."""
+    """Plot what control brings over the design cost, and designs over the price, of a `TradeOff`."""
     space = found.space
     shown = _axes_of(space)
     with styled():

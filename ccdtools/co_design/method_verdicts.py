@@ -1,4 +1,4 @@
-"""What a comparison of methods says, in words."""
+"""Verdicts of a comparison of methods, in words."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SAME = 0.5  # Two methods are equal if they differ by at most this part of the r
 
 
 def method_verdicts(comparison: Any) -> list[str]:
-    """Of a `MethodComparison`: which methods are equal, which one wins, which lose, by which part; which refused."""
+    """Verdicts on a `MethodComparison`: methods that are equal, win, lose or refused, and why."""
     rows = [row for row in comparison.rows if row.result is not None]
     refused = [f"{row.name} refused: {row.refused}" for row in comparison.rows if row.result is None]
     if not rows:
@@ -35,7 +35,7 @@ def leaves_limits(comparison: Any, row: Any) -> bool:
 
 
 def signed(percent: float) -> str:
-    """With its sign and two decimals; what rounds to nothing is 0."""
+    """Number as text with sign and two decimals; what rounds to nothing is 0."""
     return f"{percent:+.2f}" if abs(percent) >= 0.005 else "0"
 
 

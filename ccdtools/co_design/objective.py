@@ -1,4 +1,4 @@
-"""What a co-design is judged by: a cost of every step, a cost of the end, and a cost of the design itself."""
+"""Objective of a co-design: costs of every step, of the end, and of the design."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Objective(Immutable):
         raise NotImplementedError
 
     def final_rewards(self, x: Any, p: Any) -> Any:
-        """What the state (..., nx) at the end of an episode adds, (...,); None where nothing does."""
+        """Rewards (...,) of the state (..., nx) that ends an episode; None if nothing counts."""
         return None
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
@@ -96,14 +96,17 @@ class Objective(Immutable):
         return self.design_cost.scalar(p.shape[-1])(p)[..., 0] * (steps / (self.episode or steps))
 
     def made_by_control(self, value: Any, p: Any, steps: int) -> Any:
-        """How large a return is without the cost of its design, (...,): what differences are compared with.
+        """Size (...,) of a return without its design cost, which differences are compared with.
 
         A large J_d is a part of every return, and nothing that a controller does would matter beside it.
         """
         return abs(value + self.cost_of_design(p, steps))
 
     def over(self, steps: int) -> Self:
-        """The same with `design_cost` set against an episode of so many steps, if it says nothing of its own."""
+        """This objective with `design_cost` set against an episode of so many steps.
+
+        An objective that states its own episode keeps it.
+        """
         return self if self.design_cost is None or self.episode is not None else replace(self, episode=steps)
 
     def describe(self) -> dict[str, Any]:

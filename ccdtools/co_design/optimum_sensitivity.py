@@ -28,7 +28,7 @@ INNER = ("lqr", "riccati")
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class OptimumSensitivity(Immutable):
-    """How the best design moves with a value θ.
+    """Movement of the best design with a value θ.
 
     Attributes
     ----------

@@ -76,11 +76,11 @@ class Retuned:
         return simulated(self._stepper, inputs, self._scenarios, depths=depths)
 
     def values(self, r: Tensor) -> Tensor:
-        """What counts of the returns, (n,)."""
+        """Values (n,) of the returns by the risk."""
         return self._stepper.problem.risk.values(self.episode(r).total)
 
     def on(self, scenarios: ScenarioTensors) -> Retuned:
-        """The same in other scenarios."""
+        """This policy in other scenarios."""
         other = copy.copy(self)
         other._scenarios = (scenarios[0].double(), scenarios[1].double())
         return other
@@ -103,7 +103,10 @@ class Retuned:
 
 
 def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors) -> GradientCheck:
-    """Its slopes along a few random changes of its last layer: through the model, and by differences."""
+    """Slopes of a policy along a few random changes of its last layer.
+
+    They are taken through the model, and by differences.
+    """
     retuned = Retuned(problem, policy, scenarios)
     size = int(np.prod(retuned.shape))
     drawn = np.random.default_rng(0).standard_normal((size, min(CHECKED_DIRECTIONS, size)))
@@ -142,7 +145,7 @@ def _check(pathwise: Tensor, by_difference: Tensor, scale: float) -> GradientChe
 def better_by_search(
     problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors, fresh: ScenarioTensors
 ) -> PairedDifference:
-    """By how much the best policy that a search on some scenarios finds is better, on fresh ones.
+    """Gain of the best policy that a search on some scenarios finds, on fresh ones.
 
     None that leaves the limits further, or loses more runs, counts.
     """
@@ -152,7 +155,7 @@ def better_by_search(
     most = _left(retuned.episode(nothing, depths=True))
 
     def cost(z: Array) -> float:
-        """Of a vector of numbers."""
+        """Cost of a vector of numbers; infinite where limits are left further."""
         seen = retuned.episode(torch.tensor(z.reshape(retuned.shape)), depths=True)
         return -float(problem.risk.values(seen.total).mean()) if (_left(seen) <= most).all() else np.inf
 
@@ -167,5 +170,5 @@ def better_by_search(
 
 
 def _left(seen: Episode) -> Array:
-    """How often and how far limits are left, and the share of the runs that are lost, (3,)."""
+    """Frequency and depth of violations, and the share of lost runs, (3,)."""
     return np.array([float(part.double().mean()) for part in (seen.outside, seen.peak, seen.diverged)])

@@ -99,7 +99,7 @@ class PPOPart:
         return loss_gradient(self.problem, self.agent, v, prepare(self.agent, rollout, self.config), self.config)
 
     def update(self, rollout: Rollout, *, factor: float, actor: bool) -> None:
-        """One update of critic and, if asked, actor, at a part of their first rates."""
+        """Update the critic and, if asked, the actor, at a part of their first rates."""
         for optimiser, rate in (
             (self.optimisers.actor_optimiser, self.config.learning_rate),
             (self.optimisers.critic_optimiser, self.config.value_rate),

@@ -25,7 +25,9 @@ from invariant_sets import Polytope
 def previewed_problem(
     problem: CoDesignProblem, steps: int, *, channels: Sequence[int] | None = None, W: Any = None
 ) -> CoDesignProblem:
-    """The same problem with disturbances known ahead: LQR, MPC, the expert and the learned policy see them.
+    """Problem with disturbances known ahead.
+
+    LQR, MPC, the expert and the learned policy see them.
 
     Its state is (x, w_k, …, w_{k+N−1}), see `with_preview`; a policy found for it runs on the plant itself as
     `Previewing(policy, steps)`. X_fea of so many states is out of reach: `expert_dataset` falls back on the region that
@@ -120,7 +122,7 @@ class PreviewedObjective(Objective):
 
     @classmethod
     def of(cls, own: Objective, length: int) -> PreviewedObjective:
-        """With the cost of the design that the other has."""
+        """Objective `own` before a register, with the design cost of `own`."""
         return cls(own, length, design_cost=own.design_cost, episode=own.episode)
 
     def __repr__(self) -> str:
@@ -136,11 +138,11 @@ class PreviewedObjective(Objective):
         return self.own.rewards(self._own(x_next), u, None if x is None else self._own(x), p)
 
     def final_rewards(self, x: Any, p: Any) -> Any:
-        """What the other's end adds."""
+        """Rewards of the end by `own`, without the register."""
         return self.own.final_rewards(self._own(x), p)
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
-        """The other's, with none on the register."""
+        """Weights of `own`, with none on the register."""
         return _with_register(self.own.weights(p, nx - self.length, nu), self.length)
 
     def check(self, nx: int, nu: int, designs: int) -> None:
@@ -148,7 +150,7 @@ class PreviewedObjective(Objective):
         self.own.check(nx - self.length, nu, designs)
 
     def describe(self) -> dict[str, Any]:
-        """The other's."""
+        """Description of `own`."""
         return self.own.describe()
 
     def _own(self, x: Any) -> Any:
@@ -163,11 +165,11 @@ def _with_register(own: Weights, length: int) -> Weights:
 
 
 def _previewed_output_limits(limits: OutputLimits, nx: int) -> OutputLimits:
-    """The same limits, of the first nx states."""
+    """Limits of outputs of the first nx states."""
     own = limits.outputs
 
     def outputs(x: Any, u: Any, p: Any) -> Any:
-        """Of CasADi columns."""
+        """Outputs of CasADi columns, from the states without the register."""
         return own.function(nx, u.numel(), p.numel())(x[:nx], u, p)
 
     return replace(limits, outputs=outputs)
@@ -196,7 +198,7 @@ class PreviewedScenarios(Immutable):
 
     @property
     def disturbance(self) -> Any:
-        """What drives the model where its register does not matter; None where the scenarios do not say."""
+        """Disturbance of the model where its register does not matter; None if the scenarios have none."""
         return getattr(self.own, "disturbance", None)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -206,7 +208,10 @@ class PreviewedScenarios(Immutable):
 
 
 def shifted(w: Array, steps: int, channels: Sequence[int]) -> Array:
-    """What enters a register of `steps` samples in place of disturbances (n, T + steps, nw), (n, T, nw)."""
+    """Disturbances (n, T, nw) that enter a register of `steps` samples.
+
+    They stand in place of disturbances (n, T + steps, nw).
+    """
     later = np.array(w[:, : w.shape[1] - steps])
     later[..., list(channels)] = w[:, steps:, list(channels)]
     return later

@@ -48,11 +48,11 @@ class Scenarios(Protocol):
 
 
 class ErrorModel(Protocol):
-    """What a digital twin has learned of its model's error: a `Discrepancy`."""
+    """Error of a twin's model, as learned from logs: a `Discrepancy`."""
 
     @property
     def noise(self) -> str:
-        """What is added to the median: none, quantiles or replayed."""
+        """Addition to the median: none, quantiles or replayed."""
         ...
 
     @property
@@ -75,13 +75,13 @@ class ErrorModel(Protocol):
         ...
 
     def double(self) -> ErrorModel:
-        """The same in double precision."""
+        """This error model in double precision."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class FixedStart(Immutable):
-    """Every run from one state `x0` (nx,), with fresh disturbances."""
+    """Starts from one state `x0` (nx,), with fresh disturbances."""
 
     x0: ArrayField
     disturbance: Disturbance
@@ -102,7 +102,7 @@ class FixedStart(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CoDesignProblem(Immutable):
-    """What is to be designed, and how a design and its policy are judged.
+    """Design task, with the measure that designs and their policies are compared by.
 
     Parameters
     ----------
@@ -267,7 +267,9 @@ class CoDesignProblem(Immutable):
             raise InputError("scenarios.x0", got, "a state within the limits of the outputs")
 
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
-        """What drives the model for any number of steps, (runs, steps, ·): nw disturbances, or nx draws or errors.
+        """Disturbance, draws or errors (runs, steps, ·) for any number of steps.
+
+        They are nw disturbances, or nx draws or errors.
 
         Scenarios are asked for no more than an episode, which is all that they offer, and these follow one another;
         a `disturbance` of theirs has any length.
@@ -295,11 +297,11 @@ class CoDesignProblem(Immutable):
         return self.objective.weights(p, self.model.nx, self.model.nu)
 
     def made_by_control(self, value: Any, p: Any) -> Any:
-        """How large the return of an episode at a design is without the cost of the design."""
+        """Size of the return of an episode at a design, without the design's cost."""
         return abs(value + self.cost_of_design(p))
 
     def cost_of_design(self, p: Any) -> Any:
-        """What an episode pays for its design."""
+        """Cost of the design that an episode pays."""
         return self.objective.cost_of_design(p, self.steps - self.warm_up)
 
     def kept_by_mpc(self, p: Array) -> Polytope:
@@ -326,7 +328,7 @@ class CoDesignProblem(Immutable):
 
     @property
     def action_bounds(self) -> tuple[Array, Array] | DesignLimits:
-        """What `fit_actor_critic` takes for the bounds of a policy: those of U, or U as a function of the design."""
+        """Bounds of a policy for `fit_actor_critic`: those of U, or U as a function of the design."""
         return self.U if isinstance(self.U, DesignLimits) else self.input_bounds
 
     @property

@@ -20,7 +20,7 @@ KINDS = "a Polytope, a distribution such as Uniform(lower, upper), or states (n,
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomStarts(Immutable):
-    """Every run from a state of its own, with fresh disturbances.
+    """Starts from a state of its own for every run, with fresh disturbances.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What every co-design returns: the design and controller found, what they are worth, and how they came about."""
+"""Result of every co-design: design and controller, their worth and their history."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Valley(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClosedLoopReturns(Immutable):
-    """What a controller brings at a design, run by run, on scenarios of a problem.
+    """Returns of a controller at a design, run by run, on scenarios of a problem.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class ClosedLoopReturns(Immutable):
         return f"ClosedLoopReturns({self})"
 
     def __str__(self) -> str:
-        """What is counted, of how many runs, and what is not."""
+        """Value of the risk, with the number of runs that count and of those that do not."""
         found = self.summary
         low, high = found.ci95
         what = "" if isinstance(self.risk, Mean) else f"{measure(self.risk)} "
@@ -142,7 +142,7 @@ class ClosedLoopReturns(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Baseline(Immutable):
-    """What a result was compared with before it was called settled.
+    """Baseline that a result was compared with before it was called settled.
 
     Attributes
     ----------
@@ -240,12 +240,12 @@ class CoDesignResult(Immutable):
         return f"{type(self).__name__}({self.method}: {found}{loop}, {self.history!r})"
 
     def as_dict(self) -> dict[str, Any]:
-        """How it ended, as plain values for a file: JSON has what is not finite as null."""
+        """Plain values for a file: JSON has what is not finite as null."""
         plain: dict[str, Any] = jsonable(self._values())
         return plain
 
     def _values(self) -> dict[str, Any]:
-        """How it ended."""
+        """Status as plain values."""
         return {
             "status": self.status.name, "meaning": self.status.value, "advice": self.status.advice,
             "method": self.method, "valleys": [asdict(valley) for valley in self.valleys],
@@ -256,7 +256,7 @@ class CoDesignResult(Immutable):
         }  # fmt: skip
 
     def describe(self) -> list[str]:
-        """How it ended, what holds the design, and the other valleys, one line each."""
+        """Status, active constraints of the design, and other local optima, one line each."""
         lines = ([f"design: {self.described}"] if self.described else []) + self._ended()
         if self.active_constraints:
             values = (f"{name} = {value:.3g}" for name, value in self.active_constraints.items())
@@ -267,7 +267,7 @@ class CoDesignResult(Immutable):
         return lines
 
     def _ended(self) -> list[str]:
-        """How it ended, one line each."""
+        """Status and reason, one line each."""
         lines = [f"{self.method}: {self.status.value} after {self.evaluations} evaluations. {self.status.advice}"]
         if self.criterion and np.isfinite(self.objective):
             lines.append(f"{self.criterion}: {self.objective:.6g}")
@@ -278,7 +278,7 @@ class CoDesignResult(Immutable):
         return lines
 
     def _of_loop(self) -> list[str]:
-        """What it brings in closed loop, one line each."""
+        """Returns in closed loop, one line each."""
         if self.closed_loop is None:
             return []
         summary = self.closed_loop.summary
@@ -289,12 +289,12 @@ class CoDesignResult(Immutable):
         return [told, *_warnings(self.objective, summary)]
 
     def _remarks(self) -> list[str]:
-        """What else is to be known, one line each."""
+        """Other remarks, one line each."""
         return [*self.notes, *(f"beside it, {one!r}" for one in self.baselines)]
 
 
 def _warnings(objective: float, summary: Summary) -> list[str]:
-    """What a return in closed loop says against the method's own objective."""
+    """Warnings where the closed loop contradicts the method's own objective."""
     lines = []
     size = abs(summary.mean)
     if summary.std > FEW_RUNS_DECIDE * size:

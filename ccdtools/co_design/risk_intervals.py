@@ -58,7 +58,10 @@ def parts_of_risk(
 
 
 def in_tail(risk: Risk, runs: Indices) -> int:
-    """How many of the runs (n,) with these numbers decide a risk: its share of them, or those of the rarest case."""
+    """Number of the runs (n,) that decide a risk.
+
+    It is the risk's share of them, or the runs of the rarest case.
+    """
     if isinstance(risk, CVaR):
         return int(risk.share * len(runs) + 1e-9)
     if isinstance(risk, WorstCase):

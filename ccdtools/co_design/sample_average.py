@@ -114,7 +114,7 @@ class _StoppedError(Exception):
 
 
 class Climb:
-    """At most so many evaluations of a cost and its gradient.
+    """Climb by at most so many evaluations of a cost and its gradient.
 
     Parameters
     ----------

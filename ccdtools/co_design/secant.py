@@ -54,7 +54,7 @@ class Linearisation(Immutable):
 
     @property
     def better(self) -> bool:
-        """Whether it beats the tangent in closed loop by more than 0.5 % of its return."""
+        """True if the secant beats the tangent in closed loop by more than 0.5 % of its return."""
         return not self.tangent_return >= self.mean_return - SECANT_GAIN * self.size
 
     def __str__(self) -> str:

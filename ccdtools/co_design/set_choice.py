@@ -27,7 +27,7 @@ USABLE = (Status.CONVERGED, Status.EMPTY)
 
 @dataclass(frozen=True)
 class Effort:
-    """How much may be spent on sets, and whether bars are shown.
+    """Budget of sets, with whether bars are shown.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class SetCounts:
-    """How many designs got which set, and why.
+    """Number of designs with each kind of set, and the reason.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class SetCounts:
     leaving: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """What results.json keeps: counts and reason, without what is measured in seconds."""
+        """Plain values for results.json: counts and reason, without times."""
         return {"option": self.option, "X_fea": self.feasible, "lqr": self.lqr, "X": self.limits,
                 "reason": self.reason, "text": str(self)}  # fmt: skip
 
@@ -93,7 +93,10 @@ class SetCounts:
 
 
 def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: int, effort: Effort) -> tuple[int, str]:
-    """How many designs can have a set within the budget, and if too few can, why; `samples` if every candidate can."""
+    """Number of designs that can have a set within the budget, and the reason if too few.
+
+    It is `samples` if every candidate can have its own.
+    """
     work = []
     for design in problem.design.spread()[::-1][: min(PROBES, samples)]:
         result = sets.result(design)

@@ -88,13 +88,13 @@ class Settling:
         return self._policy_checked(result, loop) if isinstance(result.controller, LearnedPolicy) else result
 
     def _loop(self, controller: Any, design: Array) -> ClosedLoopReturns:
-        """What a controller brings at a design on the fresh scenarios."""
+        """Returns of a controller at a design on the fresh scenarios."""
         return closed_loop_returns(self.problem, controller, design, copy.deepcopy(self.scenarios))
 
     def _limits(
         self, loop: ClosedLoopReturns, design: Array, own: LimitsOutcome | None
     ) -> LimitsOutcome | None:  # fmt: skip
-        """How a closed loop keeps the limits, beside what is asked for at its design; None where nothing is.
+        """Violations of a closed loop beside the tolerance at its design; None where nothing is asked.
 
         What a method found to be asked for, `own`, stands, unless it never saw the limits left.
         """
@@ -144,7 +144,7 @@ class Settling:
                     yield "LQR of the same design, of its secant", secant.controller
 
     def _nested(self, start: Array, loop: ClosedLoopReturns) -> Baseline | None:
-        """Where a short nested LQR leads from a design."""
+        """Result of a short nested LQR from a design."""
         method = Nested("lqr", runs=SETTLING_RUNS, starts=1, evaluations=SETTLING_EVALUATIONS)
         try:
             best = method.run(self.problem, start, copy.deepcopy(self.scenarios))

@@ -1,4 +1,4 @@
-"""What a co-design optimises, and the iterates it compares."""
+"""Task of a co-design, and the iterates that it compares."""
 
 from __future__ import annotations
 
@@ -17,18 +17,21 @@ from learning.networks import ActorCritic
 
 
 class LimitPenalty(Protocol):
-    """What keeps a co-design within its state limits: a cost whose multipliers grow while they are not kept."""
+    """Penalty of state limits: its multipliers grow while they are not kept."""
 
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
-        """What leaving X costs episodes at the point `v` of the unit box, (), as part of the return; differentiable."""
+        """Cost () of leaving X at the point `v` of the unit box, as part of the return.
+
+        It is differentiable.
+        """
         ...
 
     def prices(self, episode: Episode, v: Tensor) -> Prices:
-        """What is paid for more of either depth, and for another design, while episodes are such as these."""
+        """Price of either depth, and of another design, for episodes such as these."""
         ...
 
     def violation(self, episode: Episode) -> float:
-        """By how much the tolerance is exceeded; 0 where it is kept."""
+        """Excess over the tolerance; 0 where it is kept."""
         ...
 
     @property
@@ -41,13 +44,13 @@ class LimitPenalty(Protocol):
         ...
 
     def outcome(self, episode: Episode) -> LimitsOutcome:
-        """How the iterate of these episodes keeps the limits."""
+        """Violation of the limits by the iterate of these episodes."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is optimised, and how.
+    """Objective of a co-design, with its settings.
 
     Attributes
     ----------
@@ -108,7 +111,7 @@ class Iterate:
         return float(self.returns.mean())
 
     def beats(self, other: Iterate) -> bool:
-        """Whether it is preferred: limits kept before limits broken, then by its violation or its return."""
+        """True if this iterate is preferred, by limits kept, then by violation or return."""
         if self.violation > 0 or other.violation > 0:
             return self.violation < other.violation
         return self.score > other.score

@@ -1,4 +1,4 @@
-"""What control brings against what the design costs: the best designs over a price, or over any other datum."""
+"""Trade-off of control against design cost: best designs over a price or another datum."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ class TradeOff(Immutable):
 
     @property
     def word(self) -> str:
-        """What is varied."""
+        """Name of what is varied."""
         return "price of the design" if self.priced else "value"
 
     def table(self) -> list[dict[str, Any]]:
-        """One dictionary of plain values per price."""
+        """Plain values, one dictionary per price."""
         return [
             {
                 self.word: float(value), **self.space.as_dict(design), "design_cost": float(cost),

@@ -39,7 +39,7 @@ class AllowedDesigns:
 
     @cached_property
     def width(self) -> Array:
-        """What an entry is divided by: its range, and one where it is fixed, (np,)."""
+        """Divisor of each entry (np,): its range, or one where it is fixed."""
         width = self.upper - self.lower
         return np.where(width > 0, width, 1.0)
 
@@ -129,7 +129,7 @@ class AllowedDesigns:
         return points
 
     def combinations(self) -> Array:
-        """Every combination of whole numbers (n, np), in the unit box; the other entries are 0."""
+        """Combinations of whole numbers (n, np) in the unit box; other entries are 0."""
         first = np.zeros(len(self.lower))
         return self._by_whole_numbers(self.rounded(first))
 

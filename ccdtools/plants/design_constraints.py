@@ -56,7 +56,7 @@ def compiled(constraints: Any, names: Sequence[str]) -> ca.Function:
 
 
 def constraint_names(names: Any, count: int) -> tuple[str, ...]:
-    """One different name for each constraint; "constraint 1", … by default."""
+    """Names of the constraints, all different; "constraint 1", … by default."""
     if isinstance(names, tuple) and not names:
         return tuple(f"constraint {i + 1}" for i in range(count))
     given = as_names("constraint_names", names, count)
@@ -131,14 +131,16 @@ class UnitConstraints:
         return len(self._scale)
 
     def values(self, v: Array) -> Array:
-        """What a search brings to zero, (ng,) at a point: of the sign of g, and of slope one across its edge.
+        """Scaled constraints (ng,) at a point, with the sign of g and slope one across its edge.
+
+        A search brings them to zero.
 
         It is g/|∇g| of an asinh of g, which makes a straight one of an exponential, and of less than one.
         """
         return np.asarray(self._values(v), dtype=float).ravel()
 
     def jacobian(self, v: Array) -> Array:
-        """Its slopes (ng, np); zero where they are too steep for a number."""
+        """Slopes of the scaled constraints (ng, np); zero where they are too steep for a number."""
         slopes = np.asarray(self._jacobian(v), dtype=float)
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
@@ -175,7 +177,9 @@ class UnitConstraints:
         return normals, np.where(np.isfinite(own), far, -g / self._scale)
 
     def prices(self, u: Array, push: Array, free: Any) -> tuple[Array, Array, Array]:
-        """What holds a point against a push: see `held`. Here the edges are those of constraints and unit box at `u`.
+        """Prices of the edges that hold a point against a push: see `held`.
+
+        Here the edges are those of constraints and unit box at `u`.
 
         Returns
         -------

@@ -214,7 +214,7 @@ class DesignSpace(Immutable):
 
     @cached_property
     def allowed(self) -> AllowedDesigns:
-        """What constraints and whole numbers leave of the unit box."""
+        """Part of the unit box that constraints and whole numbers leave."""
         return AllowedDesigns(self.lower, self.upper, self.whole, self.constraints)
 
     @property
@@ -297,7 +297,7 @@ class DesignSpace(Immutable):
         return self.check([given[name] for name in self.names], argument="values")
 
     def describe(self, p: ArrayLike) -> str:
-        """One design as text, with units."""
+        """Text of one design, with units."""
         values = zip(self.names, as_vector("p", p, self.dim), self.units)
         return ", ".join(f"{name} = {value:.6g}{_unit(unit)}" for name, value, unit in values)
 

@@ -114,7 +114,7 @@ def _jump(plant: Plant, region: Region | None) -> Jump | None:
 
 
 def _jump_text(plant: Plant, jump: Jump) -> str:
-    """What is lost at a jump, and where."""
+    """Text on the accuracy that is lost at a jump, and where."""
     parts = {"x": jump.x, "u": jump.u, "w": jump.w}
     place = ", ".join(f"{name} = {(value.round(6) + 0.0).tolist()}" for name, value in parts.items())
     first = "a sample in which the state crosses it is integrated to first order only, and " if plant.continuous else ""
@@ -137,7 +137,7 @@ def _exact(plant: Plant, dt: float) -> LinearModel:
 
 
 def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
-    """Where a nonlinear plant is to be accurate; None where nothing is said."""
+    """Region where a nonlinear plant is to be accurate; None if nothing is stated."""
     if X is None:
         if U is not None or W is not None:
             raise InputError("X", "nothing, beside limits of u or w", "limits of the states too")
@@ -232,13 +232,13 @@ def _fewest(
 
 
 def _error(plant: Plant, dt: float, method: str, parts: int, region: Region) -> IntegrationError:
-    """What steps of so many parts are wrong by."""
+    """Error of steps of so many parts."""
     coarse, fine = (_step(plant, dt, method, number, region) for number in (parts, 2 * parts))
     return measured_error(coarse, fine, region)
 
 
 def _place(plant: Plant, error: IntegrationError) -> str:
-    """Where an error is largest."""
+    """Text on the place where an error is largest."""
     parts = {"x": error.x, "u": error.u, "w": error.w}
     return ", ".join([*(f"{name} = {v.round(6).tolist()}" for name, v in parts.items() if v.size),
                       *([plant.design.describe(error.p)] if plant.design.dim else [])])  # fmt: skip

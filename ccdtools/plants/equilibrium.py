@@ -1,4 +1,4 @@
-"""Where a plant rests, as a function of its design."""
+"""Equilibrium of a plant, as a function of its design."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class Equilibrium(Immutable):
 
 
 def _followed(step: ca.Function, start: Any, p0: Array, p: Any, stations: int, steps: int) -> Any:
-    """Where so many Newton steps lead at each station on the way from `p0` to the designs `p` (np, n), (nx + nu, n).
+    """Ends (nx + nu, n) of Newton steps from station to station, from `p0` to designs `p` (np, n).
 
     Stations are denser at both ends, where a rest may be about to vanish at a bound of the box.
     """

@@ -1,4 +1,6 @@
-"""What a plant does between samples, symbolic in the design: held or straight inputs, and white noise.
+"""Inputs and white noise between samples, symbolic in the design.
+
+Inputs are held or straight.
 
 References
 ----------

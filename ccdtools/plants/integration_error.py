@@ -1,4 +1,4 @@
-"""How far a numerical step is from the exact one, measured over limits and designs."""
+"""Error of a numerical step, measured over limits and designs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Step = Callable[[Any, Any, Any, Any], Any]
 
 @dataclass(frozen=True, eq=False)
 class Region(Immutable):
-    """Where an error is measured: states, inputs and disturbances within bounds, and the box of designs."""
+    """Region of an error: bounds of states, inputs, disturbances, and the box of designs."""
 
     lower: Array  # (nx + nu + nw + np,)
     upper: Array  # (nx + nu + nw + np,)
@@ -30,7 +30,7 @@ class Region(Immutable):
         cls, *boxes: tuple[Array, Array],
         of_design: tuple[Any, Any] = (None, None),
     ) -> Region:  # fmt: skip
-        """From the bounds of x, u, w and p."""
+        """Region from the bounds of x, u, w and p."""
         lower, upper = (np.concatenate([box[side] for box in boxes]) for side in (0, 1))
         return cls(lower, upper, tuple(len(box[0]) for box in boxes), of_design)  # type: ignore[arg-type]
 
@@ -67,7 +67,7 @@ class Region(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class IntegrationError(Immutable):
-    """What a step may be wrong by.
+    """Largest error of a step.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Where the right-hand side of a plant jumps in x, u or w: derivatives say nothing of it."""
+"""Jumps of a plant's right-hand side in x, u or w, of which derivatives say nothing."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SMOOTHER = "State the jump as something steep that is smooth, such as tanh(v / w
 
 @dataclass(frozen=True, eq=False)
 class Jump(Immutable):
-    """One place at which a right-hand side jumps."""
+    """Place at which a right-hand side jumps."""
 
     row: int  # of the right-hand side, the one that jumps most for its size
     names: tuple[str, ...]  # the operations that do
@@ -120,7 +120,7 @@ class Switches:
         parts = np.cumsum(self.sizes[:3])[:-1]
 
         def at(function: Vectorised, t: Array) -> Array:
-            """Its values (n, ·) at the shares `t` (n,) of the lines."""
+            """Values (n, ·) of a function at the shares `t` (n,) of the lines."""
             z = start + t[:, None] * (end - start)
             return np.asarray(function(*np.split(z, parts, axis=1), p))
 

@@ -216,7 +216,7 @@ class LinearModel:
         return control.ss(A, B, np.eye(self.nx), np.zeros((self.nx, self.nu)), self.dt)
 
     def within(self, design: DesignSpace) -> LinearModel:
-        """The same model over another box of designs."""
+        """This model over another box of designs."""
         return replace(self, design=design)
 
     def with_errors(self) -> LinearModel:

@@ -1,4 +1,4 @@
-"""What a discrete model of a plant may be, and what a co-design and a digital twin ask of it."""
+"""Kinds of discrete models of a plant, as co-designs and digital twins ask of them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DEVIATIONS = "State it about its equilibrium: discretise(deviations(plant, equil
 
 
 class PlantOfModel:
-    """A plant to simulate whose sizes, sampling time and designs are those of its `model`."""
+    """Plant to simulate, with sizes, sampling time and designs of its `model`."""
 
     model: Model
 

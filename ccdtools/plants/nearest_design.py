@@ -38,7 +38,7 @@ def nearest(
         return v
 
     def places() -> Iterator[Array]:
-        """Where searches begin."""
+        """Starts of the searches."""
         yield v
         yield allowed_point(limits, v, free)[0]
         yield from starts

@@ -74,7 +74,7 @@ class PathwiseStep:
         return np.split(found, np.cumsum(self._sizes)[:-1], axis=1)
 
     def _back(self, states: list[Array], held: tuple[Array, ...], multiplier: Array) -> Array:
-        """The same side by side, part by part from the end of the sample."""
+        """Slopes of many runs side by side, part by part from the end of the sample."""
         state = np.empty_like(states[0])
         factor = as_rows(multiplier)
         part = InPlace(self._of_part, [state, *map(as_rows, held), factor])

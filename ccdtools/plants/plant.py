@@ -238,7 +238,7 @@ def linear_matrices(plant: Plant) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
 
 
 def _bound(argument: str, value: Any, size: int) -> Array:
-    """One side of the limits of the outputs (size,), which may be infinite."""
+    """Bound of the outputs on one side (size,), which may be infinite."""
     bound = as_floats(argument, value)
     if bound.shape not in ((), (size,)) or np.isnan(bound).any():
         raise InputError(argument, f"{bound.tolist()} of shape {bound.shape}", f"a number, or ({size},) of them")

@@ -1,4 +1,4 @@
-"""What a plant does at a state and input: its rates, their derivatives, and where they vanish."""
+"""Rates of a plant at a state and input, their derivatives and zeros."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ccdtools.plants.tolerances import DEPENDENT_PIVOT, RATE_ROUNDING, REST_STAR
 
 
 class Rates:
-    """What a plant does at (x, u): dx/dt, or the change of a discrete one, with its derivatives."""
+    """Rates of a plant at (x, u): dx/dt, or the change of a discrete one, with derivatives."""
 
     def __init__(self, plant: Plant, w: Array) -> None:
         self.z = ca.vertcat(plant.x, plant.u)
@@ -52,7 +52,7 @@ class Rates:
         return bool((np.abs(rate) <= self._rounding(z, p)).all())
 
     def resolution(self, z: Array, p: Array, rows: Indices, chosen: list[int]) -> Array:
-        """How far what is left of the rates at rest moves the chosen entries of (x, u), (nx + nu,); 0 elsewhere."""
+        """Distance that rates left at rest move the chosen entries of (x, u), (nx + nu,); 0 elsewhere."""
         moved = np.zeros(len(z))
         J = self.jacobian(z, p)[rows][:, chosen]
         if len(chosen) and np.isfinite(J).all():
@@ -60,7 +60,7 @@ class Rates:
         return moved
 
     def _rounding(self, z: Array, p: Array) -> Array:
-        """What is left of each rate (nx,) at rest by rounding."""
+        """Rest of each rate (nx,) that rounding leaves at an equilibrium."""
         J = np.abs(self.jacobian(z, p))
         size = J @ np.abs(z) + J.max(axis=1) * RATE_ROUNDING
         terms = np.nan_to_num(np.asarray(self._terms(z, p), dtype=float).ravel(), posinf=0.0)

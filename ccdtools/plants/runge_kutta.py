@@ -45,7 +45,7 @@ class ExplicitStep:
 
     @cached_property
     def _vectorised(self) -> Vectorised:
-        """One substep on tensors."""
+        """Substep on tensors."""
         return Vectorised(self.substep)
 
     @cached_property
@@ -55,7 +55,7 @@ class ExplicitStep:
 
     @cached_property
     def _tape(self) -> Tape:
-        """One substep on many rows of arrays."""
+        """Substep on many rows of arrays."""
         return Tape(self.substep, "dynamics")
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
@@ -68,7 +68,7 @@ class ExplicitStep:
         return x
 
     def _of_arrays(self, *arguments: Array) -> Array:
-        """The same of arrays; of single precision in double inside."""
+        """Step of arrays; those of single precision are double inside."""
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in arguments))
         runs = int(np.prod(batch))
         common = [a.ndim == 1 for a in arguments] if batch else [False] * 4

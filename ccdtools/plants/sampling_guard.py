@@ -81,7 +81,7 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
 
 
 def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None) -> str:
-    """One sentence if a plant oscillates near or beyond half the sampling rate at some design; else nothing.
+    """Note on a plant that oscillates near or beyond half the sampling rate; else nothing.
 
     Parameters
     ----------

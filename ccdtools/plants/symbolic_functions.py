@@ -42,7 +42,7 @@ class SymbolicFunction:
         self._at_rest: dict[tuple[str, Sizes], ca.Function] = {}
 
     def function(self, *sizes: int) -> ca.Function:
-        """As a `casadi.Function` of columns of these sizes.
+        """Function of columns of these sizes, as a `casadi.Function`.
 
         Raises
         ------
@@ -54,7 +54,7 @@ class SymbolicFunction:
         return self._functions[sizes]
 
     def scalar(self, *sizes: int) -> Vectorised:
-        """The same on arrays or tensors (..., size), with values (..., 1).
+        """Function with one value (..., 1) on arrays or tensors (..., size).
 
         Raises
         ------
@@ -67,7 +67,7 @@ class SymbolicFunction:
         return self.vector(*sizes)
 
     def vector(self, *sizes: int) -> Vectorised:
-        """The same with values (..., m)."""
+        """Function with values (..., m) on arrays or tensors (..., size)."""
         if sizes not in self._compiled:
             self._compiled[sizes] = Vectorised(self.function(*sizes))
         return self._compiled[sizes]
@@ -80,15 +80,15 @@ class SymbolicFunction:
 
     @property
     def values(self) -> int:
-        """How many values it has, for the sizes that it was used with first."""
+        """Number of values, for the sizes that the function was used with first."""
         return next(iter(self._functions.values())).numel_out(0)
 
     def hessian(self, *sizes: int) -> ca.Function:
-        """The Hessian of its scalar with respect to all arguments but the last, where these are 0, of the last."""
+        """Hessian of the scalar at 0 by all arguments but the last, as a function of the last."""
         return self._derived("hessian", sizes, lambda value, free: [ca.hessian(value, free)[0]])
 
     def linear(self, *sizes: int) -> ca.Function:
-        """Its values and their Jacobian with respect to all arguments but the last, where these are 0, of the last."""
+        """Values and Jacobian at 0 by all arguments but the last, as a function of the last."""
         return self._derived("linear", sizes, lambda value, free: [value, ca.jacobian(value, free)])
 
     def _derived(self, name: str, sizes: Sizes, make: Callable[[ca.SX, ca.SX], list[ca.SX]]) -> ca.Function:
@@ -125,7 +125,7 @@ class SymbolicFunction:
         return f"{self.argument}({', '.join(self.names)})"
 
     def serialized(self) -> dict[str, str]:
-        """Its expressions as text, by sizes."""
+        """Expressions of the function as text, by sizes."""
         return {str(sizes): function.serialize() for sizes, function in self._functions.items()}
 
     def __getstate__(self) -> dict[str, Any]:

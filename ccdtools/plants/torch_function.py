@@ -104,7 +104,7 @@ class TorchFunction:
         return out[0] if len(out) == 1 else tuple(out)
 
     def _columns(self, arguments: tuple[Tensor, ...]) -> list[Tensor]:
-        """Each input as (..., entries), entries by columns as CasADi counts them."""
+        """Inputs as (..., entries) each, entries by columns as CasADi counts them."""
         f = self.function
         names = f.name_in()
         if len(arguments) != f.n_in():

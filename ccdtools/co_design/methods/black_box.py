@@ -31,7 +31,7 @@ class ClosedLoop:
         self.penalty = None if problem.limit_tolerance == "off" else StateLimitPenalty(problem)
 
     def __call__(self, v: Array) -> tuple[float, float]:
-        """At a point of the unit box."""
+        """Cost and limit violation at a point of the unit box."""
         try:
             if self.penalty is None:
                 seen = self.cost.seen(v)
@@ -43,14 +43,17 @@ class ClosedLoop:
         return value, 0.0 if self.penalty is None else self.penalty.violation(seen)
 
     def outcome(self, v: Array) -> Any:
-        """How the limits are kept at a point, beside the tolerance there itself: on the way it is extrapolated."""
+        """Violation of the limits at a point, beside the tolerance measured there.
+
+        On the way the tolerance is extrapolated.
+        """
         seen, penalty = self.cost.updated(StateLimitPenalty(self.cost.problem), v)
         return penalty.outcome(seen)
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What was seen at free entries z.
+    """Evaluation at free entries z.
 
     Attributes
     ----------
@@ -89,7 +92,7 @@ class BlackBox:
 
     @property
     def size(self) -> float:
-        """How large costs are."""
+        """Size of costs."""
         known = [abs(look.cost) for look in self.looks if np.isfinite(look.cost) and look.cost != 0]
         return float(np.quantile(known[:SIZE_EVALUATIONS], BETTER_SHARE)) if known else 1.0
 
@@ -103,12 +106,12 @@ class BlackBox:
             z = rng.random(len(z))
 
     def __call__(self, z: Array) -> float:
-        """What is to be small at free entries `z`."""
+        """Merit at free entries `z`, which is to be small."""
         self.looks.append(self._looked(z))
         return self.merit(self.looks[-1])
 
     def merit(self, look: Look) -> float:
-        """The same of what was seen, by the size that is known now."""
+        """Merit of an evaluation, by the size of costs that is known now."""
         size = self.size
         if not np.isfinite(look.cost):
             return LOST_COST * size

@@ -25,12 +25,12 @@ Cost = Callable[[Array], tuple[float, Array]]
 
 
 class _SpentError(Exception):
-    """No evaluation is left."""
+    """Raised when no evaluation is left."""
 
 
 @dataclass(eq=False)
 class Descent:
-    """Where a search ended."""
+    """End of a local search."""
 
     v: Array  # (np,): the best feasible point of the unit box that was evaluated
     cost: float
@@ -53,7 +53,9 @@ def tamed(relative: float) -> float:
 
 
 def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> Descent:
-    """From a feasible point of the unit box to the least cost that is found, fixed entries and whole numbers held.
+    """Least cost found from a feasible point of the unit box.
+
+    Fixed entries and whole numbers are held.
 
     Parameters
     ----------
@@ -130,7 +132,7 @@ class _Watched:
         return tamed(relative)
 
     def slope(self, z: Array) -> Array:
-        """Its slope along the free entries."""
+        """Slope of the relative cost along the free entries."""
         point = self._point(z)
         relative = point.cost / self.size
         if not np.isfinite(relative):
@@ -153,7 +155,7 @@ class _Watched:
         return point.slope
 
     def _point(self, z: Array) -> _Point:
-        """What is known at a point; the last one is remembered.
+        """Evaluations at a point; the last one is remembered.
 
         Raises
         ------

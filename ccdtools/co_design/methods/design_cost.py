@@ -69,7 +69,7 @@ class DesignCost(ABC):
     @property
     @abstractmethod
     def words(self) -> str:
-        """What tables call it."""
+        """Name of the cost in tables."""
 
     @abstractmethod
     def __call__(self, v: Array) -> tuple[float, Array]:
@@ -101,12 +101,12 @@ class DesignCost(ABC):
         return end
 
     def without_design(self, name: str, v: Array) -> CoDesignResult:
-        """What there is to say where no start has a cost."""
+        """Explanation where no start has a cost."""
         space = self.problem.design
         got = f"{space.describe(space.settled(v))} to start from, where there is nothing to search by: {self.words}"
         cure = "Start from a design that can be stabilised and whose runs keep the limits, or check the weights."
         raise InputError("design", got, "a design with a controller", cure)
 
     def history(self) -> History:
-        """All evaluations so far."""
+        """Record of all evaluations so far."""
         return History(*(np.array(column) for column in zip(*self.rows)))

@@ -1,4 +1,4 @@
-"""Where the searches of a method start, and what holds the design that one ended at."""
+"""Starts of the searches of a method, and active constraints where one ended."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OTHERS = "other whole numbers were never looked at: raise starts"
 
 @dataclass(frozen=True)
 class Held:
-    """What holds a design: prices of its active bounds and constraints, and what is left of the slope.
+    """Prices of the active bounds and constraints of a design, and the slope left.
 
     Attributes
     ----------

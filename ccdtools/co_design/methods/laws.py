@@ -27,11 +27,11 @@ class PassiveLaw:
     differentiable = True
 
     def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """No input."""
+        """Law without input."""
         return lambda x: x.new_zeros(len(x), problem.model.nu)
 
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """No input."""
+        """Controller without input."""
         return Passive(problem.model.nu)
 
 
@@ -97,7 +97,7 @@ class MPCLaw(_OnLineLaw):
 
     @property
     def words(self) -> str:
-        """What it is, in words."""
+        """Name of the MPC with its horizon, in words."""
         return f"{'nonlinear' if self.nonlinear else 'linear'} MPC (N = {self.horizon})"
 
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
@@ -124,5 +124,5 @@ class _Gain(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, gradient: Tensor):
-        """By the chain rule."""
+        """Gradient by the design (np,), by the chain rule."""
         return torch.einsum("ux,uxp->p", gradient, ctx.slopes), None

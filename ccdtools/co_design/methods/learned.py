@@ -85,7 +85,7 @@ class Learned:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         return self.by
 
     def run(
@@ -159,7 +159,7 @@ def _result(
 
 @torch.no_grad()
 def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dict[str, float]:
-    """What design and policy gained, one after the other, on the evaluation scenarios."""
+    """Gains by design and policy, one after the other, on the evaluation scenarios."""
     first = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32)
     before, moved = (
         task.judge.risk.values(episode_at(task.judge, agent, v, winner.evaluation).total).mean().item()

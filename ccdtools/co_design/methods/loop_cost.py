@@ -52,7 +52,7 @@ class LoopCost(DesignCost):
 
     @property
     def words(self) -> str:
-        """What it is."""
+        """Description of the cost in words."""
         return f"{self.law.words} in closed loop on {len(self.scenarios[0])} scenarios"
 
     def __call__(self, v: Array) -> tuple[float, Array]:
@@ -114,7 +114,7 @@ class LoopCost(DesignCost):
 
     @torch.no_grad()
     def seen(self, v: Array) -> Episode:
-        """Its episodes at a point, with what leaves the limits."""
+        """Episodes of the law at a point, with their violations of the limits."""
         return self._episode(torch.tensor(v, dtype=torch.float64), depths=True)
 
     def _episode(self, v: Tensor, *, depths: bool = False) -> Episode:

@@ -97,7 +97,7 @@ class Nested:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         return f"nested {NAMES[self.inner]}"
 
     def run(

@@ -86,7 +86,9 @@ def open_loop_problem(
 def at_the_mean(
     problem: CoDesignProblem, stated: Callable[[CoDesignProblem], OptimalControlProblem], **given: Any
 ) -> Solution | None:
-    """Where to start a program that counts the spread of costs: its optimum for their mean; None if it counts none.
+    """Optimum for the mean of costs, to start a program that counts their spread.
+
+    None if it counts none.
 
     From elsewhere a solver begins far from the limits, where costs are best all alike: at the kink of no spread.
     """
@@ -113,12 +115,12 @@ class Feedback:
 
     @property
     def lower(self) -> Array:
-        """No bounds."""
+        """Infinite lower bounds of the gain."""
         return np.full(self.K.size, -np.inf)
 
     @property
     def upper(self) -> Array:
-        """No bounds."""
+        """Infinite upper bounds of the gain."""
         return np.full(self.K.size, np.inf)
 
     def inputs(self, x: Any, p: Any, size: int) -> Any:
@@ -134,7 +136,7 @@ class Feedback:
 
 
 def _risk(problem: CoDesignProblem) -> dict[str, Any]:
-    """What of the costs of the scenarios counts."""
+    """Measure of risk of the scenarios' costs."""
     if isinstance(problem.risk, MeanSpread):
         return {"risk": "spread", "spread": problem.risk.weight}
     return {"risk": "worst" if isinstance(problem.risk, WorstCase) else "sum"}
@@ -158,7 +160,7 @@ def check_open_loop(problem: CoDesignProblem) -> None:
 
 
 def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: Any) -> Phase:
-    """One scenario."""
+    """Phase of the program for one scenario."""
     nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
     step = problem.model.step
     stage, terminal = costs(problem)
@@ -173,7 +175,7 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
         return step(x, u if feedback is None else feedback.inputs(x, p, size), w, p[:size])
 
     def stage_cost(x: Any, u: Any, p: Any) -> Any:
-        """Of the present state."""
+        """Stage cost of the present state."""
         return stage(x, u if feedback is None else feedback.inputs(x, p, size), p[:size])
 
     def path(x: Any, u: Any, p: Any) -> Any:
@@ -212,7 +214,7 @@ def costs(problem: CoDesignProblem) -> tuple[Any, Any]:
 
 
 def first_cost(problem: CoDesignProblem, x0: Array) -> float:
-    """What the stage costs charge for a first state, which an objective of next states does not."""
+    """Stage cost of a first state, which an objective of next states leaves out."""
     objective = problem.objective
     return float(x0 @ objective.Q @ x0) if isinstance(objective, QuadraticObjective) else 0.0
 

@@ -78,12 +78,12 @@ class RiccatiCost(DesignCost):
         return value, (slope + rest_slope) * problem.design.allowed.width
 
     def _first(self) -> float:
-        """What the first states cost, which rewards of next states leave out."""
+        """Cost of the first states, which rewards of next states leave out."""
         objective = self.problem.objective
         return float(np.sum(objective.Q * self._starts)) if isinstance(objective, QuadraticObjective) else 0.0
 
     def _at_rest(self, p: Array) -> tuple[float, Array]:
-        """What the design costs, and an episode at rest, with its slope (np,)."""
+        """Cost of the design and of an episode at rest, with its slope (np,)."""
         nx, nu, size = self.problem.model.nx, self.problem.model.nu, len(p)
         objective, steps = self.problem.objective, self.problem.steps
         symbol = ca.SX.sym("p", size)

@@ -69,7 +69,7 @@ class Search:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         return {"cma": "CMA-ES", "bayesian": "Bayesian search"}[self.library]
 
     def run(
@@ -95,7 +95,7 @@ class Search:
             given = self.of
 
             def measured(v: Array) -> tuple[float, float]:
-                """Of the user's function."""
+                """Cost by the user's function, and no violation."""
                 value = given(problem.design.settled(v))
                 try:
                     (number,) = map(float, np.ravel(value))
@@ -150,7 +150,7 @@ def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) 
 
 
 def _one_strategy(box: BlackBox, first: Array, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
-    """One run of CMA-ES of so many evaluations at most; whether it has converged."""
+    """Run CMA-ES once with at most so many evaluations; return whether it has converged."""
     import cma
 
     n = len(first)
@@ -197,14 +197,14 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
     level = np.inf
 
     def known(look: Look) -> Any:
-        """What was seen, as a trial."""
+        """Evaluation as a trial of Optuna."""
         least, most = (end[box.free] for end in space.outermost)
         asked = np.where(whole, np.clip(np.round(low + look.z * (high - low)), least, most), look.z)
         params = {name: int(a) if w else float(a) for name, a, w in zip(ranges, asked, whole)}
         return optuna.trial.create_trial(params=params, distributions=ranges, value=min(box.merit(look), level))
 
     def value(trial: Any) -> float:
-        """Of the point that a trial asks for."""
+        """Merit at the point that a trial of Optuna asks for."""
         shown_bar.update()
         asked = np.array([
             trial.suggest_int(name, of.low, of.high) if w else trial.suggest_float(name, 0.0, 1.0)

@@ -21,7 +21,7 @@ from ccdtools.progress import bar
 
 @dataclass(frozen=True)
 class Plan:
-    """How a search goes: what tables call it, how many starts, and evaluations of each at most."""
+    """Budget of a search: its name in tables, and its starts and evaluations of each at most."""
 
     name: str
     starts: int
@@ -81,7 +81,7 @@ def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> E
 
 
 def _size(problem: CoDesignProblem, value: float, v: Array) -> float:
-    """How large the return at a start is, without the cost of the design."""
+    """Size of the return at a start, without the cost of the design."""
     size = float(problem.made_by_control(-value, problem.design.from_unit(v)))
     return size if np.isfinite(size) and size > 0 else 1.0
 
@@ -104,7 +104,7 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
 
 
 def _status(problem: CoDesignProblem, best: End, rest: float, held: bool) -> CoDesignStatus:
-    """How a search ended, whatever its closed loop does."""
+    """Status of a search, whatever its closed loop does."""
     if not rest <= LEVEL_SLOPE:  # of a cost that is never twice the same differences would say nothing
         agree = not best.cost.repeatable or confirmed(best.cost, problem.design, best.found.v, size=best.size)
         return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED

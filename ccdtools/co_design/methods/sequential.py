@@ -58,7 +58,7 @@ class Sequential:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         return "sequential"
 
     def run(

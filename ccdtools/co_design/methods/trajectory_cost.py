@@ -22,7 +22,7 @@ from mpc.optimal_control import NonlinearProgram, OptimalControlProblem, Optimal
 
 @dataclass(eq=False)
 class TrajectoryCost(DesignCost):
-    """What of the costs of the best inputs of every scenario counts at a design, with its exact slope by multipliers.
+    """Risk of the costs of the best inputs of every scenario, with its slope by multipliers.
 
     The cases of a worst case have programs of their own, as nothing but the design ties them together: their costs are
     then counted, and rounded off where two are alike, as those of closed loops are.
@@ -58,7 +58,7 @@ class TrajectoryCost(DesignCost):
 
     @property
     def words(self) -> str:
-        """What it is."""
+        """Description of the cost in words."""
         return f"the best inputs in {len(self.scenarios[0])} scenarios whose disturbances are known ahead"
 
     def __call__(self, v: Array) -> tuple[float, Array]:
@@ -76,7 +76,7 @@ class TrajectoryCost(DesignCost):
         return cost, slope * self.problem.design.allowed.width
 
     def _counted(self, costs: Array, slopes: Array) -> tuple[float, Array]:
-        """What of the costs (n,) of programs counts, and its slope (np,) of theirs (n, np)."""
+        """Risk of the costs (n,) of programs, and its slope (np,) from theirs (n, np)."""
         if len(costs) == 1:
             return float(costs[0]), slopes[0]
         returns = torch.tensor(-costs, requires_grad=True)
@@ -112,7 +112,7 @@ class TrajectoryCost(DesignCost):
         return space.to_unit(space.project(solution.p))
 
     def without_design(self, name: str, v: Array) -> CoDesignResult:
-        """What there is to say where no design has trajectories within the limits: that, at the given one."""
+        """Note that no design has trajectories within the limits, with details at the given one."""
         space = self.problem.design
         design = space.settled(v)
         row = (np.ones(1), np.ones(1), design[None], np.full(1, np.nan), np.zeros(1), np.zeros(1))
@@ -126,7 +126,7 @@ class TrajectoryCost(DesignCost):
         )  # fmt: skip
 
     def controller(self, p: Array) -> Controller:
-        """What closes the loop at a design."""
+        """Controller that closes the loop at a design."""
         return controller_of(self.control, self.problem, p)
 
 
