@@ -39,7 +39,6 @@ from ccdtools.co_design.tolerances import (
     FINER_STEPS,
     QUIET_BLOCKS,
     QUIET_BLOCKS_LIMITED,
-    SLOPE_RUNS,
     WORTHWHILE_VIOLATION,
 )
 from ccdtools.progress import at
@@ -162,7 +161,7 @@ class Ascent:
         """Whether the return that iterates are scored by still rises along the design, inside the box."""
         best = self.best
         judge = self.task.judge
-        scenarios = scenario_tensors(judge, fewer_runs(SLOPE_RUNS, judge.steps), self.rng)
+        scenarios = scenario_tensors(judge, fewer_runs(512, judge.steps), self.rng)
         prices = self.limits.prices(self._seen(best), best.v) if self.limits is not None and self.limited else None
         self.slope = measured_slope(Differences(judge, best.agent, scenarios, prices), best.v, self.region)
         return self.slope.promises(self._matters)

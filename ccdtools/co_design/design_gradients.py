@@ -19,14 +19,7 @@ from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.ppo_part import network_input_gradient
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import (
-    AGREEING,
-    FINER_STEPS,
-    LEVEL_SLOPE,
-    SIGNIFICANT,
-    SLOPE_AHEAD,
-    UNRESOLVED_SLOPE,
-)
+from ccdtools.co_design.tolerances import AGREEING, FINER_STEPS, LEVEL_SLOPE, SIGNIFICANT, SLOPE_AHEAD, UNRESOLVED_SLOPE
 from learning.networks import ActorCritic
 from learning.ppo import PPOConfig
 

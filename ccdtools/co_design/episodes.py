@@ -20,7 +20,7 @@ from torch.utils.checkpoint import checkpoint
 
 from ccdtools.co_design.differentiable_model import Stepper, to_design
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import FEWEST_EPISODES, HELD_SAMPLES, LONGEST_SEGMENT
+from ccdtools.co_design.tolerances import HELD_SAMPLES, LONGEST_SEGMENT
 from learning.networks import ActorCritic, scaled
 
 Law = Callable[[Tensor], Tensor]
@@ -195,4 +195,4 @@ def episode_at(
 
 def fewer_runs(runs: int, steps: int) -> int:
     """Parallel episodes of `steps` steps that hold about as many samples as `runs` of 100; at least 16 of `runs`."""
-    return max(min(runs, FEWEST_EPISODES), min(runs, math.ceil(runs * 100 / steps)))
+    return max(min(runs, 16), min(runs, math.ceil(runs * 100 / steps)))  # at least 16 episodes

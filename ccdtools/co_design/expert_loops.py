@@ -13,7 +13,7 @@ from ccdtools.co_design.candidates import Starts
 from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import ENTRIES_AT_ONCE, LED_BACK, VALUE_TAIL, VISITS
+from ccdtools.co_design.tolerances import LED_BACK, VALUE_TAIL, VISITS
 from ccdtools.controllers.controllers import Controller
 from ccdtools.progress import counted
 from invariant_sets import AdmissibleInputs, Polytope
@@ -186,7 +186,7 @@ class SetFilters:
         rows = max(len(S.b) for S in self.sets)
         members = max(len(runs) for runs in self.groups)
         width = rows * (self.model.A.shape[1] + self.model.B.shape[2] + 1 + members)
-        step = max(1, ENTRIES_AT_ONCE // width)
+        step = max(1, 2**21 // width)  # 16 MiB
         return [self._piece(begin, min(begin + step, len(self.groups))) for begin in range(0, len(self.groups), step)]
 
     def _piece(self, begin: int, end: int) -> _Piece:

@@ -20,8 +20,6 @@ from ccdtools.co_design.tolerances import (
     DISTURBED_RUNS,
     IDLE_PART,
     MAGNITUDES,
-    SLOPE_DESIGNS,
-    SLOPE_POINTS,
     TERM_POINTS,
     TERM_ROUNDING,
 )
@@ -65,7 +63,7 @@ def acting_together(problem: Any) -> str:
     width = space.upper - space.lower  # of a fixed entry zero
     extents = _extents(problem, np.abs(_disturbance(problem, DISTURBED_RUNS)).max(axis=(0, 1), initial=0.0))
     slopes = [_slopes(term) for term in _terms(problem, extents)]
-    designs = space.latin_hypercube(SLOPE_DESIGNS, rng)
+    designs = space.latin_hypercube(3, rng)  # the one where fewest entries act together tells
     rows = ([_rows(one, p, extents, rng) for one in slopes] for p in designs)
     fewest = min((_without_effect(np.concatenate(found) * width) for found in rows), key=len)
     part = np.flatnonzero(np.abs(fewest).max(axis=0, initial=0.0) > IDLE_PART)
@@ -141,7 +139,7 @@ def _slopes(term: ca.Function) -> ca.Function:
 
 def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random.Generator) -> Array:
     """Slopes (n, np) of a term at a design (np,), of all its values and at random points, rounding left out."""
-    count = SLOPE_POINTS if slopes.n_in() > 1 else 1
+    count = 100 if slopes.n_in() > 1 else 1
     found = np.asarray(slopes(*_drawn(slopes, np.tile(p, (count, 1)), extents, rng)), dtype=float)
     rows = np.concatenate(np.split(found, count, axis=1))
     rows = rows[np.isfinite(rows).all(axis=1)]

@@ -25,19 +25,7 @@ from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.lqr_regions import lqr_gains
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
-from ccdtools.co_design.tolerances import (
-    CLIMBED_COMBINATIONS,
-    CLIMBED_OF_ONE,
-    COMPASS_FIRST_STEP,
-    COMPASS_LAST_STEP,
-    COMPASS_ROUNDS,
-    MAP_POINTS,
-    MAP_POINTS_OF_MANY,
-    MAP_ROWS,
-    MOST_CLIMBED,
-    PATH_POINTS,
-    RIDGE,
-)
+from ccdtools.co_design.tolerances import CLIMBED_COMBINATIONS, COMPASS_LAST_STEP, MAP_POINTS, MOST_CLIMBED, RIDGE
 from ccdtools.plants.design_space import DesignSpace
 
 RUNS = 96  # Every design is simulated on the same scenarios, so many.
@@ -84,7 +72,7 @@ class Landscape:
     @property
     def _batch(self) -> int:
         """Designs simulated side by side."""
-        return max(1, MAP_ROWS // len(self._x0))
+        return max(1, 6000 // len(self._x0))  # runs side by side
 
     @torch.no_grad()
     def _simulated(self, V: Array, K: Array) -> Array:
@@ -166,7 +154,7 @@ def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
 
 def _spread(size: int, rng: np.random.Generator) -> Array:
     """Points of the unit box (n, size): a Sobol sequence, and the corners where they are few."""
-    points = qmc.Sobol(size, rng=rng).random(MAP_POINTS.get(size, MAP_POINTS_OF_MANY))
+    points = qmc.Sobol(size, rng=rng).random(MAP_POINTS.get(size, 128))
     return np.vstack([points, list(product((0.0, 1.0), repeat=size))]) if size in MAP_POINTS else points
 
 
@@ -193,7 +181,7 @@ def _hilltops_by_combination(landscape: Landscape, V: Array, J: Array) -> tuple[
     keys, which = np.unique(np.round(V[:, space.whole], 9), axis=0, return_inverse=True)
     groups = [np.flatnonzero(which.ravel() == k) for k in range(len(keys))]
     best = sorted((group for group in groups if np.isfinite(J[group]).any()), key=lambda group: -J[group].max())
-    tops = (group[_hilltops(V[group], J[group])[:CLIMBED_OF_ONE]] for group in best[:CLIMBED_COMBINATIONS])
+    tops = (group[_hilltops(V[group], J[group])[:2]] for group in best[:CLIMBED_COMBINATIONS])
     return V, J, [int(i) for top in tops for i in top]
 
 
@@ -219,9 +207,9 @@ def _climbed(
     moving = space.free if across else space.allowed.free
     least = np.where(space.whole, 1.0 / space.allowed.width, 0.0)
     compass = np.vstack([np.eye(size)[moving], -np.eye(size)[moving]])
-    step = np.full(len(V), COMPASS_FIRST_STEP if len(compass) else 0.0)
+    step = np.full(len(V), 0.1 if len(compass) else 0.0)
     looked = [(V.copy(), J.copy())]
-    for _ in range(COMPASS_ROUNDS):
+    for _ in range(60):  # rounds at most
         climbing = np.flatnonzero(step >= COMPASS_LAST_STEP)
         if not len(climbing):
             break
@@ -268,7 +256,7 @@ def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float)
         return False
     if np.abs(higher - lower).max() <= 2 * COMPASS_LAST_STEP:
         return True
-    shares = np.linspace(0, 1, PATH_POINTS + 2)[1:-1, None]
+    shares = np.linspace(0, 1, 11)[1:-1, None]  # of the way
     between = landscape.returns(lower + shares * (higher - lower))
     problem = landscape.problem
     size = problem.made_by_control(height, problem.design.from_unit(lower))

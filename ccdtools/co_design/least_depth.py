@@ -13,7 +13,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_vector
 from ccdtools.co_design.design_controllers import HORIZON
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
-from ccdtools.co_design.tolerances import DEPTH_DESIGNS, DEPTH_TIME, NO_VIOLATION
+from ccdtools.co_design.tolerances import DEPTH_TIME, NO_VIOLATION
 from ccdtools.exceptions import LimitWarning
 from ccdtools.limits import StateLimits
 
@@ -52,7 +52,7 @@ def unavoidable_depth(problem: CoDesignProblem, design: Array) -> tuple[float, f
     here = least_depth(problem, design)
     if here <= NO_VIOLATION:
         return 0.0, 0.0
-    others = (least_depth(problem, other) for other in problem.design.spread()[:DEPTH_DESIGNS])
+    others = (least_depth(problem, other) for other in problem.design.spread()[:9])
     anywhere = min(here, *others)
     return here, anywhere if anywhere > NO_VIOLATION else 0.0
 

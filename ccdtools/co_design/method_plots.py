@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import Landscape
 from ccdtools.co_design.method_verdicts import SAME
-from ccdtools.co_design.tolerances import DEEPEST_SHOWN, PLOT_GRID, POINT_DISTANCE
+from ccdtools.co_design.tolerances import DEEPEST_SHOWN
 from ccdtools.figure_style import BOUND, NOT_WORSE_STRIP, blank, draw_map, label, styled
 from ccdtools.plants.design_space import DesignSpace
 
@@ -104,7 +104,7 @@ def _axis(space: DesignSpace, i: int, count: int) -> Array:
 def _landscape(comparison: Any, shown: Sequence[int]) -> tuple[list[Array], Array]:
     """Values along the axes, and returns of saturated LQR over them; NaN where there is none, or runs are lost."""
     space = comparison.problem.design
-    axes = [_axis(space, i, PLOT_GRID[len(shown)]) for i in shown]
+    axes = [_axis(space, i, {1: 41, 2: 13}[len(shown)]) for i in shown]  # designs per axis
     over = np.stack(np.meshgrid(*axes), axis=-1)
     held = space.settled(space.allowed.rounded(np.zeros(space.dim)))
     grid = np.broadcast_to(held, (*over.shape[:-1], space.dim)).copy()
@@ -169,7 +169,7 @@ def _ranges(
         ax.plot([0, 1], [y, y], color="#E3E3E3", lw=7, solid_capstyle="butt", zorder=0)
         for rank, row in enumerate(rows):
             colour, marker = looks[row.name]
-            height = y + min(POINT_DISTANCE, 0.7 / len(rows)) * (rank - middle)
+            height = y + min(0.12, 0.7 / len(rows)) * (rank - middle)
             ax.plot(space.to_unit(row.result.design)[i], height, marker, color=colour, ms=7, mec="white", mew=0.6,
                     clip_on=False, zorder=4)  # fmt: skip
         for end, side, place in ((space.lower[i], "left", 0.0), (space.upper[i], "right", 1.0)):

@@ -19,7 +19,7 @@ from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.nested import RUNS, Nested
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import SAME_SENSITIVITY, SENSITIVITY_EVALUATIONS, SMALL_SENSITIVITY
+from ccdtools.co_design.tolerances import SAME_SENSITIVITY, SMALL_SENSITIVITY
 from ccdtools.co_design.trade_off import ProblemOf, stated
 from ccdtools.exceptions import InputError
 
@@ -152,7 +152,7 @@ def _best(problem: CoDesignProblem, design: Array, inner: str, runs: int, seed: 
     v = space.allowed.rounded(np.clip(space.to_unit(design), 0.0, 1.0))
     value = value_of(cost, v)
     size = float(problem.made_by_control(-value, space.from_unit(v))) if np.isfinite(value) else 1.0
-    found = descend(cost, space, v, size=size or 1.0, evaluations=SENSITIVITY_EVALUATIONS)
+    found = descend(cost, space, v, size=size or 1.0, evaluations=100)
     if not np.isfinite(found.cost):
         got = f"{space.describe(space.from_unit(v))}, which has no LQR to search by"
         raise InputError("design", got, "a design that can be stabilised, at every value that is looked at")

@@ -25,16 +25,7 @@ from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in
 from ccdtools.co_design.episodes import Episode, latent_law, simulated
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import (
-    CHECKED_DIRECTIONS,
-    LEAST_ACTION,
-    MOST_RETUNES,
-    NO_GRADIENT,
-    NOISIER,
-    POLICY_STEPS,
-    RETUNE_STEPS,
-    RETUNES_EACH,
-)
+from ccdtools.co_design.tolerances import LEAST_ACTION, NO_GRADIENT, NOISIER, POLICY_STEPS, RETUNE_STEPS
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import scaled
@@ -109,7 +100,7 @@ def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenario
     """
     retuned = Retuned(problem, policy, scenarios)
     size = int(np.prod(retuned.shape))
-    drawn = np.random.default_rng(0).standard_normal((size, min(CHECKED_DIRECTIONS, size)))
+    drawn = np.random.default_rng(0).standard_normal((size, min(4, size)))
     directions = torch.tensor(np.linalg.qr(drawn)[0])
     r = torch.zeros((len(scenarios[0]), *retuned.shape), dtype=torch.float64, requires_grad=True)
     values = retuned.values(r)
@@ -162,7 +153,7 @@ def better_by_search(
     gain, offset, law = (RETUNE_STEPS[name] for name in ("gain", "offset", "law"))
     steps = np.tile([gain, offset, *[law] * (retuned.shape[1] - 2)], retuned.shape[0])
     simplex = np.vstack([np.zeros(count), np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxfev": min(RETUNES_EACH * count, MOST_RETUNES), "adaptive": True}
+    options = {"initial_simplex": simplex, "maxfev": min(10 * count, 60), "adaptive": True}
     found = minimize(cost, np.zeros(count), method="Nelder-Mead", options=options).x
     again = retuned.on(fresh)
     better = again.values(torch.tensor(found.reshape(retuned.shape)))

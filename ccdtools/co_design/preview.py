@@ -13,7 +13,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_count, as_instance, has_method
 from ccdtools.co_design.objective import Objective, QuadraticObjective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
-from ccdtools.co_design.tolerances import PREVIEW_DRAWN, PREVIEW_ROOM
+from ccdtools.co_design.tolerances import PREVIEW_ROOM
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.limits import as_limits
@@ -219,7 +219,7 @@ def shifted(w: Array, steps: int, channels: Sequence[int]) -> Array:
 
 def _drawn_bounds(problem: CoDesignProblem, known: tuple[int, ...]) -> tuple[ArrayField, ArrayField]:
     """Bounds of the disturbances known ahead, symmetric, from a few episodes."""
-    _, w = problem.scenarios.sample(PREVIEW_DRAWN, problem.steps, np.random.default_rng(0))
+    _, w = problem.scenarios.sample(200, problem.steps, np.random.default_rng(0))
     largest = PREVIEW_ROOM * np.abs(as_array("scenarios, disturbances", w)).max(axis=(0, 1))[list(known)]
     if not (largest > 0).all():
         cure = "Give their bounds W, or name other channels."

@@ -9,7 +9,6 @@ import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_floats, has_method, shown
-from ccdtools.co_design.tolerances import TRIED_PER_START
 from ccdtools.disturbances.combinations import as_chances
 from ccdtools.disturbances.disturbance import Disturbance, Uniform, check_draw
 from ccdtools.exceptions import InputError
@@ -116,7 +115,7 @@ def uniform_in(S: Polytope, n: int, rng: np.random.Generator) -> Array:
     Operations Research 32(6), 1984.
     """
     lower, upper = S.bounding_box()
-    tried = rng.uniform(lower, upper, (TRIED_PER_START * n, S.dim))
+    tried = rng.uniform(lower, upper, (40 * n, S.dim))  # for each wanted; if few lie in S, hit and run takes over
     found = tried[S.contains(tried)]
     if len(found) >= n:
         return found[:n]

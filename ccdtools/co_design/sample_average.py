@@ -12,14 +12,7 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.feasible import DesignRegion
-from ccdtools.co_design.tolerances import (
-    CLIMB_OPTIONS,
-    COMPRESS_ABOVE,
-    LOST_VALUE,
-    PER_UNIT,
-    STEEPEST,
-    UNIT_OF_Z,
-)
+from ccdtools.co_design.tolerances import CLIMB_OPTIONS, COMPRESS_ABOVE, LOST_VALUE, PER_UNIT, STEEPEST, UNIT_OF_Z
 
 
 class SampleAverage:

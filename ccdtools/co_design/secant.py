@@ -25,7 +25,7 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import EXCITATION, SECANT_GAIN, SECANT_ROUNDS, SECANT_RUNS
+from ccdtools.co_design.tolerances import EXCITATION, SECANT_GAIN
 from ccdtools.controllers.controllers import LinearFeedback, Passive
 from mpc import NotStabilisableError, lqr
 
@@ -92,7 +92,7 @@ def stochastic_linearisation(
 
 def visited(problem: CoDesignProblem, rng: np.random.Generator) -> ScenarioTensors:
     """The scenarios that a fit is over."""
-    x0, w = scenario_tensors(problem, fewer_runs(SECANT_RUNS, problem.steps), rng)
+    x0, w = scenario_tensors(problem, fewer_runs(32, problem.steps), rng)
     return x0.double(), w.double()
 
 
@@ -126,7 +126,7 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
     half = np.where(np.isfinite(bounds[1] - bounds[0]), bounds[1] - bounds[0], 1.0) / 2
     inputs = np.clip(EXCITATION * half * rng.standard_normal((len(states), problem.model.nu)), *bounds)
     best: Linearisation | None = None
-    for _ in range(SECANT_ROUNDS):
+    for _ in range(4):  # each fits over the loop of the one before
         A, B = _least_squares(problem, p, states, inputs, rng)
         try:
             law = LinearFeedback(lqr(A, B, **weights)[0], *bounds)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import ABORT, FACETS_PER_SECOND, FEWEST_DESIGNS, PROBES, SET_WORK
+from ccdtools.co_design.tolerances import ABORT, FEWEST_DESIGNS, SET_WORK
 from ccdtools.progress import counted
 from invariant_sets import ParametricSet, Polytope
 from invariant_sets.results import Status
@@ -98,7 +98,7 @@ def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: i
     It is `samples` if every candidate can have its own.
     """
     work = []
-    for design in problem.design.spread()[::-1][: min(PROBES, samples)]:
+    for design in problem.design.spread()[::-1][: min(5, samples)]:  # sets that show how much work one is
         result = sets.result(design)
         if result.status not in USABLE:
             late = LATE if result.status is Status.TIME_LIMIT else ""
@@ -135,5 +135,5 @@ def limited(sets: ParametricSet, effort: Effort) -> ParametricSet:
     """The family with the facets of one set that the budget allows; far beyond it, its time is limited."""
     if not np.isfinite(effort.seconds):
         return sets
-    facets = max(min(sets.max_facets, int(FACETS_PER_SECOND * effort.seconds)), 1)
+    facets = max(min(sets.max_facets, int(8 * effort.seconds)), 1)  # 8 for every second of the limit
     return replace(sets, max_facets=facets, time_limit=effort.seconds)

@@ -33,13 +33,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, ClosedLoopReturns, CoDesignResult
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.co_design.tolerances import (
-    BLIND_SHARE,
-    LEAST_TOLERANCE,
-    SETTLED_LOSS,
-    SETTLING_EVALUATIONS,
-    SETTLING_RUNS,
-)
+from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE, SETTLED_LOSS, SETTLING_RUNS
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -145,7 +139,7 @@ class Settling:
 
     def _nested(self, start: Array, loop: ClosedLoopReturns) -> Baseline | None:
         """Result of a short nested LQR from a design."""
-        method = Nested("lqr", runs=SETTLING_RUNS, starts=1, evaluations=SETTLING_EVALUATIONS)
+        method = Nested("lqr", runs=SETTLING_RUNS, starts=1, evaluations=20)
         try:
             best = method.run(self.problem, start, copy.deepcopy(self.scenarios))
         except (MPCError, InputError):

@@ -14,8 +14,6 @@ FEW_PARAMETERS = 6  # For at most so many parameters differences may take the pl
 TRUSTED_SLOPE = 0.2  # Adam does not mind this relative error of a gradient's length and direction.
 SAME_SENSITIVITY = 0.1  # The slopes to both sides of an optimum may differ by this part of the slope.
 SMALL_SENSITIVITY = 0.01  # They may also differ by this part of the unit box per change of the value by itself.
-SENSITIVITY_EVALUATIONS = 100  # A search for the optimum at another value has so many evaluations.
-SLOPE_RUNS = 512  # The slope that a status rests on is of so many scenarios of 100 steps.
 
 # --- what is one, on an edge or feasible ------------------------------------------------------------------------------
 SAME_PLACE = 0.02  # Designs or starts within this distance in every coordinate of the unit box are one.
@@ -43,11 +41,9 @@ LEAST_PRICE = 0.001  # A smaller multiplier is zero.
 GROWTH = 0.4  # A multiplier grows by exp(0.4) at an evaluation where X is left by twice the tolerance.
 LARGEST_EXCESS = 1.0  # A multiplier grows no faster where the relative excess is larger than this.
 PRICE_GROWTH = 2.0  # A round outside the limits multiplies their price by this, beside its usual growth.
-LIMIT_ROUNDS = 30  # Multipliers of the limits are moved in at most so many rounds.
 ROUNDS_WITHOUT_GAIN = 2  # The rounds end after so many without a gain at designs that keep the limits.
 ROUNDS_AT_ONE_DESIGN = 6  # The rounds end after so many at one design that does not keep the limits.
 NEGLIGIBLE_GAIN = 1e-3  # A gain of a round below this part of the return that control makes has no consequence.
-WAY_HALVINGS = 8  # The way from a design that keeps the limits to one that does not is halved so often.
 WORTHWHILE_VIOLATION = 0.9  # A block of iterations was worth it if it leaves at most this part of a violation.
 VIOLATION_COST = 0.05  # Exceeding the tolerance by `LEAST_TOLERANCE` costs a global search this part of the cost.
 NO_VIOLATION = 1e-5  # A violation is none below this many half-widths, the linear program's own tolerance.
@@ -60,99 +56,68 @@ UNIT_OF_Z = 0.03  # The first step of a climb goes at most this far in weights a
 PER_UNIT = UNIT_OF_Z**-2  # With this unit of the value a first step among bounds is no longer than the gradient.
 STEEPEST = 1e3  # Longer relative gradients are shortened to this.
 LOST_VALUE = 1e9 * PER_UNIT  # A climb has this value where the cost is not finite.
-CLIMB_MEMORY = 20  # L-BFGS keeps so many pairs.
 # L-BFGS stops at these relative tolerances.
-CLIMB_OPTIONS = {"maxcor": CLIMB_MEMORY, "ftol": 1e-7, "gtol": 1e-5 / UNIT_OF_Z}
-SEARCHES_IN_A_ROW = 3  # So many local searches follow one another while they gain.
+CLIMB_OPTIONS = {"maxcor": 20, "ftol": 1e-7, "gtol": 1e-5 / UNIT_OF_Z}
 GAINED = 1e-7  # A local search has gained if the cost falls by more than this part of it.
 SIZE_EVALUATIONS = 20  # The first evaluations of a global search, so many, say how large costs are.
 BETTER_SHARE = 0.25  # Only this quantile of them counts: designs that lose their runs say nothing.
 POLICY_ITERATIONS = 40  # A policy is trained so many iterations at every design.
-CMA_FIRST_STEP = 0.25  # CMA-ES begins with this standard deviation in the unit box.
 CMA_SETTLED = 1e-3  # CMA-ES has converged at this spread in the unit box.
 SATURATION = 1e-3  # A saturation is rounded off within this part of the range of the input from its bound.
-MOMENT_SAMPLES = 4096  # Second moments are taken from so many starts and disturbances.
 # So many blocks without a gain end an ascent; PPO's first may only train V.
 QUIET_BLOCKS = {"pathwise": 1, "ppo": 2, "pathwise+ppo": 1}
 QUIET_BLOCKS_LIMITED = 3  # So many blocks without a gain end it while multipliers of the state limits move.
 
 # --- starts and the landscape -----------------------------------------------------------------------------------------
-WARM_START_RUNS = 64  # A warm start is checked on so many scenarios.
-EXPERT_SAMPLES = 1000  # The expert's data have so many candidates where no agent is given.
 # No climb starts at a local optimum worse than the best by this part of its return without design cost.
 WORTH_A_START = 0.2
-STARTS_OF_MANY = 4  # So many climbs start with the best of many combinations of whole numbers.
-MAPPED_PARAMETERS = 3  # By default a second local optimum is climbed from for at most so many parameters.
-MAP_ROWS = 6000  # So many runs of the landscape are simulated side by side.
 MAP_POINTS = {1: 32, 2: 64, 3: 128}  # The first map has so many designs, by the number of parameters.
-MAP_POINTS_OF_MANY = 128  # The first map of more parameters has so many designs.
 MOST_CLIMBED = 6  # At most so many local optima of the first map are climbed.
-COMPASS_FIRST_STEP = 0.1  # A climb of the landscape begins with this step in the unit box.
 COMPASS_LAST_STEP = 0.01  # A climb of the landscape ends at this step in the unit box.
-COMPASS_ROUNDS = 60  # A climb of the landscape has at most so many rounds.
-PATH_POINTS = 9  # So many designs between two local optima are simulated.
 CLIMBED_COMBINATIONS = 8  # The best combinations of whole numbers, so many, are climbed with.
-CLIMBED_OF_ONE = 2  # So many local optima are climbed with one combination.
 RIDGE = 2e-3  # Local optima are one if they are parted by less than this part of the return without the design's cost.
 
 # --- the expert and its sets ------------------------------------------------------------------------------------------
 SET_SECONDS = 60.0  # The invariant set of a design has this time [s]; what is invariant by then is taken.
 SET_WORK = 50_000  # A usual processor does so many steps times squared facets in a second, or more.
-FACETS_PER_SECOND = 8  # One set has at most so many facets for every second of the limit.
 FEWEST_DESIGNS = 64  # Candidates share at least so many designs.
-PROBES = 5  # So many sets are computed to see how much work one is.
 ABORT = 4.0  # After this multiple of the limit, in processor time, no further set is computed.
-LONGEST_LOOP = 2000  # A loop that is not in its ellipsoid after so many steps counts as outside.
 NEARLY_LINEAR = 0.1  # A linearisation is trusted in this part of its ellipsoid.
-SCALE_HALVINGS = 10  # The logarithm of a scale is halved so often: from 1e-6 to 1 this leaves 1.4 %.
 EDGE_OF_SET = 1e-3  # An input leads to the edge of a set within this part of the set's range along a row.
 IMITATED = 2.0  # No state is imitated beyond so many half-widths of X: a run that is being lost teaches nothing.
 LED_BACK = 0.1  # A state outside a set by at most this part of its range along a row is led back.
 VISITS = (0, 1, 2, 4, 8, 16, 32, 64)  # The states after so many steps of each closed loop join the data.
 VALUE_TAIL = 400  # Values look ahead so many further steps; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated.
-ENTRIES_AT_ONCE = 2**21  # One product of rows and states has at most so many numbers, 16 MiB.
 ACCEPTED_SHARE = 0.25  # If a smaller share of the candidates is accepted, the others are moved into their sets.
 CANDIDATES_PER_START = 4  # One loop in so many candidates begins where the episodes begin.
-TRIED_PER_START = 40  # So many points of a set's bounding box are tried for each wanted, before hit and run takes over.
 
 # --- episodes and previews --------------------------------------------------------------------------------------------
 LONGEST_SEGMENT = 100  # The intermediate values of so many steps are held at once.
 HELD_SAMPLES = 256 * 2 * LONGEST_SEGMENT  # All runs together may hold so many samples, however many steps.
-FEWEST_EPISODES = 16  # At least so many episodes run in parallel, however long they are.
-PREVIEW_DRAWN = 200  # So many episodes tell how large a disturbance is.
 # A disturbance may be this multiple of the largest drawn: an active limit would make an MPC infeasible.
 PREVIEW_ROOM = 3.0
 DEPTH_TIME = {"time_limit": 2.0}  # One program has this time [s]; where it is not enough, nothing is claimed.
-DEPTH_DESIGNS = 9  # So many other designs are tried, the corners of a box of two or three parameters first.
 
 # --- entries of the design without effect -----------------------------------------------------------------------------
 TERM_POINTS = (8, 500)  # A term is evaluated at so many points, a few, and where nothing changes many.
 DISTURBED_RUNS = 20  # So many scenarios tell a disturbance that is always zero.
-SLOPE_DESIGNS = 3  # Slopes are evaluated at so many designs; the one where fewest entries act together tells.
 MAGNITUDES = (-5.0, 1.0)  # States, inputs and disturbances have these powers of ten beside their extents.
-SLOPE_POINTS = 100  # So many states, inputs and disturbances are taken at each of these designs.
 TERM_ROUNDING = 1e-12  # A change below this part of the largest value or slope of a term is rounding.
 ACT_TOGETHER = 1e-6  # Entries act together below this singular value of slopes with rows and columns of norm one.
 IDLE_PART = 1e-3  # An entry with less than this in a unit direction that changes nothing has no part in it.
 
 # --- a fit, a controller given, and the settling baseline -------------------------------------------------------------
-SECANT_RUNS = 32  # The fit of a secant is over so many scenarios of 100 steps.
-SECANT_ROUNDS = 4  # So many fits follow one another, each over the loop of the one before.
 SECANT_GAIN = 5e-3  # A smaller gain, in parts of the return, is not worth a search without exact slopes.
 EXCITATION = 0.3  # Inputs of the first fit have this standard deviation, in parts of half the input's range.
 SETTLED_LOSS = 5e-3  # A settled controller may lose to a baseline by this part of the return that control makes.
 # Nested LQR and checks of a policy have so many scenarios of 100 steps, its gradient twice as many.
 SETTLING_RUNS = 256
-SETTLING_EVALUATIONS = 20  # Nested LQR has so many evaluations.
 BLIND_SHARE = 0.5  # A policy without a gradient in a larger share of the runs is not led by it.
 NO_GRADIENT = 1e-9  # A run whose gradient is smaller than this part of the return has none.
-CHECKED_DIRECTIONS = 4  # Gradient and differences are compared along so many random directions.
 LEAST_ACTION = 1e-3  # A policy is taken to do at least this part of the range of an input.
 NOISIER = 2.0  # Returns jump where smaller steps have errors larger by this factor; then only the larger step counts.
 # A search of the numbers that are tuned begins with these steps.
 RETUNE_STEPS = {"gain": 0.5, "offset": 0.1, "law": 0.2}
-RETUNES_EACH = 10  # The search has so many evaluations for every number that is tuned.
-MOST_RETUNES = 60  # The search has at most so many evaluations.
 FEW_RUNS_DECIDE = 2.0  # A few runs decide where their standard deviation exceeds this multiple of their mean.
 UNFORESEEN = 0.5  # An objective that predicts more by this part of the closed loop's return did not see what happens.
 
@@ -160,6 +125,4 @@ UNFORESEEN = 0.5  # An objective that predicts more by this part of the closed l
 MORE_LOST = 1e-3  # A method is not the best if it loses more of the runs than the one that loses fewest by this.
 OWN_OBJECTIVE = 5.0  # A difference between a method's own objective and the closed loop is worth a word above this [%].
 OUTSIDE_SHARE = 1e-3  # A share of states outside the limits is worth a word above twice the reference's and this.
-PLOT_GRID = {1: 41, 2: 13}  # The plotted landscape has so many designs per axis.
 DEEPEST_SHOWN = 0.25  # Returns below the best by more than this part of the reference's are shown at the lower edge.
-POINT_DISTANCE = 0.12  # Two methods' points in a row are this part of the row apart.

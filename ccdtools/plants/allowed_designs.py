@@ -15,7 +15,7 @@ from scipy.stats import qmc
 from ccdtools.arrays import Array
 from ccdtools.plants.design_constraints import UnitConstraints
 from ccdtools.plants.nearest_design import allowed_point, nearest, nearest_whole
-from ccdtools.plants.tolerances import ALLOWED_STARTS, ANCHORS, BOX_SAMPLES, EXACT, MAX_CORNERS, TRIED_COMBINATIONS
+from ccdtools.plants.tolerances import ALLOWED_STARTS, BOX_SAMPLES, EXACT, MAX_CORNERS, TRIED_COMBINATIONS
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ class AllowedDesigns:
         samples = self.rounded(self._samples)
         inside = samples[self.violation(samples) <= EXACT]
         if len(inside):
-            return inside[:ANCHORS]
+            return inside[:64]  # kept to search from
         return self.least_violated[None][self.violation(self.least_violated[None]) <= EXACT]
 
     @cached_property

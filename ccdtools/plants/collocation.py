@@ -10,16 +10,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
-from ccdtools.plants.tolerances import (
-    CLOSE,
-    CONVERGED,
-    FLOOR,
-    LAST_NEWTON_STEPS,
-    NEWTON_ITERATIONS,
-    SHRINKS,
-    STAGES,
-    STALLED,
-)
+from ccdtools.plants.tolerances import CLOSE, CONVERGED, FLOOR, NEWTON_ITERATIONS, STAGES, STALLED
 
 
 class ImplicitStep:
@@ -100,7 +91,7 @@ class ImplicitStep:
             return self._solved(xp, x, along)[..., -1, :]
         with xp.no_grad():
             Z = self._solved(xp, x.detach(), tuple(a.detach() for a in along))
-        for _ in range(LAST_NEWTON_STEPS):
+        for _ in range(2):  # one gives the first derivatives, two the second and third
             Z = Z - self._newton(xp, Z, x, along)
         return Z[..., -1, :]
 
@@ -117,7 +108,7 @@ class ImplicitStep:
             largest = xp.maximum(largest, xp.maximum(abs(step), abs(Z)))
             size = largest.max(-2, keepdims=True) if xp is np else largest.amax(-2, keepdim=True)
             small = (abs(step) <= CLOSE * size) | (abs(step) <= FLOOR * scale)
-            small = small | ((abs(step) <= STALLED * scale) & (abs(step) > SHRINKS * before))
+            small = small | ((abs(step) <= STALLED * scale) & (abs(step) > 0.5 * before))  # it no longer shrinks
             done = done | small.all(-1).all(-1)
             before = abs(step)
             if bool((done | ~xp.isfinite(Z).all(-1).all(-1)).all()):

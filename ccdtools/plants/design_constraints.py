@@ -14,16 +14,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbols import as_expression, check_known, term_sizes
-from ccdtools.plants.tolerances import (
-    BESIDE_LEVEL,
-    CURVED,
-    EPSILON,
-    EXTENT_QUANTILES,
-    LEVEL,
-    NEAR_EDGE,
-    ON_EDGE,
-    TINY,
-)
+from ccdtools.plants.tolerances import BESIDE_LEVEL, CURVED, EPSILON, EXTENT_QUANTILES, LEVEL, NEAR_EDGE, ON_EDGE, TINY
 from ccdtools_ground.user_functions import stopped
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)

@@ -17,7 +17,7 @@ from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_na
 from ccdtools.exceptions import InputError
 from ccdtools.plants.allowed_designs import AllowedDesigns
 from ccdtools.plants.design_constraints import compiled, constraint_names
-from ccdtools.plants.tolerances import FEASIBLE, INTERIOR_POINTS, MAX_CORNERS
+from ccdtools.plants.tolerances import FEASIBLE, MAX_CORNERS
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -266,7 +266,7 @@ class DesignSpace(Immutable):
         moving = np.flatnonzero(self.free)[:MAX_CORNERS]
         corners = np.full((2 ** len(moving), self.dim), 0.5)
         corners[:, moving] = list(product((0.0, 1.0), repeat=len(moving)))
-        interior = self.latin_hypercube(INTERIOR_POINTS, np.random.default_rng(0))
+        interior = self.latin_hypercube(64, np.random.default_rng(0))
         return np.vstack([self.from_unit(corners), self.centre[None], interior])
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:

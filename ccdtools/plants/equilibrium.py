@@ -16,7 +16,7 @@ from ccdtools.checks import as_floats, as_instance, as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.rates import Rates, independent, newton_step, rest_near
-from ccdtools.plants.tolerances import PATHS, POLISH, RATE_ROUNDING, SAME_REST
+from ccdtools.plants.tolerances import PATHS, RATE_ROUNDING, SAME_REST
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,7 +123,7 @@ def _followed(step: ca.Function, start: Any, p0: Array, p: Any, stations: int, s
     origin = ca.repmat(ca.DM(p0), 1, p.shape[1])
     for k in range(1, stations + 1):
         station = origin + (p - origin) * (0.5 - 0.5 * math.cos(math.pi * k / stations))
-        for _ in range(steps + POLISH * (k == stations > 1)):
+        for _ in range(steps + 5 * (k == stations > 1)):  # 5 last steps where there is a way
             found = step(found, station)
     return found
 

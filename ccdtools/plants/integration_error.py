@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.plants.tolerances import AROUND_WORST, ERROR_POINTS, ERROR_ROUNDS, SAFETY, WORST_POINTS
+from ccdtools.plants.tolerances import AROUND_WORST, ERROR_POINTS, SAFETY
 
 Step = Callable[[Any, Any, Any, Any], Any]
 
@@ -103,10 +103,10 @@ def measured_error(step: Step, finer: Step, region: Region) -> IntegrationError:
     points = np.vstack([spread, corners, np.full((1, dim), 0.5)])
     known = points[:0]
     values = np.zeros((0, region.sizes[0]))
-    for nearby in (AROUND_WORST**k for k in range(1, ERROR_ROUNDS + 1)):
+    for nearby in (AROUND_WORST**k for k in range(1, 4)):
         known = np.vstack([known, points])
         values = np.vstack([values, _differences(step, finer, region, points)])
-        worst = known[np.argsort((values / region.extent).max(axis=1))[-WORST_POINTS:]]
+        worst = known[np.argsort((values / region.extent).max(axis=1))[-16:]]
         around = rng.choice(worst, ERROR_POINTS // 2)
         points = np.clip(around + nearby * rng.uniform(-1, 1, around.shape), 0.0, 1.0)
     bound = SAFETY * values.max(axis=0)

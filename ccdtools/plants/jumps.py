@@ -12,7 +12,7 @@ import numpy as np
 from ccdtools.arrays import Array, Immutable
 from ccdtools.plants.casadi_arrays import Tape, Vectorised
 from ccdtools.plants.symbols import elements
-from ccdtools.plants.tolerances import AT_POINT, JUMP_LINES, JUMP_SIZES, JUMP_WIDTH, LINE_HALVINGS, NO_JUMP
+from ccdtools.plants.tolerances import AT_POINT, JUMP_LINES, JUMP_SIZES, JUMP_WIDTH, NO_JUMP
 
 NAMES = {
     ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod", ca.OP_REMAINDER: "remainder",
@@ -129,7 +129,7 @@ class Switches:
         thrown = (own != at(positions, high)).any(axis=1)
         if not thrown.any():
             return None
-        for _ in range(LINE_HALVINGS):
+        for _ in range(60):  # until its ends are neighbours
             middle = 0.5 * (low + high)
             before = (at(positions, middle) == own).all(axis=1)
             low, high = np.where(before, middle, low), np.where(before, high, middle)

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
 from ccdtools.plants.design_constraints import UnitConstraints
-from ccdtools.plants.tolerances import EXACT, INTEGER_GRID, NEAREST
+from ccdtools.plants.tolerances import EXACT, NEAREST
 
 
 def nearest(
@@ -74,7 +74,7 @@ def nearest_whole(values: Array, lower: Array, upper: Array, width: Array) -> Ar
     low = np.ceil(lower - 1e-9)
     count = np.floor(upper + 1e-9) - low + 1
     most = count.copy()
-    while np.prod(count) > INTEGER_GRID:
+    while np.prod(count) > 4096:  # combinations of whole numbers
         longest = np.argmax(count)
         count[longest] = np.ceil(count[longest] / 2)
     first = np.clip(np.round(values) - count // 2, low, low + most - count)

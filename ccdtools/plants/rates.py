@@ -14,7 +14,7 @@ from ccdtools.arrays import Array, Indices
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbols import term_sizes
-from ccdtools.plants.tolerances import DEPENDENT_PIVOT, RATE_ROUNDING, REST_STARTS
+from ccdtools.plants.tolerances import DEPENDENT_PIVOT, RATE_ROUNDING
 
 
 class Rates:
@@ -78,7 +78,7 @@ def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:
     nx = rates.states
     sizes = np.r_[np.full(nx, _size(z[:nx])), np.full(len(z) - nx, _size(z[nx:]))]
     best: tuple[float, Array] = (np.inf, z)
-    for start in range(REST_STARTS):
+    for start in range(20):  # the guess first
         reached = z.copy()
         if start:
             away = 10.0 ** (-(start // 2) if start % 2 else start // 2)  # farther and nearer, a decade at a time

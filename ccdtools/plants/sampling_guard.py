@@ -16,7 +16,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.exceptions import SamplingWarning
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.tolerances import ALIASED_DECAY, RESOLVED_SHARE, SAMPLES_PER_PERIOD
+from ccdtools.plants.tolerances import RESOLVED_SHARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class FastestMode(Immutable):
     @property
     def better_dt(self) -> float:
         """Sampling time [s] with ten samples a period of the oscillation, rounded down to one digit."""
-        wanted = 1 / (SAMPLES_PER_PERIOD * self.frequency) if self.frequency > 0 else self.dt
+        wanted = 1 / (10 * self.frequency) if self.frequency > 0 else self.dt  # 10 samples a period
         digit = 10.0 ** math.floor(math.log10(wanted))
         return math.floor(wanted / digit * (1 + 1e-12)) * digit
 
@@ -63,7 +63,7 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
         if not np.isfinite(matrix).all():  # said elsewhere, with the design
             return 0.0
         modes = np.linalg.eigvals(matrix)
-        living = modes[modes.real * dt > math.log(ALIASED_DECAY)]
+        living = modes[modes.real * dt > math.log(0.01)]  # what falls below 1 % within a sample is not aliased
         return float(np.abs(living.imag).max(initial=0.0)) / (2 * np.pi)
 
     points = design.to_unit(design.spread())

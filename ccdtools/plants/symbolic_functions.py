@@ -11,7 +11,6 @@ from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.symbols import as_expression, check_known
-from ccdtools.plants.tolerances import LONGEST_TEXT
 from ccdtools_ground.door import brief
 from ccdtools_ground.user_functions import stopped
 
@@ -121,7 +120,7 @@ class SymbolicFunction:
         for function in self._functions.values():
             columns = [_column(name, function.numel_in(i)) for i, name in enumerate(self.names)]
             text = " ".join(str(function(*columns)).split())
-            return brief(text, LONGEST_TEXT)
+            return brief(text, 200)  # characters
         return f"{self.argument}({', '.join(self.names)})"
 
     def serialized(self) -> dict[str, str]:

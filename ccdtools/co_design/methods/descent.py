@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.feasible import DesignRegion
-from ccdtools.co_design.tolerances import AT_BOUND, COMPRESS_ABOVE, GAINED, INSIDE_EDGES, LOST_COST, SEARCHES_IN_A_ROW
+from ccdtools.co_design.tolerances import AT_BOUND, COMPRESS_ABOVE, GAINED, INSIDE_EDGES, LOST_COST
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import EXACT
 
@@ -80,7 +80,7 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
         "jac": lambda z: -limits.jacobian(watched.at(z))[:, free],
     }]  # fmt: skip
     try:
-        for _ in range(SEARCHES_IN_A_ROW):
+        for _ in range(3):  # searches follow one another while they gain
             before = found.cost
             minimize(watched.value, found.v[free], jac=watched.slope, method="SLSQP",
                      bounds=[(0.0, 1.0)] * int(free.sum()), constraints=constraints,

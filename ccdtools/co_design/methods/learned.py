@@ -27,15 +27,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
 from ccdtools.co_design.risk import check_followed, measure
 from ccdtools.co_design.task import LimitPenalty, Task
-from ccdtools.co_design.tolerances import (
-    CLIMBED_COMBINATIONS,
-    EXPERT_SAMPLES,
-    MAPPED_PARAMETERS,
-    SAME_PLACE,
-    STARTS_OF_MANY,
-    WARM_START_RUNS,
-    WORTH_A_START,
-)
+from ccdtools.co_design.tolerances import CLIMBED_COMBINATIONS, SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
@@ -115,7 +107,7 @@ class Learned:
 
 def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: bool = False) -> ActorCritic:
     """An agent that imitates saturated LQR over X and the box of designs."""
-    data = expert_dataset(problem, samples=EXPERT_SAMPLES, rng=rng, progress=progress)
+    data = expert_dataset(problem, samples=1000, rng=rng, progress=progress)
     return fit_actor_critic(
         data.inputs, data.actions, data.values, action_bounds=problem.action_bounds,
         input_bounds=problem.observation_bounds, rng=rng, progress=progress,
@@ -130,7 +122,7 @@ def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np
     except MPCError:
         return False
     own, other = (
-        closed_loop_returns(problem, controller, design, copy.deepcopy(drawn), runs=WARM_START_RUNS)
+        closed_loop_returns(problem, controller, design, copy.deepcopy(drawn), runs=64)
         for controller in (LearnedPolicy(agent, design), lqr)
     )
     if own.lost.any() or other.lost.any():
@@ -232,8 +224,8 @@ def _by_default(space: DesignSpace) -> int:
     """Starts, unless a number is asked for: of a few combinations of whole numbers all."""
     if space.integer:
         number = combinations(space)
-        return 1 + int(number) if number <= CLIMBED_COMBINATIONS else STARTS_OF_MANY
-    return 3 if space.free.sum() <= MAPPED_PARAMETERS else 2
+        return 1 + int(number) if number <= CLIMBED_COMBINATIONS else 4  # starts with the best of many combinations
+    return 3 if space.free.sum() <= 3 else 2  # a second local optimum is climbed from in up to 3
 
 
 def race(

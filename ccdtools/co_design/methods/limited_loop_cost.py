@@ -16,13 +16,11 @@ from ccdtools.co_design.methods.laws import DesignLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import (
-    LIMIT_ROUNDS,
     NEGLIGIBLE_GAIN,
     PRICE_GROWTH,
     ROUNDS_AT_ONE_DESIGN,
     ROUNDS_WITHOUT_GAIN,
     USED_SHARE,
-    WAY_HALVINGS,
 )
 from ccdtools.plants.tolerances import EXACT
 from mpc import NotStabilisableError
@@ -44,7 +42,7 @@ class LimitedLoopCost(LoopCost):
         found = descend(cost, self.problem.design, v, size=size, evaluations=evaluations)
         penalty = StateLimitPenalty(self.problem)
         ends: list[LimitedEnd] = []
-        for _ in range(LIMIT_ROUNDS if np.isfinite(found.cost) else 0):
+        for _ in range(30 if np.isfinite(found.cost) else 0):  # rounds of the multipliers
             seen, penalty = cost.updated(penalty, found.v)
             if bool(seen.diverged.any()):
                 break
@@ -76,7 +74,7 @@ class LimitedLoopCost(LoopCost):
         begin = best.found.v
         assert best.penalty is not None
         near, far = 0.0, 1.0
-        for _ in range(WAY_HALVINGS):
+        for _ in range(8):
             share = (near + far) / 2
             v = begin + share * (broken.found.v - begin)
             self.evaluations += 1

@@ -15,7 +15,6 @@ from ccdtools.co_design.methods.design_cost import DesignCost
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import Mean
-from ccdtools.co_design.tolerances import MOMENT_SAMPLES
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from mpc import NotStabilisableError
@@ -54,7 +53,7 @@ class RiccatiCost(DesignCost):
             if is_so:
                 cure = "Nested('lqr') simulates the problem as it is."
                 raise InputError("method", f"the Riccati equation for a problem with {got}", "one of mean costs", cure)
-        x0, w = problem.scenarios.sample(MOMENT_SAMPLES, problem.steps, np.random.default_rng(0))
+        x0, w = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))  # for second moments
         self._starts = x0.T @ x0 / len(x0)
         self._noise = np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 

@@ -28,7 +28,7 @@ from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.co_design.tolerances import CMA_FIRST_STEP, CMA_SETTLED, SIZE_EVALUATIONS
+from ccdtools.co_design.tolerances import CMA_SETTLED, SIZE_EVALUATIONS
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
 
@@ -160,7 +160,7 @@ def _one_strategy(box: BlackBox, first: Array, budget: int, rng: np.random.Gener
         "bounds": [0.0, 1.0], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "tolx": CMA_SETTLED, "tolfun": 0.0,
         "tolfunhist": 0.0,
     }  # fmt: skip
-    strategy = cma.CMAEvolutionStrategy(start, CMA_FIRST_STEP, options)
+    strategy = cma.CMAEvolutionStrategy(start, 0.25, options)  # first step in the unit box
     while not strategy.stop():
         points = strategy.ask()
         left, budget = budget, budget - len(points)
