@@ -64,7 +64,7 @@ def _check_actions(problem: CoDesignProblem, agent: ActorCritic) -> None:
 
 
 def _same_limits(problem: CoDesignProblem, agent: ActorCritic) -> bool:
-    """Whether both have limits that depend on the design, the same at designs all over the box."""
+    """True if both limits depend on the design and agree all over the box."""
     own, other = problem.U, agent.action_limits
     if not isinstance(own, DesignLimits) or other is None:
         return False

@@ -1,4 +1,6 @@
-"""One co-design from one start: policy and design climb together, block by block, while it pays.
+"""Co-design from one start.
+
+Policy and design climb together, block by block, while it pays.
 
 Along the gradient through the model, a block is a climb by L-BFGS-B on a fixed set of scenarios, on which the return is
 a smooth function of policy and design; the next block draws another set, so that nothing is fitted to one. With PPO
@@ -104,7 +106,7 @@ class Ascent:
 
     @property
     def by_differences(self) -> bool:
-        """Whether the design follows finite differences in the place of the gradient through the model."""
+        """True if finite differences replace the design's gradient through the model."""
         wrong = self.check is not None and not self.check.trusted
         return wrong and self.region.free.sum() <= FEW_PARAMETERS and self.task.config.design_gradient == "pathwise"
 
@@ -151,14 +153,14 @@ class Ascent:
         return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 
     def _improved(self, before: Iterate) -> bool:
-        """Whether the block brought a gain that is not chance and that matters, or fewer lost runs or violations."""
+        """True if the block brought a gain that matters and is no chance, or fewer lost runs or violations."""
         best = self.best
         if best.lost < before.lost or best.violation < WORTHWHILE_VIOLATION * before.violation:
             return True
         return bool(self.gain.ci95[0] > 0 and self.gain.mean > self.task.config.tolerance * self._size)
 
     def _climbs(self) -> bool:
-        """Whether the return that iterates are scored by still rises along the design, inside the box."""
+        """True if the return that scores iterates still rises along the design, inside the box."""
         best = self.best
         judge = self.task.judge
         scenarios = scenario_tensors(judge, fewer_runs(512, judge.steps), self.rng)
@@ -282,7 +284,7 @@ class Ascent:
         return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), values.numpy(), violation, lost, outcome)
 
     def iterate(self, k: int, length: int) -> None:
-        """One step of the policy and one of the design; the rates are those of iteration k of a block."""
+        """Take one step of policy and design, with the rates of iteration k of a block."""
         task = self.task
         config = task.config
         factor = 1.0 if config.constant_rates else 0.5 * (1 + np.cos(np.pi * k / length))
@@ -303,7 +305,10 @@ class Ascent:
             self._move_design(gradient, factor)
 
     def _follow_model(self, factor: float) -> Tensor:
-        """The design's gradient of the relative return through the dynamics; the policy takes a step on its own."""
+        """Gradient of the relative return by the design through the dynamics.
+
+        The policy takes a step on its own.
+        """
         task = self.task
         scenarios = self.drawn(task.config.pathwise_runs)
         self.model_steps += scenarios[1].shape[0] * scenarios[1].shape[1]
@@ -322,7 +327,7 @@ class Ascent:
         return -design_gradient
 
     def _move_design(self, gradient: Tensor, factor: float) -> None:
-        """Adam in the unit box on the clipped gradient, then back into the bounds and the constraints."""
+        """Move the design by Adam on the clipped gradient, then back into bounds and constraints."""
         gradient = self.region.masked(gradient)
         norm = gradient.norm()
         if not norm.isfinite():

@@ -103,7 +103,7 @@ def starts(
 
 @dataclass(frozen=True, eq=False)
 class _Pool:
-    """All candidates: X_fea of each design where it is known, the region of LQR elsewhere, or else X alone."""
+    """All candidates: X_fea of each design where known, else the region of LQR, else X."""
 
     X: Limits
     p: Array
@@ -116,7 +116,7 @@ class _Pool:
     def of(
         cls, problem: CoDesignProblem, p: Array, family: ParametricSet, effort: Effort, reason: str
     ) -> _Pool:  # fmt: skip
-        """The candidates with designs p (n, np); no set is computed if there is a reason against it."""
+        """Candidates with designs p (n, np); without sets if a reason speaks against them."""
         regions = LQRRegions.of(problem, p)
         by_region = effort.option != "none" and regions.rows is not None
         if effort.option == "auto" and not reason:
@@ -141,7 +141,7 @@ class _Pool:
         return inside
 
     def may_begin(self, x0: Array, runs: Indices) -> Mask:
-        """Whether the expert can be followed from x0[i]: within X_fea where it is known, else anywhere."""
+        """True if the expert can be followed from x0[i]: within a known X_fea, else anywhere."""
         allowed = self.regions.stabilised[runs]
         for k in np.flatnonzero(allowed):
             own = self.sets[runs[k]]
@@ -162,7 +162,7 @@ class _Pool:
         return scale[:, None] * x
 
     def _gauges(self, x: Array, runs: Indices) -> Array:
-        """The least factors (k,) by which X has to be scaled to hold the states (k, nx) of these candidates."""
+        """Least factors (k,) by which X holds the states (k, nx) of these candidates."""
         if not isinstance(self.X, DesignLimits):
             return _gauge(self.X, x)
         lower, upper = self.X.bounds(self.p[runs])
@@ -172,7 +172,7 @@ class _Pool:
 
 
 def _gauge(S: Polytope, x: Array) -> Array:
-    """The least factors (k,) by which S has to be scaled to hold the states (k, nx); inf where 0 is not inside S."""
+    """Least factors (k,) by which S holds the states (k, nx); inf if 0 is not inside S."""
     if S.is_empty or len(S.b_eq) or not (S.b > 0).all():
         return np.full(len(x), np.inf)
     return np.maximum((x @ (S.A / S.b[:, None]).T).max(axis=1), np.finfo(float).tiny)

@@ -112,7 +112,7 @@ def _compared(
     problem: CoDesignProblem, seed: int, ends: Mapping[str, CoDesignResult | str], reference: str,
     known: dict[str, Pairs],
 ) -> MethodComparison:  # fmt: skip
-    """The comparison of the methods that have ended; `known` keeps what was measured for each reference."""
+    """Comparison of the methods that have ended; `known` keeps the measurements for each reference."""
     results = {name: end for name, end in ends.items() if isinstance(end, CoDesignResult)}
     if reference not in results and results:
         reference = next(iter(results))

@@ -18,7 +18,7 @@ from ccdtools.plants.symbolic_functions import as_symbolic
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CustomObjective(Objective):
-    """Reward r = −ℓ(x, u, p) of the present state and input, and −V_f(x_N, p) at the end: any cost in CasADi.
+    """Any cost in CasADi: r = −ℓ(x, u, p) of a present state and input, −V_f(x_N, p) at the end.
 
     Weights that depend on the design, costs of outputs, economic costs and soft limits are of this kind. LQR and MPC
     take half the Hessian of ℓ about x = 0, u = 0 for their weights.
@@ -73,7 +73,7 @@ class CustomObjective(Objective):
         return -self.terminal_cost.scalar(x.shape[-1], p.shape[-1])(x, p)[..., 0]
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
-        """The given Q and R, or half the Hessian of ℓ about rest at a design (np,)."""
+        """Weights given, or half the Hessian of ℓ about rest at a design (np,)."""
         if self.Q is not None:
             return Weights(self.Q, self.R)
         H = np.asarray(self.stage_cost.hessian(nx, nu, len(p))(p), dtype=float) / 2
@@ -91,7 +91,7 @@ class CustomObjective(Objective):
         return Weights(T[:nx, :nx], T[nx:, nx:], T[:nx, nx:])
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:
-        """Whether a cost depends on any of its arguments, or there is one of the design."""
+        """True if a cost depends on any of its arguments, or the design has a cost."""
         if self.design_cost is not None or self.stage_cost.depends(nx, nu, designs):
             return True
         return self.terminal_cost is not None and bool(self.terminal_cost.depends(nx, designs))
@@ -115,7 +115,9 @@ class CustomObjective(Objective):
 
 
 def output_objective(plant: Plant, *, weights: Any, R: Any = 0.0, **others: Any) -> CustomObjective:
-    """The cost yᵀ W y + uᵀ R u of a plant's outputs y = h(x, u, p): body acceleration, tyre load, force in a joint.
+    """Cost yᵀ W y + uᵀ R u of a plant's outputs y = h(x, u, p).
+
+    Outputs may be body acceleration, tyre load or the force in a joint.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The usual controllers of a design: what a nested search closes the loop with, and every policy is compared with."""
+"""Usual controllers of a design, for nested search and comparison with policies."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def tangent_note(problem: CoDesignProblem) -> str:
 
 
 def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:
-    """The LQR of the nominal model at one design, with its inputs clipped to U, or to U(p)."""
+    """LQR of the nominal model at one design, with its inputs clipped to U or U(p)."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)
@@ -39,7 +39,7 @@ def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback
 
 
 def linear_mpc(problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON) -> LinearMPC:
-    """MPC of the nominal model at one design, or of its linearisation at rest, within the limits of that design."""
+    """MPC of the nominal model, or its linearisation at rest, within the limits of one design."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)

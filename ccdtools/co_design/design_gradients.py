@@ -1,4 +1,4 @@
-"""How the return changes with the design, run by run: through the model, and by finite differences beside it."""
+"""Gradients of each run's return by the design, through the model and by differences."""
 
 from __future__ import annotations
 
@@ -25,13 +25,15 @@ from learning.ppo import PPOConfig
 
 
 def inside(v: Tensor, step: float) -> Tensor:
-    """The point closest to `v` from which a step to either side stays in the unit box."""
+    """Point closest to `v` from which steps to both sides stay in the unit box."""
     return v.detach().clamp(step, 1.0 - step)
 
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Central differences of every run's return under common random numbers, in the unit box and double precision.
+    """Central differences of every run's return, under common random numbers.
+
+    They are taken in the unit box and in double precision.
 
     Attributes
     ----------
@@ -53,7 +55,7 @@ class Differences:
         object.__setattr__(self, "scenarios", tuple(part.double() for part in self.scenarios))
 
     def about(self, v: Tensor, step: float) -> Tensor:
-        """Slopes (n, np) about a point of the unit box, or about the nearest one from which the step stays inside."""
+        """Slopes (n, np) about a point of the unit box, or the nearest with room for the step."""
         centre = inside(v.double(), step)
         columns = []
         for i, free in enumerate(self.problem.design.free):
@@ -107,7 +109,7 @@ def standard_error(by_run: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """Rise of the mean return with the design, as far as the unit box has room."""
+    """Rise of the mean return with the design, where the unit box has room."""
 
     # finite differences and their standard errors, per length of the unit box; 0 where a bound leaves no room
     mean: Array  # (np,)
@@ -130,7 +132,7 @@ class Slope:
 
     @classmethod
     def of(cls, by_run: Tensor, v: Tensor) -> Slope:
-        """Slope from those of every run (n, np), at a point of the unit box."""
+        """Slope from those of every run (n, np) at a point."""
         both = np.stack([by_run.mean(0).numpy(), standard_error(by_run).numpy()])
         point = v.double().numpy()
         room = np.where(both[0] > 0, 1.0 - point, point)
@@ -139,7 +141,7 @@ class Slope:
         return cls(inside_box[0], inside_box[1], room, across[0], across[1])
 
     def promises(self, gain: float) -> bool:
-        """Whether a slope beyond chance, falling to zero over the distance ahead, brings such a gain."""
+        """True if a slope beyond chance, falling to zero over the distance ahead, brings such a gain."""
         return _brings(self.mean, self.error, np.minimum(self.room, SLOPE_AHEAD), gain)
 
     def rises_across_bounds(self, gain: float) -> bool:
@@ -152,7 +154,7 @@ class Slope:
 
 
 def _brings(slope: Array, error: Array, distance: Array, gain: float) -> bool:
-    """Whether any slope (np,) beyond chance, falling to zero over its distance, brings such a gain."""
+    """True if any slope (np,) beyond chance, falling to zero over its distance, brings such a gain."""
     return bool(((np.abs(slope) > SIGNIFICANT * error) & (np.abs(slope) * distance / 2 > gain)).any())
 
 

@@ -53,7 +53,7 @@ def in_double(problem: CoDesignProblem) -> CoDesignProblem:
 
 
 def to_design(problem: CoDesignProblem, v: Tensor) -> Tensor:
-    """The design tensor of a point `v` in the unit box; of many, (n, np), one by one."""
+    """Design tensor of a point `v` in the unit box, or of many (n, np)."""
     lower = v.new_tensor(problem.design.lower.tolist())
     return lower + v * (v.new_tensor(problem.design.upper.tolist()) - lower)
 
@@ -78,7 +78,7 @@ class Stepper:
 
     @classmethod
     def for_each(cls, problem: CoDesignProblem, designs: Tensor, runs: int) -> Stepper:
-        """The model at designs (m, np), `runs` runs for each in turn: m · runs in all."""
+        """Model at designs (m, np), with `runs` runs for each in turn."""
         A, B, E = (M.repeat_interleave(runs, dim=0) for M in matrices(problem.model, designs))
         return cls._of(problem, designs.repeat_interleave(runs, dim=0), (A, B, E))
 
@@ -95,7 +95,7 @@ class Stepper:
         return x_next, e, self.rewards(x_next[None], u[None], x[None])[0] - sum(penalty)
 
     def without_error(self, x0: Tensor) -> Tensor:
-        """The error before the first step from states (n, nx): none, and nothing remembered of steps before."""
+        """Error before the first step from states (n, nx): none, without memory of earlier steps."""
         discrepancy = self.problem.discrepancy
         return x0.new_zeros(len(x0), x0.shape[-1] if discrepancy is None else discrepancy.error_size)
 
@@ -132,7 +132,7 @@ class Stepper:
         return model.pathwise(x, u, x.new_zeros(model.nw), self.p) + carried, e, (penalty,)
 
     def rewards(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
-        """Rewards (T, n) of next states (T, n, nx), inputs (T, n, nu) and present states, asked for in one call."""
+        """Rewards (T, n) of next states (T, n, nx), inputs (T, n, nu) and present states, in one call."""
         p = self.p if self.p.ndim == 1 else self.p.expand(len(x), *self.p.shape).flatten(0, 1)
         rewards = self.problem.objective.rewards(x_next.flatten(0, 1), u.flatten(0, 1), x.flatten(0, 1), p)
         return rewards.unflatten(0, x_next.shape[:2])
@@ -186,7 +186,10 @@ def observe(x: Tensor, p: Tensor) -> Tensor:
 
 
 def scenario_tensors(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> ScenarioTensors:
-    """`runs` scenarios of a problem as float32 tensors: (n, nx) and (n, T, nw); of a worst case one a case at least."""
+    """Scenarios of a problem as float32 tensors (n, nx) and (n, T, nw).
+
+    There are `runs` of them; a worst case has at least one a case.
+    """
     runs = max(runs, fewest_runs(problem.risk))
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     if problem.discrepancy is not None and problem.discrepancy.noise == "quantiles":

@@ -1,4 +1,4 @@
-"""Whole episodes of a policy on the differentiable model: returns, divergence, and how far they leave X.
+"""Episodes of a policy on the differentiable model: returns, divergence and violations of X.
 
 Long episodes are cut into segments that are computed again on the way back, so that memory grows with the square root
 of their length and the gradient stays exact.
@@ -174,14 +174,14 @@ def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progre
 
 
 def mean_law(agent: ActorCritic, p: Tensor) -> Law:
-    """The mean policy at design `p` (np,) or (n, np), as a function of the states (n, nx)."""
+    """Mean policy at design `p` (np,) or (n, np), as a function of states (n, nx)."""
     latent = latent_law(agent, p)
     action_range = agent.action_range(p)
     return lambda x: scaled(latent(x), action_range)
 
 
 def latent_law(agent: ActorCritic, p: Tensor) -> Law:
-    """The latent actions (n, nu) of the mean policy, not clipped, as a function of the states (n, nx)."""
+    """Latent actions (n, nu) of the mean policy, not clipped, from states (n, nx)."""
     layers = agent.mean_network.at(p, agent.observation_offset, agent.observation_scale)
     return lambda x: layers(x, torch.tanh, lambda x, W, b: torch.addmm(b, x, W))  # in one kernel
 
@@ -194,5 +194,8 @@ def episode_at(
 
 
 def fewer_runs(runs: int, steps: int) -> int:
-    """Parallel episodes of `steps` steps that hold about as many samples as `runs` of 100; at least 16 of `runs`."""
+    """Number of episodes of `steps` steps with about as many samples as `runs` of 100.
+
+    It is at least 16 of `runs`.
+    """
     return max(min(runs, 16), min(runs, math.ceil(runs * 100 / steps)))  # at least 16 episodes

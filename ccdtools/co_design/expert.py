@@ -73,7 +73,7 @@ def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
 
 
 def _leaving(model: SampledModel, begin: Starts, x: Array, u: Array) -> float:
-    """Fraction of the states (n, nx) in known sets from which a step of the model ends outside; 0 without any."""
+    """Fraction of the states (n, nx) in known sets that one model step leads outside; 0 without any."""
     after = np.asarray(model.advance(x, u, np.zeros(model.nw), begin.p))
     kept = [S.contains(after[i], EDGE_OF_SET) for i, S in enumerate(begin.sets) if S is not None and S.contains(x[i])]
     return 1.0 - float(np.mean(kept)) if kept else 0.0

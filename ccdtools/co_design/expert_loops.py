@@ -1,4 +1,4 @@
-"""The expert's closed loops, one design each, and the filter that keeps their next states in X_fea(p)."""
+"""Closed loops of the expert, one design each, with filters that keep them in X_fea(p)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from mpc import LinearMPC
 
 @dataclass(frozen=True)
 class Followed:
-    """States (v, n, nx), inputs (v, n, nu) and discounted returns (v, n) of v visits; NaN where a run has diverged."""
+    """States (v, n, nx), inputs (v, n, nu) and discounted returns (v, n) of v visits.
+
+    They are NaN where a run has diverged.
+    """
 
     states: Array
     actions: Array
@@ -32,7 +35,7 @@ class Followed:
 def follow(
     problem: CoDesignProblem, loops: ExpertLoops, gamma: float, rng: np.random.Generator, *, progress: bool = False
 ) -> Followed:
-    """The loops on the problem's own model under what drives its episodes, looked at after `VISITS` steps."""
+    """Closed loops on the problem's own model and disturbances, recorded after `VISITS` steps."""
     x = loops.starts.x
     steps = VISITS[-1] + VALUE_TAIL
     w = problem.driving(len(x), steps, rng)
@@ -116,7 +119,7 @@ class NominalSteps:
 
 
 class UpdatedSteps:
-    """Steps of a model with its learned error, at one design for each run; the errors are their memory."""
+    """Steps of a model at one design a run; their memory is the learned error."""
 
     def __init__(self, problem: CoDesignProblem, p: Array) -> None:
         self._step = Stepper.at(problem, torch.tensor(p, dtype=torch.float32))
@@ -136,7 +139,7 @@ class UpdatedSteps:
 
 
 class SetFilters:
-    """Inputs that keep the next nominal state in X_fea of each run, where the set is known and the state in or near it.
+    """Inputs that keep each run's next nominal state in its known X_fea, from in it or near.
 
     Runs of one design share a filter, and products of all rows with all states are formed in pieces: with 300 facets
     and 1000 runs they would not fit otherwise.

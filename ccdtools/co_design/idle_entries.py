@@ -1,4 +1,6 @@
-"""Entries of the design that change nothing, alone or together: whatever value they end at would be no result.
+"""Entries of the design that change nothing, alone or together.
+
+Whatever value they end at would be no result.
 
 References
 ----------
@@ -34,7 +36,7 @@ UNDISTURBED = "Give the scenarios a disturbance, or remove it from the DesignSpa
 
 
 def check_every_entry_acts(problem: Any) -> None:
-    """Raise an `InputError` that names the entries of a problem's design that are not fixed and change nothing.
+    """Raise an `InputError` if free entries of a problem's design change nothing; name them.
 
     An entry acts if a term depends on it by its expression and takes another value at another design, at one of 500
     states within ten times X, with inputs within ten times U. One that scales nothing but a disturbance does not act
@@ -51,7 +53,7 @@ def check_every_entry_acts(problem: Any) -> None:
 
 
 def acting_together(problem: Any) -> str:
-    """Which entries of a problem's design can change together without any change of the problem; empty where none can.
+    """Entries of a problem's design that can change together without effect; empty if none.
 
     Slopes of the dynamics, costs, limits and constraints by the design are compared at random states, inputs and
     disturbances. Of a problem with learned errors nothing is said.
@@ -83,7 +85,7 @@ def _idle(problem: Any, entries: Any, *, disturbance: float) -> Any:
 
 
 def _terms(problem: Any, extents: dict[str, Any]) -> Iterator[ca.Function]:
-    """The functions that the design may enter; its argument is called p, or is the only one.
+    """Functions that the design may enter, as `p` or as the only argument.
 
     Of a linear model it enters [A B E], each column times the extent of what it is multiplied by.
     """
@@ -130,7 +132,7 @@ def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[s
 
 
 def _slopes(term: ca.Function) -> ca.Function:
-    """The slopes (rows, np) of all values of a term by the design, as a function of what the term takes."""
+    """Slopes (rows, np) of all values of a term by the design, as a function."""
     names = _names(term)
     given = [ca.MX.sym(name, term.size1_in(i)) for i, name in enumerate(names)]
     slopes = ca.jacobian(ca.vec(term(*given)), given[names.index("p")])
@@ -138,7 +140,7 @@ def _slopes(term: ca.Function) -> ca.Function:
 
 
 def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random.Generator) -> Array:
-    """Slopes (n, np) of a term at a design (np,), of all its values and at random points, rounding left out."""
+    """Slopes (n, np) of a term's values at a design (np,) and random points, without rounding."""
     count = 100 if slopes.n_in() > 1 else 1
     found = np.asarray(slopes(*_drawn(slopes, np.tile(p, (count, 1)), extents, rng)), dtype=float)
     rows = np.concatenate(np.split(found, count, axis=1))
@@ -148,7 +150,7 @@ def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random
 
 
 def _without_effect(rows: Array) -> Array:
-    """Unit directions (k, np) along which all slopes (n, np) are zero; entries without a slope are left out."""
+    """Unit directions (k, np) with slopes (n, np) of zero; entries without slopes are left out."""
     acting = np.flatnonzero(rows.any(axis=0))
     scaled = rows[:, acting] / np.abs(rows).max(axis=1, keepdims=True)
     scaled /= np.linalg.norm(scaled, axis=0)

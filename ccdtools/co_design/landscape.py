@@ -1,4 +1,4 @@
-"""The return of saturated LQR over the box of designs: a cheap map of where a co-design may start.
+"""Return of saturated LQR over the box of designs: a map of promising starts.
 
 LQR at each design is the optimum where no input saturates, and close to it where inputs saturate little, so that its
 map J(p) has the valleys of the co-design itself. (A valley is one of the cost, a hill of the return.)
@@ -32,7 +32,7 @@ RUNS = 96  # Every design is simulated on the same scenarios, so many.
 
 
 class Landscape:
-    """Mean returns of saturated LQR at designs of the unit box, all on the same scenarios.
+    """Mean returns of saturated LQR over the unit box, on the same scenarios.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Landscape:
         self._x0, self._w = scenario_tensors(problem, fewer_runs(as_count("runs", runs), problem.steps), rng)
 
     def returns(self, points: ArrayLike) -> Array:
-        """Mean returns (n,) at points (n, np) of the unit box; −inf without an LQR, or where none can be built.
+        """Mean returns (n,) at points (n, np) of the unit box; −inf without an LQR.
 
         Nothing can be built where a constraint is broken, or between whole numbers.
         """
@@ -93,7 +93,7 @@ class Landscape:
 
 
 def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> tuple[Valley, ...]:
-    """The distinct local optima of the landscape, best first; the one that `design` (np,) leads to is among them.
+    """Distinct local optima of the landscape, best first, with the one that `design` (np,) leads to.
 
     A space-filling set of designs is simulated with its corners (of up to three parameters); the hills among them are
     climbed by compass search, and hilltops that no ridge parts are one. Of more than three parameters the best sample
@@ -135,7 +135,7 @@ def combinations(space: DesignSpace) -> float:
 
 
 def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
-    """Feasible points all over the unit box (n, np), with every combination of whole numbers if these are few."""
+    """Feasible points (n, np) all over the unit box, with every combination of whole numbers if few."""
     moving = np.flatnonzero(space.free)
     points = np.zeros((0, space.dim))
     if combinations(space) > CLIMBED_COMBINATIONS or not space.integer:
@@ -250,7 +250,7 @@ def _about(space: DesignSpace, v: Array, moves: Array, reach: float) -> Array:
 
 
 def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float) -> bool:
-    """Whether the straight path between two hilltops never falls below the lower one by a ridge's depth."""
+    """True if the straight path between two local optima never falls a ridge's depth below the lower."""
     whole = landscape.problem.design.whole
     if not np.array_equal(np.round(higher[whole], 9), np.round(lower[whole], 9)):
         return False

@@ -22,7 +22,7 @@ ROWS = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GradientCheck(Immutable):
-    """The design gradient of the mean return by each method, at one design, (np,) per unit-box length.
+    """Design gradient (np,) of the mean return by each method, per unit-box length.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ from ccdtools.limits import StateLimits
 def least_depth(
     problem: CoDesignProblem, design: ArrayLike, *, x0: ArrayLike | None = None, steps: int | None = None
 ) -> float:
-    """The least peak depth outside X that any inputs in U reach from a start, without disturbance, in half-widths of X.
+    """Least peak violation of X [half-widths] that inputs in U reach from a start without disturbance.
 
     A linear program over the inputs of the first `steps` samples of the nominal model at one design; 0 where X can be
     kept. What a disturbance adds is not in it, so no controller does better.
@@ -48,7 +48,7 @@ def least_depth(
 
 
 def unavoidable_depth(problem: CoDesignProblem, design: Array) -> tuple[float, float]:
-    """The least depth at a design, and the least over designs spread over the box (looked up only if it is above 0)."""
+    """Least violation at a design, and over designs spread over the box if it is above 0."""
     here = least_depth(problem, design)
     if here <= NO_VIOLATION:
         return 0.0, 0.0
@@ -66,7 +66,7 @@ def unavoidable_text(here: float, anywhere: float) -> str:
 
 
 def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> None:
-    """Give a `LimitWarning` if a problem's fixed start forces every controller outside X at a design.
+    """Issue a `LimitWarning` if a fixed start forces every controller outside X at a design.
 
     Starts that were logged may lie anywhere, and are what they are.
     """

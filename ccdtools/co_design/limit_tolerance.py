@@ -20,7 +20,7 @@ BY_MPC = f"a quarter more than MPC of the same design does, N = {HORIZON}"
 
 @dataclass(frozen=True)
 class Pair:
-    """A value for each measure: the fraction of the states outside X, and the peak depth in half-widths."""
+    """Violation of X: the fraction of states outside, and the peak depth in half-widths."""
 
     fraction: float
     depth: float

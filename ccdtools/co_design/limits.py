@@ -139,7 +139,7 @@ class StateLimitPenalty:
         return max(0.0, *(value - most for value, most in pairs))
 
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
-        """Cost () of leaving X at the point `v` of the unit box, as part of the return.
+        """Cost () of leaving X at the point `v`, as part of the return; differentiable.
 
         It is differentiable.
 
@@ -163,7 +163,7 @@ class StateLimitPenalty:
         return Prices(float(of_depth.sum()), float(of_peak.sum()), of_design)
 
     def updated(self, episode: Episode, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> StateLimitPenalty:
-        """The penalty after an evaluation on `scenarios` at the point `v` of the unit box."""
+        """Penalty after an evaluation on `scenarios` at the point `v`."""
         seen = expected_at_most(episode)
         tolerance = self._tolerance(seen, v, scenarios)
         excess = _relative_excess(torch.tensor(seen.values(), dtype=torch.float64), tolerance.at(v))

@@ -1,4 +1,4 @@
-"""The states from which saturated LQR keeps the state within X for ever, by simulation: exact in any dimension.
+"""States from which saturated LQR stays within X for ever, exact by simulation.
 
 A state belongs to the region of its design if the nominal loop x⁺ = A x + B clip(−K x) stays within X until it
 enters an ellipsoid in which −K x needs no clipping and x stays within X; the ellipsoid is invariant. So the region is a
@@ -126,7 +126,7 @@ class LQRRegions:
         return times(self.A, x) + times(self.B, u) + times(self.E, w)
 
     def reach(self, x: Array, runs: Indices) -> Array:
-        """Scales (k,) in [0, 1] at which scale · x lies in the region, about the largest ones; 0 where none is known.
+        """Largest scales (k,) in [0, 1] with scale · x in the region; 0 if none is known.
 
         Geometric bisection between the ellipsoid and x.
         """

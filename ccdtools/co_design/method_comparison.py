@@ -1,4 +1,4 @@
-"""Every way to co-design on one problem, in one table: what each found, what that brings in closed loop, and why."""
+"""Comparison of methods on one problem: designs found, closed-loop returns, and reasons."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HEAD = (
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MethodComparison(Immutable):
-    """The methods on one problem: a table with one row per method, and what it says.
+    """Comparison of methods on one problem, with one row per method and a verdict.
 
     It is iterated like a list of `MethodRow`, and indexed by number or by the name of a method.
 
@@ -67,7 +67,7 @@ class MethodComparison(Immutable):
 
     @property
     def best(self) -> MethodRow:
-        """The method of the highest return on common scenarios, of those that keep the limits and lose no more runs.
+        """Best method on common scenarios, of those that keep the limits and lose fewest runs.
 
         As far as limits are left by all, those that leave them as the reference does.
         """
@@ -100,7 +100,7 @@ class MethodComparison(Immutable):
         return target
 
     def plot(self) -> Any:
-        """A matplotlib figure: return against time, and the designs on the landscape of saturated LQR.
+        """Figure of return against time, and of designs on the landscape of saturated LQR.
 
         Of more than two parameters the designs are shown in parts of their ranges.
         """

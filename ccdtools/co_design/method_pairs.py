@@ -33,7 +33,7 @@ UNSOUND = (CoDesignStatus.DIVERGING, CoDesignStatus.INFEASIBLE, CoDesignStatus.L
 def closed_loop_returns(
     problem: CoDesignProblem, controller: Any, design: ArrayLike, rng: np.random.Generator, *, runs: int | None = None
 ) -> ClosedLoopReturns:
-    """Returns of a controller at a design on scenarios of a problem, with its learned errors if it has any.
+    """Returns of a controller at a design, on scenarios with the problem's learned errors.
 
     Two controllers with generators of the same seed meet the same scenarios, the one with fewer runs the first of them.
 
@@ -126,12 +126,12 @@ class MethodRow(Immutable):
 
     @property
     def sound(self) -> bool:
-        """True if a design was found whose own account has no lost runs or broken limits."""
+        """True if a design was found without lost runs or broken limits of its own."""
         return self.result is not None and self.result.status not in UNSOUND
 
 
 class Pairs:
-    """Differences of results to that of the reference, on the scenarios that both are measured on."""
+    """Differences of results to the reference on scenarios that both share."""
 
     def __init__(self, problem: CoDesignProblem, seed: int, reference: CoDesignResult) -> None:
         self.problem = problem

@@ -1,4 +1,4 @@
-"""The picture of a comparison of methods: return against time, and the designs on the landscape of saturated LQR."""
+"""Pictures of a comparison: return against time, and designs on the landscape."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _axis(space: DesignSpace, i: int, count: int) -> Array:
 
 
 def _landscape(comparison: Any, shown: Sequence[int]) -> tuple[list[Array], Array]:
-    """Values along the axes, and returns of saturated LQR over them; NaN where there is none, or runs are lost."""
+    """Axes, and returns of saturated LQR over them; NaN without LQR or with lost runs."""
     space = comparison.problem.design
     axes = [_axis(space, i, {1: 41, 2: 13}[len(shown)]) for i in shown]  # designs per axis
     over = np.stack(np.meshgrid(*axes), axis=-1)
@@ -182,7 +182,7 @@ def _ranges(
 
 
 def _way(row: Any) -> Array:
-    """The designs of a method that were better than all before, and where it ended, (k, np)."""
+    """Designs (k, np) of a method that were each the best so far, and its end."""
     history = row.result.history
     values = np.where(history.diverged > 0, -np.inf, np.nan_to_num(history.model_return, nan=-np.inf))
     best = np.maximum.accumulate(values)

@@ -40,7 +40,7 @@ def signed(percent: float) -> str:
 
 
 def _percent(comparison: Any, row: Any) -> tuple[float, float, float]:
-    """Difference to the reference and its interval, in per cent; NaN where there are no pairs."""
+    """Difference to the reference with its interval [%]; NaN without pairs."""
     if row.difference is None:
         return (np.nan, np.nan, np.nan)
     low, high = row.difference.ci95
@@ -102,7 +102,7 @@ def _difference(comparison: Any, row: Any) -> str:
 
 
 def _parts(comparison: Any, row: Any) -> str:
-    """The parts of a difference that were measured: by the design and by the controller, and what both were made for.
+    """Measured parts of a difference: by the design, the controller, and their objective.
 
     No cause is named: that would take the same method without the supposed cause.
     """

@@ -1,4 +1,4 @@
-"""A co-design from many first designs, side by side: whether they agree, and on what."""
+"""Co-design from many first designs: whether they agree, and on what."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class MultiStart(Immutable):
 
     @property
     def spread(self) -> float:
-        """The largest distance of a design found from the best one, in parts of the ranges."""
+        """Largest distance of designs found from the best, in parts of the ranges."""
         return float(np.abs(self.space.to_unit(self.designs) - self.space.to_unit(self.best.design)).max())
 
     def table(self) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Objective of a co-design: costs of every step, of the end, and of the design."""
+"""Objective of a co-design: costs of steps, end and design."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Objective(Immutable):
         return None
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
-        """The quadratic cost of a step about rest at a design (np,), for LQR and MPC."""
+        """Quadratic cost of a step about rest at a design (np,), for LQR and MPC."""
         raise NotImplementedError
 
     def weight_derivatives(self, p: Array, nx: int, nu: int) -> Weights:
@@ -158,7 +158,7 @@ class QuadraticObjective(Objective):
 
     @property
     def looks_back(self) -> bool:
-        """Whether there is a cross weight, or a subclass has rewards of its own, which may be of anything."""
+        """True if there is a cross weight, or a subclass has rewards of its own."""
         return self.S is not None or type(self).rewards is not QuadraticObjective.rewards
 
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
@@ -175,7 +175,7 @@ class QuadraticObjective(Objective):
         return Weights(self.Q, self.R, self.S)
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:
-        """Whether there is a weight, a cost of the design, or a subclass with rewards of its own."""
+        """True if there is a weight, a design cost, or a subclass with own rewards."""
         own = type(self).rewards is not QuadraticObjective.rewards
         return own or self.design_cost is not None or bool(self.Q.any() or self.R.any())
 
@@ -204,7 +204,7 @@ def as_objective(argument: str, value: Any) -> Objective:
 
 
 def is_semidefinite(H: Array) -> bool:
-    """Whether a symmetric matrix is finite and positive semidefinite up to rounding, with a unit diagonal."""
+    """True if a symmetric matrix is finite and positive semidefinite up to rounding, scaled."""
     if not np.isfinite(H).all():
         return False
     size = np.sqrt(np.abs(np.diag(H)))

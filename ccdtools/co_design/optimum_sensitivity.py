@@ -1,4 +1,4 @@
-"""How the best design moves with a weight or a datum of its problem: best designs beside it, solved for anew."""
+"""Movement of the best design with a weight or datum, by solving anew beside it."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class OptimumSensitivity(Immutable):
 
     @property
     def agrees(self) -> bool:
-        """Whether the slopes to both sides are the same within a tenth, and what does not matter."""
+        """True if the slopes to both sides agree within a tenth, up to negligible amounts."""
         size = max(abs(self.value), np.finfo(float).tiny)
         gap, slope = ((part / self.width) * size for part in (self.ahead - self.behind, self.slope))
         return bool(np.linalg.norm(gap) <= SAME_SENSITIVITY * np.linalg.norm(slope) + SMALL_SENSITIVITY)
@@ -79,7 +79,7 @@ def optimum_sensitivity(
     problem_of: ProblemOf, value: float, *, design: ArrayLike | None = None, inner: str = "lqr", step: float = 0.02,
     runs: int | None = None, seed: int = 0,
 ) -> OptimumSensitivity:  # fmt: skip
-    """The slope dp*/dθ of the best design by nested co-design, with respect to a value θ of its problem.
+    """Slope dp*/dθ of the best design by nested co-design, for a value θ.
 
     The best designs of θ and of a little more and less are searched along exact slopes on the same scenarios. Bounds,
     constraints and scenarios may depend on θ too. Limits on states are counted in it as far as the objective counts

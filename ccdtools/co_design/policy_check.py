@@ -1,4 +1,4 @@
-"""Whether a policy is at an optimum that its gradient can see: its last layer retuned a little.
+"""Check that a policy is at an optimum of its gradient, by retuning its last layer.
 
 The latent action l of a policy, before it is clipped to U, becomes exp(a) l + b + k x: a gain, an offset and a linear
 law beside it, for every input; b and k in units of what the policy itself does and sees. Along these few numbers the
@@ -78,7 +78,7 @@ class Retuned:
 
     @torch.no_grad()
     def _root_mean_squares(self) -> tuple[Tensor, Tensor]:
-        """Sizes of the states (nx,) that the policy visits, and of its latent actions (nu,) there."""
+        """Sizes of the states (nx,) that the policy visits, and its latent actions (nu,)."""
         squares: list[Tensor] = []
         limit = self._stepper.limit.double()
 
@@ -136,7 +136,7 @@ def _check(pathwise: Tensor, by_difference: Tensor, scale: float) -> GradientChe
 def better_by_search(
     problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors, fresh: ScenarioTensors
 ) -> PairedDifference:
-    """Gain of the best policy that a search on some scenarios finds, on fresh ones.
+    """Gain on fresh scenarios of the best policy that a search finds.
 
     None that leaves the limits further, or loses more runs, counts.
     """

@@ -1,4 +1,4 @@
-"""Co-design with disturbances known ahead: the problem of the model that carries them in its state."""
+"""Co-design with disturbances known ahead, which the model carries in its state."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def previewed_problem(
 
 
 def previewed_limits(X: Any, W: Any, steps: int, *, channels: int = 1) -> Limits:
-    """X and, for every sample of a preview, W: the limits of the state (x, w_k, …, w_{k+N−1}).
+    """Limits of the state (x, w_k, …, w_{k+N−1}): X and, for each sample, W.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def _previewed_output_limits(limits: OutputLimits, nx: int) -> OutputLimits:
 
 @dataclass(frozen=True, eq=False)
 class PreviewedScenarios(Immutable):
-    """Scenarios of a model with a register: its first content is what comes first, its disturbance what comes later.
+    """Scenarios of a model with a register: first its content, then its disturbance.
 
     Attributes
     ----------

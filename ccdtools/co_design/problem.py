@@ -1,4 +1,4 @@
-"""A co-design problem: a model, its limits, its objective and the scenarios it is judged on."""
+"""Co-design problem: model, limits, objective and scenarios."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class FixedStart(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CoDesignProblem(Immutable):
-    """Design task, with the measure that designs and their policies are compared by.
+    """Design task with the measure that designs and policies are compared by.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ class CoDesignProblem(Immutable):
         return self.objective.cost_of_design(p, self.steps - self.warm_up)
 
     def kept_by_mpc(self, p: Array) -> Polytope:
-        """The states that MPC keeps at a design: X, and limits of outputs that are linear in the state alone."""
+        """States that MPC keeps at a design: X, and output limits linear in the state alone."""
         X = self.state_limits(p)
         return X if self.output_limits is None else self.output_limits.within(X, self.model.nu, p)
 
@@ -323,12 +323,12 @@ class CoDesignProblem(Immutable):
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
-        """Lower and upper input bounds, each (nu,); of a U that depends on the design the widest."""
+        """Input bounds, lower and upper (nu,) each; the widest of a U that depends on the design."""
         return widest(self.U).bounding_box()
 
     @property
     def action_bounds(self) -> tuple[Array, Array] | DesignLimits:
-        """Bounds of a policy for `fit_actor_critic`: those of U, or U as a function of the design."""
+        """Bounds of a policy for `fit_actor_critic`: U, or a function of the design."""
         return self.U if isinstance(self.U, DesignLimits) else self.input_bounds
 
     @property
@@ -364,7 +364,7 @@ def _check_widths(design: DesignSpace) -> None:
 
 
 def _bounded_limits(name: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:
-    """The limits as a set of that dimension; raise an `InputError` unless it is bounded and not empty."""
+    """Limits as a set of that dimension; an `InputError` if unbounded or empty."""
     limits = as_limits_over(name, value, size, of, space)
     if isinstance(limits, DesignLimits):
         return limits

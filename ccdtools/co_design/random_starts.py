@@ -1,4 +1,4 @@
-"""Episodes that start at random: uniformly within a set, by a distribution, or at one of some states."""
+"""Episodes with random starts: uniform in a set, by a distribution, or among states."""
 
 from __future__ import annotations
 
@@ -102,7 +102,9 @@ class RandomStarts(Immutable):
 
 
 def uniform_in(S: Polytope, n: int, rng: np.random.Generator) -> Array:
-    """Points (n, dim) uniform in a bounded set: those of its box that lie in it, or by hit and run where few do.
+    """Points (n, dim) uniform in a bounded set.
+
+    They are those of its box that lie in it, or by hit and run where few do.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Result of every co-design: design and controller, their worth and their history."""
+"""Result of every co-design: design, controller, their worth and history."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class History(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Valley(Immutable):
-    """A local optimum of J(p): where the landscape of saturated LQR has it, and where a co-design from there ended.
+    """Local optimum of J(p) in the landscape of saturated LQR, and the end of a co-design from it.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Valley(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClosedLoopReturns(Immutable):
-    """Returns of a controller at a design, run by run, on scenarios of a problem.
+    """Returns of a controller at a design, run by run, on a problem's scenarios.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class ClosedLoopReturns(Immutable):
         return f"ClosedLoopReturns({self})"
 
     def __str__(self) -> str:
-        """Value of the risk, with the number of runs that count and of those that do not."""
+        """Value of the risk, with the numbers of runs kept and lost."""
         found = self.summary
         low, high = found.ci95
         what = "" if isinstance(self.risk, Mean) else f"{measure(self.risk)} "

@@ -1,4 +1,4 @@
-"""Risk measures of the returns of many runs: mean, tail, or mean of the worst case."""
+"""Risk measures of returns: mean, tail, or mean of the worst case."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class MeanSpread:
 
 @dataclass(frozen=True)
 class CVaR:
-    """The mean of the worst `share` of the returns, their conditional value at risk; of the worst one at least.
+    """Mean of the worst `share` of the returns, at least one: conditional value at risk.
 
     References
     ----------
@@ -96,7 +96,7 @@ class CVaR:
 
 @dataclass(frozen=True)
 class WorstCase:
-    """The mean return of the worst case: of several masses, roads or drivers, the one that a design does worst in.
+    """Mean return of the worst case, of several masses, roads or drivers.
 
     The cases are those of the scenarios' `Cases`, met by the runs in turn. Within a case chance is averaged; between
     the cases nothing is. The least of the means has a kink where two cases are alike, which is where robust designs

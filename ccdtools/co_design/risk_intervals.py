@@ -1,4 +1,4 @@
-"""Risks of the runs that were kept, with their intervals: a run that is lost is counted, and not averaged in.
+"""Risks of runs, with intervals; lost runs are counted and not averaged in.
 
 References
 ----------
@@ -18,7 +18,7 @@ NONE = (float("nan"), float("nan"))
 
 
 def risk_of(risk: Risk, returns: Array, runs: Indices | None = None) -> float:
-    """The risk of returns (n,); of a worst case, whose runs have the numbers `runs`, the least mean itself.
+    """Risk of returns (n,); for a worst case with `runs` numbered, the least mean.
 
     NaN where nothing can be said: of no run, or of a worst case without a run of one of its cases.
     """
@@ -32,7 +32,7 @@ def risk_of(risk: Risk, returns: Array, runs: Indices | None = None) -> float:
 def parts_of_risk(
     risk: Risk, returns: Array, labels: Indices | None = None, runs: Indices | None = None
 ) -> Array:  # fmt: skip
-    """The part that every group of runs has in a risk of their returns (n,), (g,): their mean is the risk.
+    """Part (g,) of each group of runs in a risk of returns (n,); their mean is the risk.
 
     The part of a group is how far the risk moves when it is left out; of runs that are groups of their own, and a risk
     of this package, by its derivative. NaN of a single group.
@@ -78,7 +78,7 @@ def too_few(risk: Risk, runs: Indices) -> str:
 
 
 def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:
-    """The risk of the runs that are not lost, with its 95 % interval, of returns (n,) of which some are `lost` (n,).
+    """Risk, with 95 % interval, of the returns (n,) of runs that are not `lost` (n,).
 
     `std` is the standard deviation of the runs' parts in the risk, `median` that of their returns, and `warning` says
     that fewer than ten runs decide the risk, which then has no interval.

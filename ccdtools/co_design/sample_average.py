@@ -1,4 +1,4 @@
-"""A mean cost on fixed scenarios as a smooth function of one vector: weights of a policy, and a design; its climb."""
+"""Mean cost on fixed scenarios, smooth in one vector of weights and design, and its climb."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ccdtools.co_design.tolerances import CLIMB_OPTIONS, COMPRESS_ABOVE, LOST_VA
 
 
 class SampleAverage:
-    """Relative cost and its gradient at a vector z (m,); the weights and the design are set to it.
+    """Relative cost and gradient at a vector z (m,), which sets weights and design.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""LQR of the linearisation over the states that its own closed loop visits, beside that of the tangent at rest.
+"""LQR of the linearisation over the states its own loop visits, beside the tangent's.
 
 Friction, dead zones and springs that stiffen look at rest like another plant than where the loop goes. Fitted are the
 matrices that predict x⁺ best, in least squares over the states and inputs of the loop; the loop with their LQR visits
@@ -32,7 +32,7 @@ from mpc import NotStabilisableError, lqr
 
 @dataclass(frozen=True, eq=False)
 class Linearisation(Immutable):
-    """x⁺ ≈ A x + B u over the states that a loop visits, and LQR of it.
+    """Linearisation x⁺ ≈ A x + B u over visited states, and its LQR.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Linearisation(Immutable):
 def stochastic_linearisation(
     problem: CoDesignProblem, design: ArrayLike, rng: np.random.Generator
 ) -> Linearisation:  # fmt: skip
-    """The linearisation over the states that its own LQR visits on scenarios of a problem, at one design.
+    """Linearisation at a design over the states that its own LQR visits on scenarios.
 
     Of four rounds, each fitted over the loop of the one before, the best in closed loop is returned.
 

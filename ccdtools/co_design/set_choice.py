@@ -1,4 +1,4 @@
-"""Which set each design gets: X_fea(p) as far as the budget goes, else the region of saturated LQR, else X.
+"""Choice of each design's set: X_fea(p) within the budget, LQR's region, or X.
 
 The budget is one of work, which every machine counts alike: steps of the recursion times the square of the facets, as
 each facet of a step is held against all others. A time limit is stated as the seconds that such work takes on a usual

@@ -1,4 +1,6 @@
-"""Whether a co-design has settled: said once, of the controller that is handed out, after its closed loop was measured.
+"""Check that a co-design has settled.
+
+It is made once, of the controller handed out, after its closed loop was measured.
 
 What a method claims of its own search is kept only where, on fresh scenarios, no run is lost, the limits are kept as
 far as was asked for, saturated LQR of the same design and nested LQR from there are not better, and, of a policy, its
@@ -166,7 +168,7 @@ class Settling:
         return PairedDifference(gain.mean / size, (low / size, high / size))
 
     def _policy_checked(self, result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
-        """The result of a policy; settled if it is at an optimum, as its gradient and a plain search see it."""
+        """Result of a policy; settled if at an optimum, by its gradient and a plain search."""
         policy = result.controller
         assert isinstance(policy, LearnedPolicy)
         if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
@@ -184,5 +186,5 @@ class Settling:
 
 
 def _better(baseline: Baseline) -> bool:
-    """Whether a baseline is better by more than a settled result may lose, beyond chance."""
+    """True if a baseline is better, beyond chance, by more than a settled result may lose."""
     return baseline.gain.mean > SETTLED_LOSS and baseline.gain.ci95[0] > 0

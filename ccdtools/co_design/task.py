@@ -20,7 +20,7 @@ class LimitPenalty(Protocol):
     """Penalty of state limits: its multipliers grow while they are not kept."""
 
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
-        """Cost () of leaving X at the point `v` of the unit box, as part of the return.
+        """Cost () of leaving X at the point `v`, as part of the return; differentiable.
 
         It is differentiable.
         """
@@ -40,7 +40,7 @@ class LimitPenalty(Protocol):
         ...
 
     def updated(self, episode: Episode, v: Tensor, scenarios: ScenarioTensors) -> LimitPenalty:
-        """The penalty of the next steps, after the episodes of an evaluation at the point `v` of the unit box."""
+        """Penalty of the next steps, after an evaluation's episodes at the point `v`."""
         ...
 
     def outcome(self, episode: Episode) -> LimitsOutcome:
@@ -79,7 +79,7 @@ class Task:
 
     @property
     def smooth(self) -> bool:
-        """Whether policy and design both follow gradients through the model alone, and at least one of them moves."""
+        """True if policy and design follow gradients through the model alone, and one moves."""
         alone = self.method == "pathwise" and self.config.design_gradient == "pathwise"
         return alone and (self.pathwise or self.moving)
 

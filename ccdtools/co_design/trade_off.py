@@ -1,4 +1,4 @@
-"""Trade-off of control against design cost: best designs over a price or another datum."""
+"""Trade-off of control against design cost, over a price or another datum."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class TradeOff(Immutable):
 
     @property
     def efficient(self) -> Mask:
-        """The designs (n,) that no other one beats in both cost and return by more than a thousandth of their range.
+        """Designs (n,) that none beats in cost and return by over a thousandth of their range.
 
         None whose runs are all lost.
         """
@@ -89,7 +89,7 @@ class TradeOff(Immutable):
         ]  # fmt: skip
 
     def plot(self) -> Any:
-        """A matplotlib figure: return against cost of the design, and the designs over the price."""
+        """Figure of return against design cost, and of designs over the price."""
         from ccdtools.co_design.method_plots import plot_trade_off
 
         return plot_trade_off(self)
@@ -112,7 +112,7 @@ def trade_off(
     problem: CoDesignProblem | ProblemOf, values: ArrayLike, *, method: str | Method = "nested", seed: int = 0,
     design: ArrayLike | None = None, jobs: int = 1, progress: bool = False,
 ) -> TradeOff:  # fmt: skip
-    """Best designs of a problem over prices of its design, or over any other datum.
+    """Best designs over prices of the design, or any other datum.
 
     With a weighted sum the convex part of the set of efficient designs is found: where returns and costs have a dent,
     the designs jump over it.

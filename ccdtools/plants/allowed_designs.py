@@ -1,4 +1,4 @@
-"""The part of a box of designs that constraints and whole numbers leave, in the coordinates of the unit box."""
+"""Part of the unit box of designs that constraints and whole numbers leave."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class AllowedDesigns:
 
     @cached_property
     def _samples(self) -> Array:
-        """Points of the whole unit box, (n, np): centre, a Sobol sequence and the corners of its first ten entries."""
+        """Points (n, np) of the unit box: centre, Sobol sequence, corners of ten entries."""
         moving = np.flatnonzero(self._moving)
         points = np.zeros((1 + BOX_SAMPLES, len(self.lower)))
         if not len(moving):
@@ -74,7 +74,7 @@ class AllowedDesigns:
         return np.vstack([points, corners])
 
     def where_not_finite(self) -> Array | None:
-        """A point of the unit box at which a constraint is not finite; None if there is none among the samples."""
+        """Point of the unit box at which a constraint is not finite; None without one."""
         if self.limits is None or not self.limits.not_finite.any():
             return None
         return np.asarray(self._samples[int(np.argmax(self.limits.not_finite))])
@@ -102,7 +102,7 @@ class AllowedDesigns:
 
     @cached_property
     def least_violated(self) -> Array:
-        """The point (np,) that breaks the constraints least among those that searches from the samples find."""
+        """Point (np,) of least violation that searches from the samples find."""
         assert self.limits is not None
         samples = self.rounded(self._samples)
         samples = samples[np.argsort(self.violation(samples), kind="stable")]

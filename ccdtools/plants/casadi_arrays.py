@@ -1,4 +1,4 @@
-"""CasADi functions on batches of NumPy arrays or torch tensors: each instruction becomes one array operation."""
+"""CasADi functions on batches of arrays or tensors, one operation per instruction."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ KNOWN = {
 
 
 class Tape:
-    """The instructions of an SX function, for batches: every value is an array over the batch or a number.
+    """Instructions of an SX function for batches of arrays or numbers.
 
     Parameters
     ----------

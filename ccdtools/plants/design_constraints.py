@@ -1,4 +1,4 @@
-"""Constraints g(p) ≤ 0 on the designs of a box: as CasADi expressions, and over the unit box."""
+"""Constraints g(p) ≤ 0 on designs, in CasADi and over the unit box."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class UnitConstraints:
         return len(self._scale)
 
     def values(self, v: Array) -> Array:
-        """Scaled constraints (ng,) at a point, with the sign of g and slope one across its edge.
+        """Scaled constraints (ng,) at a point: sign of g, slope one across the edge.
 
         A search brings them to zero.
 
@@ -152,7 +152,7 @@ class UnitConstraints:
         return worst if v.ndim == 2 else worst[0]
 
     def edges(self, v: Array, off: Array | None = None) -> tuple[Array, Array]:
-        """Outward unit normals (ng, np) of the constraints at a point, and how far their edges are, (ng,).
+        """Outward unit normals (ng, np) of the constraints at a point, and their distances (ng,).
 
         The distances are those of straight constraints: of signs opposite to those of g, infinite where g is level.
         With `off`, a direction (np,) that leads out, the normals are those beside the point, for constraints that are
@@ -207,7 +207,7 @@ class UnitConstraints:
 
 
 def _beside(v: Array, off: Array | None) -> Array:
-    """The point of the unit box (np,) so far off that what is level at `v` no longer is."""
+    """Point (np,) of the unit box just off a place where constraints are level."""
     length = 0.0 if off is None else float(np.linalg.norm(off))
     return v if off is None or length == 0 else np.clip(v + BESIDE_LEVEL * off / length, 0.0, 1.0)
 

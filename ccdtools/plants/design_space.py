@@ -276,7 +276,7 @@ class DesignSpace(Immutable):
         return self.from_unit(qmc.LatinHypercube(self.dim, rng=rng).random(n) if self.dim else np.zeros((n, 0)))
 
     def active_bounds(self, p: ArrayLike, *, tol: float = 1e-3) -> dict[str, str]:
-        """Names of the parameters within `tol` (of the range) of a bound, with "lower" or "upper"."""
+        """Names of parameters within `tol` (of the range) of a bound, with "lower" or "upper"."""
         tol = as_number("tol", tol, expected="a number from 0 to 0.5", low=0.0, high=0.5)
         lower, upper = self.outermost
         width = upper - lower

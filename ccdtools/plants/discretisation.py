@@ -1,4 +1,4 @@
-"""Discrete models of plants: exact and symbolic in the design of linear ones, integrated to an accuracy of others."""
+"""Discrete models of plants: exact if linear, integrated to an accuracy otherwise."""
 
 from __future__ import annotations
 
@@ -219,7 +219,7 @@ def _accurate(
 def _fewest(
     plant: Plant, dt: float, parts: int, error: IntegrationError, accuracy: float, region: Region
 ) -> tuple[int, IntegrationError]:
-    """The fewest Runge–Kutta parts that keep the accuracy, with their error, where half as many do not."""
+    """Fewest Runge–Kutta parts that keep the accuracy, with their error."""
     low = parts // 2
     while parts - low > 1:
         middle = (low + parts) // 2

@@ -21,7 +21,7 @@ from ccdtools.plants.tolerances import PATHS, RATE_ROUNDING, SAME_REST
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Equilibrium(Immutable):
-    """A state and input at which a plant rests, and how they follow the design.
+    """State and input at which a plant rests, with their change by the design.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Equilibrium(Immutable):
 
     @cached_property
     def function(self) -> ca.Function:
-        """p → (x, u) at rest, as an expression: Newton's method along the way from the design here to another.
+        """Expression p → (x, u) at rest, by Newton's method from the design here.
 
         The way has as few stations, and each as few steps, as the box of designs needs: one step where the plant is
         linear. It ends where the longest way ends, so that no step leaps to another rest.

@@ -31,7 +31,7 @@ from ccdtools.plants.tolerances import TAYLOR_DEGREE
 def zero_order_hold(
     A: ca.SX, B: ca.SX, E: ca.SX, dt: float, *, symbols: ca.SX, design: DesignSpace | None
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Discrete A, B, E from continuous ones, symbolic in `symbols`: exp([[A, B, E], [0, 0, 0]] dt)."""
+    """Discrete A, B, E from continuous ones: exp([[A, B, E], [0, 0, 0]] dt) in `symbols`."""
     nx = A.shape[0]
     inputs = B.shape[1] + E.shape[1]
     M = ca.SX(nx + inputs, nx + inputs)
@@ -116,7 +116,7 @@ class FirstOrderHold:
 
 
 def first_order_hold(plant: Plant, dt: float | None = None) -> FirstOrderHold:
-    """The exact model of a linear plant whose inputs and disturbances go straight from sample to sample.
+    """Exact model of a linear plant whose inputs and disturbances are straight between samples.
 
     A recorded road, sampled, is nearer to that than to steps. A controller cannot know u⁺; `discretise` holds u.
 

@@ -89,7 +89,7 @@ class IntegrationError(Immutable):
 
 
 def measured_error(step: Step, finer: Step, region: Region) -> IntegrationError:
-    """The difference of two steps over a region: a spread of points with corners, then the surroundings of the worst.
+    """Difference of two steps over a region: spread points, corners, surroundings of the worst.
 
     Parameters
     ----------

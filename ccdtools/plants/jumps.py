@@ -1,4 +1,7 @@
-"""Jumps of a plant's right-hand side in x, u or w, of which derivatives say nothing."""
+"""Jumps of a plant's right-hand side in x, u or w.
+
+Derivatives say nothing of them.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ class Jump(Immutable):
 
 
 class Switches:
-    """The operations of f(x, u, w, p) that are thrown by x, u or w and may make it jump.
+    """Operations of f(x, u, w, p) that x, u or w throw and that may jump.
 
     Parameters
     ----------

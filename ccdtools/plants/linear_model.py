@@ -145,7 +145,7 @@ class LinearModel:
 
     @property
     def affine(self) -> bool:
-        """Whether there is a constant term: x = 0, u = 0 is then no equilibrium."""
+        """True if a constant term moves the equilibrium from x = 0, u = 0."""
         return not self._c.is_zero()
 
     @property

@@ -1,4 +1,4 @@
-"""Kinds of discrete models of a plant, as co-designs and digital twins ask of them."""
+"""Kinds of discrete plant models, for co-designs and digital twins."""
 
 from __future__ import annotations
 

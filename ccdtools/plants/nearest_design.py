@@ -21,7 +21,7 @@ from ccdtools.plants.tolerances import EXACT, NEAREST
 def nearest(
     limits: UnitConstraints, v: Array, *, free: Array, starts: Iterable[Array] = (), thorough: bool = False
 ) -> Array | None:
-    """The point nearest to `v` that the constraints allow, its held entries as they are; None if none is found.
+    """Allowed point nearest to `v` with the same held entries; None if none is found.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def nearest(
 
 
 def allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[Array, float]:
-    """A point that the constraints allow, or the least violated one that a search finds, and its violation."""
+    """Allowed point, or the least violated one that a search finds, and its violation."""
     u = _searched(limits, start, free)
     violations = limits.violation(np.array([start, u]))
     return (u, violations[1]) if violations[1] < violations[0] else (start, violations[0])

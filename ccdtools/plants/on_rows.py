@@ -1,4 +1,4 @@
-"""CasADi functions on the rows of NumPy arrays: by CasADi's own machine for few rows, by operations in place for many.
+"""CasADi functions on rows of arrays: CasADi's machine for few, in place for many.
 
 An array operation takes most of a microsecond however few rows there are, CasADi's machine a nanosecond or two for an
 instruction and row. Results differ by rounding. In place, two to three times as fast as by operations that return new
@@ -70,7 +70,7 @@ class Native:
 
 
 class InPlace:
-    """The instructions of a function, ready to be carried out on arrays that stay where they are.
+    """Instructions of a function, carried out in place on arrays.
 
     Parameters
     ----------

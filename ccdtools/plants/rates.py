@@ -18,7 +18,7 @@ from ccdtools.plants.tolerances import DEPENDENT_PIVOT, RATE_ROUNDING
 
 
 class Rates:
-    """Rates of a plant at (x, u): dx/dt, or the change of a discrete one, with derivatives."""
+    """Rates of a plant at (x, u): dx/dt or discrete change, with derivatives."""
 
     def __init__(self, plant: Plant, w: Array) -> None:
         self.z = ca.vertcat(plant.x, plant.u)
@@ -73,7 +73,7 @@ class Rates:
 
 
 def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:
-    """The point (nx + nu,) at which nothing moves, from the guess or from points around it."""
+    """Point (nx + nu,) at rest, from the guess or from points around it."""
     rng = np.random.default_rng(0)
     nx = rates.states
     sizes = np.r_[np.full(nx, _size(z[:nx])), np.full(len(z) - nx, _size(z[nx:]))]
@@ -103,7 +103,7 @@ def _size(given: Array) -> float:
 
 
 def _descended(rates: Rates, z: Array, free: Array, p: Array) -> Array:
-    """The least rates near a point, by least squares in the free entries, then by Newton's method to rounding."""
+    """Point of least rates nearby, by least squares, then Newton's method to rounding."""
 
     def at(v: Any) -> Array:
         """The point with those free entries."""
@@ -138,7 +138,7 @@ def _descended(rates: Rates, z: Array, free: Array, p: Array) -> Array:
 
 
 def independent(J: Array) -> tuple[Indices, Indices]:
-    """Rows and columns of J, as many as its rank, that make a regular matrix."""
+    """Rows and columns of J that make a regular matrix of its rank."""
     length = np.abs(J).max(axis=1, initial=0.0)
     J = J / np.where(length > 0, length, 1.0)[:, None]
     if J.size == 0 or not J.any():

@@ -15,7 +15,7 @@ from ccdtools.plants.tolerances import FEW_ROWS, RUNS_AT_ONCE
 
 
 class ExplicitStep:
-    """(x, u, w, p) → x⁺ by repeating one expression: a Runge–Kutta substep, or the map of a discrete plant.
+    """Step (x, u, w, p) → x⁺ that repeats a Runge–Kutta substep or a discrete map.
 
     Parameters
     ----------

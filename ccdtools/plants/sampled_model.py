@@ -1,4 +1,4 @@
-"""A nonlinear plant as a discrete model: a step that is differentiable in x, u, w and the design."""
+"""Discrete model of a nonlinear plant, differentiable in x, u, w and the design."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class WithErrors:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledModel:
-    """x⁺ = f(x, u, w, p) of a nonlinear plant, with u and w held over a sample.
+    """Model x⁺ = f(x, u, w, p) of a nonlinear plant, u and w held over a sample.
 
     Made by `discretise`.
 

@@ -39,14 +39,14 @@ class FastestMode(Immutable):
 
     @property
     def better_dt(self) -> float:
-        """Sampling time [s] with ten samples a period of the oscillation, rounded down to one digit."""
+        """Sampling time [s] of ten samples a period, rounded down to one digit."""
         wanted = 1 / (10 * self.frequency) if self.frequency > 0 else self.dt  # 10 samples a period
         digit = 10.0 ** math.floor(math.log10(wanted))
         return math.floor(wanted / digit * (1 + 1e-12)) * digit
 
 
 def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> FastestMode:
-    """The fastest oscillation of ẋ = A(p) x over the box: samples, then a local search from the fastest of them.
+    """Fastest oscillation of ẋ = A(p) x over the box, by samples and a local search.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
 
 
 def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None) -> str:
-    """Note on a plant that oscillates near or beyond half the sampling rate; else nothing.
+    """Note on oscillations near or beyond half the sampling rate; else nothing.
 
     Parameters
     ----------

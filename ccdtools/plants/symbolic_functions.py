@@ -1,4 +1,4 @@
-"""Functions that a user states in Python on CasADi columns: compiled once for each set of sizes, and checked."""
+"""User's functions of CasADi columns, compiled once for each set of sizes, and checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tolerances and counts of `ccdtools.plants`, with their meaning; where no unit is named, relative [-]."""
+"""Tolerances of `ccdtools.plants`, relative [-] where no unit is named."""
 
 # --- allowed designs --------------------------------------------------------------------------------------------------
 BOX_SAMPLES = 256  # A box of designs is searched at so many points of a Sobol sequence, beside centre and corners.

@@ -16,7 +16,9 @@ from ccdtools.plants.casadi_arrays import Tape, torch_operations
 
 
 def to_torch(function: ca.Function) -> TorchFunction:
-    """A CasADi function on batches of torch tensors, of any type, on any device, differentiable any number of times.
+    """CasADi function on batches of torch tensors, differentiable any number of times.
+
+    Tensors may be of any type and on any device.
 
     Each scalar instruction of the function becomes one torch operation over the whole batch, so torch differentiates
     it by itself. A function without scalar instructions (it calls an integrator, a solver or C code) is evaluated by

@@ -1,4 +1,4 @@
-"""A search's view of a problem: values at any point of the unit box, that can be compared."""
+"""Comparable values of a problem at any point of the unit box, for a search."""
 
 from __future__ import annotations
 
@@ -73,7 +73,10 @@ class Look:
 
 
 class BlackBox:
-    """Values at any point of the unit box: that of the nearest feasible design, less a little for the distance."""
+    """Value of the nearest feasible design at any point of the unit box.
+
+    A little is taken off for the distance.
+    """
 
     def __init__(self, problem: CoDesignProblem, value: Any, start: Array) -> None:
         self.problem = problem

@@ -1,4 +1,4 @@
-"""The search over the designs of one start: least cost within bounds and constraints, along exact slopes.
+"""Local search over designs along exact slopes, within bounds and constraints.
 
 References
 ----------
@@ -95,7 +95,7 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
 
 @dataclass(eq=False)
 class _Point:
-    """A point of the unit box that was looked at; no slope as long as nobody asked for it."""
+    """Evaluated point of the unit box, with a slope once one was asked for."""
 
     v: Array
     cost: float
@@ -103,7 +103,7 @@ class _Point:
 
 
 class _Watched:
-    """A cost as a search sees it, of the free entries z alone; what is best so far is kept in `found`."""
+    """Cost of the free entries z for a search; the best so far is kept in `found`."""
 
     def __init__(self, cost: Cost, space: DesignSpace, v: Array, size: float, evaluations: int) -> None:
         self.cost = cost

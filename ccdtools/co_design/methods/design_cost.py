@@ -1,4 +1,4 @@
-"""A cost of the design alone: what a search over designs asks for, and where one of them ended."""
+"""Cost of the design alone, for searches, and the end of one of them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class End:
 
 
 class DesignCost(ABC):
-    """Minus a return at points of the unit box, with its slope, and the controller of every design.
+    """Cost, minus a return, over the unit box, with slope and controller of each design.
 
     Attributes
     ----------

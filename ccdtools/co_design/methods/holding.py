@@ -36,7 +36,9 @@ class Held:
 
 
 def held_by(space: DesignSpace, v: Array, slope: Array, violations: Mapping[str, Array] | None = None) -> Held:
-    """What holds a point of the unit box where the cost has this slope (np,); of one that is unknown, NaN is left.
+    """Active bounds and constraints of a point where the cost has this slope (np,).
+
+    Where the slope is unknown, NaN is left.
 
     Active limits of the closed loop are constraints, too: by name, the slopes (np,) of their violations.
     """
@@ -71,7 +73,7 @@ def _steepness(space: DesignSpace, v: Array) -> Array:
 
 
 def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
-    """Whether central differences of the cost show its slope, in one random direction of the free entries."""
+    """True if central differences confirm the slope along one random free direction."""
     free = space.allowed.free
     if not free.any():
         return True
@@ -85,7 +87,7 @@ def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
 
 
 def start_points(space: DesignSpace, design: Array, found: tuple[Valley, ...], most: int) -> list[Array]:
-    """The given design, and the bottoms of the best valleys that lie elsewhere, in the unit box."""
+    """Points of the unit box to start from: the given design, and the best other local optima."""
     starts = [space.allowed.rounded(space.to_unit(design))]
     for valley in found:
         v = space.to_unit(valley.design)

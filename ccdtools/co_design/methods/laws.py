@@ -1,4 +1,4 @@
-"""Control laws that belong to a design: what a nested search closes the loop with at every design it looks at."""
+"""Control laws that belong to a design, for the loops of nested search."""
 
 from __future__ import annotations
 
@@ -78,7 +78,10 @@ class _OnLineLaw(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SecantLaw(_OnLineLaw):
-    """Saturated LQR of the linearisation over the states that the loop of each design visits on given scenarios."""
+    """Saturated LQR of the linearisation over the states that each design's loop visits.
+
+    They are visited on given scenarios.
+    """
 
     scenarios: ScenarioTensors
     words = "saturated LQR of the secant over the visited states"

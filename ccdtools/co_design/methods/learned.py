@@ -1,4 +1,4 @@
-"""Co-design by learning, along gradients through the model, by PPO, or by both; its starts and their race."""
+"""Co-design by gradients through the model, PPO, or both; its starts and their race."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from mpc import MPCError
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """A policy and a design that climb together, from a policy that imitates an expert.
+    """Policy and design that climb together, from an imitated expert.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: 
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:
-    """Whether a policy loses runs that saturated LQR of its design keeps, or a fifth of what that brings."""
+    """True if a policy loses runs that saturated LQR keeps, or a fifth of its return."""
     drawn = copy.deepcopy(rng)
     try:
         lqr = saturated_lqr(problem, design)
@@ -161,7 +161,7 @@ def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dic
 
 
 def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], design: Array) -> tuple[Valley, ...]:
-    """The valleys, with where the best co-design that began on each of them ended; `design` is the given one."""
+    """Local optima, with the end of the best co-design from each; `design` is the given one."""
     named = []
     for valley in found:
         places = [valley.design, design] if valley.given else [valley.design]
@@ -200,7 +200,7 @@ def _check_objective(problem: CoDesignProblem) -> None:
 
 
 def chosen_valleys(task: Task, design: Array, rng: np.random.Generator) -> tuple[Valley, ...]:
-    """The valleys of the landscape; none where the design is frozen or one start is asked for."""
+    """Local optima of the landscape; none if the design is frozen or has one start."""
     if not task.designing or task.config.starts == 1:
         return ()
     return valleys(task.problem, design, rng=rng)
@@ -221,7 +221,7 @@ def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[
 
 
 def _by_default(space: DesignSpace) -> int:
-    """Starts, unless a number is asked for: of a few combinations of whole numbers all."""
+    """Number of starts by default; of a few combinations of whole numbers all."""
     if space.integer:
         number = combinations(space)
         return 1 + int(number) if number <= CLIMBED_COMBINATIONS else 4  # starts with the best of many combinations
@@ -265,7 +265,7 @@ def leader(ascents: list[Ascent]) -> Ascent:
 
 
 def _hopeful(one: Ascent, first: Ascent) -> bool:
-    """Whether an ascent may still overtake the first one from elsewhere, and loses no run that that one keeps."""
+    """True if an ascent may still overtake the first, and loses no run that it keeps."""
     if one.best.lost > first.best.lost:
         return False
     if not _apart(one.task.problem.design, one.best.v.numpy(), first.best.v.numpy()):
@@ -276,6 +276,6 @@ def _hopeful(one: Ascent, first: Ascent) -> bool:
 
 
 def _apart(space: DesignSpace, v: Array, other: Array) -> bool:
-    """Whether two points of the unit box are different places, as other whole numbers always are."""
+    """True if two points of the unit box differ, as other whole numbers always do."""
     away = np.abs(v - other)
     return bool(away.max() > SAME_PLACE or (away * space.allowed.width)[space.whole].max(initial=0.0) > 0.5)

@@ -1,4 +1,4 @@
-"""The cost of a policy that is trained anew at every design, with its slope.
+"""Cost, with slope, of a policy that is trained anew at every design.
 
 By the envelope theorem the slope of the best policy's cost is that of the cost with the policy held.
 
@@ -30,7 +30,7 @@ from learning.networks import ActorCritic
 
 @dataclass(eq=False)
 class LearnedCost(DesignCost):
-    """Minus the mean return of the policy of each design, trained from that of the design before.
+    """Cost, minus the mean return, of the policy trained from that of the last design.
 
     Parameters
     ----------

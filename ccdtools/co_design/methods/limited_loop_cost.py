@@ -1,4 +1,7 @@
-"""A law in closed loop that keeps its limits: the search over designs again and again, while leaving them is cheap."""
+"""Closed-loop cost of a law within its limits.
+
+The search over designs is repeated while leaving the limits is cheap.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ class LimitedEnd(End):
 
 
 class LimitedLoopCost(LoopCost):
-    """`LoopCost` whose search ends at the cheapest design that keeps the limits to their tolerance."""
+    """`LoopCost` with a search for the cheapest design that keeps the limits to their tolerance."""
 
     def least(self, v: Array, *, size: float, evaluations: int) -> End:
         """The end of the search again and again; from where it ended without a price."""
@@ -94,7 +97,7 @@ class LimitedLoopCost(LoopCost):
         return best
 
     def examined(self, end: End) -> End:
-        """The end with its limits; those that have a price and are used up are constraints, whatever that came to."""
+        """End of the search with its limits; those priced and used up count as constraints."""
         if not isinstance(end, LimitedEnd) or end.penalty is None:
             return end
         v = end.found.v
@@ -117,7 +120,7 @@ class LimitedLoopCost(LoopCost):
 
 
 def loop_cost(problem: CoDesignProblem, law: DesignLaw, scenarios: ScenarioTensors) -> LoopCost:
-    """The cost of a law in closed loop, within the limits of the problem where it has a tolerance for them."""
+    """Cost of a law in closed loop, within the problem's limits if they have a tolerance."""
     return (LoopCost if problem.limit_tolerance == "off" else LimitedLoopCost)(problem, law, scenarios)
 
 

@@ -1,4 +1,7 @@
-"""The cost of a law in closed loop, with its slope by the design; with limits, searched again while they are priced."""
+"""Closed-loop cost of a law with its slope by the design.
+
+With limits it is searched again while they are priced.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from mpc import NotStabilisableError
 
 @dataclass(eq=False)
 class LoopCost(DesignCost):
-    """Minus the mean return of a law at points of the unit box, all on the same scenarios.
+    """Cost, minus the mean return, of a law over the unit box, on the same scenarios.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Nested co-design: an outer search over the designs, and inside it the controller of each design.
+"""Nested co-design: outer search over designs, and the controller of each inside.
 
 References
 ----------
@@ -103,7 +103,7 @@ class Nested:
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """The best design found from a feasible design (np,) and other valleys, with its controller."""
+        """Best design found from a feasible one (np,) and other starts, with its controller."""
         starts = 1 if self.inner == "rl" else self.starts
         plan = Plan(self.name, starts, self.evaluations or OUTER.get(self.inner, EVALUATIONS))
         if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):
@@ -113,7 +113,7 @@ class Nested:
     def _of_better_linearisation(
         self, plan: Plan, problem: CoDesignProblem, design: Array, rng: np.random.Generator, progress: bool
     ) -> CoDesignResult:  # fmt: skip
-        """The result of LQR of the tangent, or of the secant where that is asked for or better in closed loop."""
+        """Result of LQR of the tangent, or of the secant if asked for or better in closed loop."""
         scenarios = scenario_tensors(problem, fewer_runs(self.runs or RUNS["lqr"], problem.steps), rng)
         tangent: CoDesignResult | None = None
         if self.linearisation == "auto":

@@ -1,4 +1,4 @@
-"""A co-design problem as one of optimal control: trajectories under given disturbances, and the design beside them."""
+"""Optimal control problem of a co-design: trajectories under given disturbances, and the design."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def at_the_mean(
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """u = −K x, saturated: K among the parameters, after the design, so that it is found with it.
+    """Saturated feedback u = −K x, with K among the parameters after the design.
 
     The saturation is rounded off, by at most half of `SATURATION` times the range of an input, so that it is smooth.
     """
@@ -193,7 +193,7 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
 
 
 def costs(problem: CoDesignProblem) -> tuple[Any, Any]:
-    """(x, u, p) → cost of a step, by its present state, and (x, p) → that of the end."""
+    """Functions (x, u, p) → cost of a step by its present state, and (x, p) → cost of the end."""
     objective = problem.objective
     nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
     if isinstance(objective, CustomObjective):

@@ -1,4 +1,4 @@
-"""The limits of a problem along a trajectory: as expressions that are ≤ 0, and in words."""
+"""Limits of a problem along a trajectory, as expressions ≤ 0 and in words."""
 
 from __future__ import annotations
 

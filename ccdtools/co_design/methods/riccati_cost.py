@@ -1,4 +1,4 @@
-"""The expected cost of LQR that never saturates, by the Riccati equation: exact, without a single simulation."""
+"""Expected cost of LQR that never saturates, exact by the Riccati equation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mpc import NotStabilisableError
 
 @dataclass(eq=False)
 class RiccatiCost(DesignCost):
-    """E[x0ᵀ P x0] + T tr(P E W Eᵀ) and the cost of the design, with its exact slope.
+    """Cost E[x0ᵀ P x0] + T tr(P E W Eᵀ) plus that of the design, with exact slope.
 
     What the episodes of a linear model cost to the end of time, if inputs never saturate and the disturbance is white
     with covariance W. Of a model that is not linear it is that of its linearisation at rest, and of a cost that is not
@@ -58,7 +58,7 @@ class RiccatiCost(DesignCost):
         self._noise = np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
     def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and its slope (np,) at a point (np,) of the unit box; infinite where there is no LQR."""
+        """Cost and slope (np,) at a point (np,) of the unit box; infinite without LQR."""
         problem = self.problem
         p = problem.design.from_unit(v)
         try:

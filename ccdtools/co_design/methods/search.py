@@ -137,7 +137,7 @@ class Search:
 
 
 def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
-    """CMA-ES from the start, then from random points while evaluations are left; whether it has converged."""
+    """Run CMA-ES from the start, then random points while evaluations last; return convergence."""
     settled = False
     start = box.looks[-1].z
     while len(box.rows) < budget:

@@ -1,4 +1,4 @@
-"""The best design by a cost of the design alone, searched from several starts, and what is to be said of it."""
+"""Best design by a cost of the design alone, searched from several starts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ccdtools.progress import bar
 
 @dataclass(frozen=True)
 class Plan:
-    """Budget of a search: its name in tables, and its starts and evaluations of each at most."""
+    """Budget of a search: name in tables, number of starts, evaluations of each."""
 
     name: str
     starts: int

@@ -1,4 +1,4 @@
-"""Sequential design: the plant first, by a criterion without its controller; then the controller of that plant.
+"""Sequential design: first the plant by a criterion of its own, then its controller.
 
 References
 ----------
@@ -82,7 +82,7 @@ class Sequential:
 
 
 def _stands_alone(problem: CoDesignProblem, design: Array, scenarios: ScenarioTensors) -> bool:
-    """Whether a plant is stable at a design without an input, and none of its runs is lost."""
+    """True if a plant without input is stable at a design and loses no runs."""
     A, _, _ = problem.model.matrices(design)
     if np.abs(np.linalg.eigvals(A)).max() > 1 - STABLE:
         return False

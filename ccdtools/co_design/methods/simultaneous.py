@@ -80,7 +80,7 @@ class Simultaneous:
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """The best design found from a feasible design (np,) and other valleys, with its controller."""
+        """Best design found from a feasible one (np,) and other starts, with its controller."""
         check_open_loop(problem)
         scenarios = drawn(problem, self.runs or RUNS[self.unknowns], rng)
         found = valleys(problem, design, rng=rng) if self.starts > 1 else ()
@@ -166,7 +166,7 @@ class _End:
         return told(problem, self.solution, fed_back=fed_back)
 
     def multipliers(self, space: DesignSpace) -> dict[str, float]:
-        """Rise of the return per unit of each constraint and bound of the design, by name."""
+        """Rise of the return per unit of the design's constraints and bounds, by name."""
         prices: dict[str, float] = {}
         for rows in self.solution.program.rows:
             if rows.name == "p_constraints":
