@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.set_choice import Effort, SetCounts, affordable_designs, found_sets
+from ccdtools.co_design.set_choice import SetBudget, SetCounts, affordable_designs, found_sets
 from ccdtools.co_design.tolerances import ACCEPTED_SHARE, CANDIDATES_PER_START
 from ccdtools.design_limits import DesignLimits, Limits, bounds_at
 from ccdtools.exceptions import InputError
@@ -54,7 +54,7 @@ class Starts:
 
 
 def starts(
-    problem: CoDesignProblem, family: ParametricSet, samples: int, distinct: int | None, effort: Effort,
+    problem: CoDesignProblem, family: ParametricSet, samples: int, distinct: int | None, budget: SetBudget,
     rng: np.random.Generator,
 ) -> Starts:  # fmt: skip
     """Accepted candidates, and starts of episodes.
@@ -67,8 +67,8 @@ def starts(
     nx = problem.model.nx
     reason = ""
     clock = time.thread_time()
-    if effort.option == "auto" and distinct is None:
-        distinct, reason = affordable_designs(problem, family, samples, effort)
+    if budget.option == "auto" and distinct is None:
+        distinct, reason = affordable_designs(problem, family, samples, budget)
     probing = time.thread_time() - clock
     shared = distinct or samples
     cube = qmc.LatinHypercube(nx + problem.design.dim, rng=rng).random(samples)
@@ -77,7 +77,7 @@ def starts(
         p = problem.design.latin_hypercube(shared, rng)[np.arange(samples) % shared]
     lower, upper = bounds_at(problem.X, p)
     x = lower + cube[:, :nx] * (upper - lower)
-    pool = _Pool.of(problem, p, family, effort, reason)
+    pool = _Pool.of(problem, p, family, budget, reason)
     everyone = np.arange(samples)
     inside = pool.contains(x, everyone)
     acceptance = float(inside.mean())
@@ -87,7 +87,7 @@ def starts(
         inside[outside] = pool.contains(x[outside], outside)
     if not inside.any():
         where = {"auto": "X_fea(p)", "lqr": "the region that LQR keeps", "none": "X at a design with an LQR"}
-        got = f"{samples} candidates of which none lies in {where[effort.option]}"
+        got = f"{samples} candidates of which none lies in {where[budget.option]}"
         cure = "Take more samples, or check that X, U and the design bounds leave anything to control."
         raise InputError("samples", got, "at least one", cure)
     first = everyone[: -(-samples // CANDIDATES_PER_START)]
@@ -114,16 +114,16 @@ class _Pool:
 
     @classmethod
     def of(
-        cls, problem: CoDesignProblem, p: Array, family: ParametricSet, effort: Effort, reason: str
+        cls, problem: CoDesignProblem, p: Array, family: ParametricSet, budget: SetBudget, reason: str
     ) -> _Pool:  # fmt: skip
         """Candidates with designs p (n, np); without sets if a reason speaks against them."""
         regions = LQRRegions.of(problem, p)
-        by_region = effort.option != "none" and regions.rows is not None
-        if effort.option == "auto" and not reason:
-            sets, counts = found_sets(family, p, effort)
+        by_region = budget.option != "none" and regions.rows is not None
+        if budget.option == "auto" and not reason:
+            sets, counts = found_sets(family, p, budget)
         else:
             sets = [None] * len(p)
-            counts = SetCounts(effort.option, 0, len(np.unique(p, axis=0)), 0, reason or f'sets = "{effort.option}"')
+            counts = SetCounts(budget.option, 0, len(np.unique(p, axis=0)), 0, reason or f'sets = "{budget.option}"')
         if not by_region:
             counts = replace(counts, lqr=0, limits=counts.lqr)
         return cls(problem.X, p, sets, regions, counts, by_region)

@@ -18,7 +18,7 @@ from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_p
 from ccdtools.co_design.candidates import Starts, starts
 from ccdtools.co_design.expert_loops import ExpertLoops, follow
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.set_choice import SETS, Effort, SetCounts, limited
+from ccdtools.co_design.set_choice import SETS, SetBudget, SetCounts, limited
 from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
@@ -152,10 +152,10 @@ def expert_dataset(
     if echo is not None and not callable(echo):
         raise InputError("echo", shown(echo), "a function that takes a line of text, or None")
     option = "auto" if isinstance(sets, ParametricSet) else as_choice("sets", sets, SETS)
-    effort = Effort(option, limit, progress)
+    budget = SetBudget(option, limit, progress)
     with telling(echo, "the expert's data"):
-        family = sets if isinstance(sets, ParametricSet) else limited(feasible_sets(problem), effort)
-        begin = starts(problem, family, samples, designs, effort, rng)
+        family = sets if isinstance(sets, ParametricSet) else limited(feasible_sets(problem), budget)
+        begin = starts(problem, family, samples, designs, budget, rng)
         loops = ExpertLoops(problem, begin, expert, horizon, progress=progress)
         found = follow(problem, loops, gamma, rng, progress=progress)
     known = (np.abs(found.states) <= IMITATED * problem.state_scale).all(axis=2)  # NaN is not

@@ -26,7 +26,7 @@ USABLE = (Status.CONVERGED, Status.EMPTY)
 
 
 @dataclass(frozen=True)
-class Effort:
+class SetBudget:
     """Budget of sets, with whether bars are shown.
 
     Attributes
@@ -92,7 +92,9 @@ class SetCounts:
         return ", ".join(parts) + (f": {self.reason}" if self.reason else "") + left
 
 
-def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: int, effort: Effort) -> tuple[int, str]:
+def affordable_designs(
+    problem: CoDesignProblem, sets: ParametricSet, samples: int, budget: SetBudget
+) -> tuple[int, str]:
     """Number of designs that can have a set within the budget, and the reason if too few.
 
     It is `samples` if every candidate can have its own.
@@ -104,21 +106,21 @@ def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: i
             late = LATE if result.status is Status.TIME_LIMIT else ""
             return 0, f"X_fea(p) was not found: {result.status.name}{late}"
         work.append(max(result.iterations, 1) * max(len(result.set.b), 1) ** 2)
-    number = min(float(samples), effort.seconds * SET_WORK / float(np.mean(work)))
+    number = min(float(samples), budget.seconds * SET_WORK / float(np.mean(work)))
     if number < min(FEWEST_DESIGNS, samples):
         return 0, f"X_fea(p) of {FEWEST_DESIGNS} designs is more work than allowed"
     return int(number), ""
 
 
-def found_sets(sets: ParametricSet, designs: Array, effort: Effort) -> tuple[list[Polytope | None], SetCounts]:
+def found_sets(sets: ParametricSet, designs: Array, budget: SetBudget) -> tuple[list[Polytope | None], SetCounts]:
     """X_fea of each design (n, np), None where the recursion did not end in one, and what was counted."""
     begun = time.thread_time()
     unique, index = np.unique(designs, axis=0, return_inverse=True)
     order = np.unique(index.ravel(), return_index=True)[1].argsort()  # as they come
     known: dict[int, Polytope | None] = {}
     aborted = False
-    for i in counted(order, "X_fea(p)", total=len(order), progress=effort.progress):
-        aborted = aborted or time.thread_time() - begun > ABORT * effort.seconds
+    for i in counted(order, "X_fea(p)", total=len(order), progress=budget.progress):
+        aborted = aborted or time.thread_time() - begun > ABORT * budget.seconds
         result = None if aborted else sets.result(unique[i])
         aborted = aborted or (result is not None and result.status is Status.TIME_LIMIT)
         known[int(i)] = result.set if result is not None and result.status in USABLE else None
@@ -127,13 +129,13 @@ def found_sets(sets: ParametricSet, designs: Array, effort: Effort) -> tuple[lis
     reason = "" if found == len(known) else "X_fea(p) was not found within its facets"
     if aborted:
         reason = f"aborted after {seconds:.3g} s of processor time{LATE}"
-    counts = SetCounts(effort.option, found, len(known) - found, 0, reason, seconds)
+    counts = SetCounts(budget.option, found, len(known) - found, 0, reason, seconds)
     return [known[int(i)] for i in index.ravel()], counts
 
 
-def limited(sets: ParametricSet, effort: Effort) -> ParametricSet:
+def limited(sets: ParametricSet, budget: SetBudget) -> ParametricSet:
     """The family with the facets of one set that the budget allows; far beyond it, its time is limited."""
-    if not np.isfinite(effort.seconds):
+    if not np.isfinite(budget.seconds):
         return sets
-    facets = max(min(sets.max_facets, int(8 * effort.seconds)), 1)  # 8 for every second of the limit
-    return replace(sets, max_facets=facets, time_limit=effort.seconds)
+    facets = max(min(sets.max_facets, int(8 * budget.seconds)), 1)  # 8 for every second of the limit
+    return replace(sets, max_facets=facets, time_limit=budget.seconds)

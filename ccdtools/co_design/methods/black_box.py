@@ -9,7 +9,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.descent import tamed
+from ccdtools.co_design.methods.descent import compressed
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import (
@@ -52,7 +52,7 @@ class ClosedLoop:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Evaluation:
     """Evaluation at free entries z.
 
     Attributes
@@ -86,7 +86,7 @@ class BlackBox:
         self.best: tuple[float, float] = (np.inf, np.inf)  # violation and cost
         self.best_v = self.start
         self.rows: list[tuple] = []
-        self.looks: list[Look] = []
+        self.looks: list[Evaluation] = []
 
     @property
     def first(self) -> Array:
@@ -100,7 +100,7 @@ class BlackBox:
         return float(np.quantile(known[:SIZE_EVALUATIONS], BETTER_SHARE)) if known else 1.0
 
     def begin(self, budget: int, rng: np.random.Generator) -> None:
-        """Look at the start, and at random points until there is a value."""
+        """Evaluation at the start, and at random points until there is a value."""
         z = self.first
         for _ in range(budget):
             self(z)
@@ -113,27 +113,27 @@ class BlackBox:
         self.looks.append(self._looked(z))
         return self.merit(self.looks[-1])
 
-    def merit(self, look: Look) -> float:
+    def merit(self, look: Evaluation) -> float:
         """Merit of an evaluation, by the size of costs that is known now."""
         size = self.size
         if not np.isfinite(look.cost):
             return LOST_COST * size
         violation = VIOLATION_COST * look.violation / LEAST_TOLERANCE
-        return float(size * (tamed(look.cost / size) + DISTANCE_COST * look.away + violation))
+        return float(size * (compressed(look.cost / size) + DISTANCE_COST * look.away + violation))
 
-    def _looked(self, z: Array) -> Look:
+    def _looked(self, z: Array) -> Evaluation:
         """Evaluate the feasible design that is nearest."""
         asked = self.start.copy()
         asked[self.free] = np.clip(z, 0.0, 1.0)
         allowed = self.problem.design.allowed
         v = allowed.near(allowed.rounded(asked))
         if v is None:
-            return Look(z, np.inf)
+            return Evaluation(z, np.inf)
         cost, violation = self.value(v)
         count = len(self.rows) + 1
         self.rows.append((count, count, self.problem.design.settled(v), -cost, 0.0, 0.0))
         if not np.isfinite(cost):
-            return Look(z, np.inf)
+            return Evaluation(z, np.inf)
         if (violation, cost) < self.best:
             self.best, self.best_v = (violation, cost), v
-        return Look(z, cost, float(np.sum((asked - v) ** 2)), violation)
+        return Evaluation(z, cost, float(np.sum((asked - v) ** 2)), violation)

@@ -46,7 +46,7 @@ def value_of(cost: Any, v: Array) -> float:
     return cost.value(v) if getattr(cost, "slope_is_expensive", False) else cost(v)[0]
 
 
-def tamed(relative: float) -> float:
+def compressed(relative: float) -> float:
     """A relative cost, beyond `COMPRESS_ABOVE` as a logarithm."""
     high = relative > COMPRESS_ABOVE
     return COMPRESS_ABOVE * (1 + float(np.log(relative / COMPRESS_ABOVE))) if high else float(relative)
@@ -129,7 +129,7 @@ class _Watched:
         relative = point.cost / self.size
         if not np.isfinite(relative) or (point.slope is not None and not np.isfinite(point.slope).all()):
             return LOST_COST
-        return tamed(relative)
+        return compressed(relative)
 
     def slope(self, z: Array) -> Array:
         """Slope of the relative cost along the free entries."""

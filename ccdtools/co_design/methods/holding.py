@@ -35,7 +35,7 @@ class Held:
     rest: float
 
 
-def held_by(space: DesignSpace, v: Array, slope: Array, violations: Mapping[str, Array] | None = None) -> Held:
+def active_set_at(space: DesignSpace, v: Array, slope: Array, violations: Mapping[str, Array] | None = None) -> Held:
     """Active bounds and constraints of a point where the cost has this slope (np,).
 
     Where the slope is unknown, NaN is left.

@@ -24,7 +24,7 @@ from ccdtools.co_design.methods.design_cost import DesignCost
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, SecantLaw
 from ccdtools.co_design.methods.limited_loop_cost import loop_cost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
-from ccdtools.co_design.methods.searched import Plan, searched
+from ccdtools.co_design.methods.searched import SearchBudget, searched
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.secant import fitted, visited
@@ -105,13 +105,13 @@ class Nested:
     ) -> CoDesignResult:
         """Best design found from a feasible one (np,) and other starts, with its controller."""
         starts = 1 if self.inner == "rl" else self.starts
-        plan = Plan(self.name, starts, self.evaluations or OUTER.get(self.inner, EVALUATIONS))
+        budget = SearchBudget(self.name, starts, self.evaluations or OUTER.get(self.inner, EVALUATIONS))
         if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):
-            return self._of_better_linearisation(plan, problem, design, rng, progress)
-        return searched(plan, problem, self._cost_from(problem, rng, progress), design, rng, progress=progress)
+            return self._of_better_linearisation(budget, problem, design, rng, progress)
+        return searched(budget, problem, self._cost_from(problem, rng, progress), design, rng, progress=progress)
 
     def _of_better_linearisation(
-        self, plan: Plan, problem: CoDesignProblem, design: Array, rng: np.random.Generator, progress: bool
+        self, budget: SearchBudget, problem: CoDesignProblem, design: Array, rng: np.random.Generator, progress: bool
     ) -> CoDesignResult:  # fmt: skip
         """Result of LQR of the tangent, or of the secant if asked for or better in closed loop."""
         scenarios = scenario_tensors(problem, fewer_runs(self.runs or RUNS["lqr"], problem.steps), rng)
@@ -119,17 +119,17 @@ class Nested:
         if self.linearisation == "auto":
             with suppress(InputError, NotStabilisableError):  # the tangent may have no input at all
                 tangent = searched(
-                    plan, problem, lambda v: loop_cost(problem, LQRLaw(), scenarios), design, rng, progress=progress
+                    budget, problem, lambda v: loop_cost(problem, LQRLaw(), scenarios), design, rng, progress=progress
                 )
         scenario = visited(problem, rng)
         if tangent is not None:
             here = fitted(problem, tangent.design, scenario)
             if not here.better:
                 return replace(tangent, notes=(*tangent.notes, str(here)))
-        plan = replace(plan, starts=1)
+        budget = replace(budget, starts=1)
         first = design if tangent is None else np.asarray(tangent.design)
         law = SecantLaw(scenario)
-        found = searched(plan, problem, lambda v: loop_cost(problem, law, scenarios), first, rng, progress=progress)
+        found = searched(budget, problem, lambda v: loop_cost(problem, law, scenarios), first, rng, progress=progress)
         if tangent is not None and not found.objective > tangent.objective and np.isfinite(tangent.objective):
             found = tangent
         return replace(found, notes=(*found.notes, str(fitted(problem, found.design, scenario))))

@@ -22,7 +22,7 @@ from ccdtools.checks import as_choice, as_count, shown
 from ccdtools.co_design.design_controllers import controller_of
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.black_box import BlackBox, ClosedLoop, Look
+from ccdtools.co_design.methods.black_box import BlackBox, ClosedLoop, Evaluation
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
@@ -196,7 +196,7 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
     low, high = space.lower[box.free], space.upper[box.free]
     level = np.inf
 
-    def known(look: Look) -> Any:
+    def known(look: Evaluation) -> Any:
         """Evaluation as a trial of Optuna."""
         least, most = (end[box.free] for end in space.outermost)
         asked = np.where(whole, np.clip(np.round(low + look.z * (high - low)), least, most), look.z)

@@ -19,7 +19,7 @@ from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_te
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.laws import PassiveLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
-from ccdtools.co_design.methods.searched import Plan, searched
+from ccdtools.co_design.methods.searched import SearchBudget, searched
 from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
@@ -73,9 +73,9 @@ class Sequential:
             plant = Simultaneous("trajectory", starts=self.starts).run(problem, design, rng, progress=progress)
         else:
             unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
-            plan = Plan(self.name, self.starts, self.evaluations)
+            budget = SearchBudget(self.name, self.starts, self.evaluations)
             plant = searched(
-                plan, unlimited, lambda v: LoopCost(unlimited, PassiveLaw(), scenarios), design, rng, progress=progress
+                budget, unlimited, lambda v: LoopCost(unlimited, PassiveLaw(), scenarios), design, rng, progress=progress
             )
         controller = controller_of(self.control, problem, plant.design)
         return replace(plant, method=self.name, controller=controller)
