@@ -74,9 +74,12 @@ class Sequential:
         else:
             unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
             budget = SearchBudget(self.name, self.starts, self.evaluations)
-            plant = searched(
-                budget, unlimited, lambda v: LoopCost(unlimited, PassiveLaw(), scenarios), design, rng, progress=progress
-            )
+
+            def cost(v: Array) -> LoopCost:
+                """Cost of the plant alone."""
+                return LoopCost(unlimited, PassiveLaw(), scenarios)
+
+            plant = searched(budget, unlimited, cost, design, rng, progress=progress)
         controller = controller_of(self.control, problem, plant.design)
         return replace(plant, method=self.name, controller=controller)
 
