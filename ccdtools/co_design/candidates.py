@@ -149,8 +149,9 @@ class _Pool:
         return allowed
 
     def moved_in(self, x: Array, runs: Indices) -> Array:
-        """Each state at the fraction of its ray to the boundary of its set that it had to the boundary of X; the state
-        itself where the set is flat or empty.
+        """States moved along their rays into their sets, at the fraction of the ray that they had in X.
+
+        Where the set is flat or empty, it is the state itself.
         """
         fraction = np.minimum(self._gauges(x, runs), 1.0)
         own = [self.sets[i] for i in runs]

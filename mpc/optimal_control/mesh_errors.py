@@ -51,7 +51,7 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
 def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
     """Integrals ∫ |dx/dt − f| over every interval, (N, nx), and errors of the cost."""
     part, N = phase.part, phase.part.intervals
-    tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))
+    tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
     tau, weights = 0.5 * (tau + 1), 0.5 * weights
     h, basis = np.diff(phase.times), scheme.basis(tau)
     k, at = np.repeat(np.arange(N), len(tau)), np.tile(tau, N)

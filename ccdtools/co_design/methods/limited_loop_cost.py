@@ -69,8 +69,7 @@ class LimitedLoopCost(LoopCost):
         return cost.nearer(best, min(broken, key=lambda end: end.violation))
 
     def nearer(self, best: LimitedEnd, broken: LimitedEnd) -> LimitedEnd:
-        """Of the designs on the way from one that keeps the limits to a cheaper one that does not, the cheapest that
-        does.
+        """Cheapest design that keeps the limits, on the way from one that does to a cheaper one that does not.
 
         Prices aim a little within the limits, so that something of the way is left.
         """
