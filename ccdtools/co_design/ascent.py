@@ -153,7 +153,7 @@ class Ascent:
         return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 
     def _improved(self, before: Iterate) -> bool:
-        """True if the block brought a gain that matters and is no chance, or fewer lost runs or violations."""
+        """True if the block brought a gain that matters, or fewer lost runs or violations."""
         best = self.best
         if best.lost < before.lost or best.violation < WORTHWHILE_VIOLATION * before.violation:
             return True
@@ -237,7 +237,7 @@ class Ascent:
         return self.limited
 
     def _follow(self, length: int, bar: tqdm) -> None:
-        """Take so many steps of Adam on fresh scenarios, and of PPO where it has a part."""
+        """Take steps of Adam on fresh scenarios, and of PPO where it has a part."""
         for k in range(length):
             self.iterate(k, length)
             self.count(bar)
@@ -284,7 +284,7 @@ class Ascent:
         return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), values.numpy(), violation, lost, outcome)
 
     def iterate(self, k: int, length: int) -> None:
-        """Take one step of policy and design, with the rates of iteration k of a block."""
+        """Take one step of policy and design, at the rates of iteration k."""
         task = self.task
         config = task.config
         factor = 1.0 if config.constant_rates else 0.5 * (1 + np.cos(np.pi * k / length))

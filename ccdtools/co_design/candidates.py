@@ -103,7 +103,7 @@ def starts(
 
 @dataclass(frozen=True, eq=False)
 class _Pool:
-    """All candidates: X_fea of each design where known, else the region of LQR, else X."""
+    """Candidates with X_fea of each design, else the region of LQR, else X."""
 
     X: Limits
     p: Array

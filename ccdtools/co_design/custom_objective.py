@@ -61,7 +61,7 @@ class CustomObjective(Objective):
         return f"{type(self).__name__}({self.stage_cost})"
 
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
-        """Rewards (...,) of states (..., nx) and inputs (..., nu) at designs (np,) or (..., np)."""
+        """Rewards (...,) of states (..., nx), inputs (..., nu) and designs (..., np)."""
         if x is None or p is None:
             raise InputError("x, p", "nothing", "the states before the step and the design, which the cost needs")
         return -self.stage_cost.scalar(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)[..., 0]
@@ -80,7 +80,7 @@ class CustomObjective(Objective):
         return _checked_weights(H, nx, p)
 
     def weight_derivatives(self, p: Array, nx: int, nu: int) -> Weights:
-        """Derivatives (·, ·, np) of the weights by the design: of half the Hessian of ℓ, unless they are given."""
+        """Derivatives (·, ·, np) of the weights, given or of half the Hessian of ℓ."""
         if self.Q is not None:
             return super().weight_derivatives(p, nx, nu)
         symbol = ca.SX.sym("p", len(p))
@@ -91,7 +91,7 @@ class CustomObjective(Objective):
         return Weights(T[:nx, :nx], T[nx:, nx:], T[:nx, nx:])
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:
-        """True if a cost depends on any of its arguments, or the design has a cost."""
+        """True if a cost depends on an argument, or the design has one."""
         if self.design_cost is not None or self.stage_cost.depends(nx, nu, designs):
             return True
         return self.terminal_cost is not None and bool(self.terminal_cost.depends(nx, designs))

@@ -30,7 +30,7 @@ def tangent_note(problem: CoDesignProblem) -> str:
 
 
 def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:
-    """LQR of the nominal model at one design, with its inputs clipped to U or U(p)."""
+    """LQR of the nominal model at one design, clipped to U or U(p)."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)
@@ -39,7 +39,7 @@ def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback
 
 
 def linear_mpc(problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON) -> LinearMPC:
-    """MPC of the nominal model, or its linearisation at rest, within the limits of one design."""
+    """MPC of the nominal model or its linearisation at rest, within one design's limits."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)

@@ -141,7 +141,7 @@ class Slope:
         return cls(inside_box[0], inside_box[1], room, across[0], across[1])
 
     def promises(self, gain: float) -> bool:
-        """True if a slope beyond chance, falling to zero over the distance ahead, brings such a gain."""
+        """True if a slope beyond chance that falls to zero ahead brings the gain."""
         return _brings(self.mean, self.error, np.minimum(self.room, SLOPE_AHEAD), gain)
 
     def rises_across_bounds(self, gain: float) -> bool:
@@ -154,7 +154,7 @@ class Slope:
 
 
 def _brings(slope: Array, error: Array, distance: Array, gain: float) -> bool:
-    """True if any slope (np,) beyond chance, falling to zero over its distance, brings such a gain."""
+    """True if a slope (np,) beyond chance that falls to zero over its distance brings the gain."""
     return bool(((np.abs(slope) > SIGNIFICANT * error) & (np.abs(slope) * distance / 2 > gain)).any())
 
 

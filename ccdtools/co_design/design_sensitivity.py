@@ -169,7 +169,7 @@ def _of_mpc(
 
 
 def _bound_changes(limits: Any, own: DesignLimits, p: Array) -> Array:
-    """∂b/∂p (rows, np) of the facets a'v <= b of a box that depends on the design."""
+    """Slopes ∂b/∂p (rows, np) of the facets a'v <= b of a box that depends on p."""
     bounds = own.both.function(own.entries)
     symbol = ca.SX.sym("p", own.entries)
     J = np.asarray(ca.Function("changes", [symbol], [ca.densify(ca.jacobian(bounds(symbol), symbol))])(p), dtype=float)

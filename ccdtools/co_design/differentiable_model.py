@@ -39,7 +39,7 @@ class _Matrices(torch.autograd.Function):
 
 
 def matrices(model: Model, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """A, B, E at a design tensor (np,), or stacked along axis 0 at designs (n, np); differentiable in it."""
+    """Matrices A, B, E at a design tensor (np,), or stacked for (n, np)."""
     columns = model.nx + model.nu + model.nw
     flat = _Matrices.apply(p, model) if p.ndim == 1 else torch.stack([_Matrices.apply(one, model) for one in p])
     M = flat.unflatten(-1, (columns, model.nx)).mT
@@ -103,7 +103,7 @@ class Stepper:
         return w if plain else _times(self.E, w)
 
     def advance(self, x: Tensor, e: Tensor, u: Tensor, drive: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-        """Next states and errors (n, nx), and the penalty (n,) of a learned error if there is one."""
+        """Next states and errors (n, nx), with any penalty (n,) of a learned error."""
         discrepancy = self.problem.discrepancy
         if isinstance(self.problem.model, SampledModel):
             return self._sampled(self.problem.model, x, e, u, drive)
@@ -158,18 +158,18 @@ class Stepper:
 
     @cached_property
     def _facets(self) -> tuple[Tensor, Tensor]:
-        """X as F x ≤ g, each row divided by the half-width of X along it."""
+        """Rows F x ≤ g of X, each divided by the half-width of X along it."""
         limits = StateLimits(widest(self.problem.X))
         return self.limit.new_tensor(limits.rows.tolist()), self.limit.new_tensor(limits.bounds.tolist())
 
 
 def _times(M: Tensor, x: Tensor) -> Tensor:
-    """M x for vectors (n, T, k) and one matrix, or a matrix (n, m, k) for each run."""
+    """Products M x of vectors (n, T, k) with a matrix, one for all or one a run."""
     return x @ M.mT
 
 
 def _plus_times(y: Tensor, M: Tensor, x: Tensor) -> Tensor:
-    """y + M x for vectors (n, ·) and one matrix, or a matrix for each run."""
+    """Sums y + M x for vectors (n, ·), with one matrix for all or one a run."""
     if M.ndim == 2:
         return torch.addmm(y, x, M.T)
     return torch.baddbmm(y[:, None], x[:, None], M.mT)[:, 0]

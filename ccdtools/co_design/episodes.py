@@ -78,7 +78,7 @@ def episode(
 
 
 def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, depths: bool = False) -> Episode:
-    """Episodes of any law, states (n, nx) → inputs (n, nu), on a model at its design."""
+    """Episodes of a law, states (n, nx) → inputs (n, nu), at a design."""
     x0, w = scenarios
     warm_up = step.problem.warm_up
     steps = w.shape[1] - warm_up

@@ -158,7 +158,7 @@ class SetFilters:
         self._filters: dict[int, AdmissibleInputs] = {}
 
     def filtered(self, x: Array, u: Array) -> Array:
-        """The inputs (n, nu), those that would leave a set replaced by the nearest ones that do not."""
+        """Inputs (n, nu) that stay in the set, by the nearest that do where needed."""
         u = u.copy()
         for piece in self._pieces:
             runs = piece.runs

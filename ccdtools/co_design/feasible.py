@@ -78,7 +78,10 @@ class DesignRegion:
         return rise + 0.5 * PULL * distance, along + (rise / distance + PULL) * away
 
     def settled(self, v: Tensor) -> Array:
-        """The design (np,) of a point in single precision: feasible to the last digit, its whole numbers exact."""
+        """Design (np,) of a point in single precision, made feasible to the last digit.
+
+        Its whole numbers are exact.
+        """
         point = v.detach().double().numpy()
         exact = self.space.allowed.rounded(point)
         found = self.space.allowed.near_with(exact, [self.last])
@@ -117,7 +120,7 @@ class FeasibleSlope(Slope):
         )  # fmt: skip
 
     def promises(self, gain: float) -> bool:
-        """True if a slope beyond chance, falling to zero over the distance ahead, brings such a gain."""
+        """True if a slope beyond chance that falls to zero ahead brings the gain."""
         return bool(self.ahead > SIGNIFICANT * self.ahead_error and self.ahead / 2 > gain)
 
     def rises_across_bounds(self, gain: float) -> bool:

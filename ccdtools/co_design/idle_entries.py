@@ -150,7 +150,7 @@ def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random
 
 
 def _without_effect(rows: Array) -> Array:
-    """Unit directions (k, np) with slopes (n, np) of zero; entries without slopes are left out."""
+    """Unit directions (k, np) of zero slopes (n, np), of entries that have slopes."""
     acting = np.flatnonzero(rows.any(axis=0))
     scaled = rows[:, acting] / np.abs(rows).max(axis=1, keepdims=True)
     scaled /= np.linalg.norm(scaled, axis=0)

@@ -93,7 +93,7 @@ class Landscape:
 
 
 def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> tuple[Valley, ...]:
-    """Distinct local optima of the landscape, best first, with the one that `design` (np,) leads to.
+    """Distinct local optima, best first, with the one that `design` (np,) leads to.
 
     A space-filling set of designs is simulated with its corners (of up to three parameters); the hills among them are
     climbed by compass search, and hilltops that no ridge parts are one. Of more than three parameters the best sample
@@ -135,7 +135,7 @@ def combinations(space: DesignSpace) -> float:
 
 
 def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
-    """Feasible points (n, np) all over the unit box, with every combination of whole numbers if few."""
+    """Feasible points (n, np) of the unit box, with every combination of few whole numbers."""
     moving = np.flatnonzero(space.free)
     points = np.zeros((0, space.dim))
     if combinations(space) > CLIMBED_COMBINATIONS or not space.integer:
@@ -153,13 +153,13 @@ def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
 
 
 def _spread(size: int, rng: np.random.Generator) -> Array:
-    """Points of the unit box (n, size): a Sobol sequence, and the corners where they are few."""
+    """Points (n, size) of the unit box: a Sobol sequence, and few corners."""
     points = qmc.Sobol(size, rng=rng).random(MAP_POINTS.get(size, 128))
     return np.vstack([points, list(product((0.0, 1.0), repeat=size))]) if size in MAP_POINTS else points
 
 
 def _feasible(space: DesignSpace, V: Array) -> Array:
-    """Points (n, np) with those that break a constraint moved to the nearest that keep it, their whole numbers kept."""
+    """Points (n, np) moved to the nearest that keep the constraints and their whole numbers."""
     V = V.copy()
     for i in np.flatnonzero(space.allowed.violation(V) > 0):
         found = space.allowed.near_with(V[i])
@@ -168,7 +168,7 @@ def _feasible(space: DesignSpace, V: Array) -> Array:
 
 
 def _hilltops_by_combination(landscape: Landscape, V: Array, J: Array) -> tuple[Array, Array, list[int]]:
-    """Points (n, np) with their returns, and which of them are the highest hilltops of the best combinations.
+    """Points (n, np), returns, and the highest local optima of the best combinations.
 
     Where there are more than a few combinations, they are found by a climb along the whole numbers too.
     """
@@ -250,7 +250,7 @@ def _about(space: DesignSpace, v: Array, moves: Array, reach: float) -> Array:
 
 
 def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float) -> bool:
-    """True if the straight path between two local optima never falls a ridge's depth below the lower."""
+    """True if the straight path of two local optima never falls a ridge below the lower."""
     whole = landscape.problem.design.whole
     if not np.array_equal(np.round(higher[whole], 9), np.round(lower[whole], 9)):
         return False

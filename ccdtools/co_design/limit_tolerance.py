@@ -68,7 +68,10 @@ UNTIL_LEFT = Tolerance(Pair(LEAST_TOLERANCE, LEAST_TOLERANCE), "never left furth
 
 
 def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
-    """A quarter more than what MPC does at a design and beside it, on the first few of some scenarios."""
+    """Tolerance at and beside a design: a quarter more than MPC violates.
+
+    MPC runs on the first few of some scenarios.
+    """
     middle = _beside(mpc_episodes(problem, v, scenarios))
     slopes = []
     for i in range(len(v)):
@@ -104,7 +107,7 @@ def _beside(seen: Episode) -> Tensor:
 
 
 def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Episode:
-    """Episodes of online MPC, state limits relaxed where they cannot be kept, on the first few of some scenarios."""
+    """Episodes of online MPC with relaxed state limits, on the first few scenarios."""
     mpc = linear_mpc(problem, problem.design.from_unit(v.detach().double().numpy()))
     x0, w = scenarios
     runs = fewer_runs(MPC_RUNS, w.shape[1])
@@ -114,7 +117,7 @@ def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, T
 
 
 def measured(episode: Episode) -> Pair:
-    """Mean fraction outside, and mean peak depth, of the runs that are not lost; NaN where all are."""
+    """Mean fraction outside and mean peak depth of the runs kept; NaN without any."""
     kept = ~episode.diverged
     return Pair(float(episode.outside.detach()[kept].mean()), float(episode.peak.detach()[kept].mean()))
 

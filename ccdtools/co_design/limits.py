@@ -1,4 +1,4 @@
-"""State limits in a co-design: an augmented Lagrangian on how often and how far episodes leave X.
+"""State limits in a co-design, by an augmented Lagrangian on violations of X.
 
 The two measures are the fraction of the states outside X and the mean over the runs of the peak depth. Each counts with
 a standard error of the runs on top, so that fresh runs are expected to keep the limits, too. Their excess over the
@@ -96,7 +96,7 @@ class LimitsOutcome:
 
 @dataclass(frozen=True, eq=False)
 class Prices:
-    """Price of one more of the mean depth, of the peak depth, and of a design step (np,)."""
+    """Prices of the mean depth, the peak depth, and a design step (np,)."""
 
     depth: float
     peak: float
@@ -190,7 +190,7 @@ class StateLimitPenalty:
         return self.tolerance.allowed if self.v is None else Pair(*self.tolerance.at(self.v).tolist())
 
     def _tolerance(self, seen: Pair, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
-        """Tolerance of the design `v`: the user's, or by MPC if X is left at all."""
+        """Tolerance of the design `v`: the user's, or by MPC where X is left."""
         asked = self.judge.limit_tolerance
         if not isinstance(asked, str):
             return Tolerance(Pair(*asked), "asked for")

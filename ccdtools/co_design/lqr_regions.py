@@ -126,7 +126,9 @@ class LQRRegions:
         return times(self.A, x) + times(self.B, u) + times(self.E, w)
 
     def reach(self, x: Array, runs: Indices) -> Array:
-        """Largest scales (k,) in [0, 1] with scale · x in the region; 0 if none is known.
+        """About the largest scales (k,) in [0, 1] that keep scale · x in the region.
+
+        They are 0 where none is known.
 
         Geometric bisection between the ellipsoid and x.
         """
@@ -168,7 +170,7 @@ def _quadratic(M: Array, x: Array) -> Array:
 
 
 def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> Array:
-    """LQR gains (n, nu, nx) of designs (n, np) with their A and B; NaN where a design cannot be stabilised."""
+    """LQR gains (n, nu, nx) of designs (n, np) with A and B; NaN where none stabilises."""
     K = np.full((len(B), B.shape[2], B.shape[1]), np.nan)
     for i, (pair, p) in enumerate(zip(zip(A, B), designs)):
         with suppress(NotStabilisableError):
@@ -177,7 +179,7 @@ def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> A
 
 
 def _own(value: Array, of: Any, usual: int) -> Array:
-    """Rows of an array for a design, or for some; the array itself if all share it."""
+    """Rows of an array for a design, or the array itself if all share it."""
     return value[of] if value.ndim > usual else value
 
 

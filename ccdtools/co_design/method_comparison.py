@@ -90,7 +90,7 @@ class MethodComparison(Immutable):
         return 100 * difference / self.size
 
     def table(self) -> list[dict[str, Any]]:
-        """Plain values, one dictionary per method with the same keys; NaN or "" where there is nothing."""
+        """Plain values, one dictionary per method; NaN or "" where there is nothing."""
         return [self._cells(row) for row in self.rows]
 
     def to_csv(self, path: str | Path) -> Path:

@@ -182,7 +182,7 @@ def _ranges(
 
 
 def _way(row: Any) -> Array:
-    """Designs (k, np) of a method that were each the best so far, and its end."""
+    """Designs (k, np) of a method that were each the best so far, with its end."""
     history = row.result.history
     values = np.where(history.diverged > 0, -np.inf, np.nan_to_num(history.model_return, nan=-np.inf))
     best = np.maximum.accumulate(values)
@@ -197,7 +197,7 @@ def _axis_label(space: DesignSpace, i: int) -> str:
 
 
 def plot_trade_off(found: Any) -> Figure:
-    """Plot what control brings over the design cost, and designs over the price, of a `TradeOff`."""
+    """Plot control's gain over the design cost, and designs over the price, of a `TradeOff`."""
     space = found.space
     shown = _axes_of(space)
     with styled():

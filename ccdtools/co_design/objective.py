@@ -77,7 +77,7 @@ class Objective(Immutable):
         raise NotImplementedError
 
     def weight_derivatives(self, p: Array, nx: int, nu: int) -> Weights:
-        """Derivatives (·, ·, np) of the weights by the design; zeros unless a subclass has others."""
+        """Derivatives (·, ·, np) of the weights; zeros unless a subclass has others."""
         return Weights(*(np.zeros((m, n, len(p))) for m, n in ((nx, nx), (nu, nu), (nx, nu))))
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:

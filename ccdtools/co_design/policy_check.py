@@ -1,4 +1,4 @@
-"""Check that a policy is at an optimum of its gradient, by retuning its last layer.
+"""Check that a policy is at an optimum, by retuning its last layer.
 
 The latent action l of a policy, before it is clipped to U, becomes exp(a) l + b + k x: a gain, an offset and a linear
 law beside it, for every input; b and k in units of what the policy itself does and sees. Along these few numbers the

@@ -198,7 +198,7 @@ class PreviewedScenarios(Immutable):
 
     @property
     def disturbance(self) -> Any:
-        """Disturbance of the model where its register does not matter; None if the scenarios have none."""
+        """Disturbance of the model where its register does not matter; None without one."""
         return getattr(self.own, "disturbance", None)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:

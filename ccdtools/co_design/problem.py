@@ -300,7 +300,7 @@ class CoDesignProblem(Immutable):
         return self.objective.cost_of_design(p, self.steps - self.warm_up)
 
     def kept_by_mpc(self, p: Array) -> Polytope:
-        """States that MPC keeps at a design: X, and output limits linear in the state alone."""
+        """States that MPC keeps at a design: X, and linear output limits of states alone."""
         X = self.state_limits(p)
         return X if self.output_limits is None else self.output_limits.within(X, self.model.nu, p)
 
@@ -318,7 +318,7 @@ class CoDesignProblem(Immutable):
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
-        """Input bounds, lower and upper (nu,) each; the widest of a U that depends on the design."""
+        """Input bounds, lower and upper (nu,); the widest of a U(p)."""
         return widest(self.U).bounding_box()
 
     @property

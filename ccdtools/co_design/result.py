@@ -50,7 +50,7 @@ class History(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Valley(Immutable):
-    """Local optimum of J(p) in the landscape of saturated LQR, and the end of a co-design from it.
+    """Local optimum of J(p) by saturated LQR, with the end of a co-design from it.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class ClosedLoopReturns(Immutable):
 
     @cached_property
     def summary(self) -> Summary:
-        """The risk, its 95 % interval and more of the runs that are not lost: see `summarise_in_risk`."""
+        """Risk, its 95 % interval and more of the runs kept: see `summarise_in_risk`."""
         return summarise_in_risk(self.risk, self.values, self.lost)
 
     def parts(self, runs: Indices) -> Array:

@@ -168,7 +168,7 @@ class WorstCase:
         return measure + counted * (returns - means @ members)
 
     def _smoothed(self, means: Any) -> tuple[Any, Any]:
-        """The measure of the means of the cases, (..., 1), and its slopes in them, (..., m)."""
+        """Risk of the means of the cases (..., 1), with its slopes in them (..., m)."""
         exp, log = (np.exp, np.log) if isinstance(means, np.ndarray) else map(methodcaller, ("exp", "log"))
         worst, _ = _least(means)
         tau = self.smoothing * abs(worst) + TINY

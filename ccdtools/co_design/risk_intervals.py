@@ -78,7 +78,7 @@ def too_few(risk: Risk, runs: Indices) -> str:
 
 
 def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:
-    """Risk, with 95 % interval, of the returns (n,) of runs that are not `lost` (n,).
+    """Risk, with 95 % interval, of returns (n,) without those of `lost` (n,) runs.
 
     `std` is the standard deviation of the runs' parts in the risk, `median` that of their returns, and `warning` says
     that fewer than ten runs decide the risk, which then has no interval.
@@ -97,14 +97,14 @@ def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:
 
 
 def of_kept_runs(risk: Risk, returns: Array, lost: Mask) -> tuple[float, float, float]:
-    """The risk of the runs that are not lost, the standard deviation of their returns, and the fraction lost."""
+    """Risk and standard deviation of the returns kept, and the fraction lost."""
     runs = np.flatnonzero(~lost)
     std = float(returns[runs].std(ddof=1)) if len(runs) > 1 else 0.0
     return risk_of(risk, returns[runs], runs), std, float(lost.mean())
 
 
 def difference_of_parts(risk: Risk, parts: Array, runs: Indices) -> PairedDifference:
-    """Mean of the differences of parts (n,) in a risk, of common runs with these numbers, with its 95 % interval."""
+    """Mean difference of parts (n,) in a risk of common runs, with its 95 % interval."""
     mean = float(parts.mean()) if len(parts) else float("nan")
     if isinstance(risk, Mean):
         return PairedDifference(mean, summarise(parts).ci95)

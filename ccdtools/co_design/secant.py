@@ -54,7 +54,7 @@ class Linearisation(Immutable):
 
     @property
     def better(self) -> bool:
-        """True if the secant beats the tangent in closed loop by more than 0.5 % of its return."""
+        """True if the secant's return in closed loop exceeds the tangent's by 0.5 %."""
         return not self.tangent_return >= self.mean_return - SECANT_GAIN * self.size
 
     def __str__(self) -> str:
@@ -97,13 +97,13 @@ def visited(problem: CoDesignProblem, rng: np.random.Generator) -> ScenarioTenso
 
 
 def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Linearisation:
-    """The best linearisation of the rounds on given scenarios, a function of the design (np,) alone."""
+    """Best linearisation of the rounds on given scenarios, from the design (np,) alone."""
     rng = np.random.default_rng(0)
     bounds = problem.input_bounds_at(p)
     weights = problem.weights(p).keywords()
 
     def driven(law: LinearFeedback | Passive) -> tuple[Array, Array, float]:
-        """States and inputs (n, ·) that the loop visits within the divergence limit, and the mean return."""
+        """States and inputs (n, ·) that the loop visits before diverging, and the mean return."""
         pairs = []
 
         def followed(x: Tensor) -> Tensor:

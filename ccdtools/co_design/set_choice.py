@@ -95,7 +95,7 @@ class SetCounts:
 def affordable_designs(
     problem: CoDesignProblem, sets: ParametricSet, samples: int, budget: SetBudget
 ) -> tuple[int, str]:
-    """Number of designs that can have a set within the budget, and the reason if too few.
+    """Number of designs that can have a set within the budget, with any reason.
 
     It is `samples` if every candidate can have its own.
     """
@@ -113,7 +113,7 @@ def affordable_designs(
 
 
 def found_sets(sets: ParametricSet, designs: Array, budget: SetBudget) -> tuple[list[Polytope | None], SetCounts]:
-    """X_fea of each design (n, np), None where the recursion did not end in one, and what was counted."""
+    """X_fea of each design (n, np), None where the recursion fails, with counts."""
     begun = time.thread_time()
     unique, index = np.unique(designs, axis=0, return_inverse=True)
     order = np.unique(index.ravel(), return_index=True)[1].argsort()  # as they come

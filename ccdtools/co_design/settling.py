@@ -66,7 +66,7 @@ class Settling:
     designing: bool = True
 
     def checked(self, result: CoDesignResult) -> CoDesignResult:
-        """The result with its closed loop, its limits and baselines, and the status that these leave it."""
+        """Result with its closed loop, limits and baselines, and the status they leave."""
         at("closed loop of what was found, and its baselines")
         loop = self._loop(result.controller, result.design)
         own = (getattr(self.problem.model, "jump", ""), acting_together(self.problem))
@@ -92,7 +92,7 @@ class Settling:
     def _limits(
         self, loop: ClosedLoopReturns, design: Array, own: LimitsOutcome | None
     ) -> LimitsOutcome | None:  # fmt: skip
-        """Violations of a closed loop beside the tolerance at its design; None where nothing is asked.
+        """Violations of a closed loop beside its design's tolerance; None without one.
 
         What a method found to be asked for, `own`, stands, unless it never saw the limits left.
         """
@@ -154,7 +154,7 @@ class Settling:
     def _baseline(
         self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None
     ) -> Baseline | None:
-        """A controller at a design beside the one handed out; None where it loses runs or leaves the limits."""
+        """Baseline at a design; None where it loses runs or leaves the limits."""
         other = self._loop(controller, design)
         limits = self._limits(other, design, limits)
         if other.lost.any() or not (limits is None or limits.kept):

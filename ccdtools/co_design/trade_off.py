@@ -56,7 +56,7 @@ class TradeOff(Immutable):
 
     @property
     def efficient(self) -> Mask:
-        """Designs (n,) that none beats in cost and return by over a thousandth of their range.
+        """Designs (n,) that none beats in cost and return by a thousandth of their range.
 
         None whose runs are all lost.
         """
@@ -203,7 +203,7 @@ def _at_price(problem: CoDesignProblem, price: float) -> CoDesignProblem:
 
 
 def _best(of: ProblemOf, method: Method, seed: int, design: Any, value: float) -> tuple[Any, ...]:
-    """The result at a value, what its design costs there, its return without that, and the box of designs."""
+    """Result at a value, the design's cost, the return without it, and the box."""
     problem = of(value)
     result = codesign(problem, method=method, rng=np.random.default_rng(seed), design=design)
     assert result.closed_loop is not None
@@ -213,7 +213,7 @@ def _best(of: ProblemOf, method: Method, seed: int, design: Any, value: float) -
 
 
 def _intervals(results: tuple[CoDesignResult, ...], costs: Array, returns: Array) -> Array:
-    """Intervals (n, 2) of the returns without design costs, by their pairs with the highest one."""
+    """Intervals (n, 2) of returns without design costs, by pairs with the highest."""
     loops = [result.closed_loop for result in results if result.closed_loop is not None]
     runs = min(len(loop.values) for loop in loops)  # of longer episodes fewer are measured
     kept = np.flatnonzero(~np.logical_or.reduce([loop.lost[:runs] for loop in loops]))

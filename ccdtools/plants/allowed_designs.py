@@ -160,7 +160,9 @@ class AllowedDesigns:
         return best
 
     def near_with(self, v: Array, starts: Sequence[Array] = (), *, thorough: bool = False) -> Array | None:
-        """The nearest allowed point to `v` (np,) with its fixed entries and whole numbers; None if none is found.
+        """Nearest allowed point to `v` (np,) with its fixed entries; None without one.
+
+        Its whole numbers are those of `v`.
 
         Searches begin at `v`, at `starts` and at known points: see `nearest`.
         """

@@ -85,7 +85,7 @@ class Tape:
         self.instructions = [self._instruction(k) for k in steps]
 
     def _instruction(self, k: int) -> tuple[int, tuple[int, ...], tuple[int, ...], float]:
-        """Operation, places of its inputs, places of its outputs, and the number that a constant is."""
+        """Operation, places of its inputs and outputs, and the value of a constant."""
         f = self.function
         op = f.instruction_id(k)
         number = float(f.instruction_constant(k)) if op == ca.OP_CONST else 0.0

@@ -131,12 +131,12 @@ class UnitConstraints:
         return np.asarray(self._values(v), dtype=float).ravel()
 
     def jacobian(self, v: Array) -> Array:
-        """Slopes of the scaled constraints (ng, np); zero where they are too steep for a number."""
+        """Slopes of the scaled constraints (ng, np); non-finite ones are zero."""
         slopes = np.asarray(self._jacobian(v), dtype=float)
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def violation(self, v: Array) -> Any:
-        """The largest violation, (), or (n,) at points (n, np); infinite where a constraint is not finite.
+        """Largest violation () or (n,) at points (n, np); infinite where a constraint is.
 
         Of a constraint it is the larger of g/|∇g|, in lengths of the unit box and below one, and g in parts of how
         much g varies over the box. What rounding may make of a zero is zero.

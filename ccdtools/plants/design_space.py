@@ -1,4 +1,4 @@
-"""The box of designs a plant may take, and what constraints and whole numbers leave of it."""
+"""Box of designs of a plant, and what constraints and whole numbers leave."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ class DesignSpace(Immutable):
         return self.settled(found)
 
     def settled(self, v: ArrayLike) -> Array:
-        """The design (np,) of a feasible point of the unit box, its whole numbers exactly so."""
+        """Design (np,) of a feasible point of the unit box, with exact whole numbers."""
         p = self.from_unit(v)
         p[self.whole] = np.round(p[self.whole])
         return p

@@ -108,7 +108,7 @@ def discretise(
 
 
 def _jump(plant: Plant, region: Region | None) -> Jump | None:
-    """A jump of the right-hand side within the region, or anywhere; None where none is found."""
+    """Jump of the right-hand side within the region, or anywhere; None without one."""
     boxes = () if region is None else region.boxes[:3]
     return plant.switches.within(boxes, (plant.design.lower, plant.design.upper))
 
@@ -156,7 +156,7 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
 
 
 def _over_designs(name: str, value: Any, plant: Plant) -> Any:
-    """The widest bounds that a function of p gives over the box of designs; anything else as it is."""
+    """Widest bounds over the box of designs of a function of p; others as given."""
     if not callable(value) or isinstance(value, type):
         return value
     try:

@@ -97,7 +97,7 @@ class Switches:
         return any(self.names)
 
     def within(self, boxes: Sequence[tuple[Array, Array]], design: tuple[Array, Array]) -> Jump | None:
-        """A jump within bounds of x, u and w, or None where none is found; of `boxes` () anywhere."""
+        """Jump within bounds of x, u and w, or anywhere if `boxes` is (); None without one."""
         if not self:
             return None
         rng = np.random.default_rng(0)

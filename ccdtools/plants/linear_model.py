@@ -198,7 +198,7 @@ class LinearModel:
         return derivatives_at(self.jacobian, p, self.nx, self.nu)
 
     def state_space(self, p: ArrayLike = ()):
-        """The model at one design as a `control.StateSpace` with inputs u, outputs x and its dt.
+        """Model at one design as a `control.StateSpace`: inputs u, outputs x, its dt.
 
         Raises
         ------

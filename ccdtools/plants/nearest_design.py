@@ -67,7 +67,7 @@ def allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[A
 
 
 def nearest_whole(values: Array, lower: Array, upper: Array, width: Array) -> Array:
-    """Whole numbers (n, k) within bounds, sorted by their distance from `values` in units of `width`.
+    """Whole numbers (n, k) within bounds, by distance from `values` in `width`.
 
     All of them where these are few; of more, those in a box about the values.
     """

@@ -111,7 +111,7 @@ class InPlace:
 
 
 def as_rows(columns: Array) -> Array:
-    """Numbers (n, k) as rows (k, n) of their own, in double precision; (k,) as they are."""
+    """Rows (k, n) of numbers (n, k) in double precision; (k,) as they are."""
     return np.array(columns.T, dtype=float, order="C")
 
 

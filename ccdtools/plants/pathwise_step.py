@@ -1,4 +1,6 @@
-"""Step of a sampled model as one torch operation with its own derivative, for long episodes.
+"""Step of a sampled model as one torch operation with its first derivative.
+
+It is for long episodes.
 
 Torch records every instruction of a step; here one record holds a whole sample. Of few runs both ways go by CasADi's
 own machine, of many by NumPy. That is many times faster, and once differentiable.

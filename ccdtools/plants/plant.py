@@ -185,7 +185,7 @@ class Plant:
 
     @property
     def linear(self) -> bool:
-        """True if the dynamics are affine in x, u and w, for any dependence on p."""
+        """True if the dynamics are affine in x, u and w, whatever p."""
         return not self.nonlinear_states
 
     @cached_property

@@ -46,7 +46,7 @@ class FastestMode(Immutable):
 
 
 def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> FastestMode:
-    """Fastest oscillation of ẋ = A(p) x over the box, by samples and a local search.
+    """Fastest oscillation of ẋ = A(p) x over the box, by samples and search.
 
     Parameters
     ----------

@@ -89,7 +89,7 @@ def unpack(packed: dict[str, Any]) -> tuple[list[ca.SX], list[ca.SX]]:
 
 
 def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
-    """Sizes of the terms summed in a function's entries, which their rounding is in proportion to.
+    """Sizes of the terms in a function's entries, to which rounding is proportional.
 
     Of functions that are called from within, the result alone counts.
     """

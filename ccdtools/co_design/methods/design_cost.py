@@ -85,7 +85,7 @@ class DesignCost(ABC):
         return len(self.rows)
 
     def worth_a_start(self, v: Array) -> bool:
-        """Whether a search may begin at a point, as far as a look that costs nothing tells."""
+        """True if a search may begin at a point, as far as a cheap evaluation tells."""
         return True
 
     def first_point(self, v: Array) -> tuple[Array, float]:

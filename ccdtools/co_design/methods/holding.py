@@ -87,7 +87,7 @@ def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
 
 
 def start_points(space: DesignSpace, design: Array, found: tuple[Valley, ...], most: int) -> list[Array]:
-    """Points of the unit box to start from: the given design, and the best other local optima."""
+    """Points to start from: the given design, and the best other local optima."""
     starts = [space.allowed.rounded(space.to_unit(design))]
     for valley in found:
         v = space.to_unit(valley.design)

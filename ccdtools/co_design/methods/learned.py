@@ -115,7 +115,7 @@ def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: 
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:
-    """True if a policy loses runs that saturated LQR keeps, or a fifth of its return."""
+    """True if a policy loses runs that LQR keeps, or a fifth of its return."""
     drawn = copy.deepcopy(rng)
     try:
         lqr = saturated_lqr(problem, design)
@@ -161,7 +161,7 @@ def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dic
 
 
 def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], design: Array) -> tuple[Valley, ...]:
-    """Local optima, with the end of the best co-design from each; `design` is the given one."""
+    """Local optima with the end of the best co-design from each."""
     named = []
     for valley in found:
         places = [valley.design, design] if valley.given else [valley.design]
@@ -265,7 +265,7 @@ def leader(ascents: list[Ascent]) -> Ascent:
 
 
 def _hopeful(one: Ascent, first: Ascent) -> bool:
-    """True if an ascent may still overtake the first, and loses no run that it keeps."""
+    """True if an ascent may overtake the first, and loses none of its runs."""
     if one.best.lost > first.best.lost:
         return False
     if not _apart(one.task.problem.design, one.best.v.numpy(), first.best.v.numpy()):

@@ -119,7 +119,7 @@ class LimitedLoopCost(LoopCost):
 
 
 def loop_cost(problem: CoDesignProblem, law: DesignLaw, scenarios: ScenarioTensors) -> LoopCost:
-    """Cost of a law in closed loop, within the problem's limits if they have a tolerance."""
+    """Cost of a law in closed loop, within limits that have a tolerance."""
     return (LoopCost if problem.limit_tolerance == "off" else LimitedLoopCost)(problem, law, scenarios)
 
 

@@ -59,7 +59,7 @@ class LoopCost(DesignCost):
         return f"{self.law.words} in closed loop on {len(self.scenarios[0])} scenarios"
 
     def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and its slope (np,) at a point (np,); infinite where the law has no gain there."""
+        """Cost and slope (np,) at a point (np,); infinite where the law has no gain."""
         if self.slope_is_expensive:
             return self.value(v), self.slope(v)
         point = torch.tensor(v, dtype=torch.float64, requires_grad=True)

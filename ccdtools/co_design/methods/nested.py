@@ -113,7 +113,7 @@ class Nested:
     def _of_better_linearisation(
         self, budget: SearchBudget, problem: CoDesignProblem, design: Array, rng: np.random.Generator, progress: bool
     ) -> CoDesignResult:  # fmt: skip
-        """Result of LQR of the tangent, or of the secant if asked for or better in closed loop."""
+        """Result of LQR of the tangent, or of the secant if asked for or better."""
         scenarios = scenario_tensors(problem, fewer_runs(self.runs or RUNS["lqr"], problem.steps), rng)
         tangent: CoDesignResult | None = None
         if self.linearisation == "auto":

@@ -220,7 +220,7 @@ def first_cost(problem: CoDesignProblem, x0: Array) -> float:
 
 
 def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Scenarios as arrays (n, nx) and (n, T, nw); of a worst case one of every case."""
+    """Scenarios as arrays (n, nx) and (n, T, nw); one of every worst case."""
     if isinstance(problem.risk, WorstCase):
         runs = problem.risk.cases or runs
     x0, w = scenario_tensors(problem, runs, rng)
@@ -228,7 +228,7 @@ def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tupl
 
 
 def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> list[Any]:
-    """Trajectories of saturated LQR (times, x, u) to start a program from, held where they run away."""
+    """Trajectories (times, x, u) of saturated LQR as a guess, held where they diverge."""
     x0, w = scenarios
     try:
         law: Any = saturated_lqr(problem, design)
